@@ -1,0 +1,1 @@
+"""Calibration of inertial accelerometers on precision centrifuges."""

@@ -1,0 +1,57 @@
+"""What can go wrong, in words a user can act on.
+
+Every error that counterspin raises on purpose is a `CounterspinError`. The command line prints
+its message as one short paragraph and ends with `exit_status`; Python users catch the class.
+
+- `CampaignError`: the campaign file or the command's words are wrong (exit status 2)
+- `RecordError`: a record cannot be used as it is (exit status 1)
+- `NotIdentifiableError`: the data cannot determine what is asked (exit status 1)
+- `ConvergenceError`: an iteration did not settle (exit status 1)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+class CounterspinError(Exception):
+    """The base of all errors that counterspin raises on purpose."""
+
+    exit_status = 1
+
+
+class CampaignError(CounterspinError):
+    """A campaign file (or another input that a person wrote) is wrong; all mistakes at once.
+
+    Parameters
+    ----------
+    source
+        The file, as the user named it.
+    problems
+        One line per mistake, each beginning with the path of its key.
+    """
+
+    exit_status = 2
+
+    def __init__(self, source: str, problems: Iterable[str]) -> None:
+        self.source = source
+        self.problems = tuple(problems)
+        if len(self.problems) == 1:
+            text = f"{source}: {self.problems[0]}"
+        else:
+            text = f"{source}: {len(self.problems)} mistakes\n" + "\n".join(
+                f"  {problem}" for problem in self.problems
+            )
+        super().__init__(text)
+
+
+class RecordError(CounterspinError):
+    """A record file is missing, damaged or not physically possible."""
+
+
+class NotIdentifiableError(CounterspinError):
+    """The data cannot determine the unknowns that are asked of them."""
+
+
+class ConvergenceError(CounterspinError):
+    """An iteration did not settle."""
