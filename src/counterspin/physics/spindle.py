@@ -1,0 +1,297 @@
+"""The centrifuge's spindle: its angle model and the model's identification (Eq. 1-4).
+
+The paper's Eq. 1 with any number of ripple harmonics:
+rate(t) = w0 (1 + C t) + sum_n w_n sin(n w0 t + phi_n).
+
+- `Ripple`, `Spindle`: the model, with angle, rate and angular acceleration
+- `fit_spindle`, `SpindleFit`: identification from a recorded angle, with uncertainties
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.errors import ConvergenceError, NotIdentifiableError
+
+Array = npt.NDArray[np.float64]
+
+MAX_HARMONICS: Final = 8  #: highest ripple harmonic that `fit_spindle` tries by itself
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """One periodic fluctuation of the angular rate, w_n sin(n w0 t + phi_n).
+
+    Attributes
+    ----------
+    harmonic
+        The number n of fluctuations a revolution.
+    amplitude
+        w_n, rad/s.
+    phase
+        phi_n at t = 0, rad.
+    """
+
+    harmonic: int
+    amplitude: float
+    phase: float
+
+
+@dataclass(frozen=True)
+class Spindle:
+    """The spindle's motion, Eq. 1-4 with any number of harmonics.
+
+    Attributes
+    ----------
+    rate
+        w0, rad/s; negative for the sense from east towards south.
+    drift
+        C, relative drift of the rate, 1/s.
+    ripples
+        Periodic fluctuations of the rate.
+    start_angle
+        Angle at t = 0, from east towards north, rad.
+    """
+
+    rate: float
+    drift: float = 0.0
+    ripples: tuple[Ripple, ...] = ()
+    start_angle: float = 0.0
+
+    def angle(self, t: Array) -> Array:
+        """Return the angle (Eq. 2) in rad; same shape as `t` in s."""
+        w0 = self.rate
+        theta = self.start_angle + w0 * t * (1.0 + 0.5 * self.drift * t)
+        for ripple in self.ripples:
+            n_w0 = ripple.harmonic * w0
+            theta = theta - ripple.amplitude / n_w0 * (
+                np.cos(n_w0 * t + ripple.phase) - math.cos(ripple.phase)
+            )
+        return theta
+
+    def angular_rate(self, t: Array) -> Array:
+        """Return the angular rate (Eq. 3) in rad/s; same shape as `t` in s."""
+        rate = self.rate * (1.0 + self.drift * t)
+        for ripple in self.ripples:
+            rate = rate + ripple.amplitude * np.sin(ripple.harmonic * self.rate * t + ripple.phase)
+        return rate
+
+    def angular_acceleration(self, t: Array) -> Array:
+        """Return the angular acceleration (Eq. 4) in rad/s^2; same shape as `t` in s."""
+        alpha = np.full_like(t, self.drift * self.rate)
+        for ripple in self.ripples:
+            n_w0 = ripple.harmonic * self.rate
+            alpha = alpha + ripple.amplitude * n_w0 * np.cos(n_w0 * t + ripple.phase)
+        return alpha
+
+    def time_at(self, angle: Array) -> Array:
+        """Return the times in s at which the spindle passes the given angles in rad.
+
+        Newton's iteration from the uniform rotation; the rate must not change sign.
+
+        Raises
+        ------
+        ConvergenceError
+            If the iteration does not settle, as it does not when ripple stops the spindle.
+        """
+        t = (np.asarray(angle, dtype=float) - self.start_angle) / self.rate
+        for _ in range(50):
+            step = (self.angle(t) - angle) / self.angular_rate(t)
+            t = t - step
+            if np.all(np.abs(step) <= 4e-16 * (1.0 + np.abs(t))):
+                break
+        # Roundoff of a large angle keeps the last steps above an ulp; that is settled too.
+        if not np.all(np.abs(self.angle(t) - angle) <= 1e-12 * (1.0 + np.abs(angle))):
+            raise ConvergenceError(
+                "the spindle angle could not be inverted: the rate changes sign or drifts too much"
+            )
+        return t
+
+    @property
+    def highest_harmonic(self) -> int:
+        """The highest ripple harmonic, 0 without ripple."""
+        return max((ripple.harmonic for ripple in self.ripples), default=0)
+
+
+@dataclass(frozen=True)
+class SpindleFit:
+    """A spindle identified from a recorded angle.
+
+    Attributes
+    ----------
+    spindle
+        The identified model; t = 0 is the time origin of the samples given.
+    u_rate, u_drift, u_start_angle
+        Standard uncertainties, rad/s, 1/s, rad.
+    u_ripples
+        (amplitude rad/s, phase rad) standard uncertainties, one pair for each ripple.
+    rms
+        Root mean square of the residual angle, rad.
+    dof
+        Degrees of freedom of the residuals.
+    residuals
+        Recorded minus modelled angle, rad, shape (n,).
+    """
+
+    spindle: Spindle
+    u_rate: float
+    u_drift: float
+    u_start_angle: float
+    u_ripples: tuple[tuple[float, float], ...]
+    rms: float
+    dof: int
+    residuals: Array
+
+
+def fit_spindle(
+    time: Array,
+    angle: Array,
+    nominal_rate: float,
+    *,
+    harmonics: int | None = None,
+    weights: Array | None = None,
+) -> SpindleFit:
+    """Identify w0, C and the ripples from a recorded angle (Eq. 2).
+
+    Linear least squares in (theta0, w0, C w0/2, a_n, b_n) with the harmonics taken at the
+    current w0, iterated; the noise of the angle is estimated from the residuals. Harmonics are
+    added from the first upwards for as long as the Bayesian information criterion falls, looking
+    two harmonics ahead so that an absent one does not hide the next.
+
+    Parameters
+    ----------
+    time, angle
+        Shape (n,), s and rad. The angle may be wrapped or not; if it is wrapped, neighbouring
+        samples must be less than half a revolution apart.
+    nominal_rate
+        Start value of w0 in rad/s; its sign gives the sense.
+    harmonics
+        Number of harmonics; None chooses it by the criterion, up to `MAX_HARMONICS`.
+    weights
+        Shape (n,), relative weights (1/variance), such as the samples in each block mean.
+
+    Returns
+    -------
+    SpindleFit
+
+    Raises
+    ------
+    NotIdentifiableError
+        If there are too few samples for the unknowns.
+    ConvergenceError
+        If w0 does not settle.
+    """
+    theta = np.unwrap(angle)
+    root_weight = np.ones_like(time) if weights is None else np.sqrt(weights / np.mean(weights))
+    # No more harmonics than the samples of a revolution can tell apart.
+    spacing = float(np.median(np.diff(time))) if time.size > 1 else 0.0
+    resolvable = int(math.pi / abs(nominal_rate * spacing)) - 1 if spacing else 0
+    if harmonics is not None:
+        return _fit(time, theta, root_weight, nominal_rate, harmonics)
+    best = _fit(time, theta, root_weight, nominal_rate, 0)
+    for count in range(1, max(0, min(MAX_HARMONICS, resolvable)) + 1):
+        if count - best.spindle.highest_harmonic > 2 or time.size < 2 * count + 8:
+            break
+        candidate = _fit(time, theta, root_weight, best.spindle.rate, count)
+        if _information_criterion(candidate) < _information_criterion(best):
+            best = candidate
+    return best
+
+
+def _information_criterion(fit: SpindleFit) -> float:
+    """Return the Bayesian information criterion (Schwarz 1978) of a fit, up to a constant."""
+    n = fit.residuals.size
+    parameters = n - fit.dof
+    squares = max(fit.rms**2 * fit.dof / n, np.finfo(float).tiny)
+    return n * math.log(squares) + parameters * math.log(n)
+
+
+def _fit(
+    time: Array, theta: Array, root_weight: Array, start_rate: float, count: int
+) -> SpindleFit:
+    n, unknowns = time.size, 3 + 2 * count
+    if n <= unknowns:
+        raise NotIdentifiableError(
+            f"{n} angle samples cannot determine a spindle with {count} harmonics "
+            f"({unknowns} unknowns); record longer or ask for fewer harmonics"
+        )
+    span = float(np.ptp(time))
+    scaled = time / span  # keeps the columns of one size
+    # Residuals from the nominal rotation keep the digits that the full angle would take.
+    target = (theta - start_rate * time) * root_weight
+    w0 = start_rate
+    for _ in range(20):
+        columns = [np.ones(n), scaled, scaled**2]
+        for harmonic in range(1, count + 1):
+            columns += [np.cos(harmonic * w0 * time), np.sin(harmonic * w0 * time)]
+        design = np.stack(columns, -1) * root_weight[:, None]
+        q, r = np.linalg.qr(design)
+        solution = np.linalg.solve(r, q.T @ target)
+        previous, w0 = w0, start_rate + float(solution[1]) / span
+        # Once the harmonics turn by less than 1e-9 rad over the record they are settled.
+        if abs(w0 - previous) * span * max(count, 1) < 1e-9:
+            break
+    else:
+        raise ConvergenceError(
+            f"the spindle's rate did not settle near {start_rate:.9g} rad/s: "
+            "is the run's nominal rate right?"
+        )
+    residuals = target - design @ solution
+    dof = n - unknowns
+    variance = float(residuals @ residuals) / dof
+    inverse = np.linalg.inv(r)
+    covariance = variance * inverse @ inverse.T
+    ripples, u_ripples = _ripples(w0, solution[3:], covariance[3:, 3:])
+    half_drift = float(solution[2]) / span**2
+    # start_angle is theta(0); the model's own ripple vanishes at t = 0, so the cosines add here.
+    at_zero = np.zeros(unknowns)
+    at_zero[0] = 1.0
+    at_zero[3::2] = 1.0
+    return SpindleFit(
+        spindle=Spindle(
+            rate=w0,
+            drift=2.0 * half_drift / w0,
+            ripples=ripples,
+            start_angle=float(at_zero @ solution),
+        ),
+        u_rate=math.sqrt(covariance[1, 1]) / span,
+        u_drift=2.0 * math.sqrt(covariance[2, 2]) / span**2 / abs(w0),
+        u_start_angle=math.sqrt(float(at_zero @ covariance @ at_zero)),
+        u_ripples=u_ripples,
+        rms=math.sqrt(variance),
+        dof=dof,
+        residuals=residuals / root_weight,
+    )
+
+
+def _ripples(
+    w0: float, coefficients: Array, covariance: Array
+) -> tuple[tuple[Ripple, ...], tuple[tuple[float, float], ...]]:
+    """Turn a_n cos + b_n sin of the angle into amplitude and phase of the rate."""
+    ripples, uncertainties = [], []
+    for k in range(coefficients.size // 2):
+        n_w0 = (k + 1) * w0
+        a, b = float(coefficients[2 * k]), float(coefficients[2 * k + 1])
+        # -(w_n/(n w0)) cos(n w0 t + phi) = a cos(n w0 t) + b sin(n w0 t)
+        # The sign of w0 goes into the phase so that the amplitude stays positive.
+        sense = math.copysign(1.0, n_w0)
+        size = math.hypot(a, b)
+        ripples.append(Ripple(k + 1, abs(n_w0) * size, math.atan2(sense * b, -sense * a)))
+        block = covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
+        if size == 0.0:
+            uncertainties.append((abs(n_w0) * math.sqrt(block[0, 0]), math.inf))
+            continue
+        radial = np.array([a, b]) / size
+        tangential = np.array([-b, a]) / size**2
+        uncertainties.append(
+            (
+                abs(n_w0) * math.sqrt(float(radial @ block @ radial)),
+                math.sqrt(float(tangential @ block @ tangential)),
+            )
+        )
+    return tuple(ripples), tuple(uncertainties)
