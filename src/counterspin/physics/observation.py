@@ -1,0 +1,319 @@
+"""What a record shows of each error: observation columns, metres per unit coefficient (Eq. 10-14).
+
+Given the trajectory, the error of the recorded output is linear in the coefficients,
+e(t) = start offset + start velocity x t + sum_j (K_j - nominal) x column_j(t). The columns are
+double time integrals for displacement, single for velocity, and none for specific force.
+
+- `columns`: one column for each term of the table, along any trajectory
+- `reference`: what a perfect system would have recorded
+- `parabola`: the t^2 coefficients at constant rate, in closed form
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+
+from counterspin.physics import quadrature
+from counterspin.physics.accelerometer import (
+    PLATFORM_TERMS,
+    TERMS,
+    Array,
+    Mounting,
+    PlatformTerm,
+    Term,
+    term,
+)
+from counterspin.physics.motion import Trajectory
+
+#: How often each observable integrates the specific force.
+ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}
+
+LEVEL: Final[Array] = np.eye(3)  #: attitude with x, y, z pointing east, north, up
+
+
+def reference(
+    trajectory: Trajectory,
+    mounting: Mounting,
+    times: Array,
+    observable: str = "displacement",
+    attitude: Array = LEVEL,
+) -> Array:
+    """Return what a perfect system records along an accelerometer's input axis (Eq. 11).
+
+    Parameters
+    ----------
+    trajectory, mounting, attitude
+        As for `columns`.
+    times
+        s, shape (n,).
+    observable
+        ``displacement`` (m), ``velocity`` (m/s) or ``specific_force`` (m/s^2).
+
+    Returns
+    -------
+    Array
+        Shape (n,).
+    """
+    motion = {
+        "displacement": trajectory.position,
+        "velocity": trajectory.velocity,
+        "specific_force": trajectory.specific_force,
+    }[observable]
+    return motion(times) @ mounting.turned(attitude).input_axis
+
+
+def columns(
+    trajectory: Trajectory,
+    mounting: Mounting,
+    symbols: Sequence[str],
+    times: Array,
+    observable: str = "displacement",
+    *,
+    attitude: Array = LEVEL,
+    scale_factor: float = 1.0,
+) -> Array:
+    """Return the observation columns of terms along a trajectory.
+
+    Parameters
+    ----------
+    trajectory
+        The motion from t = 0, the time at which the tilts are defined and where offset and
+        start velocity are zero.
+    mounting
+        The accelerometer's axes in the level attitude.
+    symbols
+        Terms of the table, m of them.
+    times
+        s, not negative, shape (n,).
+    observable
+        ``displacement``, ``velocity`` or ``specific_force``.
+    attitude
+        Rows: where the platform's x, y, z axes point in east-north-up, shape (3, 3).
+    scale_factor
+        K_I, with which the accelerometer sees the platform's errors, g/g.
+
+    Returns
+    -------
+    Array
+        Shape (n, m), in m, m/s or m/s^2 per unit coefficient. For K_I the coefficient is
+        K_I - 1.
+
+    Raises
+    ------
+    ValueError
+        If a symbol is not in the table.
+    """
+    order = ORDERS[observable]
+    rows = [term(symbol) for symbol in symbols]
+    axes = mounting.turned(attitude)
+    panels = _Panels(trajectory, times)
+    result = np.empty((times.size, len(rows)))
+    by_quadrature: list[tuple[int, Callable[[Array], Array]]] = []
+    kinked = False
+    for index, row in enumerate(rows):
+        linear = _linear_in_force(row, axes)
+        if linear is not None:
+            factor = scale_factor if isinstance(row, PlatformTerm) else 1.0
+            result[:, index] = factor * (panels.integral_of_force(order) @ linear)
+        elif row.symbol == "K_F":
+            result[:, index] = trajectory.site.gravity * times**order / max(1, order)
+        else:
+            kinked = kinked or (isinstance(row, Term) and "|I|" in row.factors)
+            by_quadrature.append((index, _integrand(row, trajectory, axes, attitude, scale_factor)))
+    if by_quadrature:
+        functions = [function for _, function in by_quadrature]
+        kink = (lambda t: trajectory.specific_force(t) @ axes.input_axis) if kinked else None
+        values = panels.integrate(lambda t: np.stack([f(t) for f in functions]), order, kink)
+        result[:, [index for index, _ in by_quadrature]] = values
+    return result
+
+
+class _Panels:
+    """The integrals along one trajectory at one set of times, each computed once."""
+
+    def __init__(self, trajectory: Trajectory, times: Array) -> None:
+        self.trajectory = trajectory
+        self.times = times
+        self._force: dict[int, Array] = {}
+
+    def integrate(
+        self,
+        integrand: Callable[[Array], Array],
+        order: int,
+        kink: Callable[[Array], Array] | None = None,
+    ) -> Array:
+        if order == 0:
+            return integrand(self.times).T
+        spindle = self.trajectory.spindle
+        duration = max(float(self.times.max(initial=0.0)), np.finfo(float).tiny)
+        edges = quadrature.panel_edges(spindle, duration)
+        if kink is not None:
+            breaks = quadrature.sign_changes(kink, edges)
+            edges = quadrature.panel_edges(spindle, duration, breaks)
+        return quadrature.integrate(integrand, edges, self.times, order)
+
+    def integral_of_force(self, order: int) -> Array:
+        """Integral of the specific force, shape (n, 3), by the exact identity of kinematics.
+
+        The double integral of the acceleration is the position less its start value and slope:
+        as a quadrature it would be a small difference of large numbers. Only the Coriolis part
+        of the double integral, 2 Omega x (integral of the position), needs a quadrature.
+        """
+        if order not in self._force:
+            self._force[order] = self._integral_of_force(order)
+        return self._force[order]
+
+    def _integral_of_force(self, order: int) -> Array:
+        motion, t = self.trajectory, self.times
+        if order == 0:
+            return motion.specific_force(t)
+        if order == 1:
+            return motion.velocity_of_specific_force(t)
+        zero = np.zeros(1)
+        start = motion.position(zero)
+        swept = self.integrate(lambda s: motion.position(s).T, 1) - start * t[:, None]
+        up = np.array([0.0, 0.0, motion.site.gravity])
+        return (
+            motion.position(t)
+            - start
+            - motion.velocity(zero) * t[:, None]
+            + 2.0 * np.cross(motion.site.earth_rotation, swept)
+            + 0.5 * up * t[:, None] ** 2
+        )
+
+
+def _linear_in_force(row: Term | PlatformTerm, axes: Mounting) -> Array | None:
+    """Return the vector whose product with the specific force is the term, if there is one."""
+    if isinstance(row, Term):
+        if len(row.factors) != 1:
+            return None
+        return row.sign * axes.matrix["IPO".index(row.factors[0])]
+    if row.kind != "tilt":
+        return None
+    # (-psi x f) . I = f . (psi x I)
+    return np.cross(np.eye(3)[row.axis], axes.input_axis)
+
+
+def _integrand(
+    row: Term | PlatformTerm,
+    trajectory: Trajectory,
+    axes: Mounting,
+    attitude: Array,
+    scale_factor: float,
+) -> Callable[[Array], Array]:
+    """Return the function of time, in m/s^2 per unit coefficient, that the term integrates."""
+    g = trajectory.site.gravity
+    if isinstance(row, Term):
+        return lambda t: g * row.evaluate(axes.matrix @ trajectory.specific_force(t).T / g)
+    # The gyros turn with the platform: their axes are rows of the attitude.
+    arm = scale_factor * np.cross(attitude[row.axis], axes.input_axis)
+    if row.force_axis is None:
+        return lambda t: t * (trajectory.specific_force(t) @ arm)
+    force_axis = attitude[row.force_axis] / g
+    return lambda t: (
+        (trajectory.velocity_of_specific_force(t) @ force_axis)
+        * (trajectory.specific_force(t) @ arm)
+    )
+
+
+def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravity: float) -> float:
+    """Return the t^2 coefficient of a term's displacement at constant rate, in closed form.
+
+    Without Earth rate, from start angle 0, in the level attitude, for a horizontal input axis
+    with the pendulous axis vertical. This is the corrected content of Eq. 19: K_II enters with
+    1/4, not 1/2.
+
+    Parameters
+    ----------
+    symbol
+        A term of the table; those without a parabola give 0 (drift grows with t^3).
+    rate, radius, gravity
+        rad/s (signed), m, m/s^2.
+
+    Returns
+    -------
+    float
+        m/s^2 per unit coefficient.
+
+    Raises
+    ------
+    ValueError
+        If the symbol is unknown or the mounting is not of this kind.
+    """
+    matrix = mounting.matrix
+    if abs(matrix[0, 2]) > 1e-9 or abs(abs(matrix[1, 2]) - 1.0) > 1e-9:
+        raise ValueError("closed forms need a horizontal input axis and a vertical pendulous axis")
+    row = term(symbol)
+    rectified = radius**2 * rate**4 / (4.0 * gravity)
+    down = -matrix[1, 2]  # a_P = -1 with the pendulous axis down
+    if isinstance(row, PlatformTerm):
+        seen = np.cross(np.eye(3)[row.axis], matrix[0])
+        if row.kind == "tilt":
+            return 0.5 * gravity * float(seen[2])
+        if row.kind == "g_sensitivity" and row.force_axis in (0, 1):
+            # psi follows the velocity gained since the start. About the vertical it turns the
+            # centripetal force, and the product has a mean where the two directions cross;
+            # about a horizontal axis the start velocity stays behind as a tilt against gravity.
+            along = float(np.cross(np.eye(3)[row.force_axis], seen)[2])
+            start_velocity = radius * rate if row.force_axis == 1 else 0.0
+            return (
+                along * radius**2 * rate**3 / (4.0 * gravity)
+                - 0.5 * float(seen[2]) * start_velocity
+            )
+        return 0.0
+    return {
+        "K_F": 0.5 * gravity,
+        "K_II": rectified,
+        "K_OO": rectified,
+        "K_PP": 0.5 * gravity,
+        "delta_O": -0.5 * gravity * down,
+    }.get(symbol, 0.0)
+
+
+def acting_platform_terms(
+    kind: str, input_axes: Sequence[Array], attitudes: Sequence[Array] = (LEVEL,)
+) -> tuple[str, ...]:
+    """Return the platform terms of a kind that act on level input axes to first order.
+
+    Tilts and drifts act through gravity: those about axes whose turn moves the vertical into an
+    input axis. Of the g-sensitivities the azimuth gyro's to force along the input axis counts,
+    because it alone rectifies.
+
+    Parameters
+    ----------
+    kind
+        ``tilt``, ``drift`` or ``g_sensitivity``.
+    input_axes
+        Unit vectors in the platform's level attitude (east-north-up), each shape (3,).
+    attitudes
+        Attitudes of the runs, each shape (3, 3) with rows x, y, z.
+
+    Returns
+    -------
+    tuple of str
+        Symbols in the order of the table.
+    """
+    acting = []
+    for row in PLATFORM_TERMS.values():
+        if row.kind != kind:
+            continue
+        for axis in input_axes:
+            for attitude in attitudes:
+                about = np.eye(3)[row.axis] if row.per_run else attitude[row.axis]
+                pointing = axis @ attitude
+                seen = np.cross(about, pointing)
+                if kind == "g_sensitivity":
+                    acts = row.axis == 2 and abs(axis[row.force_axis or 0]) > 1e-9
+                    acts = acts and row.force_axis != 2
+                else:
+                    acts = abs(float(seen[2])) > 1e-9
+                if acts and row.symbol not in acting:
+                    acting.append(row.symbol)
+    return tuple(acting)
+
+
+#: Every symbol of the two tables, accelerometer terms first.
+SYMBOLS: Final = (*TERMS, *PLATFORM_TERMS)

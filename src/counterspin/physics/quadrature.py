@@ -1,0 +1,148 @@
+"""Single and double time integrals along a trajectory, to rounding, at any times.
+
+Between two panel edges the integrand is the Legendre series through its Gauss nodes, and the
+series is integrated once or twice term by term. The result is therefore as accurate between the
+edges as at them, and costs nothing more for a million sample times than for three.
+
+- `panel_edges`: where panels begin and end
+- `sign_changes`: kinks that must be edges too
+- `integrate`: the integrals
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from counterspin.physics.accelerometer import Array
+from counterspin.physics.spindle import Spindle
+
+NODES: Final = 16  #: Gauss-Legendre nodes in a panel
+_CHUNK: Final = 65536  #: sample times evaluated at once, which bounds the memory
+
+# The highest harmonic of the smooth products is the third (a_I^3); ripple adds its own.
+# Sixteen nodes reach 1e-12 while a panel spans at most 3/4 of a period of the highest harmonic.
+_PRODUCT_HARMONIC: Final = 3
+_PANELS_PER_PERIOD: Final = 4.0 / 3.0
+
+
+def _series_of_integral(times_integrated: int) -> Array:
+    """Matrix from node values to the Legendre series of the integral, (NODES + times, NODES)."""
+    nodes, weights = legendre.leggauss(NODES)
+    order = np.arange(NODES)
+    series = (order[:, None] + 0.5) * legendre.legvander(nodes, NODES - 1).T * weights
+    return legendre.legint(series, m=times_integrated, lbnd=-1.0, axis=0)
+
+
+_X: Final[Array] = legendre.leggauss(NODES)[0]
+_ONCE: Final[Array] = _series_of_integral(1)
+_TWICE: Final[Array] = _series_of_integral(2)
+
+
+def panel_edges(spindle: Spindle, duration: float, breaks: Array | None = None) -> Array:
+    """Return panel edges from 0 to `duration` (s), increasing, shape (m + 1,).
+
+    Parameters
+    ----------
+    spindle
+        Gives the revolutions, and the highest ripple harmonic, which asks for more panels.
+    duration
+        End of the integration, s; positive.
+    breaks
+        Further edges, s, such as the times of kinks.
+    """
+    revolutions = duration * abs(spindle.rate) * (1 + max(0.0, spindle.drift * duration))
+    revolutions /= 2.0 * math.pi
+    per_revolution = _PANELS_PER_PERIOD * (_PRODUCT_HARMONIC + spindle.highest_harmonic)
+    edges = np.linspace(0.0, duration, max(2, math.ceil(revolutions * per_revolution) + 1))
+    if breaks is None or breaks.size == 0:
+        return edges
+    edges = np.union1d(edges, breaks[(breaks > 0.0) & (breaks < duration)])
+    # A panel of rounding width adds nothing and would divide by zero.
+    keep = np.append(np.diff(edges) > 1e-13 * duration, True)
+    return edges[keep]
+
+
+def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
+    """Return the times at which a function changes sign, by bisection to rounding.
+
+    Parameters
+    ----------
+    function
+        Maps times (n,) to values (n,).
+    edges
+        Panel edges; each panel is searched in 8 steps, so that two changes closer than an
+        eighth of a panel are missed together.
+    """
+    steps = np.linspace(0.0, 1.0, 8, endpoint=False)
+    grid = np.append((edges[:-1, None] + np.diff(edges)[:, None] * steps).ravel(), edges[-1])
+    positive = function(grid) > 0.0
+    at = np.flatnonzero(positive[1:] != positive[:-1])
+    left, right, left_positive = grid[at], grid[at + 1], positive[at]
+    for _ in range(52):
+        middle = 0.5 * (left + right)
+        same = (function(middle) > 0.0) == left_positive
+        left, right = np.where(same, middle, left), np.where(same, right, middle)
+    return 0.5 * (left + right)
+
+
+def integrate(integrand: Callable[[Array], Array], edges: Array, times: Array, order: int) -> Array:
+    """Integrate several functions once or twice from the first edge.
+
+    Parameters
+    ----------
+    integrand
+        Maps times (n,) in s to values (k, n).
+    edges
+        Panel edges, s, increasing; the integrand is smooth inside each panel.
+    times
+        Where the integrals are wanted, s, shape (n,), between the first and the last edge.
+    order
+        1 for the integral, 2 for the double integral (zero value and slope at the first edge).
+
+    Returns
+    -------
+    Array
+        Shape (n, k), the integrand's unit times s or s^2.
+
+    Raises
+    ------
+    ValueError
+        If a time lies outside the edges.
+    """
+    tolerance = 1e-12 * (edges[-1] - edges[0])
+    if times.size and (times.min() < edges[0] - tolerance or times.max() > edges[-1] + tolerance):
+        raise ValueError("times lie outside the panels")
+    half = 0.5 * np.diff(edges)
+    nodes = edges[:-1, None] + half[:, None] * (1.0 + _X)
+    values = integrand(nodes.ravel()).reshape(-1, half.size, NODES)
+    once = np.einsum("kpn,cn->pck", values, _ONCE) * half[:, None, None]
+    # A Legendre series at x = 1 is the sum of its coefficients.
+    first = _running_sum(once.sum(axis=1))
+    if order == 1:
+        series, start, slope = once, first, None
+    else:
+        series = np.einsum("kpn,cn->pck", values, _TWICE) * half[:, None, None] ** 2
+        start = _running_sum(series.sum(axis=1) + 2.0 * half[:, None] * first[:-1])
+        slope = first
+    result = np.empty((times.size, values.shape[0]))
+    for begin in range(0, times.size, _CHUNK):
+        t = times[begin : begin + _CHUNK]
+        panel = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, half.size - 1)
+        inside = t - edges[panel]
+        x = inside / half[panel] - 1.0
+        part = np.einsum("nc,nck->nk", legendre.legvander(x, series.shape[1] - 1), series[panel])
+        part += start[panel]
+        if slope is not None:
+            part += slope[panel] * inside[:, None]
+        result[begin : begin + _CHUNK] = part
+    return result
+
+
+def _running_sum(increments: Array) -> Array:
+    """Return the sums before each panel and after the last, shape (m + 1, k)."""
+    return np.concatenate([np.zeros((1, increments.shape[1])), np.cumsum(increments, axis=0)])
