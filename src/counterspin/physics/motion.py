@@ -69,14 +69,14 @@ class Trajectory:
     def position(self, t: Array) -> Array:
         """Return R (cos theta, sin theta, 0) in m, shape (n, 3)."""
         theta = self.spindle.angle(t)
-        return self.radius * np.stack([np.cos(theta), np.sin(theta), np.zeros_like(theta)], -1)
+        outward: Array = np.stack([np.cos(theta), np.sin(theta), np.zeros_like(theta)], -1)
+        return self.radius * outward
 
     def velocity(self, t: Array) -> Array:
         """Return the velocity relative to the Earth in m/s, shape (n, 3)."""
         theta, rate = self.spindle.angle(t), self.spindle.angular_rate(t)
-        return (self.radius * rate)[..., None] * np.stack(
-            [-np.sin(theta), np.cos(theta), np.zeros_like(theta)], -1
-        )
+        along: Array = np.stack([-np.sin(theta), np.cos(theta), np.zeros_like(theta)], -1)
+        return (self.radius * rate)[..., None] * along
 
     def acceleration(self, t: Array) -> Array:
         """Return the acceleration relative to the Earth in m/s^2, shape (n, 3).
@@ -87,17 +87,19 @@ class Trajectory:
         theta, rate = self.spindle.angle(t), self.spindle.angular_rate(t)
         alpha = self.spindle.angular_acceleration(t)
         cos, sin = np.cos(theta), np.sin(theta)
-        return -self.radius * np.stack(
+        inward: Array = np.stack(
             [rate**2 * cos + alpha * sin, rate**2 * sin - alpha * cos, np.zeros_like(theta)], -1
         )
+        return -self.radius * inward
 
     def harmful_acceleration(self, t: Array) -> Array:
         """Return what the navigation computer subtracts (Eq. 10, 12), m/s^2, shape (n, 3).
 
         Coriolis acceleration plus the reaction to gravity, 2 Omega x v + (0, 0, g).
         """
-        coriolis = 2.0 * np.cross(self.site.earth_rotation, self.velocity(t))
-        return coriolis + np.array([0.0, 0.0, self.site.gravity])
+        harmful: Array = 2.0 * np.cross(self.site.earth_rotation, self.velocity(t))
+        harmful[..., 2] += self.site.gravity
+        return harmful
 
     def specific_force(self, t: Array) -> Array:
         """Return the specific force in m/s^2, shape (n, 3)."""

@@ -11,6 +11,7 @@ double time integrals for displacement, single for velocity, and none for specif
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -190,7 +191,8 @@ def _linear_in_force(row: Term | PlatformTerm, axes: Mounting) -> Array | None:
     if isinstance(row, Term):
         if len(row.factors) != 1:
             return None
-        return row.sign * axes.matrix["IPO".index(row.factors[0])]
+        along: Array = row.sign * axes.matrix["IPO".index(row.factors[0])]
+        return along
     if row.kind != "tilt":
         return None
     # (-psi x f) . I = f . (psi x I)
@@ -247,30 +249,32 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
     if abs(matrix[0, 2]) > 1e-9 or abs(abs(matrix[1, 2]) - 1.0) > 1e-9:
         raise ValueError("closed forms need a horizontal input axis and a vertical pendulous axis")
     row = term(symbol)
-    rectified = radius**2 * rate**4 / (4.0 * gravity)
-    down = -matrix[1, 2]  # a_P = -1 with the pendulous axis down
-    if isinstance(row, PlatformTerm):
-        seen = np.cross(np.eye(3)[row.axis], matrix[0])
-        if row.kind == "tilt":
-            return 0.5 * gravity * float(seen[2])
-        if row.kind == "g_sensitivity" and row.force_axis in (0, 1):
-            # psi follows the velocity gained since the start. About the vertical it turns the
-            # centripetal force, and the product has a mean where the two directions cross;
-            # about a horizontal axis the start velocity stays behind as a tilt against gravity.
-            along = float(np.cross(np.eye(3)[row.force_axis], seen)[2])
-            start_velocity = radius * rate if row.force_axis == 1 else 0.0
-            return (
-                along * radius**2 * rate**3 / (4.0 * gravity)
-                - 0.5 * float(seen[2]) * start_velocity
-            )
+    force = radius * rate**2 / gravity
+    if isinstance(row, Term):
+        vertical = float(matrix[1, 2]) ** row.factors.count("P")  # a_P is -1 with P down
+        horizontal = force ** sum(factor != "P" for factor in row.factors)
+        return 0.5 * gravity * row.sign * vertical * horizontal * _mean_of_harmonics(row.factors)
+    seen = np.cross(np.eye(3)[row.axis], matrix[0])
+    if row.kind == "tilt":
+        return 0.5 * gravity * float(seen[2])
+    if row.kind == "g_sensitivity" and row.force_axis in (0, 1):
+        # psi follows the velocity gained since the start. About the vertical it turns the
+        # centripetal force, and the product has a mean where the two directions cross;
+        # about a horizontal axis the start velocity stays behind as a tilt against gravity.
+        along = float(np.cross(np.eye(3)[row.force_axis], seen)[2])
+        start_velocity = radius * rate if row.force_axis == 1 else 0.0
+        return 0.25 * radius * rate * force * along - 0.5 * float(seen[2]) * start_velocity
+    return 0.0
+
+
+def _mean_of_harmonics(factors: Sequence[str]) -> float:
+    """Return the mean over a revolution of cos^i sin^o, as many as there are I and O."""
+    i, o = sum(factor in ("I", "|I|") for factor in factors), factors.count("O")
+    if i % 2 or o % 2 or "|I|" in factors:
         return 0.0
-    return {
-        "K_F": 0.5 * gravity,
-        "K_II": rectified,
-        "K_OO": rectified,
-        "K_PP": 0.5 * gravity,
-        "delta_O": -0.5 * gravity * down,
-    }.get(symbol, 0.0)
+    # The beta integral, (i-1)!! (o-1)!! / (i+o)!! in terms of gamma functions.
+    gammas = math.gamma((i + 1) / 2) * math.gamma((o + 1) / 2)
+    return gammas / (math.pi * math.gamma((i + o) / 2 + 1))
 
 
 def acting_platform_terms(

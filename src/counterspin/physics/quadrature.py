@@ -35,7 +35,8 @@ def _series_of_integral(times_integrated: int) -> Array:
     nodes, weights = legendre.leggauss(NODES)
     order = np.arange(NODES)
     series = (order[:, None] + 0.5) * legendre.legvander(nodes, NODES - 1).T * weights
-    return legendre.legint(series, m=times_integrated, lbnd=-1.0, axis=0)
+    integral = legendre.legint(series, m=times_integrated, lbnd=-1.0, axis=0)
+    return np.asarray(integral, dtype=np.float64)
 
 
 _X: Final[Array] = legendre.leggauss(NODES)[0]
@@ -64,7 +65,8 @@ def panel_edges(spindle: Spindle, duration: float, breaks: Array | None = None) 
     edges = np.union1d(edges, breaks[(breaks > 0.0) & (breaks < duration)])
     # A panel of rounding width adds nothing and would divide by zero.
     keep = np.append(np.diff(edges) > 1e-13 * duration, True)
-    return edges[keep]
+    kept: Array = edges[keep]
+    return kept
 
 
 def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
@@ -87,7 +89,8 @@ def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
         middle = 0.5 * (left + right)
         same = (function(middle) > 0.0) == left_positive
         left, right = np.where(same, middle, left), np.where(same, right, middle)
-    return 0.5 * (left + right)
+    found: Array = 0.5 * (left + right)
+    return found
 
 
 def integrate(integrand: Callable[[Array], Array], edges: Array, times: Array, order: int) -> Array:
