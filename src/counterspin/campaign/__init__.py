@@ -1,1 +1,12 @@
-"""."""
+"""Campaigns as files: quantities with units, the description, records, the result.
+
+A campaign is a folder: ``campaign.toml`` beside its record files.
+
+- `quantity`: text such as ``"2.5 ± 1e-5 m"`` to numbers in SI and g-units
+- `settings`: what may stand in ``campaign.toml``, section by section
+- `checking`: mistakes, collected and told in the user's words
+- `terms`: which error terms a campaign asks for, and their priors
+- `truth`: what a simulated campaign is made of; calibration never looks at it
+- `resolved`: the campaign as the calculation sees it, in SI
+- `description`: `read_campaign`, from the file to the resolved campaign
+"""

@@ -1,0 +1,257 @@
+"""Quantities as people write them, ``"VALUE UNIT"`` or ``"VALUE ± U UNIT"``, to SI and g-units.
+
+U is a standard uncertainty (k = 1); ``+/-`` and ``+-`` are the same as ``±``. Only the units of
+`UNITS` are known, in products, quotients and powers (``g/Hz^0.5``, ``m^-1 s^2``, ``deg/h/g``).
+A general list of units would be a trap here: it takes 50 Hz for 50 rad/s and ug for a microgram.
+
+Three things are dimensions of their own. Angle is one, so that a rotation rate is not confused
+with a relative drift in 1/s. The site's gravity g is one, so that coefficients stay in g-units.
+Where the site's gravity is given, m/s^2 and g convert into each other.
+
+- `Quantity`: value, standard uncertainty, unit
+- `parse`: text to `Quantity` in the unit that is wanted
+- `unit_factor`: what a number in one unit is multiplied with to be in another
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final
+
+#: Every unit that may be written, as (what it is multiplied with, in which earlier unit).
+#: The base units stand in brackets.
+UNITS: Final[Mapping[str, tuple[float, str]]] = {
+    "m": (1.0, "[length]"),
+    "s": (1.0, "[time]"),
+    "rad": (1.0, "[angle]"),
+    "g": (1.0, "[gravity]"),
+    "mm": (1e-3, "m"),
+    "um": (1e-6, "m"),
+    "nm": (1e-9, "m"),
+    "cm": (1e-2, "m"),
+    "km": (1e3, "m"),
+    "ms": (1e-3, "s"),
+    "us": (1e-6, "s"),
+    "ns": (1e-9, "s"),
+    "min": (60.0, "s"),
+    "h": (3600.0, "s"),
+    "mrad": (1e-3, "rad"),
+    "urad": (1e-6, "rad"),
+    "nrad": (1e-9, "rad"),
+    "deg": (math.pi / 180.0, "rad"),
+    "arcmin": (math.pi / 10800.0, "rad"),
+    "arcsec": (math.pi / 648000.0, "rad"),
+    "rev": (2.0 * math.pi, "rad"),
+    "rpm": (2.0 * math.pi / 60.0, "rad/s"),
+    "mg": (1e-3, "g"),
+    "ug": (1e-6, "g"),
+    "ng": (1e-9, "g"),
+    "Hz": (1.0, "1/s"),
+    "kHz": (1e3, "1/s"),
+    "ppm": (1e-6, ""),
+    "ppb": (1e-9, ""),
+}
+
+#: What is wanted -> its name and the units to advise, for messages.
+ADVICE: Final[Mapping[str, tuple[str, str]]] = {
+    "m": ("a length", "m, mm, um, km"),
+    "s": ("a time", "s, ms, us, min, h"),
+    "rad": ("an angle", "rad, mrad, urad, deg, arcmin, arcsec, rev"),
+    "rad/s": ("an angular rate", "rad/s, deg/s, deg/h, rpm, rev/s"),
+    "1/s": ("a relative drift", "1/s, 1/h, ppm/h"),
+    "m/s": ("a velocity", "m/s, mm/s"),
+    "m/s^2": ("an acceleration", "m/s^2, mm/s^2"),
+    "Hz": ("a frequency", "Hz, kHz, 1/s"),
+    "1": ("a plain ratio", "1, ppm"),
+    "m/s^2/Hz^0.5": ("a random-walk coefficient", "g/Hz^0.5, ug/Hz^0.5, m/s^2/Hz^0.5, m/s/s^0.5"),
+    "g": ("a specific force", "g, mg, ug"),
+    "g/g": ("a scale factor", "g/g, ppm"),
+    "g/g^2": ("a second-order coefficient", "g/g^2, mg/g^2, ug/g^2"),
+    "g/g^3": ("a third-order coefficient", "g/g^3, mg/g^3, ug/g^3"),
+    "rad/s/g": ("a gyro g-sensitivity", "deg/h/g, rad/s/g"),
+}
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_QUANTITY = re.compile(rf"({_NUMBER})(?:\s*(?:±|\+/-|\+-)\s*({_NUMBER}))?(?:\s+|(?=[^\d.\s]))(.*)")
+_BARE = re.compile(rf"{_NUMBER}(?:\s*(?:±|\+/-|\+-)\s*{_NUMBER})?")
+_NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)\b", re.IGNORECASE)
+# One factor: a name or the 1 of "1/s", perhaps with a power. Nothing else reaches the evaluation.
+_FACTOR = re.compile(r"\s*(?:([A-Za-z]+)(?:\^([+-]?\d{1,2}(?:\.\d{1,3})?))?|(1)|([*/()]))\s*")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A value with its standard uncertainty.
+
+    Attributes
+    ----------
+    value
+        The value, in `unit`.
+    u
+        Its standard uncertainty (k = 1), in `unit`; 0 for a value that is taken as exact.
+    unit
+        SI or g-units, such as ``m``, ``rad/s`` or ``g/g^2``.
+    """
+
+    value: float
+    u: float
+    unit: str
+
+    def __str__(self) -> str:
+        """Write the quantity so that `parse` reads the same numbers."""
+        return f"{self.value!r} ± {self.u!r} {self.unit}"
+
+
+def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
+    """Read ``"VALUE UNIT"`` or ``"VALUE ± U UNIT"``.
+
+    Parameters
+    ----------
+    text
+        What stands in the file; anything but text is refused with advice.
+    unit
+        The unit wanted, which also says what kind of quantity it is.
+    gravity
+        The site's gravity in m/s^2; with it, m/s^2 serves where g is wanted and the other way.
+
+    Returns
+    -------
+    Quantity
+        In `unit`. Without a ± the uncertainty is 0: the value is taken as exact.
+
+    Raises
+    ------
+    ValueError
+        If the number is not one, not finite or without a unit; if the unit is unknown or of
+        another dimension; if the uncertainty is negative.
+    """
+    kind, accepted = _advice(unit)
+    if not isinstance(text, str):
+        example = f"{text!r} {accepted.split(',')[0]}" if isinstance(text, int | float) else None
+        if example is None or isinstance(text, bool):
+            raise ValueError(f"must be {kind}, written as text with its unit ({accepted})")
+        if not math.isfinite(text):  # type: ignore[arg-type]
+            raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
+        raise ValueError(f'a number without its unit; write "{example}" ({kind}: {accepted})')
+    clean = text.strip().replace("−", "-")
+    if _NOT_FINITE.search(clean):
+        raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
+    if _BARE.fullmatch(clean):
+        raise ValueError(f"{text!r} has no unit; {kind} is wanted ({accepted})")
+    if re.match(r"[+-]?\d+,\d", clean):
+        raise ValueError(f"{text!r} has a comma; decimals are written with a point")
+    match = _QUANTITY.fullmatch(clean)
+    if match is None:
+        raise ValueError(
+            f'{text!r} is not a quantity; write "VALUE UNIT" or "VALUE ± U UNIT" '
+            f"({kind}: {accepted})"
+        )
+    factor = unit_factor(match[3], unit, gravity=gravity)
+    value = float(match[1]) * factor
+    u = float(match[2] or 0.0) * factor
+    if not (math.isfinite(value) and math.isfinite(u)):
+        raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
+    if u < 0.0:
+        raise ValueError(f"{text!r} has a negative uncertainty")
+    return Quantity(value, u, unit)
+
+
+@lru_cache(maxsize=256)
+def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> float:
+    """Return what a number in `unit` is multiplied with to be in `wanted`.
+
+    Parameters
+    ----------
+    unit
+        A unit as written, such as ``deg/h/g``.
+    wanted
+        The unit that the number shall have, such as ``rad/s/g``.
+    gravity
+        The site's gravity in m/s^2, for conversions between g and m/s^2.
+
+    Raises
+    ------
+    ValueError
+        If `unit` is unknown, not a unit, of another dimension, or Hz where no frequency is
+        wanted: 1 Hz of rotation may mean 1 rev/s or 1 rad/s.
+    """
+    kind, accepted = _advice(wanted)
+    written = unit.strip().replace("**", "^").replace("µ", "u").replace("μ", "u")
+    written = written.replace("°", "deg").replace("·", "*").replace("²", "^2").replace("³", "^3")
+    names = _names(written, kind, accepted)
+    if not names <= set(UNITS):
+        unknown = ", ".join(sorted(repr(name) for name in names - set(UNITS)))
+        raise ValueError(f"unknown unit {unknown}; {kind} is wanted ({accepted})")
+    if names & {"Hz", "kHz"} and "Hz" not in wanted:
+        if wanted == "rad/s":
+            raise ValueError(
+                f"{unit!r} is ambiguous for an angular rate: write rev/s for revolutions a "
+                f"second, or rad/s ({accepted})"
+            )
+        raise ValueError(f"{unit!r} is a frequency; {kind} is wanted ({accepted})")
+    factor, dimension = _evaluate(written)
+    wanted_factor, wanted_dimension = _evaluate(wanted)
+    factor /= wanted_factor
+    surplus = {
+        base: dimension.get(base, 0.0) - wanted_dimension.get(base, 0.0)
+        for base in ("[length]", "[time]", "[angle]", "[gravity]")
+    }
+    # What is left over may be a power of (m/s^2)/g, which the site's gravity resolves.
+    power = surplus["[length]"]
+    of_gravity = {"[length]": power, "[time]": -2.0 * power, "[gravity]": -power, "[angle]": 0.0}
+    if surplus != of_gravity or (power != 0.0 and gravity is None):
+        raise ValueError(f"{unit!r} is not a unit of {kind.split(' ', 1)[1]}; use {accepted}")
+    if power != 0.0 and gravity is not None:
+        factor *= gravity**-power
+    return factor
+
+
+def _advice(wanted: str) -> tuple[str, str]:
+    return ADVICE.get(wanted, (f"a quantity in {wanted}", wanted))
+
+
+def _names(written: str, kind: str, accepted: str) -> set[str]:
+    """Return the unit names in an expression, having checked that it is nothing but one."""
+    if re.search(r"[*/]\s*[*/]", written):
+        raise ValueError(f"{written!r} is not a unit; {kind} is wanted ({accepted})")
+    names, position = set(), 0
+    while position < len(written):
+        match = _FACTOR.match(written, position)
+        if match is None:
+            raise ValueError(f"{written!r} is not a unit; {kind} is wanted ({accepted})")
+        if match[1]:
+            names.add(match[1])
+        position = match.end()
+    return names
+
+
+@lru_cache(maxsize=256)
+def _evaluate(written: str) -> tuple[float, Mapping[str, float]]:
+    """Return factor to base units and dimension of a checked unit expression."""
+    registry = _registry()
+    try:
+        unit = registry.parse_units(written)
+        factor, _ = registry.get_base_units(unit)
+    except Exception as error:
+        # Pint raises half a dozen types here, AssertionError and TokenError among them.
+        raise ValueError(f"{written!r} is not a unit: a factor or a bracket is missing") from error
+    return float(factor), {base: float(power) for base, power in unit.dimensionality.items()}
+
+
+@lru_cache(maxsize=1)
+def _registry() -> Any:
+    """Make the registry of the units in `UNITS` and no others."""
+    # Imported here: pint costs more to import than everything else in this room together.
+    import pint  # noqa: PLC0415
+
+    registry: Any = pint.UnitRegistry(None)
+    for name, (factor, base) in UNITS.items():
+        # Bases are defined by their dimension alone; a factor before it would be refused.
+        registry.define(
+            f"{name} = {base}" if base.startswith("[") else f"{name} = {factor!r} {base}".strip()
+        )
+    return registry

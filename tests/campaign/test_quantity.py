@@ -1,0 +1,151 @@
+import math
+import subprocess
+import sys
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from counterspin.campaign.quantity import ADVICE, UNITS, Quantity, parse, unit_factor
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+
+G = 9.8066
+FINITE = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e100, max_value=1e100)
+UNCERTAINTY = st.floats(min_value=0.0, max_value=1e100)
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value", "u"),
+    [
+        ("2.5 m", "m", 2.5, 0.0),
+        ("2.5 ± 1e-5 m", "m", 2.5, 1e-5),
+        ("2.5 +/- 1e-5 m", "m", 2.5, 1e-5),
+        ("2.5 +- 1e-5 m", "m", 2.5, 1e-5),
+        ("  2.5±1e-5m ", "m", 2.5, 1e-5),
+        ("2500 ± 0.01 mm", "m", 2.5, 1e-5),
+        ("-45.75 deg", "rad", math.radians(-45.75), 0.0),
+        ("−45.75 °", "rad", math.radians(-45.75), 0.0),
+        ("0 ± 0.5 arcsec", "rad", 0.0, math.radians(0.5 / 3600)),
+        ("60 rpm", "rad/s", 2 * math.pi, 0.0),
+        ("1 rev/s", "rad/s", 2 * math.pi, 0.0),
+        ("15 deg/h", "rad/s", math.radians(15) / 3600, 0.0),
+        ("0.02 deg/h/g", "rad/s/g", math.radians(0.02) / 3600, 0.0),
+        ("3.6e-3 1/h", "1/s", 1e-6, 0.0),
+        ("3600 ppm/h", "1/s", 1e-6, 0.0),
+        ("50 Hz", "Hz", 50.0, 0.0),
+        ("1 us", "s", 1e-6, 0.0),
+        ("1 µs", "s", 1e-6, 0.0),
+        ("5 μg", "g", 5e-6, 0.0),
+        ("5 ug", "g", 5e-6, 0.0),
+        ("20 ug/g^2", "g/g^2", 2e-5, 0.0),
+        ("20 ug/g**2", "g/g^2", 2e-5, 0.0),
+        ("20 ug/g²", "g/g^2", 2e-5, 0.0),
+        ("1.0019743 ± 5e-6 g/g", "g/g", 1.0019743, 5e-6),
+        ("300 ppm", "1", 3e-4, 0.0),
+        ("0.5 1", "1", 0.5, 0.0),
+        ("9.8066 m s^-2", "m/s^2", 9.8066, 0.0),
+    ],
+)
+def test_reads_what_people_write(text, unit, value, u):
+    quantity = parse(text, unit)
+    assert quantity.value == pytest.approx(value, rel=4e-16, abs=0.0)
+    assert quantity.u == pytest.approx(u, rel=4e-16, abs=0.0)
+    assert quantity.unit == unit
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("0.049033 m/s^2", "g", 0.005),
+        ("1 m^-1 s^2", "g/g^2", G),
+        ("3e-6 g/Hz^0.5", "m/s^2/Hz^0.5", 3e-6 * G),
+        ("2e-5 m/s/s^0.5", "m/s^2/Hz^0.5", 2e-5),
+        ("1 mg", "m/s^2", 1e-3 * G),
+    ],
+)
+def test_site_gravity_joins_g_units_and_si(text, unit, value):
+    assert parse(text, unit, gravity=G).value == pytest.approx(value, rel=1e-15)
+
+
+def test_without_gravity_g_and_si_stay_apart():
+    with pytest.raises(ValueError, match=r"'g' is not a unit of acceleration; use m/s\^2"):
+        parse("1 g", "m/s^2")
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "message"),
+    [
+        (2.5, "m", r'a number without its unit; write "2.5 m" \(a length: m, mm, um, km\)'),
+        (float("nan"), "m", "nan is not a finite number"),
+        (True, "m", "must be a length, written as text"),
+        ([1], "m", "must be a length, written as text"),
+        ("2.5", "m", "'2.5' has no unit; a length is wanted"),
+        ("2.5 ± 1", "m", "has no unit"),
+        ("m", "m", "is not a quantity"),
+        ("", "m", "is not a quantity"),
+        ("1 ± m", "m", "is not a unit; a length is wanted"),
+        ("2,5 m", "m", "has a comma; decimals are written with a point"),
+        ("1 ± 2 ± 3 m", "m", "is not a unit"),
+        ("nan m", "m", "not a finite number"),
+        ("1 ± inf m", "m", "not a finite number"),
+        ("-Infinity m", "m", "not a finite number"),
+        ("1e999 m", "m", "not a finite number"),
+        ("1 ± -2 m", "m", "negative uncertainty"),
+        ("1 furlong", "m", r"unknown unit 'furlong'; a length is wanted \(m, mm, um, km\)"),
+        ("1 M", "m", "unknown unit 'M'"),
+        ("1 s", "m", "'s' is not a unit of length; use m, mm, um, km"),
+        ("1 1/s", "rad/s", "'1/s' is not a unit of angular rate; use rad/s, deg/s"),
+        ("1 rad/s", "1/s", "not a unit of relative drift"),
+        ("1 Hz", "rad/s", "'Hz' is ambiguous for an angular rate: write rev/s"),
+        ("1 Hz", "1/s", "'Hz' is a frequency; a relative drift is wanted"),
+        ("1 g/g^2", "g/g^3", "not a unit of third-order coefficient"),
+        ("1 g", "rad", "not a unit of angle"),
+        ("1 m//s", "m/s", "is not a unit"),
+        ("1 m/", "m", "is not a unit"),
+        ("1 (m", "m", "is not a unit"),
+        ("1 m^9^9^9", "m", "is not a unit"),
+        ("1 __import__('os')", "m", "is not a unit"),
+    ],
+)
+def test_refuses_with_advice(text, unit, message):
+    with pytest.raises(ValueError, match=message):
+        parse(text, unit)
+
+
+@pytest.mark.parametrize("wanted", ADVICE)
+def test_every_advised_unit_is_accepted(wanted):
+    for unit in ADVICE[wanted][1].split(", "):
+        assert unit_factor(unit, wanted, gravity=G) > 0.0
+
+
+def test_every_unit_of_the_term_table_has_advice():
+    assert {row.unit for row in [*TERMS.values(), *PLATFORM_TERMS.values()]} <= set(ADVICE)
+
+
+@given(FINITE, UNCERTAINTY, st.sampled_from(sorted(ADVICE)))
+def test_a_quantity_reads_back_exactly(value, u, unit):
+    quantity = Quantity(value, u, unit)
+    assert parse(str(quantity), unit) == quantity
+
+
+@given(st.sampled_from(sorted(UNITS)), st.sampled_from(sorted(UNITS)))
+def test_factors_of_one_dimension_are_inverse(one, other):
+    try:
+        there = unit_factor(one, other)
+    except ValueError:
+        return
+    assert there * unit_factor(other, one) == pytest.approx(1.0, rel=1e-15)
+
+
+@given(st.text(max_size=20))
+def test_no_text_gets_past_as_anything_but_a_quantity_or_a_value_error(text):
+    try:
+        quantity = parse(text, "m")
+    except ValueError:
+        return
+    assert math.isfinite(quantity.value)
+
+
+def test_importing_the_module_does_not_import_pint():
+    code = "import sys, counterspin.campaign.quantity; sys.exit('pint' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
