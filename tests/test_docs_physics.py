@@ -1,0 +1,72 @@
+"""The page on the physics lists exactly the terms of the code, and its figures are computed."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from counterspin.physics.accelerometer import (
+    DEGREE_PER_HOUR,
+    PLATFORM_TERMS,
+    QX,
+    TERMS,
+)
+from counterspin.physics.observation import parabola
+
+PAGE = (Path(__file__).parents[1] / "docs" / "physics.md").read_text(encoding="utf-8")
+
+
+def rows_between(marker):
+    """Return the body rows of the table between two comments, cell by cell."""
+    _, begun, rest = PAGE.partition(f"<!-- {marker} -->\n")
+    table, ended, _ = rest.partition(f"<!-- /{marker} -->")
+    assert begun
+    assert ended
+    return [
+        [cell.strip() for cell in line.strip("|").split(" | ")]
+        for line in table.strip().splitlines()[2:]
+    ]
+
+
+def test_accelerometer_table_lists_exactly_the_terms():
+    expected = [
+        [
+            row.symbol,
+            # a bare bar would end the cell
+            f"`{'-' if row.sign < 0 else ''}{row.product}`".replace("|", r"\|"),
+            row.unit,
+            row.ieee,
+            row.words,
+            f"{row.limit:g}",
+        ]
+        for row in TERMS.values()
+    ]
+    assert rows_between("terms") == expected
+
+
+def test_platform_table_lists_exactly_the_terms():
+    expected = [
+        [f"`{row.symbol}`", row.unit, row.words, f"{row.limit:.4g}"]
+        for row in PLATFORM_TERMS.values()
+    ]
+    assert rows_between("platform terms") == expected
+
+
+def test_ten_degrees_an_hour_in_si():
+    assert f"{10 * DEGREE_PER_HOUR:.4g} rad/s" in PAGE
+
+
+@pytest.mark.parametrize(
+    ("words", "symbol", "size"),
+    [
+        ("1 µg of K_F", "K_F", 1e-6),
+        ("1 arcsec of tilt", "platform.tilt.north", np.radians(1 / 3600)),
+        ("1 deg/h/g of g-sensitivity", "platform.g_sensitivity.zx", DEGREE_PER_HOUR),
+    ],
+)
+def test_equivalent_errors_of_k_ii(words, symbol, size):
+    cells = []
+    for rate in np.pi * np.array([0.5, 1.0, 2.0]):
+        at_rate = (QX, rate, 2.5, 9.8)
+        cells.append(f"{abs(parabola(symbol, *at_rate) / parabola('K_II', *at_rate)) * size:.1e}")
+    assert [words, *cells] in rows_between("equivalents")
