@@ -1,0 +1,312 @@
+"""The paper's two-stage identification (Eq. 19-27, 33-34), for one accelerometer.
+
+First stage, per run: the strobed displacement error is fitted with b0 + b1 t + b2 t^2
+(`counterspin.inference.first_stage`). Second stage, here: the b2 of all runs, at their different
+rates, are resolved into K_II and the unknowns beside it.
+
+Two observation models:
+
+- ``exact``: each coefficient's b2 is the first stage applied to its own displacement column
+  along the identified rotation, so that drift and ripple are accounted for; at constant rate
+  K_II enters with R^2 w^4/(4 g). K_F is estimated beside it, with its prior. Only where the
+  nominal angle is the reference does the drift C show, as -(1/2) K_I R w C.
+- ``as-printed``: Eq. 26, with 1/2 for K_II and a ripple column that exact physics does not have.
+
+- `second_stage`, `SecondStage`
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.errors import NotIdentifiableError
+from counterspin.inference import least_squares
+from counterspin.inference.first_stage import Parabola
+from counterspin.physics import as_printed, observation
+from counterspin.physics.accelerometer import Array, Mounting, term
+from counterspin.physics.motion import Trajectory
+
+DRIFT: Final = "spindle.drift"  #: second unknown where the nominal angle is the reference, 1/s
+RIPPLE: Final = "spindle.ripple"  #: as printed: w_p sin(phi) in rad/s, or (w_p/w0) sin(phi)
+
+#: Rates closer than this (relative) do not help to tell unknowns apart.
+_SAME_RATE: Final = 1e-3
+
+#: Largest credible sizes of the second unknowns: 1 % a second, 1 % of a usual rate.
+_SPINDLE_LIMIT: Final = 1e-2
+
+
+@dataclass(frozen=True)
+class StrobedRun:
+    """What the second stage needs of one run.
+
+    Attributes
+    ----------
+    name
+        The run's name.
+    trajectory
+        The rotation along which the exact columns are taken.
+    parabola
+        The run's first stage.
+    attitude
+        The platform's attitude, as for `observation.columns`.
+    """
+
+    name: str
+    trajectory: Trajectory
+    parabola: Parabola
+    attitude: Array = field(default_factory=lambda: observation.LEVEL)
+
+
+@dataclass(frozen=True)
+class SecondStage:
+    """The second stage (Eq. 20-27, 33-34) of one accelerometer.
+
+    Attributes
+    ----------
+    symbols
+        The unknowns: K_II first, then K_F (exact) and the spindle's second unknown, if any.
+    solution
+        Values, covariance by source and sensitivities in the order of `symbols`.
+    considered
+        The terms that were considered, in the order of the solution's considered columns.
+    dof
+        Effective degrees of freedom of each unknown (Welch-Satterthwaite over the runs), shape
+        (p,); infinite where sigma is given.
+    near_collinear
+        Pairs of columns whose correlation in the data is beyond 0.95, with it.
+    misfit
+        Each run's b2 less the model's, in units of its standard uncertainty, shape (runs,).
+    cubic
+        d(estimate)/d(K_III): what one unit of an ignored K_III would move each unknown by, shape
+        (p,). Ripple makes a parabola of K_III.
+    weighted
+        Whether the runs were weighted by 1/sigma(b2)^2.
+    """
+
+    symbols: tuple[str, ...]
+    solution: least_squares.Solution
+    considered: tuple[str, ...]
+    dof: Array
+    near_collinear: tuple[tuple[str, str, float], ...]
+    misfit: Array
+    cubic: Array
+    weighted: bool
+
+    def estimate(self, symbol: str) -> tuple[float, float]:
+        """Return value and combined standard uncertainty of an unknown."""
+        index = self.symbols.index(symbol)
+        return float(self.solution.estimate[index]), float(self.solution.u[index])
+
+
+def second_stage(
+    runs: Sequence[StrobedRun],
+    mounting: Mounting,
+    *,
+    model: str = "exact",
+    scale_factor: tuple[float, float] = (1.0, 0.0),
+    bias: tuple[float, float] = (0.0, math.inf),
+    fit_bias: bool = True,
+    nominal_angle: bool = False,
+    ripple: as_printed.RippleModel = "amplitude",
+    considered: Mapping[str, tuple[float, float]] | None = None,
+    weighted: bool = True,
+) -> SecondStage:
+    """Resolve the b2 of several runs into K_II and the unknowns beside it.
+
+    Parameters
+    ----------
+    runs
+        At least as many different rates as unknowns without a prior.
+    mounting
+        The accelerometer's axes in the level attitude.
+    model
+        ``exact`` or ``as-printed``.
+    scale_factor, bias
+        (value, standard uncertainty) of K_I in g/g and of K_F in g, known beforehand; an
+        infinite uncertainty means not known.
+    fit_bias
+        Whether K_F is estimated, with its prior (exact model only: the paper takes it as known).
+    nominal_angle
+        Whether the reference displacement is that of the nominal rate; then the drift C, common
+        to all runs, is an unknown of the exact model.
+    ripple
+        As printed: the ripple has the same ``amplitude`` w_p at all rates, or the same ``ratio``
+        w_p/w0.
+    considered
+        Further terms (value, standard uncertainty): taken at their value, with their uncertainty
+        carried into the result.
+    weighted
+        Weight the runs by sigma(b2), or not, as the paper does. Priors then count like runs of
+        the mean sigma(b2).
+
+    Returns
+    -------
+    SecondStage
+
+    Raises
+    ------
+    NotIdentifiableError
+        If there are fewer different rates than unknowns.
+    """
+    exact = model == "exact"
+    known = dict(considered or {})
+    unknowns: dict[str, tuple[float, float]] = {"K_II": (0.0, math.inf)}
+    if exact and fit_bias and bias[1] > 0.0:
+        unknowns["K_F"] = bias
+    else:
+        known["K_F"] = (bias[0], bias[1] if math.isfinite(bias[1]) else 0.0)
+    known["K_I"] = scale_factor
+    for symbol in unknowns:
+        known.pop(symbol, None)
+    spindle = (DRIFT if nominal_angle else None) if exact else RIPPLE
+    if spindle is not None:
+        unknowns[spindle] = (0.0, math.inf)
+    symbols = tuple(unknowns)
+    _check_rates(runs, unknowns)
+
+    observed = _ObservationModel(runs, mounting, exact, scale_factor[0], ripple)
+    design = np.column_stack([observed.effect(symbol) for symbol in symbols])
+    names, effects, means, spreads = [], [], [], []
+    for symbol, (value, sd) in known.items():
+        effect = observed.effect(symbol)
+        # A term that every run has anew is as many independent sources as there are runs.
+        each = np.diag(effect) if term(symbol).per_run else effect[:, None]
+        effects.append(each)
+        means += [value - term(symbol).nominal] * each.shape[1]
+        spreads += [sd] * each.shape[1]
+        names += [f"{symbol} ({r.name})" for r in runs] if each.shape[1] > 1 else [symbol]
+    ignored = np.column_stack(effects)
+    b2 = np.array([run.parabola.b2 for run in runs])
+    sigma = np.array([run.parabola.u_b2 for run in runs])
+    # Where residuals vanish (a noise-free demonstration) any common weight serves.
+    sigma = np.where(sigma > 0.0, sigma, np.finfo(float).tiny ** 0.25)
+    whitening = sigma if weighted else np.full_like(sigma, math.sqrt(np.mean(sigma**2)))
+
+    block = least_squares.reduce_block(
+        design / whitening[:, None], b2 / whitening, None, ignored / whitening[:, None]
+    )
+    solution = least_squares.solve(
+        [block],
+        prior_mean=[mean for mean, _ in unknowns.values()],
+        prior_sd=[sd for _, sd in unknowns.values()],
+        considered_mean=means,
+        considered_sd=spreads,
+        limits=[_limit(symbol) for symbol in symbols],
+    )
+    gain = _gain(design / whitening[:, None], unknowns) / whitening
+    if not weighted:
+        # Eq. 34: the estimate is unweighted, its uncertainty is that of the actual b2.
+        spread = gain * sigma
+        solution = replace(solution, covariance_noise=spread @ spread.T)
+    predicted = design @ solution.estimate + ignored @ np.array(means)
+    return SecondStage(
+        symbols=symbols,
+        solution=solution,
+        considered=tuple(names),
+        dof=_effective_dof(gain, sigma, [run.parabola for run in runs]),
+        near_collinear=_near_collinear(symbols, design / whitening[:, None]),
+        misfit=(b2 - predicted) / sigma,
+        cubic=-gain @ observed.effect("K_III"),
+        weighted=weighted,
+    )
+
+
+def _limit(symbol: str) -> float:
+    return _SPINDLE_LIMIT if symbol.startswith("spindle.") else term(symbol).limit
+
+
+def _check_rates(runs: Sequence[StrobedRun], unknowns: Mapping[str, tuple[float, float]]) -> None:
+    free = [symbol for symbol, (_, sd) in unknowns.items() if math.isinf(sd)]
+    rates: list[float] = []
+    for run in runs:
+        rate = run.trajectory.spindle.rate
+        if all(abs(rate - other) > _SAME_RATE * abs(other) for other in rates):
+            rates.append(rate)
+    if len(rates) < len(free):
+        raise NotIdentifiableError(
+            f"{len(free)} unknowns without a prior ({', '.join(free)}) need at least {len(free)} "
+            f"different rates; the campaign has {len(rates)}: add runs at other rates, or give "
+            "priors"
+        )
+
+
+@dataclass(frozen=True)
+class _ObservationModel:
+    """What one unit of a coefficient adds to each run's b2, under one of the two models."""
+
+    runs: Sequence[StrobedRun]
+    mounting: Mounting
+    exact: bool
+    scale_factor: float
+    ripple: as_printed.RippleModel
+
+    def effect(self, symbol: str) -> Array:
+        """Return d(b2)/d(coefficient), m/s^2 per unit, shape (runs,)."""
+        return self._exact(symbol) if self.exact else self._printed(symbol)
+
+    def _exact(self, symbol: str) -> Array:
+        if symbol == DRIFT:
+            rates = np.array([run.trajectory.spindle.rate for run in self.runs])
+            radii = np.array([run.trajectory.radius for run in self.runs])
+            shown: Array = -0.5 * self.scale_factor * radii * rates
+            return shown
+        effect = np.empty(len(self.runs))
+        for index, run in enumerate(self.runs):
+            column = observation.columns(
+                run.trajectory,
+                self.mounting,
+                [symbol],
+                run.parabola.strobes.time,
+                attitude=run.attitude,
+                scale_factor=self.scale_factor,
+            )[:, 0]
+            effect[index] = run.parabola.gain[2] @ column
+        return effect
+
+    def _printed(self, symbol: str) -> Array:
+        """Return a column of Eq. 26, or the K_F of Eq. 19; all else has no t^2 there."""
+        motion = self.runs[0].trajectory
+        rates = np.array([run.trajectory.spindle.rate for run in self.runs])
+        if symbol in ("K_II", RIPPLE):
+            printed = as_printed.second_stage_columns(
+                rates, motion.radius, motion.site.gravity, self.scale_factor, self.ripple
+            )
+            column: Array = printed[:, 0 if symbol == "K_II" else 1]
+            return column
+        return np.full(rates.size, 0.5 * motion.site.gravity if symbol == "K_F" else 0.0)
+
+
+def _gain(design: Array, unknowns: Mapping[str, tuple[float, float]]) -> Array:
+    """Return d(estimate)/d(whitened b2), shape (p, runs), priors included."""
+    sd = np.array([sd for _, sd in unknowns.values()])
+    scale = np.linalg.norm(design, axis=0)
+    with_priors = np.vstack([design, np.diag(1.0 / np.maximum(sd, 1e-300))])
+    inverse: Array = np.linalg.pinv(with_priors / scale) / scale[:, None]
+    return inverse[:, : design.shape[0]]
+
+
+def _effective_dof(gain: Array, sigma: Array, parabolas: Sequence[Parabola]) -> Array:
+    """Return Welch-Satterthwaite degrees of freedom (GUM G.4.1), shape (p,)."""
+    if not parabolas[0].sigma_from_residuals:
+        return np.full(gain.shape[0], math.inf)
+    parts = (gain * sigma) ** 2
+    dof = np.array([parabola.dof for parabola in parabolas])
+    effective: Array = parts.sum(axis=1) ** 2 / np.sum(parts**2 / dof, axis=1)
+    return effective
+
+
+def _near_collinear(symbols: Sequence[str], design: Array) -> tuple[tuple[str, str, float], ...]:
+    unit = design / np.linalg.norm(design, axis=0)
+    cosine = unit.T @ unit
+    return tuple(
+        (symbols[i], symbols[j], float(cosine[i, j]))
+        for i in range(len(symbols))
+        for j in range(i + 1, len(symbols))
+        if abs(cosine[i, j]) > 0.95
+    )
