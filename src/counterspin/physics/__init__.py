@@ -1,1 +1,37 @@
-"""."""
+"""The physics of an accelerometer on a centrifuge: numbers in, numbers out, no files.
+
+What stands in this room, from the ground up:
+
+- `spindle`: the angle model of the spindle (Eq. 1-4) and its fit to a recorded angle
+- `accelerometer`: mountings, the error model (Eq. 7) and the one table of error terms
+- `motion`: exact position, velocity and specific force of the platform; harmful acceleration
+- `quadrature`: single and double time integrals along a trajectory, to rounding
+- `observation`: columns, the displacement per unit of each coefficient
+- `as_printed`: the paper's equations as printed, where they depart from the exact ones
+
+Glossary
+--------
+frame
+    East-north-up at the spindle axis; vectors are the last axis, shape (n, 3). The level
+    platform's axes x, y, z point east, north, up.
+accelerometer axes
+    Input I, pendulous P, output O, right-handed: I x P = O.
+spindle angle
+    From east towards north; a negative rate turns the other way.
+specific force
+    What an accelerometer senses: acceleration relative to the Earth plus Coriolis acceleration,
+    less plumb-line gravity (which points down). At rest it is g, upwards.
+harmful acceleration
+    The part of the specific force that is not motion relative to the Earth (Coriolis and
+    gravity); the navigation computer removes it.
+displacement
+    The double integral of what is indicated less what is harmful; its error against the true
+    displacement is linear in the coefficients.
+column
+    The displacement error per unit of one coefficient along a trajectory.
+term
+    One row of the table: a coefficient and the product of specific forces that it multiplies.
+
+Units are SI and angles radians unless said. Coefficients of the accelerometer are in g-units
+(g, g/g, g/g^2, g/g^3, and rad for misalignments), g being the site's own plumb-line gravity.
+"""

@@ -1,0 +1,83 @@
+# Everything a developer runs. Needs Python 3.11 or later and make; the rest is set up in .venv at
+# first use (from the package index, once) and works offline afterwards.
+
+PYTHON ?= python3
+JOBS ?= 2
+
+VENV := .venv
+BIN := $(VENV)/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet --no-input
+# Stamps: what is pinned, and the package itself, each redone when what it is made from changes.
+PINNED := $(VENV)/.pinned
+READY := $(VENV)/.ready
+BENCH := $(VENV)/.bench
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint format bench lock clean
+
+help: ## Show this list
+	@sed -n 's/^\([a-z]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
+
+setup: $(READY) ## Make .venv with the pinned requirements and the package
+
+demo: $(READY) ## Simulate and calibrate the paper's plan: a table and a figure
+	$(BIN)/counterspin demo
+
+test: lint ## Lint, types, import rules and all tests
+	$(BIN)/python -m pytest -n $(JOBS)
+
+lint: $(READY) ## Lint, format, types and import rules only
+	$(BIN)/python -m ruff check .
+	$(BIN)/python -m ruff format --check .
+	$(BIN)/python -m mypy
+	$(BIN)/lint-imports --no-logo
+
+format: $(READY) ## Format the code and mend what the linter can
+	$(BIN)/python -m ruff check --fix .
+	$(BIN)/python -m ruff format .
+
+bench: $(READY) $(BENCH) ## Time the main jobs against their targets
+	@for script in benchmarks/*.py; do $(BIN)/python "$$script" || exit; done
+
+lock: ## Renew the pins: make lock UPGRADE=--upgrade
+	@$(require-python)
+	$(PYTHON) -m venv build/lock
+	build/lock/bin/python -m pip --disable-pip-version-check --quiet install uv==0.13.8
+	$(compile-pins) --extra dev --output-file requirements/dev.txt
+	$(compile-pins) --extra bench --constraint requirements/dev.txt \
+	  --output-file requirements/bench.txt
+
+clean: ## Remove .venv, caches and build output
+	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis \
+	  .import_linter_cache
+	find src tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# --no-emit-index-url: a pin says which file by its hash, not where somebody fetched it.
+# --fork-strategy fewest: one version of each for all Pythons, so that all test the same.
+compile-pins = build/lock/bin/uv pip compile pyproject.toml --quiet --universal \
+  --python-version 3.11 --fork-strategy fewest --generate-hashes --no-emit-index-url \
+  --custom-compile-command "make lock" $(UPGRADE)
+
+define require-python
+$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+  echo "counterspin needs Python 3.11 or later, and '$(PYTHON)' is not one." >&2; \
+  echo "Name one: make PYTHON=/path/to/python3.12 $(MAKECMDGOALS)" >&2; exit 1; }
+endef
+
+$(PINNED): requirements/dev.txt
+	@$(require-python)
+	@echo "Setting up $(VENV), which takes about a minute the first time."
+	@$(PYTHON) -m venv $(VENV) || { \
+	  echo "Python could not make a virtual environment (on Debian: apt install python3-venv)." \
+	  >&2; exit 1; }
+	@$(PIP) install --require-hashes --requirement requirements/dev.txt
+	@touch $@
+
+# The build back end is pinned too, so building needs no isolation and no network.
+$(READY): $(PINNED) pyproject.toml src/counterspin/_version.py
+	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(BENCH): $(PINNED) requirements/bench.txt
+	@$(PIP) install --require-hashes --requirement requirements/bench.txt
+	@touch $@
