@@ -1,0 +1,168 @@
+"""What an imperfect system records, without linearisation: the full Eq. 7 on a turned platform.
+
+Estimation uses columns that are linear in the coefficients (`counterspin.physics.observation`).
+This module does not: it turns the specific force by the platform's whole attitude error, puts it
+through the complete error model and integrates, products of small terms included.
+
+- `attitude_error`: the platform's rotation vector
+- `recorded`: the indicated displacement, velocity or specific force, without noise
+- `accelerometer_walk`: accelerometer noise, integrated as often as the observable is
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from counterspin.physics import observation, quadrature
+from counterspin.physics.accelerometer import PLATFORM_TERMS, Array, Mounting, indicated
+from counterspin.physics.motion import Trajectory
+
+
+def attitude_error(
+    trajectory: Trajectory,
+    platform: Mapping[str, float],
+    times: Array,
+    attitude: Array = observation.LEVEL,
+) -> Array:
+    """Return psi(t) = tilt + drift t + D (integral of f)/g in east-north-up.
+
+    Parameters
+    ----------
+    trajectory
+        The motion; the tilt is that at t = 0.
+    platform
+        Platform terms by symbol, SI.
+    times
+        s, shape (n,).
+    attitude
+        Rows: where the platform's x, y, z axes point, shape (3, 3).
+
+    Returns
+    -------
+    Array
+        Rotation vector in rad, shape (n, 3).
+    """
+    psi = np.zeros((times.size, 3))
+    gained = trajectory.velocity_of_specific_force(times) / trajectory.site.gravity
+    for symbol, value in platform.items():
+        row = PLATFORM_TERMS[symbol]
+        if row.per_run:
+            psi[:, row.axis] += value
+        elif row.force_axis is None:
+            psi += value * times[:, None] * attitude[row.axis]
+        else:
+            psi += value * (gained @ attitude[row.force_axis])[:, None] * attitude[row.axis]
+    return psi
+
+
+def recorded(
+    trajectory: Trajectory,
+    mounting: Mounting,
+    coefficients: Mapping[str, float],
+    platform: Mapping[str, float],
+    times: Array,
+    observable: str = "displacement",
+    *,
+    attitude: Array = observation.LEVEL,
+) -> Array:
+    """Return what the system records along one input axis, without noise.
+
+    The navigation computer knows its position and velocity at t = 0 exactly.
+
+    Parameters
+    ----------
+    trajectory, attitude
+        As for `observation.columns`.
+    mounting
+        The accelerometer's axes in the level attitude.
+    coefficients
+        Accelerometer terms by symbol, g-units; those not named are nominal.
+    platform
+        Platform terms by symbol, SI.
+    times
+        s, not negative, shape (n,).
+    observable
+        ``displacement`` (m), ``velocity`` (m/s) or ``specific_force`` (m/s^2).
+
+    Returns
+    -------
+    Array
+        Shape (n,).
+    """
+    order = observation.ORDERS[observable]
+    axes = mounting.turned(attitude)
+    g = trajectory.site.gravity
+    scale_error = coefficients.get("K_I", 1.0) - 1.0
+
+    def residual(t: Array) -> Array:
+        """Return the indicated force's error less that of the scale factor, m/s^2."""
+        force = trajectory.specific_force(t)
+        psi = attitude_error(trajectory, platform, t, attitude)
+        sensed = indicated(axes, coefficients, _turned(force, psi) / g)
+        return g * sensed - (1.0 + scale_error) * (force @ axes.input_axis)
+
+    # The scale factor's own part has an exact integral, which a quadrature would spoil.
+    exact = observation.columns(
+        trajectory, mounting, ["K_I"], times, observable, attitude=attitude
+    )[:, 0]
+    base = observation.reference(trajectory, mounting, times, observable, attitude)
+    if order == 0:
+        return base + scale_error * exact + residual(times)
+    duration = max(float(times.max(initial=0.0)), np.finfo(float).tiny)
+    edges = quadrature.panel_edges(trajectory.spindle, duration)
+    if coefficients.get("K_OQ", 0.0) != 0.0:
+        breaks = quadrature.sign_changes(
+            lambda t: trajectory.specific_force(t) @ axes.input_axis, edges
+        )
+        edges = quadrature.panel_edges(trajectory.spindle, duration, breaks)
+    error = quadrature.integrate(lambda t: residual(t)[None], edges, times, order)[:, 0]
+    return base + scale_error * exact + error
+
+
+def _turned(force: Array, psi: Array) -> Array:
+    """Return the specific force in the axes of a platform turned by psi (Rodrigues)."""
+    angle = np.linalg.norm(psi, axis=1)[:, None]
+    first = np.cross(psi, force)
+    second = np.cross(psi, first)
+    # sin(x)/x and (1 - cos x)/x^2, both written so that x = 0 does no harm
+    turned: Array = force - np.sinc(angle / np.pi) * first
+    turned += 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * second
+    return turned
+
+
+def accelerometer_walk(
+    generator: np.random.Generator, times: Array, random_walk: float, order: int
+) -> Array:
+    """Draw accelerometer white noise as the observable shows it.
+
+    Parameters
+    ----------
+    generator
+        Source of random numbers.
+    times
+        s, increasing, shape (n,).
+    random_walk
+        Coefficient N, m/s^2/Hz^0.5 (velocity variance N^2 t).
+    order
+        2 for displacement, 1 for velocity, 0 for specific force (the mean over each sample's
+        interval).
+
+    Returns
+    -------
+    Array
+        Shape (n,), zero at the first time for orders 1 and 2.
+    """
+    step = np.diff(times)
+    if order == 0:
+        spacing = np.concatenate([step[:1], step])
+        return random_walk * generator.standard_normal(times.size) / np.sqrt(spacing)
+    # Over a step the walk's velocity gains sqrt(h) z1, its position h^1.5 (z1/2 + z2/sqrt(12)).
+    z1, z2 = generator.standard_normal((2, step.size))
+    velocity = np.concatenate([[0.0], np.cumsum(random_walk * np.sqrt(step) * z1)])
+    if order == 1:
+        return velocity
+    inside = random_walk * step**1.5 * (0.5 * z1 + z2 / np.sqrt(12.0))
+    position: Array = np.concatenate([[0.0], np.cumsum(velocity[:-1] * step + inside)])
+    return position

@@ -1,0 +1,167 @@
+"""`counterspin simulate`: records of a campaign whose coefficients are known.
+
+- `simulate`: a campaign description with [truth] tables -> record files in a folder
+- `simulate_run`: one run's columns, in memory
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Mapping
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import polars as pl
+
+from counterspin.campaign.output import write_whole
+from counterspin.campaign.resolved import Accelerometer, Campaign, Noise, Run
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.physics import observation, simulation
+from counterspin.physics.accelerometer import Array
+from counterspin.physics.motion import Trajectory
+
+#: How the record of each ending is written.
+WRITERS: Final = {".csv": pl.DataFrame.write_csv, ".parquet": pl.DataFrame.write_parquet}
+
+
+def simulate(campaign: Campaign, folder: Path, *, overwrite: bool = False) -> tuple[Path, ...]:
+    """Write the records of every run, and the campaign's description beside them.
+
+    Each run draws from a random stream of its own, so that adding a run changes no other.
+
+    Parameters
+    ----------
+    campaign
+        With [simulation] and [truth].
+    folder
+        Where to write; made if it is not there.
+    overwrite
+        Whether records that are already there may be replaced.
+
+    Returns
+    -------
+    tuple of Path
+        The record files, in the order of the runs.
+
+    Raises
+    ------
+    CampaignError
+        If the campaign says nothing of the truth, or a record's format cannot be written.
+    CounterspinError
+        If a file is in the way or cannot be written.
+    """
+    if campaign.simulation is None:
+        raise CampaignError(
+            str(campaign.path),
+            ["truth: missing; `simulate` needs [truth.NAME] tables with the true coefficients"],
+        )
+    targets = [folder / run.record.name for run in campaign.runs]
+    unwritable = [target.name for target in targets if target.suffix.lower() not in WRITERS]
+    if unwritable:
+        raise CampaignError(
+            str(campaign.path),
+            [f"runs: {name} cannot be simulated; write .csv or .parquet" for name in unwritable],
+        )
+    in_the_way = [target for target in targets if target.exists() and not overwrite]
+    if in_the_way:
+        raise CounterspinError(
+            f"{in_the_way[0]} exists; simulate into another folder, or give --overwrite"
+        )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CounterspinError(f"{folder}: cannot be made ({error.strerror})") from error
+
+    streams = np.random.SeedSequence(campaign.simulation.seed).spawn(len(campaign.runs))
+    for run, stream, target in zip(campaign.runs, streams, targets, strict=True):
+        frame = pl.DataFrame(simulate_run(campaign, run, np.random.default_rng(stream)))
+        write = WRITERS[target.suffix.lower()]
+        write_whole(target, partial(write, frame))
+    description = folder / "campaign.toml"
+    if not (description.exists() and description.samefile(campaign.path)):
+        write_whole(description, partial(shutil.copyfile, campaign.path))
+    return tuple(targets)
+
+
+def simulate_run(
+    campaign: Campaign, run: Run, generator: np.random.Generator
+) -> Mapping[str, Array]:
+    """Return the columns of one run's record, in the units of the campaign's channels.
+
+    Parameters
+    ----------
+    campaign
+        With [simulation] and [truth].
+    run
+        One of its runs.
+    generator
+        Source of the noise.
+
+    Returns
+    -------
+    Mapping
+        Column name -> values, shape (n,): time, angle (if the campaign has one), and one column
+        for each accelerometer.
+
+    Raises
+    ------
+    ValueError
+        If the campaign has no simulation.
+    """
+    if campaign.simulation is None or run.truth is None or run.duration is None:
+        raise ValueError("this campaign says nothing of what to simulate")
+    truth, rate = campaign.simulation.truth, campaign.simulation.sampling_rate
+    trajectory = Trajectory(run.truth.spindle, campaign.radius.value, campaign.site)
+    # The last sample is the last one inside the run, whole revolutions included.
+    times = np.arange(math.floor(run.duration * rate * (1.0 + 1e-12)) + 1) / rate
+    noise = truth.noise
+    columns = {campaign.time.column: _noisy(generator, times, noise.timing) / campaign.time.factor}
+    if campaign.angle is not None:
+        late = campaign.timing_offset.value if campaign.timing_offset else 0.0
+        angle = _noisy(generator, run.truth.spindle.angle(times + late), noise.angle)
+        columns[campaign.angle.column] = angle / campaign.angle.factor
+    for name, accelerometer in campaign.accelerometers.items():
+        signal = simulation.recorded(
+            trajectory,
+            accelerometer.mounting,
+            truth.coefficients.get(name, {}),
+            run.truth.platform,
+            times,
+            accelerometer.observable,
+            attitude=run.attitude,
+        )
+        signal = signal + truth.start_offset.get(name, 0.0)
+        signal = signal + truth.start_velocity.get(name, 0.0) * times
+        signal = _measured(generator, times, signal, accelerometer, noise)
+        columns[accelerometer.channel.column] = signal / accelerometer.channel.factor
+    return columns
+
+
+def _noisy(generator: np.random.Generator, values: Array, sigma: float | str) -> Array:
+    return values + _number(sigma) * generator.standard_normal(values.size)
+
+
+def _measured(
+    generator: np.random.Generator,
+    times: Array,
+    signal: Array,
+    accelerometer: Accelerometer,
+    noise: Noise,
+) -> Array:
+    """Add the accelerometer's and the record's noise, then quantise."""
+    order = observation.ORDERS[accelerometer.observable]
+    walk = simulation.accelerometer_walk(generator, times, _number(noise.acceleration), order)
+    white = _number(getattr(noise, accelerometer.observable))
+    signal = _noisy(generator, signal + walk, white)
+    step = _number(noise.quantisation)
+    if step > 0.0 and accelerometer.observable == "displacement":
+        signal = np.round(signal / step) * step
+    return signal
+
+
+def _number(sigma: float | str) -> float:
+    """Return a true noise; the description has made sure that it is a number."""
+    return float(sigma)
