@@ -1,0 +1,325 @@
+"""What the data can and cannot tell apart, by name.
+
+Some coefficients act alike: while the platform is level, the bias K_F and K_PP have the same
+column, and K_I and K_IP the same but for the sign. IEEE Std 836 calls such terms "bucking". A
+test of the rank misses most of it, because Earth rate makes a pair such as K_I and K_IP differ in
+the eleventh digit. Hence the rule here: every term has a largest credible size, and a term whose
+uncertainty is not below it is undetermined, whatever the rank.
+
+`assess` therefore looks at the data and the true priors only, without the regularisation that
+keeps `least_squares.solve` finite, and names each set of terms that the data cannot separate with
+the combination that they do determine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import solve_triangular
+
+from counterspin.inference.least_squares import Array, Solution, triangle_of
+
+#: What stands for "no information": a factor of 1e12 below a column's own, far enough to exceed
+#: every credible limit and still well above rounding.
+_FLOOR: Final = 1e-12
+
+#: The data improve a prior where they take away at least a tenth of its variance.
+_PRIOR_LEFT: Final = 0.9
+
+#: Weights are written so that what the text neglects is below this part of u.
+_NEGLIGIBLE: Final = 0.1
+
+
+@dataclass(frozen=True)
+class Confounded:
+    """Terms that the data alone hardly tell apart, and a combination of them that is determined.
+
+    Attributes
+    ----------
+    terms
+        Their symbols, in the order of the unknowns.
+    correlation
+        Of the two estimates from the data, before the terms' own priors; of more than two terms
+        the largest in size among the pairs, the other terms of the set held fixed.
+    determined
+        The combination in words, such as ``K_I - K_IP``. Weights are whole numbers where the
+        neglected part, at the terms' largest credible sizes, is below a tenth of `u`, and have
+        four digits elsewhere; `weights` has them in full.
+    weights
+        The exact combination, over all unknowns, shape (p,); 1 for the first term of the set.
+    value, u
+        Its estimate and combined standard uncertainty.
+    """
+
+    terms: tuple[str, ...]
+    correlation: float
+    determined: str
+    weights: Array
+    value: float
+    u: float
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """Which unknowns are determined, and what stands behind those that are not.
+
+    Attributes
+    ----------
+    determined
+        For each symbol, whether the data determine it: u is below the largest credible size, and
+        of a prior's variance at least a tenth is taken away. What is known exactly is not
+        determined by the data.
+    u
+        Standard uncertainties from data, priors and considered terms, without regularisation,
+        shape (p,); huge where nothing bounds the unknown.
+    confounded
+        One entry for each combination that stands for terms which cannot be told apart.
+    """
+
+    determined: dict[str, bool]
+    u: Array
+    confounded: tuple[Confounded, ...]
+
+
+def assess(
+    solution: Solution,
+    symbols: Sequence[str],
+    *,
+    nominal: npt.ArrayLike | None = None,
+    bucking: float = 0.95,
+) -> Assessment:
+    """Decide which unknowns are determined and name the sets that are confounded.
+
+    Parameters
+    ----------
+    solution
+        Solved with limits, the largest credible sizes.
+    symbols
+        The names of the p unknowns.
+    nominal
+        What must be added to the estimates to get the coefficients named (1 for K_I where its
+        unknown is K_I - 1), shape (p,); zeros by default. It enters the values of combinations.
+    bucking
+        Pairs of determined unknowns are named where their correlation, before their own priors,
+        exceeds this.
+
+    Returns
+    -------
+    Assessment
+
+    Raises
+    ------
+    ValueError
+        If the number of symbols does not fit or the solution has no limits.
+
+    References
+    ----------
+    IEEE Std 836, on near-collinear ("bucking") coefficients of centrifuge tests.
+    """
+    if solution.limits is None:
+        raise ValueError("assess needs a solution that was solved with limits")
+    if len(symbols) != solution.estimate.size:
+        raise ValueError(f"{len(symbols)} symbols for {solution.estimate.size} unknowns")
+    offset = np.zeros(len(symbols)) if nominal is None else np.asarray(nominal, dtype=np.float64)
+    free = np.flatnonzero(solution.prior_sd > 0)
+    problem = _Problem(
+        solution.information[:, free], 1.0 / solution.prior_sd[free], solution.limits[free]
+    )
+    root = problem.root()
+
+    variance = np.diag(solution.covariance_considered).copy()
+    variance[free] += np.sum(root**2, axis=1)
+    determined = (
+        (solution.prior_sd > 0)
+        & (variance < solution.limits**2)
+        & (variance <= _PRIOR_LEFT * solution.prior_sd**2)
+    )
+
+    loose = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
+    found = _separate(root, problem.limits, loose, range(free.size), bucking)
+    named = [set(terms) for _, terms in found]
+    pairs = [
+        pair
+        for pair in problem.bucking_pairs(bucking)
+        if not any(set(pair) <= terms for terms in named)
+    ]
+    for group in _connected(pairs):
+        own = problem.root(without_priors=group)
+        found += _separate(own, problem.limits, group, group, bucking)
+
+    confounded = []
+    for short, terms in found:
+        weights = np.zeros(len(symbols))
+        weights[free] = short
+        combined = solution.combine(weights)
+        names = [symbols[free[i]] for i in terms]
+        slack = _NEGLIGIBLE * combined.u / problem.limits[terms]
+        confounded.append(
+            Confounded(
+                terms=tuple(names),
+                correlation=problem.correlation(terms),
+                determined=_write(names, short[terms], slack),
+                weights=weights,
+                value=combined.value + float(weights @ offset),
+                u=combined.u,
+            )
+        )
+    return Assessment(
+        determined={name: bool(yes) for name, yes in zip(symbols, determined, strict=True)},
+        u=np.sqrt(variance),
+        confounded=tuple(confounded),
+    )
+
+
+class _Problem:
+    """The data's square-root information and the priors' weights of the free unknowns."""
+
+    def __init__(self, data: Array, weights: Array, limits: Array) -> None:
+        self.data = triangle_of(data)
+        self.weights = weights
+        self.limits = limits
+        own = np.sqrt(np.sum(self.data**2, axis=0) + weights**2)
+        # Columns that the data do not see at all are bounded in units of their limits.
+        self.floor = _FLOOR * np.maximum(own, 1.0 / limits)
+
+    def root(self, without_priors: Sequence[int] = ()) -> Array:
+        """Return T with T @ T.T the covariance from data and priors, leaving some priors out."""
+        weights = self.weights.copy()
+        weights[list(without_priors)] = 0.0
+        rows = np.vstack([self.data, np.diag(weights), np.diag(self.floor)])
+        inverse = solve_triangular(triangle_of(rows), np.eye(self.floor.size))
+        return np.asarray(inverse)
+
+    def correlation(self, terms: Sequence[int]) -> float:
+        """Largest pairwise correlation inside a set, before the set's own priors."""
+        columns = self._inside(np.asarray([terms], dtype=np.intp))[0]
+        cosine = columns.T @ columns
+        norms = np.sqrt(np.diag(cosine))
+        cosine = cosine / np.outer(norms, norms)
+        worst = max(combinations(range(len(terms)), 2), key=lambda pair: abs(cosine[pair]))
+        # Two columns that point the same way have estimates that work against each other.
+        return float(np.clip(-cosine[worst], -1.0, 1.0))
+
+    def bucking_pairs(self, threshold: float) -> list[tuple[int, int]]:
+        """Pairs that the data see one by one but hardly tell apart, before their own priors."""
+        pairs = list(combinations(range(self.limits.size), 2))
+        if not pairs:
+            return []
+        index = np.asarray(pairs, dtype=np.intp)
+        columns = self._inside(index)
+        norms = np.linalg.norm(columns, axis=1)
+        seen = (norms * self.limits[index] >= 1.0).all(axis=1)
+        inner = np.abs(np.sum(columns[:, :, 0] * columns[:, :, 1], axis=1))
+        alike = inner > threshold * norms[:, 0] * norms[:, 1]
+        return [pair for pair, yes in zip(pairs, seen & alike, strict=True) if yes]
+
+    def _inside(self, sets: npt.NDArray[np.intp]) -> Array:
+        """Square-root information about sets of s terms, shape (sets, s, s).
+
+        All other unknowns are projected out, with their priors; the sets' own priors are left out.
+        """
+        size, count = self.floor.size, sets.shape[1]
+        rows = np.vstack([self.data, np.diag(self.weights), np.diag(self.floor)])
+        batch = np.repeat(rows[None], len(sets), axis=0)
+        start = self.data.shape[0]
+        for column in sets.T:
+            batch[np.arange(len(sets)), start + column, column] = 0.0
+            batch[np.arange(len(sets)), start + size + column, column] = 0.0
+        last = np.zeros((len(sets), size), dtype=np.bool_)
+        last[np.arange(len(sets))[:, None], sets] = True
+        order = np.argsort(last, axis=1, kind="stable")
+        order[:, size - count :] = sets
+        ordered = np.take_along_axis(batch, order[:, None, :], axis=2)
+        return triangle_of(ordered)[:, size - count : size, size - count :]
+
+
+def _separate(
+    root: Array,
+    limits: Array,
+    loose: Sequence[int],
+    candidates: Sequence[int],
+    bucking: float,
+) -> list[tuple[Array, list[int]]]:
+    """Find the combinations that are determined although their terms are not.
+
+    Going from the last loose term to the first, a term is either set aside, or it is determined
+    once those set aside are given; then what is left of it, after regression on them, is the
+    combination sought, uncorrelated with those set aside and so the best known.
+
+    Returns
+    -------
+    list
+        Weights over all unknowns (1 for the first term) and the terms of each combination.
+    """
+    size = np.linalg.norm(root, axis=1)
+    aside: list[int] = []
+    basis = np.empty((0, root.shape[1]))
+
+    def left(i: int) -> Array:
+        once: Array = root[i] - basis.T @ (basis @ root[i])
+        again: Array = once - basis.T @ (basis @ once)  # against rounding
+        return again
+
+    def explained(i: int) -> bool:
+        rest = np.linalg.norm(left(i))
+        return bool(rest < limits[i] and rest**2 < (1.0 - bucking**2) * size[i] ** 2)
+
+    for i in sorted(loose, reverse=True):
+        if not explained(i):
+            rest = left(i)
+            basis = np.vstack([basis, rest / np.linalg.norm(rest)])
+            aside.append(i)
+
+    found = []
+    for i in candidates:
+        if i in aside or not explained(i):
+            continue
+        others = list(aside)
+        best = float(np.linalg.norm(left(i)))
+        for k in aside:  # a term that does not help is not named
+            fewer = [other for other in others if other != k]
+            if np.linalg.norm(_regress(root, i, fewer) @ root) <= (1.0 + _NEGLIGIBLE) * best:
+                others = fewer
+        if others:
+            weights = _regress(root, i, others)
+            terms = sorted([i, *others])
+            found.append((weights / weights[terms[0]], terms))
+    return found
+
+
+def _regress(root: Array, i: int, others: Sequence[int]) -> Array:
+    """Weights of unknown ``i`` less its regression on ``others``."""
+    weights = np.zeros(root.shape[0])
+    weights[i] = 1.0
+    if others:
+        scale = np.linalg.norm(root[list(others)], axis=1)
+        scaled = root[list(others)] / scale[:, None]
+        weights[list(others)] = -np.linalg.lstsq(scaled.T, root[i], rcond=None)[0] / scale
+    return weights
+
+
+def _connected(pairs: Sequence[tuple[int, int]]) -> list[list[int]]:
+    """Join pairs that share a member into groups."""
+    groups: list[set[int]] = []
+    for pair in pairs:
+        joined = set(pair).union(*(group for group in groups if group & set(pair)))
+        groups = [group for group in groups if not group & joined] + [joined]
+    return [sorted(group) for group in groups]
+
+
+def _write(names: Sequence[str], weights: Array, slack: Array) -> str:
+    """Write a combination; whole-number weights where rounding neglects less than the slack."""
+    whole = np.round(weights)
+    if (whole != 0).all() and (np.abs(weights - whole) <= slack).all():
+        weights = whole
+    text = ""
+    for name, weight in zip(names, weights, strict=True):
+        sign = "-" if weight < 0 else "+"
+        size = f"{abs(weight):.4g}"
+        text += f" {sign} " + (name if size == "1" else f"{size} {name}")
+    return text.removeprefix(" + ")
