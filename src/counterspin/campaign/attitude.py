@@ -1,0 +1,115 @@
+"""Directions and platform attitudes as they are written in a campaign.
+
+- `read_direction`: ``"east"``, ``"down"``, ... or three components
+- `attitude_rows`: ``"level"``, ``"90 deg about east"`` or ``{ x = "east", y = "up" }``
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+
+import numpy as np
+
+from counterspin.campaign.checking import did_you_mean
+from counterspin.campaign.quantity import parse
+from counterspin.physics.accelerometer import DIRECTIONS, Array, direction
+
+#: What an attitude may look like, for messages.
+_FORMS = '"level", "90 deg about east" or { x = "east", y = "up" }'
+
+_TURN = re.compile(r"(.+?)\s+about\s+(\w+)")
+
+
+def read_direction(value: object) -> tuple[float, float, float]:
+    """Return the unit vector in east-north-up.
+
+    Parameters
+    ----------
+    value
+        A name such as ``east``, or a list of three components east, north, up.
+
+    Raises
+    ------
+    ValueError
+        If the name is unknown or the list is not three finite numbers, not all zero.
+    """
+    if isinstance(value, str):
+        if value not in DIRECTIONS:
+            raise ValueError(f'no direction is called "{value}"' + did_you_mean(value, DIRECTIONS))
+        return DIRECTIONS[value]
+    numbers = isinstance(value, list) and all(
+        isinstance(c, int | float) and not isinstance(c, bool) for c in value
+    )
+    if not isinstance(value, list) or not numbers:
+        raise ValueError(f"must be one of {', '.join(DIRECTIONS)}, or [east, north, up]")
+    vec = direction(value)
+    return float(vec[0]), float(vec[1]), float(vec[2])
+
+
+def attitude_rows(value: object) -> Array:
+    """Return where the platform's axes point.
+
+    Parameters
+    ----------
+    value
+        ``"level"``; a right-handed turn of the level platform such as ``"90 deg about east"``
+        (which takes y from north to up); or a table of the directions of x and y, and of z if
+        wanted.
+
+    Returns
+    -------
+    Array
+        Rows x, y, z in east-north-up, shape (3, 3); the identity when level.
+
+    Raises
+    ------
+    ValueError
+        If it is none of these forms, or the axes are not orthogonal and right-handed.
+    """
+    if value == "level":
+        return np.eye(3)
+    if isinstance(value, str):
+        match = _TURN.fullmatch(value.strip())
+        if match is None:
+            raise ValueError(f"is not an attitude; write {_FORMS}")
+        turn = parse(match[1], "rad")
+        if turn.u != 0.0:
+            raise ValueError(
+                "an attitude has no uncertainty here; give the term platform.tilt a prior"
+            )
+        return _turned(turn.value, np.array(read_direction(match[2])))
+    if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "z"}:
+        raise ValueError(f"is not an attitude; write {_FORMS}")
+    x, y = (np.array(read_direction(value[axis])) for axis in "xy")
+    if abs(float(x @ y)) > 1e-6:
+        raise ValueError("the axes x and y must be at right angles")
+    y = y - (x @ y) * x
+    y /= np.linalg.norm(y)
+    z = np.cross(x, y)
+    if "z" in value:
+        agreement = float(np.array(read_direction(value["z"])) @ z)
+        if agreement < -1.0 + 1e-6:
+            raise ValueError("the axes are left-handed: x cross y must be z")
+        if agreement < 1.0 - 1e-6:
+            raise ValueError("the axis z must be at right angles to x and y")
+    return np.stack([x, y, z])
+
+
+def _turned(angle: float, axis: Array) -> Array:
+    """Return the axes of the level platform after a right-handed turn (Rodrigues), as rows."""
+    # A quarter turn leaves the axes exactly along the directions: cos(pi/2) is not quite zero.
+    quarters = round(angle / (math.pi / 2.0))
+    exact = math.isclose(angle, quarters * math.pi / 2.0, rel_tol=1e-12, abs_tol=1e-15)
+    cos, sin = ((1, 0), (0, 1), (-1, 0), (0, -1))[quarters % 4] if exact else _cos_sin(angle)
+    level = np.eye(3)
+    return (
+        cos * level
+        + sin * np.cross(axis, level)
+        + (1.0 - cos) * (level @ axis)[:, None] * axis[None, :]
+    )
+
+
+def _cos_sin(angle: float) -> tuple[float, float]:
+    return math.cos(angle), math.sin(angle)

@@ -1,0 +1,147 @@
+"""Mistakes in a campaign file: collected, and told in the user's words with the path of the key.
+
+- `Problems`: collects them all, so that one reading tells of every mistake
+- `did_you_mean`: the nearest known name
+- `key_path`: ``runs[2].rate`` from the parts
+"""
+
+from __future__ import annotations
+
+import difflib
+import typing
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, Final, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+Path = tuple[str | int, ...]
+M = TypeVar("M", bound=BaseModel)
+T = TypeVar("T")
+
+#: Pydantic's kinds of mistake in plain words; the others keep pydantic's own.
+_PLAIN: Final[Mapping[str, str]] = {
+    "missing": "is missing",
+    "model_type": "must be a table",
+    "model_attributes_type": "must be a table",
+    "dict_type": "must be a table",
+    "list_type": "must be a list",
+    "string_type": "must be text",
+    "string_too_short": "must not be empty",
+    "int_type": "must be a whole number",
+    "too_short": "must have at least one entry",
+    "literal_error": "this version of counterspin reads schema = 1",
+    "finite_number": "must be a finite number",
+}
+
+
+def key_path(path: Path) -> str:
+    """Write the path of a key as TOML users know it; list items count from 0."""
+    text = ""
+    for part in path:
+        if isinstance(part, int):
+            text += f"[{part}]"
+        else:
+            plain = part.replace("_", "").replace("-", "").isalnum()
+            text += ("." if text else "") + (part if plain else f'"{part}"')
+    return text
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return ``; did you mean "..."?`` and what is known, for the end of a message."""
+    names = list(known)
+    folded = {name.lower(): name for name in names}
+    near = difflib.get_close_matches(word.lower(), folded, n=1)
+    hint = f'; did you mean "{folded[near[0]]}"?' if near else ""
+    return f"{hint}; known: {', '.join(names)}" if not near else hint
+
+
+class Problems:
+    """Collects the mistakes of one file.
+
+    Parameters
+    ----------
+    raw
+        The whole document as read, from which a run's name is taken for the messages.
+    """
+
+    def __init__(self, raw: Mapping[str, Any]) -> None:
+        self.lines: list[str] = []
+        self._raw = raw
+
+    def add(self, path: Path, message: str) -> None:
+        """Note a mistake at a key."""
+        line = f"{key_path(path)}: {message}{self._run_name(path)}"
+        if line not in self.lines:
+            self.lines.append(line)
+
+    def check(
+        self, model: type[M], raw: Any, path: Path, *, gravity: float | None = None
+    ) -> M | None:
+        """Return the section as its model, or None with its mistakes noted.
+
+        Parameters
+        ----------
+        model
+            What may stand in the section.
+        raw
+            What does.
+        path
+            Where the section is.
+        gravity
+            The site's gravity in m/s^2, for quantities that may be given in m/s^2 or in g.
+        """
+        try:
+            return model.model_validate(raw, context={"gravity": gravity})
+        except ValidationError as error:
+            for mistake in error.errors(include_url=False):
+                loc = mistake["loc"]
+                kind = mistake["type"]
+                if kind == "extra_forbidden":
+                    known = _known_keys(model, loc[:-1])
+                    message = "unknown key" + did_you_mean(str(loc[-1]), known)
+                elif kind == "value_error":
+                    message = str(mistake["ctx"]["error"])
+                else:
+                    message = _PLAIN.get(kind, mistake["msg"])
+                self.add((*path, *loc), message)
+            return None
+
+    def attempt(self, path: Path, make: Callable[..., T], *args: Any, **kwargs: Any) -> T | None:
+        """Return ``make(...)``, or None with its ValueError noted."""
+        try:
+            return make(*args, **kwargs)
+        except ValueError as error:
+            self.add(path, str(error))
+            return None
+
+    def _run_name(self, path: Path) -> str:
+        if len(path) < 3 or path[0] != "runs" or not isinstance(path[1], int):
+            return ""
+        run = self._raw["runs"][path[1]]
+        name = run.get("name") if isinstance(run, Mapping) else None
+        return f' (run "{name}")' if isinstance(name, str) and path[2] != "name" else ""
+
+
+def _known_keys(model: type[BaseModel], loc: Sequence[str | int]) -> list[str]:
+    """Return the keys of the (nested) model at a place."""
+    current: Any = model
+    for part in loc:
+        if isinstance(part, int) or current is None:
+            continue
+        fields = current.model_fields
+        by_key = {field.alias or name: field.annotation for name, field in fields.items()}
+        current = _model_inside(by_key.get(part))
+    if current is None:
+        return []
+    return [field.alias or name for name, field in current.model_fields.items()]
+
+
+def _model_inside(annotation: Any) -> type[BaseModel] | None:
+    """Return the model in ``Model``, ``Model | None``, ``tuple[Model, ...]`` and the like."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    for inner in typing.get_args(annotation):
+        found = _model_inside(inner)
+        if found is not None:
+            return found
+    return None

@@ -1,0 +1,345 @@
+"""From ``campaign.toml`` to a `Campaign`: every key checked, all mistakes told at once.
+
+- `read_campaign`: the file
+- `Campaign` and its parts: see `counterspin.campaign.resolved`
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.quantity import Quantity, unit_factor
+from counterspin.campaign.resolved import (
+    Accelerometer,
+    Campaign,
+    Channel,
+    Model,
+    Noise,
+    Run,
+    RunTruth,
+    Simulation,
+    Truth,
+)
+from counterspin.campaign.settings import (
+    OBSERVABLES,
+    AccelerometerSettings,
+    AxesSettings,
+    CampaignSettings,
+    CentrifugeSettings,
+    DocumentSettings,
+    ModelSettings,
+    NoiseSettings,
+    RecordsSettings,
+    RunSettings,
+    SimulationSettings,
+    SiteSettings,
+)
+from counterspin.campaign.terms import DEFAULT_TERMS, resolve_model
+from counterspin.campaign.truth import TRUTH_TABLES, resolve_run_truth, resolve_simulation
+from counterspin.errors import CampaignError
+from counterspin.physics.accelerometer import TERMS, Mounting
+from counterspin.physics.motion import Site
+
+__all__ = [
+    "DEFAULT_TERMS",
+    "DESCRIPTION_NAME",
+    "Accelerometer",
+    "Campaign",
+    "Channel",
+    "Model",
+    "Noise",
+    "Run",
+    "RunTruth",
+    "Simulation",
+    "Truth",
+    "read_campaign",
+]
+
+DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
+
+_ACCELEROMETER_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+
+def read_campaign(path: Path | str) -> Campaign:
+    """Read and check a campaign description.
+
+    The record files are not opened, nor need they exist.
+
+    Parameters
+    ----------
+    path
+        The campaign's folder, or its description file.
+
+    Raises
+    ------
+    CampaignError
+        With every mistake found, each with the path of its key; or that the file is missing,
+        is not UTF-8 or not TOML.
+    """
+    given = Path(path)
+    file = given / DESCRIPTION_NAME if given.is_dir() else given
+    raw = _load(file)
+    problems = Problems(raw)
+    campaign = _Reading(raw, file.absolute(), problems).campaign()
+    if campaign is None:
+        raise CampaignError(str(file), problems.lines)
+    return campaign
+
+
+def _load(file: Path) -> dict[str, Any]:
+    try:
+        # Editors on Windows put a byte-order mark before the text; TOML knows none.
+        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        problem = "there is no such file; `counterspin init DIR` makes a campaign to start from"
+    except UnicodeDecodeError:
+        problem = "is not UTF-8 text; save it as UTF-8 (the sign ± needs it; +/- serves as well)"
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror}"
+    except tomllib.TOMLDecodeError as error:
+        place = re.fullmatch(r"(.*) \(at (.*)\)", str(error), flags=re.DOTALL)
+        what, where = (place[1], place[2]) if place else (str(error), "TOML")
+        what = what[:1].lower() + what[1:]
+        problem = f"{where}: {what}; text such as a quantity stands in quotation marks"
+    raise CampaignError(str(file), [problem])
+
+
+class _Reading:
+    """One reading of a document: sections are checked one by one, whatever else is wrong."""
+
+    def __init__(self, raw: Mapping[str, Any], file: Path, problems: Problems) -> None:
+        self.raw = raw
+        self.file = file
+        self.problems = problems
+        problems.check(DocumentSettings, raw, ())
+        self.site = problems.check(SiteSettings, self._table("site"), ("site",))
+        self.gravity = self.site.gravity.value if self.site else None
+        self.simulated = "simulation" in raw or "truth" in raw
+        self.raw_accelerometers = self._table("accelerometers")
+        runs = raw.get("runs")
+        self.raw_runs = runs if isinstance(runs, list) else []
+
+    def _table(self, key: str) -> Mapping[str, Any]:
+        value = self.raw.get(key)
+        return value if isinstance(value, dict) else {}
+
+    def campaign(self) -> Campaign | None:
+        """Return the campaign, or None if there are problems."""
+        problems, gravity = self.problems, self.gravity
+        info = problems.check(CampaignSettings, self._table("campaign"), ("campaign",))
+        centrifuge = problems.check(CentrifugeSettings, self._table("centrifuge"), ("centrifuge",))
+        records = problems.check(RecordsSettings, self._table("records"), ("records",))
+        noise = self._noise()
+        mountings = self._mountings()
+        tables = {
+            name: problems.check(
+                AccelerometerSettings, table, ("accelerometers", name), gravity=gravity
+            )
+            for name, table in self.raw_accelerometers.items()
+        }
+        self._check_names()
+        observables = self._observables(noise)
+        settings = problems.check(ModelSettings, self._table("model"), ("model",))
+        runs = self._runs()
+        given = {name: self._given_priors(name, table) for name, table in tables.items()}
+        model, priors = None, given
+        if settings is not None:
+            attitudes = [run.attitude for run in runs]
+            model, priors = resolve_model(
+                settings, mountings, attitudes, given, problems=problems, gravity=gravity
+            )
+        simulation = self._simulation(noise) if self.simulated else None
+        if problems.lines:
+            return None
+        # No problem noted: every section is there.
+        assert info is not None
+        assert self.site is not None
+        assert centrifuge is not None
+        assert records is not None
+        assert model is not None
+        accelerometers = {
+            name: Accelerometer(
+                name,
+                mountings[name],
+                observables[name],
+                self._channel(getattr(table, observables[name]), OBSERVABLES[observables[name]]),
+                priors[name],
+                table.serial_number,
+            )
+            for name, table in tables.items()
+            if table is not None
+        }
+        self._check_columns(records, accelerometers)
+        if problems.lines:
+            return None
+        site = self.site
+        return Campaign(
+            title=info.title or self.file.parent.name,
+            path=self.file,
+            folder=self.file.parent,
+            site=Site(site.gravity.value, site.latitude.value),
+            gravity=site.gravity,
+            latitude=site.latitude,
+            radius=centrifuge.radius,
+            time=self._channel(records.time, "s"),
+            angle=self._channel(records.angle, "rad") if records.angle else None,
+            timing_offset=records.timing_offset,
+            accelerometers=accelerometers,
+            noise=noise,
+            model=model,
+            runs=tuple(runs),
+            simulation=simulation,
+            details=info.model_dump(exclude={"title"}, exclude_none=True),
+        )
+
+    def _channel(self, settings: Any, si_unit: str) -> Channel:
+        factor = unit_factor(settings.unit, si_unit, gravity=self.gravity)
+        return Channel(settings.column, factor, settings.unit)
+
+    def _noise(self) -> Noise | None:
+        if not isinstance(self.raw.get("noise"), dict):
+            return None
+        settings = self.problems.check(
+            NoiseSettings, self.raw["noise"], ("noise",), gravity=self.gravity
+        )
+        return Noise(**settings.model_dump()) if settings else None
+
+    def _mountings(self) -> dict[str, Mounting]:
+        mountings = {}
+        for name, table in self.raw_accelerometers.items():
+            path = ("accelerometers", name)
+            if not isinstance(table, dict):
+                continue
+            axes = {key: table[key] for key in AxesSettings.model_fields if key in table}
+            settings = self.problems.check(AxesSettings, axes, path)
+            if settings is None:
+                continue
+            mounting = self.problems.attempt(
+                path,
+                Mounting.from_axes,
+                settings.input_axis,
+                settings.pendulous_axis,
+                settings.output_axis,
+            )
+            if mounting is not None:
+                mountings[name] = mounting
+        return mountings
+
+    def _check_names(self) -> None:
+        for name in self.raw_accelerometers:
+            if name in TRUTH_TABLES or not _ACCELEROMETER_NAME.fullmatch(name):
+                self.problems.add(
+                    ("accelerometers", name),
+                    "cannot be an accelerometer's name; use letters, digits, - and _, "
+                    f"and none of {', '.join(TRUTH_TABLES)}",
+                )
+
+    def _observables(self, noise: Noise | None) -> dict[str, str]:
+        observables = {}
+        for name, table in self.raw_accelerometers.items():
+            if not isinstance(table, dict):
+                continue
+            found = [key for key in OBSERVABLES if key in table]
+            if len(found) == 1:
+                observables[name] = found[0]
+            else:
+                has = f"has {' and '.join(found)}" if found else "has no observable"
+                self.problems.add(
+                    ("accelerometers", name), f"{has}; give one of {', '.join(OBSERVABLES)}"
+                )
+        for key in OBSERVABLES if noise and observables else ():
+            if key not in observables.values() and getattr(noise, key) != 0.0:
+                self.problems.add(("noise", key), f"no accelerometer records {key}")
+        return observables
+
+    def _given_priors(self, name: str, table: Any) -> dict[str, Quantity]:
+        """Return the priors of an accelerometer's own table, by symbol."""
+        if table is None:
+            return {}
+        priors = {symbol: getattr(table, symbol) for symbol in TERMS}
+        for key, symbol in (("bias", "K_F"), ("scale_factor", "K_I")):
+            value = getattr(table, key)
+            if value is not None and priors[symbol] is not None:
+                self.problems.add(
+                    ("accelerometers", name, key), f"is the prior of {symbol}, which is there too"
+                )
+            priors[symbol] = priors[symbol] if value is None else value
+        return {symbol: prior for symbol, prior in priors.items() if prior is not None}
+
+    def _runs(self) -> list[Run]:
+        runs = []
+        truth = self._table("truth")
+        default = self._sampling()
+        names: dict[str, int] = {}
+        records: dict[str, int] = {}
+        for index, raw in enumerate(self.raw_runs):
+            path = ("runs", index)
+            if isinstance(raw, dict):
+                self._once(raw.get("name"), names, (*path, "name"), index)
+                self._once(raw.get("record"), records, (*path, "record"), index)
+            settings = self.problems.check(RunSettings, raw, path)
+            if settings is None:
+                continue
+            duration = settings.duration
+            if duration is not None and settings.revolutions is not None:
+                self.problems.add((*path, "duration"), "revolutions is given too; keep one")
+            own_truth = None
+            if self.simulated:
+                if duration is None:
+                    turns = settings.revolutions or default.revolutions
+                    duration = turns * 2.0 * math.pi / abs(settings.rate)
+                own_truth = resolve_run_truth(
+                    settings.rate, truth, settings.truth or {}, (*path, "truth"), self.problems
+                )
+            elif settings.truth is not None:
+                self.problems.add((*path, "truth"), "needs [simulation] or [truth] beside it")
+            record = self.file.parent / settings.record
+            runs.append(
+                Run(settings.name, settings.rate, record, settings.attitude, duration, own_truth)
+            )
+        return runs
+
+    def _once(
+        self, value: Any, seen: dict[str, int], path: tuple[str | int, ...], index: int
+    ) -> None:
+        if isinstance(value, str) and seen.setdefault(value, index) != index:
+            self.problems.add(path, f'"{value}" is that of runs[{seen[value]}] too')
+
+    def _sampling(self) -> SimulationSettings:
+        settings = self.problems.check(
+            SimulationSettings, self._table("simulation"), ("simulation",)
+        )
+        return settings or SimulationSettings()
+
+    def _simulation(self, noise: Noise | None) -> Simulation:
+        return resolve_simulation(
+            self._sampling(),
+            self._table("truth"),
+            self.raw_accelerometers,
+            noise,
+            problems=self.problems,
+            gravity=self.gravity,
+        )
+
+    def _check_columns(
+        self, records: RecordsSettings, accelerometers: Mapping[str, Accelerometer]
+    ) -> None:
+        """Note columns that are named for two things."""
+        seen = {records.time.column: "records.time"}
+        others = {"records.angle": records.angle.column} if records.angle else {}
+        others |= {
+            f"accelerometers.{a.name}.{a.observable}": a.channel.column
+            for a in accelerometers.values()
+        }
+        for key, column in others.items():
+            if column in seen:
+                self.problems.add(
+                    tuple(key.split(".")), f'column "{column}" is that of {seen[column]} too'
+                )
+            seen[column] = key

@@ -1,0 +1,254 @@
+"""A campaign as the calculation sees it: SI and g-units, names resolved, defaults filled in.
+
+Accelerometer coefficients are in g-units; everything else is SI, angles in rad. `Quantity`
+carries a standard uncertainty; a plain number is exact.
+
+- `Campaign`: all of it; `Channel`, `Accelerometer`, `Noise`, `Model`, `Run`: its parts
+- `Simulation`, `Truth`, `RunTruth`: what `counterspin simulate` makes the records from
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from counterspin.campaign.quantity import Quantity
+from counterspin.physics.accelerometer import Array, Mounting
+from counterspin.physics.motion import Site
+from counterspin.physics.spindle import Spindle
+
+
+@dataclass(frozen=True)
+class Channel:
+    """One column of the record files.
+
+    Attributes
+    ----------
+    column
+        Its name in the file.
+    factor
+        What its numbers are multiplied with to be SI: s, rad, m, m/s or m/s^2. A specific force
+        recorded in g is multiplied with the site's gravity.
+    unit
+        The unit in the file, as the campaign writes it.
+    """
+
+    column: str
+    factor: float
+    unit: str
+
+
+@dataclass(frozen=True)
+class Accelerometer:
+    """One accelerometer under calibration.
+
+    Attributes
+    ----------
+    name
+        Its name in the campaign.
+    mounting
+        Its axes while the platform is level; `Mounting.turned` gives those of a run's attitude.
+    observable
+        ``displacement``, ``velocity`` or ``specific_force``.
+    channel
+        The column with it.
+    priors
+        Term symbol -> what is known beforehand, in g-units (`bias` is K_F, `scale_factor` K_I);
+        those of [model.priors] that apply to this accelerometer are included. u = 0 means known
+        exactly. A term here that the model neither estimates nor considers has this value.
+    serial_number
+        Free text, or None.
+    """
+
+    name: str
+    mounting: Mounting
+    observable: str
+    channel: Channel
+    priors: Mapping[str, Quantity]
+    serial_number: str | None = None
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of the records: SI, or ``"estimate"`` where it is to be estimated from residuals.
+
+    Attributes
+    ----------
+    displacement, velocity, specific_force
+        White noise of the observable, standard deviation a sample: m, m/s, m/s^2.
+    acceleration
+        White noise of the accelerometer, random-walk coefficient N: m/s^2/Hz^0.5.
+    quantisation
+        Step of the recorded displacement, m.
+    angle, timing
+        White noise of the encoder and of the time stamps, rad and s.
+    """
+
+    displacement: float | str = 0.0
+    velocity: float | str = 0.0
+    specific_force: float | str = 0.0
+    acceleration: float | str = 0.0
+    quantisation: float | str = 0.0
+    angle: float | str = 0.0
+    timing: float | str = 0.0
+
+
+@dataclass(frozen=True)
+class Model:
+    """Which terms are estimated and which are carried in the uncertainty.
+
+    Attributes
+    ----------
+    terms
+        Symbols to estimate; bare platform names are resolved to the components that act.
+    considered
+        Symbols that are not estimated but whose prior enters the uncertainty.
+    priors
+        Platform symbol -> prior, SI (tilt: one of each run). Those of accelerometer terms are
+        in `Accelerometer.priors`.
+    limits
+        Every symbol of the term tables -> its largest credible size, in the table's unit.
+    """
+
+    terms: tuple[str, ...]
+    considered: tuple[str, ...]
+    priors: Mapping[str, Quantity]
+    limits: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class RunTruth:
+    """How one simulated run really goes.
+
+    Attributes
+    ----------
+    spindle
+        The true motion of the spindle.
+    platform
+        Platform symbol -> true value, SI; those that are zero are left out.
+    """
+
+    spindle: Spindle
+    platform: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One run at constant nominal rate.
+
+    Attributes
+    ----------
+    name
+        Its name, unique in the campaign.
+    rate
+        Nominal rate, rad/s; negative for the sense from east towards south.
+    record
+        Absolute path of the record file.
+    attitude
+        Where the platform's x, y, z axes point in east-north-up, as rows, shape (3, 3).
+    duration
+        Length of the simulated record in s; None where nothing is to be simulated.
+    truth
+        How the simulated run really goes; None likewise. Calibration never looks at it.
+    """
+
+    name: str
+    rate: float
+    record: Path
+    attitude: Array
+    duration: float | None = None
+    truth: RunTruth | None = None
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What the simulated accelerometers really are; platform and spindle are in `RunTruth`.
+
+    Attributes
+    ----------
+    coefficients
+        Accelerometer -> term symbol -> true value in g-units; terms not named are nominal.
+    start_offset, start_velocity
+        Accelerometer -> error of the displacement at the start of each run and of its rate of
+        change: m, m/s.
+    noise
+        True noise; every component a number.
+    """
+
+    coefficients: Mapping[str, Mapping[str, float]]
+    start_offset: Mapping[str, float]
+    start_velocity: Mapping[str, float]
+    noise: Noise
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """How `counterspin simulate` makes the records.
+
+    Attributes
+    ----------
+    sampling_rate
+        Samples a second, Hz.
+    seed
+        Of the random numbers.
+    truth
+        What it makes them from.
+    """
+
+    sampling_rate: float
+    seed: int
+    truth: Truth
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """A campaign description, checked and resolved.
+
+    Attributes
+    ----------
+    title
+        [campaign] title; the folder's name if there is none.
+    path, folder
+        The description's file and its folder, absolute.
+    site
+        Gravity and latitude as plain numbers, for the physics.
+    gravity, latitude, radius
+        The same with their uncertainties: m/s^2, rad, m.
+    time
+        Column of the time, in s.
+    angle
+        Column of the spindle's angle, in rad; None: the nominal rate is taken.
+    timing_offset
+        Angle clock minus displacement clock, s; None: not stated.
+    accelerometers
+        By name, in the file's order.
+    noise
+        None: to be estimated from the residuals.
+    model
+        Terms, priors and limits.
+    runs
+        In the file's order; names and records are unique.
+    simulation
+        None if the file has neither [simulation] nor [truth].
+    details
+        What else [campaign] says (`serial_number`, `date`, `laboratory`, `operator`,
+        `comment`), only what is there.
+    """
+
+    title: str
+    path: Path
+    folder: Path
+    site: Site
+    gravity: Quantity
+    latitude: Quantity
+    radius: Quantity
+    time: Channel
+    angle: Channel | None
+    timing_offset: Quantity | None
+    accelerometers: Mapping[str, Accelerometer]
+    noise: Noise | None
+    model: Model
+    runs: tuple[Run, ...]
+    simulation: Simulation | None
+    details: Mapping[str, str]

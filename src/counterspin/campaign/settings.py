@@ -1,0 +1,354 @@
+"""What may stand in ``campaign.toml``, section by section, as strict pydantic models.
+
+A key that is not here is a mistake. Quantities are read into SI and g-units on the way in; what
+several sections decide together (axes, priors, attitudes) is settled in `description`.
+
+The keys that name coefficients are not written here: they are made from the term tables.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Callable
+from pathlib import PurePath
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    ValidationInfo,
+    create_model,
+)
+
+from counterspin.campaign.attitude import attitude_rows, read_direction
+from counterspin.campaign.quantity import Quantity, parse, unit_factor
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+
+#: Ending of a record file -> its format.
+RECORD_FORMATS: Final = {
+    ".csv": "CSV",
+    ".parquet": "Parquet",
+    ".h5": "HDF5",
+    ".hdf5": "HDF5",
+    ".mat": "MATLAB",
+}
+
+#: What an accelerometer's record may hold -> its SI unit.
+OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
+
+#: Written in [noise] where a component is to be estimated from the residuals.
+ESTIMATE: Final = "estimate"
+
+
+def exact(text: object, unit: str, gravity: float | None = None) -> float:
+    """Read a quantity that must have no uncertainty."""
+    quantity = parse(text, unit, gravity=gravity)
+    if quantity.u != 0.0:
+        raise ValueError(f"{text!r}: an uncertainty has no meaning here; leave out the ±")
+    return quantity.value
+
+
+def _gravity(info: ValidationInfo) -> float | None:
+    return (info.context or {}).get("gravity")
+
+
+def _uncertain(unit: str) -> PlainValidator:
+    return PlainValidator(lambda text, info: parse(text, unit, gravity=_gravity(info)))
+
+
+def _exact(unit: str) -> PlainValidator:
+    return PlainValidator(lambda text, info: exact(text, unit, gravity=_gravity(info)))
+
+
+def _positive(value: Any) -> Any:
+    if (value.value if isinstance(value, Quantity) else value) <= 0.0:
+        raise ValueError("must be greater than zero")
+    return value
+
+
+def _latitude(value: Quantity) -> Quantity:
+    if abs(value.value) > math.pi / 2.0 * (1.0 + 1e-12):
+        raise ValueError("a latitude lies between -90 deg and 90 deg")
+    return value
+
+
+def _rate(value: float) -> float:
+    if value == 0.0:
+        raise ValueError("the centrifuge must turn; the rate is zero")
+    return value
+
+
+def _noise_size(unit: str) -> PlainValidator:
+    def read(text: object, info: ValidationInfo) -> float | str:
+        if text == ESTIMATE:
+            return ESTIMATE
+        size = exact(text, unit, _gravity(info))
+        if size < 0.0:
+            raise ValueError('a standard deviation is not negative; or write "estimate"')
+        return size
+
+    return PlainValidator(read)
+
+
+def _ratio(value: object) -> float:
+    """Read a plain number, or text in ppm."""
+    if isinstance(value, str):
+        return exact(value, "1")
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise ValueError("must be a number")
+    if not math.isfinite(value):
+        raise ValueError("must be a finite number")
+    return float(value)
+
+
+def _unit_of(wanted: str) -> AfterValidator:
+    def check(unit: str, info: ValidationInfo) -> str:
+        unit_factor(unit, wanted, gravity=_gravity(info))
+        return unit
+
+    return AfterValidator(check)
+
+
+def _record(name: str) -> str:
+    if PurePath(name).suffix.lower() not in RECORD_FORMATS:
+        raise ValueError(f'cannot read "{name}"; records end in {", ".join(RECORD_FORMATS)}')
+    return name
+
+
+def _date(value: object) -> str:
+    if isinstance(value, datetime.date | datetime.datetime):
+        return value.isoformat()
+    if not isinstance(value, str):
+        raise ValueError("must be a date, or text")
+    return value
+
+
+Text = Annotated[str, Field(min_length=1)]
+Direction = Annotated[tuple[float, float, float], PlainValidator(read_direction)]
+Ratio = Annotated[float, PlainValidator(_ratio)]
+PositiveRatio = Annotated[Ratio, AfterValidator(_positive)]
+Seconds = Annotated[float, _exact("s"), AfterValidator(_positive)]
+
+
+class Section(BaseModel):
+    """A table of ``campaign.toml`` in which every key must be known."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
+
+
+class DocumentSettings(Section):
+    """The sections that there may be; each is checked by its own model afterwards."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    campaign: dict[str, Any] = {}
+    site: dict[str, Any]
+    centrifuge: dict[str, Any]
+    records: dict[str, Any]
+    accelerometers: dict[str, Any] = Field(min_length=1)
+    noise: dict[str, Any] | None = None
+    model: dict[str, Any] | None = None
+    runs: list[Any] = Field(min_length=1)
+    simulation: dict[str, Any] | None = None
+    truth: dict[str, Any] | None = None
+
+
+class CampaignSettings(Section):
+    """[campaign]: what a report says about the campaign; all free text, all optional."""
+
+    title: Text | None = None
+    serial_number: Text | None = None
+    date: Annotated[str, PlainValidator(_date)] | None = None
+    laboratory: Text | None = None
+    operator: Text | None = None
+    comment: Text | None = None
+
+
+class SiteSettings(Section):
+    """[site]: where the centrifuge stands."""
+
+    gravity: Annotated[Quantity, _uncertain("m/s^2"), AfterValidator(_positive)]
+    latitude: Annotated[Quantity, _uncertain("rad"), AfterValidator(_latitude)]
+
+
+class CentrifugeSettings(Section):
+    """[centrifuge]: its size."""
+
+    radius: Annotated[Quantity, _uncertain("m"), AfterValidator(_positive)]
+
+
+class _Channel(Section):
+    column: Text
+
+
+class TimeChannel(_Channel):
+    """The column that holds the time."""
+
+    unit: Annotated[str, _unit_of("s")]
+
+
+class AngleChannel(_Channel):
+    """The column that holds the spindle's angle."""
+
+    unit: Annotated[str, _unit_of("rad")]
+
+
+class RecordsSettings(Section):
+    """[records]: how to read every run's file."""
+
+    time: TimeChannel
+    angle: AngleChannel | None = None
+    timing_offset: Annotated[Quantity, _uncertain("s")] | None = None
+
+
+class DisplacementChannel(_Channel):
+    """The column that holds the displacement along the input axis."""
+
+    unit: Annotated[str, _unit_of("m")]
+
+
+class VelocityChannel(_Channel):
+    """The column that holds the velocity along the input axis."""
+
+    unit: Annotated[str, _unit_of("m/s")]
+
+
+class ForceChannel(_Channel):
+    """The column that holds the indicated specific force."""
+
+    unit: Annotated[str, _unit_of("m/s^2")]
+
+
+class AxesSettings(Section):
+    """The axes of an accelerometer; checked by themselves too, whatever else is wrong."""
+
+    input_axis: Direction
+    pendulous_axis: Direction
+    output_axis: Direction | None = None
+
+
+class _AccelerometerKeys(AxesSettings):
+    serial_number: Text | None = None
+    bias: Annotated[Quantity, _uncertain("g")] | None = None
+    scale_factor: Annotated[Quantity, _uncertain("g/g")] | None = None
+    displacement: DisplacementChannel | None = None
+    velocity: VelocityChannel | None = None
+    specific_force: ForceChannel | None = None
+
+
+def _keys(units: dict[str, str], validator: Callable[[str], PlainValidator]) -> dict[str, Any]:
+    """Return optional fields, one for each name, that read a quantity in its unit."""
+    return {
+        name: (Annotated[Quantity | float, validator(unit)] | None, None)
+        for name, unit in units.items()
+    }
+
+
+_TERM_UNITS: Final = {row.symbol: row.unit for row in TERMS.values()}
+
+#: [accelerometers.NAME]: its axes, its column and, by term symbol, what is known beforehand.
+AccelerometerSettings = create_model(
+    "AccelerometerSettings", __base__=_AccelerometerKeys, **_keys(_TERM_UNITS, _uncertain)
+)
+
+
+class NoiseSettings(Section):
+    """[noise] and [truth.noise]: standard deviations a sample, SI."""
+
+    displacement: Annotated[float | str, _noise_size("m")] = 0.0
+    velocity: Annotated[float | str, _noise_size("m/s")] = 0.0
+    specific_force: Annotated[float | str, _noise_size("m/s^2")] = 0.0
+    acceleration: Annotated[float | str, _noise_size("m/s^2/Hz^0.5")] = 0.0
+    quantisation: Annotated[float | str, _noise_size("m")] = 0.0
+    angle: Annotated[float | str, _noise_size("rad")] = 0.0
+    timing: Annotated[float | str, _noise_size("s")] = 0.0
+
+
+class ModelSettings(Section):
+    """[model]; names and values are settled in `terms`."""
+
+    terms: list[Text] | None = None
+    considered: list[Text] = []
+    priors: dict[str, Any] = {}
+    limits: dict[str, Any] = {}
+
+
+class RippleSettings(Section):
+    """One entry of ``ripple``: a fluctuation of the rate, by ratio w_n/w0 or by amplitude."""
+
+    harmonic: Annotated[int, AfterValidator(_positive)] = 1
+    ratio: Ratio | None = None
+    amplitude: Annotated[float, _exact("rad/s")] | None = None
+    phase: Annotated[float, _exact("rad")] = 0.0
+
+
+class SpindleTruthSettings(Section):
+    """[truth.spindle]: how the spindle really turns."""
+
+    drift: Annotated[float, _exact("1/s")] | None = None
+    ripple: list[RippleSettings] | None = None
+    start_angle: Annotated[float, _exact("rad")] | None = None
+    rate_error: Ratio | None = None
+
+
+def _platform_kind(kind: str) -> type[Section]:
+    rows = [row for row in PLATFORM_TERMS.values() if row.kind == kind]
+    units = {row.symbol.rpartition(".")[2]: row.unit for row in rows}
+    return create_model(f"True_{kind}", __base__=Section, **_keys(units, _exact))
+
+
+_KINDS: Final = {
+    kind: _platform_kind(kind)
+    for kind in dict.fromkeys(row.kind for row in PLATFORM_TERMS.values())
+}
+
+#: [truth.platform]: ``tilt.north``, ``drift.up``, ``g_sensitivity.zx`` and so on.
+PlatformTruthSettings = create_model(
+    "PlatformTruthSettings",
+    __base__=Section,
+    **{kind: (keys | None, None) for kind, keys in _KINDS.items()},  # type: ignore[call-overload]
+)
+
+
+#: ``truth`` of one run: what differs from [truth.spindle], and the run's own tilt.
+RunTruthSettings = create_model(
+    "RunTruthSettings",
+    __base__=SpindleTruthSettings,
+    **{"tilt": (_KINDS["tilt"] | None, None)},  # type: ignore[call-overload]
+)
+
+
+class _AccelerometerTruthKeys(Section):
+    start_offset: Annotated[float, _exact("m")] = 0.0
+    start_velocity: Annotated[float, _exact("m/s")] = 0.0
+
+
+#: [truth.NAME]: the true coefficients of one accelerometer.
+AccelerometerTruthSettings = create_model(
+    "AccelerometerTruthSettings", __base__=_AccelerometerTruthKeys, **_keys(_TERM_UNITS, _exact)
+)
+
+
+class SimulationSettings(Section):
+    """[simulation]: how `counterspin simulate` samples."""
+
+    sampling_rate: Annotated[float, _exact("Hz"), AfterValidator(_positive)] = 50.0
+    seed: Annotated[int, Field(ge=0)] = 1
+    revolutions: PositiveRatio = 100.0
+
+
+class RunSettings(Section):
+    """[[runs]]: one run."""
+
+    name: Text
+    rate: Annotated[float, _exact("rad/s"), AfterValidator(_rate)]
+    record: Annotated[Text, AfterValidator(_record)]
+    attitude: Annotated[Any, PlainValidator(attitude_rows)] = Field(
+        default_factory=lambda: attitude_rows("level")
+    )
+    duration: Seconds | None = None
+    revolutions: PositiveRatio | None = None
+    truth: dict[str, Any] | None = None

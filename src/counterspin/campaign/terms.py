@@ -1,0 +1,246 @@
+"""Which error terms a campaign asks for: [model] against the term tables.
+
+A bare platform name means the components that act on the campaign's accelerometers to first
+order, in any of the runs' attitudes:
+
+- tilt or drift about the axis e: where (e x up) has a part along the input axis, so that gravity
+  leaks in;
+- g-sensitivity: that of the azimuth gyro to force along a horizontal input axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.resolved import Model
+from counterspin.campaign.settings import ModelSettings, exact
+from counterspin.physics.accelerometer import (
+    PLATFORM_TERMS,
+    TERMS,
+    Array,
+    Mounting,
+    PlatformTerm,
+    term,
+)
+
+#: The model of a campaign without [model] terms: the paper's.
+DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
+
+#: Bare platform name -> the rows it stands for.
+BARE_NAMES: Final[Mapping[str, tuple[PlatformTerm, ...]]] = {
+    f"platform.{kind}": tuple(row for row in PLATFORM_TERMS.values() if row.kind == kind)
+    for kind in dict.fromkeys(row.kind for row in PLATFORM_TERMS.values())
+}
+
+_UP: Final = np.array([0.0, 0.0, 1.0])
+_NEGLIGIBLE: Final = 1e-9  #: of a unit vector; above roundoff, below any angle that is meant
+
+
+def acts(row: PlatformTerm, mounting: Mounting, attitude: Array) -> bool:
+    """Return whether a platform term reaches an accelerometer to first order.
+
+    Parameters
+    ----------
+    row
+        The platform term.
+    mounting
+        The accelerometer's axes while the platform is level.
+    attitude
+        Rows: where the platform's axes point in the run, shape (3, 3).
+    """
+    input_axis = mounting.turned(attitude).input_axis
+    # Tilts are about geographic axes, gyro errors about the platform's own.
+    axis = np.eye(3)[row.axis] if row.kind == "tilt" else attitude[row.axis]
+    if row.force_axis is None:
+        return abs(float(np.cross(axis, _UP) @ input_axis)) > _NEGLIGIBLE
+    horizontal = float(np.linalg.norm(input_axis[:2]))
+    along_input = abs(float(mounting.input_axis[row.force_axis]))
+    return min(abs(float(axis @ _UP)), horizontal, along_input) > _NEGLIGIBLE
+
+
+def resolve_model(
+    settings: ModelSettings,
+    mountings: Mapping[str, Mounting],
+    attitudes: Sequence[Array],
+    given: Mapping[str, Mapping[str, Quantity]],
+    *,
+    problems: Problems,
+    gravity: float | None,
+) -> tuple[Model, dict[str, dict[str, Quantity]]]:
+    """Resolve names, priors and limits of [model].
+
+    Parameters
+    ----------
+    settings
+        The section as it stands.
+    mountings
+        Accelerometer -> its axes.
+    attitudes
+        Of all runs, each of shape (3, 3).
+    given
+        Accelerometer -> term symbol -> prior from the accelerometer's own table.
+    problems
+        Where mistakes are noted.
+    gravity
+        The site's gravity, m/s^2.
+
+    Returns
+    -------
+    tuple
+        The model, and accelerometer -> term symbol -> prior with those of [model.priors].
+    """
+
+    def expand(names: Iterable[str], key: str) -> tuple[str, ...]:
+        symbols: dict[str, None] = {}
+        for index, name in enumerate(names):
+            found = _expand(name, ("model", key, index), mountings, attitudes, problems)
+            if found and set(found) <= set(symbols):
+                problems.add(("model", key, index), f'"{name}" is there twice')
+            symbols.update(dict.fromkeys(found))
+        return tuple(symbols)
+
+    terms = expand(DEFAULT_TERMS if settings.terms is None else settings.terms, "terms")
+    considered = expand(settings.considered, "considered")
+    for symbol in considered:
+        if symbol in terms:
+            problems.add(("model", "considered"), f'"{symbol}" is among the terms to estimate too')
+    if not any(symbol in TERMS for symbol in terms):
+        problems.add(("model", "terms"), "names no accelerometer term to estimate")
+    used = {*terms, *considered}
+    platform, accelerometers = _resolve_priors(settings.priors, given, used, problems, gravity)
+    _require_priors(considered, platform, accelerometers, problems)
+    limits = _resolve_limits(settings.limits, problems, gravity)
+    return Model(terms, considered, platform, limits), accelerometers
+
+
+def _expand(
+    name: str,
+    path: Path,
+    mountings: Mapping[str, Mounting],
+    attitudes: Sequence[Array],
+    problems: Problems,
+) -> tuple[str, ...]:
+    if name in TERMS or name in PLATFORM_TERMS:
+        return (name,)
+    if name not in BARE_NAMES:
+        _unknown(name, path, problems)
+        return ()
+    found = tuple(
+        row.symbol
+        for row in BARE_NAMES[name]
+        if any(acts(row, m, a) for m in mountings.values() for a in attitudes)
+    )
+    if not found and mountings and attitudes:
+        problems.add(
+            path,
+            f'no component of "{name}" acts on these accelerometers to first order; '
+            f"leave it out, or name one, such as {BARE_NAMES[name][0].symbol}",
+        )
+    return found
+
+
+def _unknown(name: str, path: Path, problems: Problems) -> None:
+    known = [*TERMS, *BARE_NAMES, *PLATFORM_TERMS]
+    hint = did_you_mean(name, known)
+    if "known:" in hint:
+        hint = f"; known: {', '.join([*TERMS, *BARE_NAMES])}"
+    problems.add(path, f'no term is called "{name}"' + hint)
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Undo TOML's nesting of ``platform.tilt = ...`` written without quotation marks."""
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            flat[prefix + key] = value
+    return flat
+
+
+def _resolve_priors(
+    raw: Mapping[str, Any],
+    given: Mapping[str, Mapping[str, Quantity]],
+    used: set[str],
+    problems: Problems,
+    gravity: float | None,
+) -> tuple[dict[str, Quantity], dict[str, dict[str, Quantity]]]:
+    """Return platform priors, and each accelerometer's; a narrower name overrides a wider."""
+    platform: dict[str, Quantity] = {}
+    merged = {name: dict(priors) for name, priors in given.items()}
+    flat = _flat(raw)
+    # Wide platform names first, so that the narrower ones overwrite them.
+    for key in sorted(flat, key=lambda name: name not in BARE_NAMES):
+        path = ("model", "priors", key)
+        owner, _, last = key.rpartition(".")
+        if owner in given and last in TERMS:
+            symbols, owners = {last}, [owner]
+        elif key in TERMS:
+            symbols, owners = {key}, [name for name in given if f"{name}.{key}" not in flat]
+        elif key in PLATFORM_TERMS:
+            symbols, owners = {key}, []
+        elif key in BARE_NAMES:
+            symbols, owners = {row.symbol for row in BARE_NAMES[key]}, []
+        else:
+            _unknown(key, path, problems)
+            continue
+        unit = term(min(symbols)).unit
+        prior = problems.attempt(path, parse, flat[key], unit, gravity=gravity)
+        if not symbols & used:
+            problems.add(path, "is not used; add the term to model.terms or model.considered")
+        if prior is None:
+            continue
+        if symbols <= set(PLATFORM_TERMS):
+            platform |= dict.fromkeys(sorted(symbols & used), prior)
+        for name in owners:
+            if last in given[name]:
+                problems.add(
+                    path, f"a prior of {last} stands in accelerometers.{name} too; keep one"
+                )
+            merged[name][last] = prior
+    return platform, merged
+
+
+def _require_priors(
+    considered: Iterable[str],
+    platform: Mapping[str, Quantity],
+    accelerometers: Mapping[str, Mapping[str, Quantity]],
+    problems: Problems,
+) -> None:
+    for symbol in considered:
+        lacking = (
+            [name for name, priors in accelerometers.items() if symbol not in priors]
+            if symbol in TERMS
+            else []
+            if symbol in platform
+            else ["the platform"]
+        )
+        if lacking:
+            problems.add(
+                ("model", "considered"),
+                f'"{symbol}" is considered but has no prior for {", ".join(lacking)}; '
+                f'add "{symbol}" = "VALUE ± U {term(symbol).unit}" to [model.priors]',
+            )
+
+
+def _resolve_limits(
+    raw: Mapping[str, Any], problems: Problems, gravity: float | None
+) -> dict[str, float]:
+    limits = {symbol: term(symbol).limit for symbol in (*TERMS, *PLATFORM_TERMS)}
+    for key, text in sorted(_flat(raw).items(), key=lambda item: item[0] not in BARE_NAMES):
+        path = ("model", "limits", key)
+        symbols = [row.symbol for row in BARE_NAMES.get(key, ())] or [key]
+        if symbols[0] not in limits:
+            _unknown(key, path, problems)
+            continue
+        size = problems.attempt(path, exact, text, term(symbols[0]).unit, gravity)
+        if size is not None and size <= 0.0:
+            problems.add(path, "must be greater than zero")
+        elif size is not None:
+            limits |= dict.fromkeys(symbols, size)
+    return limits

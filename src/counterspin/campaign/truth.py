@@ -1,0 +1,157 @@
+"""What a simulated campaign is made of: [simulation], [truth] and each run's `truth`.
+
+Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are read by
+`counterspin simulate` only.
+
+- `resolve_simulation`: sampling and the accelerometers' truth
+- `resolve_run_truth`: how one run really goes
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Final
+
+from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.resolved import Noise, RunTruth, Simulation, Truth
+from counterspin.campaign.settings import (
+    ESTIMATE,
+    AccelerometerTruthSettings,
+    NoiseSettings,
+    PlatformTruthSettings,
+    RippleSettings,
+    RunTruthSettings,
+    SimulationSettings,
+    SpindleTruthSettings,
+)
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.spindle import Ripple, Spindle
+
+#: Tables of [truth] that are not accelerometers, and so no names for one.
+TRUTH_TABLES: Final = ("spindle", "platform", "noise")
+
+
+def resolve_simulation(
+    settings: SimulationSettings,
+    raw_truth: Mapping[str, Any],
+    accelerometers: Iterable[str],
+    noise: Noise | None,
+    *,
+    problems: Problems,
+    gravity: float | None,
+) -> Simulation:
+    """Resolve [simulation] and the accelerometers' tables of [truth].
+
+    Parameters
+    ----------
+    settings
+        [simulation].
+    raw_truth
+        [truth] as read.
+    accelerometers
+        Names of the campaign's accelerometers.
+    noise
+        [noise], which is true as well unless [truth.noise] says otherwise.
+    problems
+        Where mistakes are noted.
+    gravity
+        The site's gravity, m/s^2.
+    """
+    names = list(accelerometers)
+    for name in raw_truth:
+        if name not in names and name not in TRUTH_TABLES:
+            problems.add(
+                ("truth", name),
+                "is neither an accelerometer nor a known table"
+                + did_you_mean(name, [*names, *TRUTH_TABLES]),
+            )
+    coefficients, offsets, velocities = {}, {}, {}
+    for name in names:
+        table: Any = problems.check(
+            AccelerometerTruthSettings, raw_truth.get(name, {}), ("truth", name), gravity=gravity
+        )
+        if table is None:
+            continue
+        values = {symbol: getattr(table, symbol) for symbol in TERMS}
+        coefficients[name] = {s: value for s, value in values.items() if value is not None}
+        offsets[name], velocities[name] = table.start_offset, table.start_velocity
+    true_noise = _true_noise(raw_truth, noise, problems, gravity)
+    truth = Truth(coefficients, offsets, velocities, true_noise)
+    return Simulation(settings.sampling_rate, settings.seed, truth)
+
+
+def _true_noise(
+    raw_truth: Mapping[str, Any], noise: Noise | None, problems: Problems, gravity: float | None
+) -> Noise:
+    true_noise = noise or Noise()
+    path: Path = ("noise",)
+    if "noise" in raw_truth:
+        path = ("truth", "noise")
+        settings = problems.check(NoiseSettings, raw_truth["noise"], path, gravity=gravity)
+        true_noise = Noise(**settings.model_dump()) if settings else Noise()
+    for key, size in vars(true_noise).items():
+        if size == ESTIMATE:
+            advice = "a simulation needs its true size" + (
+                "" if "noise" in raw_truth else "; write it in [truth.noise]"
+            )
+            problems.add((*path, key), advice)
+    return true_noise
+
+
+def resolve_run_truth(
+    rate: float,
+    raw_truth: Mapping[str, Any],
+    raw_run_truth: Any,
+    path: Path,
+    problems: Problems,
+) -> RunTruth | None:
+    """Resolve the true spindle and platform of one run; what the run says comes first.
+
+    Parameters
+    ----------
+    rate
+        The run's nominal rate, rad/s.
+    raw_truth, raw_run_truth
+        [truth] and the run's `truth` as read.
+    path
+        Of the run's `truth`.
+    problems
+        Where mistakes are noted.
+    """
+    common = problems.check(
+        SpindleTruthSettings, raw_truth.get("spindle", {}), ("truth", "spindle")
+    )
+    platform = problems.check(
+        PlatformTruthSettings, raw_truth.get("platform", {}), ("truth", "platform")
+    )
+    own: Any = problems.check(RunTruthSettings, raw_run_truth, path)
+    if common is None or platform is None or own is None:
+        return None
+
+    def first(key: str, default: Any) -> Any:
+        values = (getattr(own, key), getattr(common, key), default)
+        return next(value for value in values if value is not None)
+
+    true_rate = rate * (1.0 + first("rate_error", 0.0))
+    ripple_path: Path = (*path, "ripple") if own.ripple is not None else ("truth", "spindle")
+    ripples = tuple(
+        _ripple(entry, true_rate, ripple_path, problems) for entry in first("ripple", ())
+    )
+    spindle = Spindle(true_rate, first("drift", 0.0), ripples, first("start_angle", 0.0))
+    values: dict[str, float] = {}
+    for symbol, row in PLATFORM_TERMS.items():
+        component = symbol.rpartition(".")[2]
+        # A run's own `drift` is the spindle's; of the platform's errors it has the tilt only.
+        tables = (own.tilt if row.kind == "tilt" else None, getattr(platform, row.kind))
+        found = (getattr(table, component) for table in tables if table is not None)
+        value = next((v for v in found if v is not None), 0.0)
+        if value != 0.0:
+            values[symbol] = value
+    return RunTruth(spindle, values)
+
+
+def _ripple(entry: RippleSettings, rate: float, path: Path, problems: Problems) -> Ripple:
+    if (entry.ratio is None) == (entry.amplitude is None):
+        problems.add(path, "each ripple has either a ratio w_n/w0 or an amplitude in rad/s")
+    amplitude = entry.ratio * rate if entry.ratio is not None else entry.amplitude or 0.0
+    return Ripple(entry.harmonic, amplitude, entry.phase)
