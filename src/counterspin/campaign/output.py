@@ -50,7 +50,6 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
 
 def write_text(path: Path, text: str) -> None:
     """Write text as UTF-8, whole or not at all; raises as `write_whole` does."""
-
     write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
 
 
