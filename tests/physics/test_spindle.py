@@ -1,0 +1,231 @@
+"""The spindle: its model is consistent, and its identification is unbiased and honest."""
+
+import math
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from counterspin.errors import ConvergenceError, NotIdentifiableError
+from counterspin.physics.spindle import MAX_HARMONICS, Ripple, Spindle, fit_spindle
+
+DRIFTING = Spindle(
+    rate=2.0 * math.pi,
+    drift=2e-6,
+    ripples=(Ripple(1, 6e-3, 0.5), Ripple(2, 3e-3, -2.0)),
+    start_angle=0.7,
+)
+REVERSED = Spindle(
+    rate=-math.pi,
+    drift=-3e-6,
+    ripples=(Ripple(1, 4e-3, 2.5), Ripple(3, 2e-3, 0.1)),
+    start_angle=-1.2,
+)
+BOTH = pytest.mark.parametrize("spindle", [DRIFTING, REVERSED], ids=["forward", "reversed"])
+
+TIMES = np.linspace(0.0, 20.0, 501)
+
+
+def recorded(spindle, noise, seed, times=TIMES):
+    rng = np.random.default_rng(seed)
+    return spindle.angle(times) + noise * rng.standard_normal(times.size)
+
+
+@BOTH
+def test_angle_rate_and_acceleration_are_integral_and_derivative_of_equation_1(spindle):
+    t, s = sp.symbols("t s", real=True)
+    w0 = sp.Float(spindle.rate, 30)
+    rate = w0 * (1 + sp.Float(spindle.drift, 30) * s) + sum(
+        sp.Float(r.amplitude, 30) * sp.sin(r.harmonic * w0 * s + sp.Float(r.phase, 30))
+        for r in spindle.ripples
+    )
+    expected = {
+        spindle.angle: sp.Float(spindle.start_angle, 30) + sp.integrate(rate, (s, 0, t)),
+        spindle.angular_rate: rate.subs(s, t),
+        spindle.angular_acceleration: sp.diff(rate, s).subs(s, t),
+    }
+    for method, expression in expected.items():
+        values = [float(expression.subs(t, time)) for time in (0.0, 0.3, 7.77, 19.9)]
+        got = method(np.array([0.0, 0.3, 7.77, 19.9]))
+        # One rounding of an angle of 125 rad is 1.4e-14; the cosine's argument carries it.
+        np.testing.assert_allclose(got, values, rtol=1e-15, atol=3e-14)
+
+
+def test_angle_without_drift_or_ripple_is_uniform_rotation():
+    assert Spindle(2.0, start_angle=1.0).angle(np.array([3.0]))[0] == 7.0
+    assert Spindle(2.0).highest_harmonic == 0
+    assert REVERSED.highest_harmonic == 3
+
+
+@BOTH
+def test_time_at_inverts_angle(spindle):
+    sense = math.copysign(1.0, spindle.rate)
+    angles = spindle.start_angle + sense * np.linspace(0.0, 60.0, 41)
+    times = spindle.time_at(angles)
+    np.testing.assert_allclose(spindle.angle(times), angles, rtol=0, atol=5e-14)
+    assert np.all(np.diff(times) > 0.0)
+    assert times[0] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_time_at_says_that_a_stopping_spindle_has_no_inverse():
+    stopping = Spindle(1.0, ripples=(Ripple(1, 5.0, 0.0),))
+    with pytest.raises(ConvergenceError, match="rate changes sign"):
+        stopping.time_at(np.linspace(0.0, 30.0, 200))
+
+
+# --- identification ------------------------------------------------------------------------
+
+
+@BOTH
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_fit_without_noise_returns_the_truth(spindle, wrapped):
+    angle = spindle.angle(TIMES)
+    if wrapped:
+        angle = np.angle(np.exp(1j * angle))
+    fit = fit_spindle(TIMES, angle, spindle.rate * (1 + 1e-3), harmonics=3)
+    assert fit.rms < 1e-13
+    assert fit.dof == TIMES.size - 9
+    assert fit.spindle.rate == pytest.approx(spindle.rate, rel=1e-13)
+    assert fit.spindle.drift == pytest.approx(spindle.drift, abs=1e-13)
+    # A wrapped angle tells the start only up to whole revolutions.
+    start = fit.spindle.start_angle - spindle.start_angle
+    assert math.remainder(start, 2 * math.pi) == pytest.approx(0.0, abs=1e-12)
+    by_harmonic = {r.harmonic: r for r in fit.spindle.ripples}
+    for true in spindle.ripples:
+        found = by_harmonic.pop(true.harmonic)
+        assert found.amplitude == pytest.approx(true.amplitude, rel=1e-9)
+        assert math.remainder(found.phase - true.phase, 2 * math.pi) == pytest.approx(0, abs=1e-9)
+    assert all(absent.amplitude < 1e-12 for absent in by_harmonic.values())
+
+
+def z_scores(spindle, trials, noise=1e-4, weights=None):
+    """(estimate - truth) / claimed standard uncertainty; rows are trials."""
+    scale = noise if weights is None else noise / np.sqrt(weights)
+    rows = []
+    for trial in range(trials):
+        angle = recorded(spindle, scale, seed=[7, trial])
+        fit = fit_spindle(TIMES, angle, spindle.rate, harmonics=3, weights=weights)
+        row = [
+            (fit.spindle.rate - spindle.rate) / fit.u_rate,
+            (fit.spindle.drift - spindle.drift) / fit.u_drift,
+            (fit.spindle.start_angle - spindle.start_angle) / fit.u_start_angle,
+        ]
+        for true in spindle.ripples:
+            found = fit.spindle.ripples[true.harmonic - 1]
+            u_amplitude, u_phase = fit.u_ripples[true.harmonic - 1]
+            turn = math.remainder(found.phase - true.phase, 2 * math.pi)
+            row += [(found.amplitude - true.amplitude) / u_amplitude, turn / u_phase]
+        rows.append(row)
+    return np.array(rows)
+
+
+@BOTH
+@pytest.mark.parametrize("weighted", [False, True])
+def test_fit_is_unbiased_and_its_uncertainties_hold(spindle, weighted):
+    trials = 250
+    weights = None if not weighted else np.where(np.arange(TIMES.size) % 3 == 0, 9.0, 1.0)
+    z = z_scores(spindle, trials, weights=weights)
+    # Four standard errors of a mean and of a standard deviation from `trials` normal draws;
+    # with seven quantities a correct fit misses one in 2000 choices of the seed.
+    assert np.all(np.abs(z.mean(axis=0)) < 4.0 / math.sqrt(trials)), z.mean(axis=0)
+    assert np.all(np.abs(z.std(axis=0) - 1.0) < 4.0 / math.sqrt(2 * trials)), z.std(axis=0)
+
+
+def test_weights_use_the_better_samples():
+    weights = np.where(np.arange(TIMES.size) % 3 == 0, 100.0, 1.0)
+    noise = 1e-4 / np.sqrt(weights)
+    angle = recorded(DRIFTING, noise, seed=3)
+    even = fit_spindle(TIMES, angle, DRIFTING.rate, harmonics=2)
+    weighed = fit_spindle(TIMES, angle, DRIFTING.rate, harmonics=2, weights=weights)
+    # Information is the sum of weights: (1 + 1 + 100)/3 against 1/mean variance (0.67).
+    expected = math.sqrt(np.mean(noise**2) * np.mean(weights) / 1e-8)
+    assert even.u_rate / weighed.u_rate == pytest.approx(expected, rel=0.05)
+    scaled = fit_spindle(TIMES, angle, DRIFTING.rate, harmonics=2, weights=5.0 * weights)
+    assert scaled.spindle.rate == pytest.approx(weighed.spindle.rate, rel=1e-14)
+    assert scaled.u_rate == pytest.approx(weighed.u_rate, rel=1e-9)
+
+
+def test_residuals_are_recorded_minus_modelled_angle():
+    weights = np.linspace(1.0, 2.0, TIMES.size)
+    angle = recorded(DRIFTING, 1e-3, seed=5)
+    fit = fit_spindle(TIMES, angle, DRIFTING.rate, harmonics=2, weights=weights)
+    np.testing.assert_allclose(fit.residuals, angle - fit.spindle.angle(TIMES), atol=2e-13)
+    assert fit.rms == pytest.approx(1e-3, rel=4 / math.sqrt(2 * TIMES.size))
+
+
+def test_fit_from_a_wrong_start_rate_ends_at_the_same_place():
+    angle = recorded(REVERSED, 1e-4, seed=11)
+    near = fit_spindle(TIMES, angle, REVERSED.rate, harmonics=3)
+    for factor in (1 - 1e-3, 1 + 1e-3, 0.97):
+        far = fit_spindle(TIMES, angle, factor * REVERSED.rate, harmonics=3)
+        assert far.spindle.rate == pytest.approx(near.spindle.rate, abs=1e-3 * near.u_rate)
+        assert far.spindle.drift == pytest.approx(near.spindle.drift, abs=1e-3 * near.u_drift)
+        assert far.u_rate == pytest.approx(near.u_rate, rel=1e-6)
+
+
+def test_time_may_start_late():
+    late = 100.0 + TIMES
+    spindle = Spindle(2.0, 1e-5, (Ripple(1, 2e-3, 1.0),), 0.3)
+    fit = fit_spindle(late, spindle.angle(late), 2.0, harmonics=1)
+    assert fit.spindle.rate == pytest.approx(spindle.rate, rel=1e-10)
+    assert fit.spindle.drift == pytest.approx(spindle.drift, abs=1e-12)
+    assert fit.spindle.start_angle == pytest.approx(spindle.start_angle, abs=1e-8)
+    np.testing.assert_allclose(fit.spindle.angle(late), spindle.angle(late), atol=1e-11)
+
+
+def test_harmonics_are_found_even_beyond_an_absent_one():
+    angle = recorded(REVERSED, 1e-5, seed=13)
+    fit = fit_spindle(TIMES, angle, REVERSED.rate)
+    assert fit.spindle.highest_harmonic == 3
+    amplitudes = [r.amplitude for r in fit.spindle.ripples]
+    (u_second, _) = fit.u_ripples[1]
+    assert amplitudes[0] == pytest.approx(4e-3, rel=1e-2)
+    assert amplitudes[1] < 5 * u_second
+    assert amplitudes[2] == pytest.approx(2e-3, rel=1e-2)
+
+
+def test_no_harmonic_is_found_in_noise():
+    trials = 200
+    plain = Spindle(2.0 * math.pi, 1e-6, start_angle=0.2)
+    found = [
+        fit_spindle(TIMES, recorded(plain, 1e-4, seed=[17, k]), plain.rate).spindle.ripples
+        for k in range(trials)
+    ]
+    # The criterion asks ln(501) = 6.2 for each of two parameters: exp(-6.2) = 2e-3 a trial,
+    # so that more than four in 200 would be one case in 10000.
+    assert sum(map(bool, found)) <= 4
+
+
+def test_no_more_harmonics_than_the_sampling_resolves():
+    times = np.arange(0.0, 60.0, 0.2)  # five samples a revolution
+    spindle = Spindle(2.0 * math.pi, ripples=(Ripple(1, 1e-2, 0.0),))
+    fit = fit_spindle(times, recorded(spindle, 1e-5, 19, times), spindle.rate)
+    assert fit.spindle.highest_harmonic == 1
+    assert fit.spindle.ripples[0].amplitude == pytest.approx(1e-2, rel=1e-2)
+    assert MAX_HARMONICS > 1
+
+
+@pytest.mark.parametrize("size", [0, 1, 5])
+def test_too_few_samples_are_refused_with_their_number(size):
+    with pytest.raises(NotIdentifiableError, match=rf"{size} angle samples .* 1 harmonics"):
+        fit_spindle(TIMES[:size], DRIFTING.angle(TIMES[:size]), DRIFTING.rate, harmonics=1)
+
+
+def test_too_few_samples_are_refused_without_asking_for_harmonics():
+    with pytest.raises(NotIdentifiableError, match=r"3 angle samples .* 0 harmonics"):
+        fit_spindle(TIMES[:3], DRIFTING.angle(TIMES[:3]), DRIFTING.rate)
+
+
+@pytest.mark.parametrize("harmonics", [1, 2])
+def test_samples_that_cannot_tell_harmonics_apart_are_refused(harmonics):
+    # Two samples a revolution: every sine is zero, the second cosine a constant.
+    times = np.arange(40) * 0.5
+    with pytest.raises(NotIdentifiableError, match=r"cannot tell .* apart"):
+        fit_spindle(times, 6.0 * times, 2.0 * math.pi, harmonics=harmonics)
+
+
+def test_a_rate_that_does_not_settle_is_reported():
+    # A tenth of a revolution with noise: the harmonics take the place of the rate.
+    times = np.linspace(0.0, 0.1, 200)
+    with pytest.raises(ConvergenceError, match=r"did not settle near 6\.28"):
+        fit_spindle(times, recorded(DRIFTING, 0.3, 23, times), DRIFTING.rate, harmonics=2)
