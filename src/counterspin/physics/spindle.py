@@ -182,7 +182,8 @@ def fit_spindle(
     Raises
     ------
     NotIdentifiableError
-        If there are too few samples for the unknowns.
+        If there are too few samples for the unknowns, or none where they would tell the
+        harmonics apart.
     ConvergenceError
         If w0 does not settle.
     """
@@ -231,6 +232,12 @@ def _fit(
             columns += [np.cos(harmonic * w0 * time), np.sin(harmonic * w0 * time)]
         design = np.stack(columns, -1) * root_weight[:, None]
         q, r = np.linalg.qr(design)
+        size = np.maximum(np.linalg.norm(design, axis=0), math.sqrt(n))
+        if np.any(np.abs(np.diag(r)) < 1e-12 * size):
+            raise NotIdentifiableError(
+                f"the angle samples cannot tell {count} harmonics apart: there are too few in a "
+                "revolution, or they repeat the same angles; ask for fewer harmonics"
+            )
         solution = np.linalg.solve(r, q.T @ target)
         previous, w0 = w0, start_rate + float(solution[1]) / span
         # Once the harmonics turn by less than 1e-9 rad over the record they are settled.
