@@ -119,7 +119,8 @@ class _Reading:
         self.problems = problems
         problems.check(DocumentSettings, raw, ())
         self.site = problems.check(SiteSettings, self._table("site"), ("site",))
-        self.gravity = self.site.gravity.value if self.site else None
+        # Without a site any gravity serves, lest g against m/s^2 be blamed for its absence.
+        self.gravity = self.site.gravity.value if self.site else 9.80665
         self.simulated = "simulation" in raw or "truth" in raw
         self.raw_accelerometers = self._table("accelerometers")
         runs = raw.get("runs")

@@ -105,6 +105,12 @@ def _ratio(value: object) -> float:
     return float(value)
 
 
+def _rate_error(value: float) -> float:
+    if abs(value) >= 0.5:
+        raise ValueError("is relative to the nominal rate and must be below 0.5 in size")
+    return value
+
+
 def _unit_of(wanted: str) -> AfterValidator:
     def check(unit: str, info: ValidationInfo) -> str:
         unit_factor(unit, wanted, gravity=_gravity(info))
@@ -291,7 +297,7 @@ class SpindleTruthSettings(Section):
     drift: Annotated[float, _exact("1/s")] | None = None
     ripple: list[RippleSettings] | None = None
     start_angle: Annotated[float, _exact("rad")] | None = None
-    rate_error: Ratio | None = None
+    rate_error: Annotated[Ratio, AfterValidator(_rate_error)] | None = None
 
 
 def _platform_kind(kind: str) -> type[Section]:

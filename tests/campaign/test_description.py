@@ -1,0 +1,512 @@
+import importlib.resources
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from counterspin.campaign.description import DEFAULT_TERMS, read_campaign
+from counterspin.campaign.quantity import Quantity
+from counterspin.errors import CampaignError
+from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, TERMS, term
+from counterspin.physics.motion import Site
+from counterspin.physics.spindle import Ripple, Spindle
+
+BASE = """
+schema = 1
+
+[campaign]
+title = "Test"
+
+[site]
+gravity = "9.8 ± 1e-5 m/s^2"
+latitude = "45 deg"
+
+[centrifuge]
+radius = "2.5 ± 1e-5 m"
+
+[records]
+time = { column = "time_s", unit = "ms" }
+angle = { column = "angle", unit = "deg" }
+
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+bias = "0.005 ± 2e-6 g"
+scale_factor = "1.002 ± 5e-6 g/g"
+displacement = { column = "east_m", unit = "mm" }
+
+[accelerometers.Qy]
+input_axis = "north"
+pendulous_axis = "down"
+K_III = "0 ± 1e-5 g/g^3"
+displacement = { column = "north_m", unit = "m" }
+
+[noise]
+displacement = "0.01 m"
+acceleration = "1e-6 g/Hz^0.5"
+timing = "estimate"
+
+[model]
+terms = ["K_F", "K_I", "K_II", "K_III"]
+considered = []
+
+[model.priors]
+
+[[runs]]
+name = "run1"
+rate = "0.25 rev/s"
+record = "run1.csv"
+
+[[runs]]
+name = "run2"
+rate = "-180 deg/s"
+record = "run2.parquet"
+"""
+
+
+def write(folder, text):
+    (folder / "campaign.toml").write_text(text, encoding="utf-8")
+    return folder
+
+
+def edited(*changes):
+    text = BASE
+    for old, new in changes:
+        assert text.count(old) >= 1, old
+        text = text.replace(old, new, 1)
+    return text
+
+
+def problems_of(folder, text):
+    with pytest.raises(CampaignError) as caught:
+        read_campaign(write(folder, text))
+    return caught.value.problems
+
+
+def test_resolves_everything_to_si(tmp_path):
+    campaign = read_campaign(write(tmp_path, BASE))
+    assert campaign.title == "Test"
+    assert campaign.folder == tmp_path
+    assert campaign.path == tmp_path / "campaign.toml"
+    assert campaign.site == Site(9.8, math.pi / 4)
+    assert campaign.gravity == Quantity(9.8, 1e-5, "m/s^2")
+    assert campaign.radius == Quantity(2.5, 1e-5, "m")
+    assert (campaign.time.column, campaign.time.factor, campaign.time.unit) == (
+        "time_s",
+        1e-3,
+        "ms",
+    )
+    assert campaign.angle.factor == pytest.approx(math.pi / 180, rel=1e-15)
+    assert campaign.timing_offset is None
+    assert list(campaign.accelerometers) == ["Qx", "Qy"]
+    qx, qy = campaign.accelerometers.values()
+    assert (qx.mounting, qy.mounting) == (QX, QY)
+    assert (qx.observable, qx.channel.column, qx.channel.factor) == (
+        "displacement",
+        "east_m",
+        1e-3,
+    )
+    assert qx.priors == {
+        "K_F": Quantity(0.005, 2e-6, "g"),
+        "K_I": Quantity(1.002, 5e-6, "g/g"),
+    }
+    assert qy.priors == {"K_III": Quantity(0.0, 1e-5, "g/g^3")}
+    assert campaign.noise.displacement == 0.01
+    assert campaign.noise.acceleration == pytest.approx(9.8e-6, rel=1e-15)
+    assert campaign.noise.timing == "estimate"
+    assert campaign.noise.angle == 0.0
+    assert campaign.model.terms == ("K_F", "K_I", "K_II", "K_III")
+    assert campaign.model.limits == {s: term(s).limit for s in (*TERMS, *PLATFORM_TERMS)}
+    one, two = campaign.runs
+    assert (one.name, one.rate) == ("run1", pytest.approx(math.pi / 2, rel=1e-15))
+    assert (two.record, two.rate) == (
+        tmp_path / "run2.parquet",
+        pytest.approx(-math.pi, rel=1e-15),
+    )
+    assert np.array_equal(one.attitude, np.eye(3))
+    assert campaign.simulation is one.truth is one.duration is None
+
+
+def test_a_file_reads_as_its_folder_does(tmp_path):
+    folder = write(tmp_path, BASE)
+    assert read_campaign(str(folder / "campaign.toml")).title == read_campaign(folder).title
+
+
+def test_absent_sections_have_their_defaults(tmp_path):
+    text = BASE[: BASE.index("[noise]")] + BASE[BASE.index("[[runs]]") :]
+    text = text.replace('[campaign]\ntitle = "Test"', "")
+    text = text.replace('angle = { column = "angle", unit = "deg" }', "")
+    campaign = read_campaign(write(tmp_path, text))
+    assert campaign.noise is None
+    assert campaign.model.terms == DEFAULT_TERMS
+    assert campaign.angle is None
+    assert campaign.title == tmp_path.name
+    assert campaign.details == {}
+
+
+def test_details_of_the_campaign_are_kept(tmp_path):
+    text = edited(('title = "Test"', 'title = "T"\ndate = 2024-05-17\noperator = "N. N."'))
+    details = read_campaign(write(tmp_path, text)).details
+    assert details == {"date": "2024-05-17", "operator": "N. N."}
+
+
+def test_a_byte_order_mark_does_not_matter(tmp_path):
+    (tmp_path / "campaign.toml").write_text(BASE, encoding="utf-8-sig")
+    assert read_campaign(tmp_path).title == "Test"
+
+
+def test_specific_force_in_g_becomes_si_by_the_site(tmp_path):
+    text = edited(
+        ('displacement = { column = "east_m", unit = "mm" }', FORCE),
+        ('displacement = "0.01 m"', 'displacement = "0.01 m"\nspecific_force = "2 ug"'),
+    )
+    campaign = read_campaign(write(tmp_path, text))
+    assert campaign.accelerometers["Qx"].observable == "specific_force"
+    assert campaign.accelerometers["Qx"].channel.factor == pytest.approx(9.8, rel=1e-15)
+    assert campaign.noise.specific_force == pytest.approx(2e-6 * 9.8, rel=1e-15)
+
+
+FORCE = 'specific_force = { column = "f_x", unit = "g" }'
+QX_DISPLACEMENT = 'displacement = { column = "east_m", unit = "mm" }'
+EXACT_PATHS = [
+    # (what is changed, to what, the one problem that is told)
+    ("schema = 1", "", "schema: is missing"),
+    ("schema = 1", "schema = 2", "schema: this version of counterspin reads schema = 1"),
+    ("[noise]", "[noize]", 'noize: unknown key; did you mean "noise"?'),
+    ('title = "Test"', 'titel = "x"', 'campaign.titel: unknown key; did you mean "title"?'),
+    ("latitude =", "lattitude =", 'site.lattitude: unknown key; did you mean "latitude"?'),
+    ('latitude = "45 deg"', "", "site.latitude: is missing"),
+    ('"45 deg"', '"91 deg"', "site.latitude: a latitude lies between -90 deg and 90 deg"),
+    ('"9.8 ± 1e-5 m/s^2"', "9.8", 'site.gravity: a number without its unit; write "9.8 m/s^2"'),
+    ('"9.8 ± 1e-5 m/s^2"', '"-9.8 m/s^2"', "site.gravity: must be greater than zero"),
+    ('"2.5 ± 1e-5 m"', '"0 m"', "centrifuge.radius: must be greater than zero"),
+    ('"2.5 ± 1e-5 m"', '"-2.5 m"', "centrifuge.radius: must be greater than zero"),
+    ('"2.5 ± 1e-5 m"', '"2.5"', "centrifuge.radius: '2.5' has no unit; a length is wanted"),
+    ('"2.5 ± 1e-5 m"', '"2.5 s"', "centrifuge.radius: 's' is not a unit of length; use m,"),
+    ('"2.5 ± 1e-5 m"', '"nan m"', "centrifuge.radius: 'nan m' is not a finite number"),
+    ('"2.5 ± 1e-5 m"', "inf", "centrifuge.radius: inf is not a finite number"),
+    ('"2.5 ± 1e-5 m"', '"2.5 ± inf m"', "centrifuge.radius: '2.5 ± inf m' is not a finite"),
+    ('unit = "ms"', 'unit = "m"', "records.time.unit: 'm' is not a unit of time; use s,"),
+    ('unit = "deg"', 'unit = "grad"', "records.angle.unit: unknown unit 'grad'; an angle is"),
+    ('"angle", ', '"angle", skip = 1, ', "records.angle.skip: unknown key; known: column, unit"),
+    ('"angle", ', '"time_s", ', 'records.angle: column "time_s" is that of records.time too'),
+    ('"east"', '"eest"', 'accelerometers.Qx.input_axis: no direction is called "eest"; did you'),
+    ('"east"', "[1, 0]", "accelerometers.Qx.input_axis: a direction needs three finite"),
+    ('"east"', "[nan, 0, 1]", "accelerometers.Qx.input_axis: a direction needs three finite"),
+    ('"east"', "[0, 0, 0]", "accelerometers.Qx.input_axis: a direction needs three finite"),
+    ('"east"', "3", "accelerometers.Qx.input_axis: must be one of east, west"),
+    ('"east"', '[1, 0, "x"]', "accelerometers.Qx.input_axis: must be one of east, west"),
+    ('"down"', '"west"', "accelerometers.Qx: input and pendulous axes must be at right angles"),
+    ('"down"', '"down"\noutput_axis = "south"', "accelerometers.Qx: the axes are left-handed"),
+    ('"down"', '"down"\noutput_axis = "up"', "accelerometers.Qx: the output axis must be at"),
+    ("bias =", "bies =", 'accelerometers.Qx.bies: unknown key; did you mean "bias"?'),
+    ('"0.005 ± 2e-6 g"', '"5 m"', "accelerometers.Qx.bias: 'm' is not a unit of specific force"),
+    ('"0.005 ± 2e-6 g"', '"5 ± -1 mg"', "accelerometers.Qx.bias: '5 ± -1 mg' has a negative"),
+    ("bias =", 'K_F = "0 g"\nbias =', "accelerometers.Qx.bias: is the prior of K_F, which is"),
+    (QX_DISPLACEMENT, "", "accelerometers.Qx: has no observable; give one of displacement,"),
+    (QX_DISPLACEMENT, f"{QX_DISPLACEMENT}\n{FORCE}", "accelerometers.Qx: has displacement and"),
+    ("[accelerometers.Qx]", "[accelerometers.noise]", "accelerometers.noise: cannot be an"),
+    ("0.01 m", "0.01 s", "noise.displacement: 's' is not a unit of length"),
+    ("0.01 m", "-0.01 m", "noise.displacement: a standard deviation is not negative"),
+    ("0.01 m", "1 ± 1 m", "noise.displacement: '1 ± 1 m': an uncertainty has no meaning here"),
+    ("[noise]", '[noise]\nvelocity = "1 m/s"', "noise.velocity: no accelerometer records velo"),
+    ('"K_III"]', '"K_IIII"]', 'model.terms[3]: no term is called "K_IIII"; did you mean "K_III"'),
+    ('"K_III"]', '"zzz"]', 'model.terms[3]: no term is called "zzz"; known: K_F, K_I,'),
+    ('"K_III"]', '"K_F"]', 'model.terms[3]: "K_F" is there twice'),
+    ('"K_III"]', "3]", "model.terms[3]: must be text"),
+    ("considered = []", 'considered = ["K_II"]', 'model.considered: "K_II" is among the terms'),
+    ("considered = []", 'considered = ["K_OO"]', 'model.considered: "K_OO" is considered but has'),
+    ("considered = []", 'considered = ["platform.tilt"]', 'model.considered: "platform.tilt.eas'),
+    ("[model.priors]", '[model.priors]\nK_II = "1 g"', "model.priors.K_II: 'g' is not a unit of"),
+    ("[model.priors]", "[model.priors]\nK_II = 1", "model.priors.K_II: a number without its"),
+    ("[model.priors]", '[model.priors]\nK_Q = "1 g"', 'model.priors.K_Q: no term is called "K_Q"'),
+    ("[model.priors]", '[model.priors]\nK_OO = "0 g/g^2"', "model.priors.K_OO: is not used; add"),
+    (
+        "[model.priors]",
+        '[model.priors]\nK_F = "0 ± 1 g"',
+        "model.priors.K_F: a prior of K_F stands",
+    ),
+    (
+        "[model.priors]",
+        '[model.priors]\n"Qx.K_I" = "1 ± 1 g/g"',
+        'model.priors."Qx.K_I": a prior of K_I stands in accelerometers.Qx too; keep one',
+    ),
+    (
+        "[model.priors]",
+        '[model.limits]\nK_II = "0 g/g^2"',
+        "model.limits.K_II: must be greater than zero",
+    ),
+    ("[model.priors]", '[model.limits]\nK = "1 g"', 'model.limits.K: no term is called "K"'),
+    ("0.25 rev/s", "0.25 Hz", "runs[0].rate: 'Hz' is ambiguous for an angular rate: write rev/s"),
+    ("0.25 rev/s", "0 rev/s", "runs[0].rate: the centrifuge must turn; the rate is zero"),
+    ("0.25 rev/s", "0.25 m", "runs[0].rate: 'm' is not a unit of angular rate"),
+    ('"0.25 rev/s"', "0.25", 'runs[0].rate: a number without its unit; write "0.25 rad/s"'),
+    ("0.25 rev/s", "1 ± 1 rpm", "runs[0].rate: '1 ± 1 rpm': an uncertainty has no meaning"),
+    ('"run2"', '"run1"', 'runs[1].name: "run1" is that of runs[0] too'),
+    ("run2.parquet", "run1.csv", 'runs[1].record: "run1.csv" is that of runs[0] too'),
+    ("run2.parquet", "run2.xls", 'runs[1].record: cannot read "run2.xls"; records end in .csv,'),
+    ('"run2"', '""', "runs[1].name: must not be empty"),
+    ('record = "run1.csv"', "", 'runs[0].record: is missing (run "run1")'),
+    ("run1.csv", 'run1.csv"\nattitude = "tilted', "runs[0].attitude: is not an attitude; write"),
+    ("run1.csv", 'run1.csv"\nattitude = "5 m about up', "runs[0].attitude: 'm' is not a unit of"),
+    ("run1.csv", 'run1.csv"\ntruth = {drift = "1 1/s"}#', "runs[0].truth: needs [simulation]"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "message"), EXACT_PATHS, ids=range(len(EXACT_PATHS)))
+def test_tells_each_mistake_with_its_path(tmp_path, old, new, message):
+    problems = problems_of(tmp_path, edited((old, new)))
+    assert any(problem.startswith(message) for problem in problems), problems
+
+
+def test_the_run_is_named_beside_its_index(tmp_path):
+    problems = problems_of(tmp_path, edited(("-180 deg/s", "3 Hz")))
+    assert problems[0].startswith("runs[1].rate: ")
+    assert problems[0].endswith('(run "run2")')
+
+
+def test_all_mistakes_are_told_at_once(tmp_path):
+    text = edited(
+        ('"9.8 ± 1e-5 m/s^2"', '"9.8 s"'),
+        ('"2.5 ± 1e-5 m"', '"-1 m"'),
+        ('"down"', '"west"'),
+        ('"0.005 ± 2e-6 g"', "0.005"),
+        ('"K_III"]', '"K_4"]'),
+        ('"run2"', '"run1"'),
+        ("0.25 rev/s", "0.25 Hz"),
+        ("run2.parquet", "run2.xls"),
+    )
+    problems = problems_of(tmp_path, text)
+    paths = [problem.split(":")[0] for problem in problems]
+    assert sorted(paths) == sorted(
+        [
+            "site.gravity",
+            "centrifuge.radius",
+            "accelerometers.Qx",
+            "accelerometers.Qx.bias",
+            "model.terms[3]",
+            "runs[0].rate",
+            "runs[1].name",
+            "runs[1].record",
+        ]
+    )
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "message"),
+    [
+        ("[accelerometers.Qx]", "[noise]", "accelerometers: is missing"),
+        ("[[runs]]", None, "runs: is missing"),
+        ("[site]", "[centrifuge]", "site: is missing"),
+        ("[centrifuge]", "[records]", "centrifuge: is missing"),
+        ("[records]", "[accelerometers.Qx]", "records: is missing"),
+    ],
+)
+def test_a_missing_section_is_named(tmp_path, start, end, message):
+    cut = BASE[: BASE.index(start)] + (BASE[BASE.index(end) :] if end else "")
+    assert message in problems_of(tmp_path, cut)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("runs = []\naccelerometers = {}", "runs: must have at least one entry"),
+        ("runs = []\naccelerometers = {}", "accelerometers: must have at least one entry"),
+        ("runs = 3", "runs: must be a list"),
+        ("runs = [3]", "runs[0]: must be a table"),
+        ("site = 3", "site: must be a table"),
+        ("accelerometers = { Qx = 3 }", "accelerometers.Qx: must be a table"),
+    ],
+)
+def test_wrong_shapes_are_told(tmp_path, text, message):
+    assert message in problems_of(tmp_path, text)
+
+
+def test_a_missing_file_says_how_to_begin(tmp_path):
+    with pytest.raises(CampaignError, match="no such file; `counterspin init DIR` makes"):
+        read_campaign(tmp_path)
+    with pytest.raises(CampaignError, match=r"other\.toml: there is no such file"):
+        read_campaign(tmp_path / "other.toml")
+
+
+def test_toml_mistakes_come_with_their_line(tmp_path):
+    text = edited(('"2.5 ± 1e-5 m"', "2.5 m"))
+    line = text[: text.index("2.5 m")].count("\n") + 1
+    with pytest.raises(CampaignError, match=rf"campaign.toml: line {line}, column \d+: expected"):
+        read_campaign(write(tmp_path, text))
+
+
+def test_text_in_another_encoding_is_told(tmp_path):
+    (tmp_path / "campaign.toml").write_bytes(BASE.encode("latin-1"))
+    with pytest.raises(CampaignError, match="is not UTF-8 text"):
+        read_campaign(tmp_path)
+
+
+def test_a_known_value_needs_no_uncertainty(tmp_path):
+    text = edited(('"0.005 ± 2e-6 g"', '"0.049 m/s^2"'))
+    prior = read_campaign(write(tmp_path, text)).accelerometers["Qx"].priors["K_F"]
+    assert prior.value == pytest.approx(0.005, rel=1e-14)
+    assert prior.u == 0.0
+
+
+def test_attitudes(tmp_path):
+    text = edited(
+        ('"run1.csv"', '"run1.csv"\nattitude = "90 deg about east"'),
+        ('"run2.parquet"', '"run2.mat"\nattitude = { x = "up", y = [0, 2, 0] }'),
+    )
+    one, two = read_campaign(write(tmp_path, text)).runs
+    east, north, up = np.eye(3)
+    assert np.array_equal(one.attitude, [east, up, -north])
+    assert np.array_equal(two.attitude, [up, north, -east])
+
+
+@pytest.mark.parametrize(
+    ("attitude", "message"),
+    [
+        ('{ x = "east", y = "west" }', "the axes x and y must be at right angles"),
+        ('{ x = "east", y = "north", z = "down" }', "the axes are left-handed"),
+        ('{ x = "east", y = "north", z = "east" }', "the axis z must be at right angles"),
+        ('{ x = "east" }', "is not an attitude"),
+        ('"1 ± 1 deg about up"', "an attitude has no uncertainty here"),
+        ('"1 deg about noon"', 'no direction is called "noon"'),
+    ],
+)
+def test_attitudes_refused(tmp_path, attitude, message):
+    text = edited(('"run1.csv"', f'"run1.csv"\nattitude = {attitude}'))
+    (problem,) = problems_of(tmp_path, text)
+    assert problem.startswith(f"runs[0].attitude: {message}")
+
+
+SIMULATED = """
+[simulation]
+sampling_rate = "20 Hz"
+seed = 7
+revolutions = 10
+
+[truth.Qx]
+K_II = "20 ug/g^2"
+delta_O = "1 mrad"
+start_offset = "1 mm"
+
+[truth.spindle]
+drift = "1e-6 1/s"
+ripple = [{ ratio = 1e-5, phase = "90 deg" }, { harmonic = 3, amplitude = "1e-6 rad/s" }]
+
+[truth.platform]
+tilt.north = "1 arcsec"
+drift.north = "0.01 deg/h"
+g_sensitivity.zx = "0.02 deg/h/g"
+
+[truth.noise]
+displacement = "1 mm"
+"""
+
+
+def test_truth_of_a_simulation(tmp_path):
+    own = (
+        '"run2.parquet"\nduration = "1 min"\ntruth = { drift = "2e-6 1/s", ripple = [], '
+        'rate_error = "100 ppm", start_angle = "90 deg", tilt = { north = "2 arcsec" } }'
+    )
+    text = edited(('"run2.parquet"', own)) + SIMULATED
+    campaign = read_campaign(write(tmp_path, text))
+    simulation = campaign.simulation
+    assert (simulation.sampling_rate, simulation.seed) == (20.0, 7)
+    truth = simulation.truth
+    assert truth.coefficients["Qx"] == pytest.approx({"K_II": 2e-5, "delta_O": 1e-3}, rel=1e-15)
+    assert truth.coefficients["Qy"] == {}
+    assert truth.start_offset == {"Qx": 1e-3, "Qy": 0.0}
+    assert truth.start_velocity == {"Qx": 0.0, "Qy": 0.0}
+    assert vars(truth.noise) == {**dict.fromkeys(vars(truth.noise), 0.0), "displacement": 1e-3}
+    one, two = campaign.runs
+    assert (one.duration, two.duration) == (pytest.approx(40.0, rel=1e-14), 60.0)
+    rate = one.rate
+    assert one.truth.spindle == Spindle(
+        rate, 1e-6, (Ripple(1, 1e-5 * rate, math.pi / 2), Ripple(3, 1e-6, 0.0))
+    )
+    assert two.truth.spindle == Spindle(
+        pytest.approx(-math.pi * 1.0001, rel=1e-15), 2e-6, (), math.pi / 2
+    )
+    arcsec = math.pi / 648000
+    assert one.truth.platform == pytest.approx(
+        {
+            "platform.tilt.north": arcsec,
+            "platform.drift.north": 0.01 * arcsec,
+            "platform.g_sensitivity.zx": 0.02 * arcsec,
+        },
+        rel=1e-14,
+    )
+    assert two.truth.platform["platform.tilt.north"] == pytest.approx(2 * arcsec, rel=1e-14)
+
+
+def test_truth_changes_nothing_that_a_calibration_reads(tmp_path):
+    plain = read_campaign(write(tmp_path, BASE))
+    with_truth = read_campaign(write(tmp_path, BASE + SIMULATED))
+    apart = {"runs", "simulation"}
+    for name in set(vars(plain)) - apart:
+        assert getattr(plain, name) == getattr(with_truth, name), name
+    for one, other in zip(plain.runs, with_truth.runs, strict=True):
+        assert (one.name, one.rate, one.record) == (other.name, other.rate, other.record)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "[truth.Qx]",
+            "[truth.Qxx]",
+            "truth.Qxx: is neither an accelerometer nor a known table; did",
+        ),
+        ("K_II =", "K_2 =", 'truth.Qx.K_2: unknown key; did you mean "K_I'),
+        ('"20 ug/g^2"', '"20 ± 1 ug/g^2"', "truth.Qx.K_II: '20 ± 1 ug/g^2': an uncertainty has"),
+        ('"20 ug/g^2"', '"20 ug"', "truth.Qx.K_II: 'ug' is not a unit of second-order"),
+        ("tilt.north", "tilt.nord", 'truth.platform.tilt.nord: unknown key; did you mean "north"?'),
+        ("tilt.north", "tild.north", 'truth.platform.tild: unknown key; did you mean "tilt"?'),
+        ('"1 arcsec"', "nan", "truth.platform.tilt.north: nan is not a finite number"),
+        ("ratio = 1e-5, ", "", "truth.spindle: each ripple has either a ratio w_n/w0 or an"),
+        ("ratio = 1e-5", "ratio = nan", "truth.spindle.ripple[0].ratio: must be a finite number"),
+        ("ratio = 1e-5", "size = 1", "truth.spindle.ripple[0].size: unknown key; known: harmonic,"),
+        ("harmonic = 3", "harmonic = 0", "truth.spindle.ripple[1].harmonic: must be greater"),
+        ('drift = "1e-6', 'rate_error = -1\ndrift = "1e-6', "truth.spindle.rate_error: is relat"),
+        ('"20 Hz"', '"20 m"', "simulation.sampling_rate: 'm' is not a unit of frequency"),
+        ("seed = 7", "seed = 7.5", "simulation.seed: "),
+        ("revolutions = 10", "revolutions = 0", "simulation.revolutions: must be greater than"),
+        ("[truth.noise]", "[truth.Qy]", "truth.Qy.displacement: unknown key"),
+        ('"1 mm"\n\n[truth.s', '"1 s"\n\n[truth.s', "truth.Qx.start_offset: 's' is not a unit of"),
+    ],
+)
+def test_mistakes_in_the_truth(tmp_path, old, new, message):
+    assert old in SIMULATED
+    problems = problems_of(tmp_path, BASE + SIMULATED.replace(old, new, 1))
+    assert any(problem.startswith(message) for problem in problems), problems
+
+
+def test_a_simulation_needs_the_size_of_an_estimated_noise(tmp_path):
+    text = BASE + SIMULATED[: SIMULATED.index("[truth.noise]")]
+    (problem,) = problems_of(tmp_path, text)
+    assert problem == "noise.timing: a simulation needs its true size; write it in [truth.noise]"
+
+
+def test_the_starter_is_a_valid_campaign_whose_truth_agrees_with_what_it_says_is_known(tmp_path):
+    starter = importlib.resources.files("counterspin.campaign") / "starter.toml"
+    campaign = read_campaign(write(tmp_path, starter.read_text(encoding="utf-8")))
+    truth = campaign.simulation.truth
+    for name, accelerometer in campaign.accelerometers.items():
+        for symbol, prior in accelerometer.priors.items():
+            assert abs(truth.coefficients[name][symbol] - prior.value) < 2.0 * prior.u
+    assert [run.duration for run in campaign.runs] == pytest.approx([400.0, 200.0, 100.0])
+    assert truth.noise.displacement == campaign.noise.displacement
+    assert campaign.details == {}
+
+
+def test_reading_a_campaign_imports_nothing_heavy(tmp_path):
+    write(tmp_path, BASE)
+    code = (
+        "import sys; from counterspin.campaign.description import read_campaign; "
+        f"read_campaign({str(tmp_path)!r}); "
+        "heavy = {'matplotlib', 'dask', 'scipy.stats', 'polars', 'h5py'} & set(sys.modules); "
+        "sys.exit(', '.join(heavy) or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr

@@ -1,0 +1,135 @@
+import numpy as np
+import pytest
+
+from counterspin.campaign.attitude import attitude_rows
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.settings import ModelSettings
+from counterspin.campaign.terms import BARE_NAMES, acts, resolve_model
+from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, QZ, Mounting
+from counterspin.physics.motion import Site
+
+LEVEL = np.eye(3)
+OBLIQUE = Mounting.from_axes([1.0, 1.0, 0.0], "down")
+ARCSEC = np.pi / 648000
+
+
+def resolve(mountings, attitudes=(LEVEL,), given=None, **settings):
+    problems = Problems({})
+    given = {name: {} for name in mountings} | (given or {})
+    model, priors = resolve_model(
+        ModelSettings(**settings), mountings, attitudes, given, problems=problems, gravity=9.8
+    )
+    return model, priors, problems.lines
+
+
+def expanded(bare, mountings, attitudes=(LEVEL,)):
+    model, _, problems = resolve(mountings, attitudes, terms=["K_II", bare])
+    assert model.terms[0] == "K_II"
+    components = [symbol.removeprefix(f"{bare}.") for symbol in model.terms[1:]]
+    return " ".join(components) or problems[0]
+
+
+@pytest.mark.parametrize(
+    ("mountings", "tilt", "azimuth"),
+    [
+        ({"Qx": QX}, "north", "zx"),
+        ({"Qy": QY}, "east", "zy"),
+        ({"Qx": QX, "Qy": QY}, "east north", "zx zy"),
+        ({"Q": OBLIQUE}, "east north", "zx zy"),
+        ({"Qx": QX, "Qz": QZ}, "north", "zx"),
+    ],
+)
+def test_bare_names_mean_the_components_that_act(mountings, tilt, azimuth):
+    assert expanded("platform.tilt", mountings) == tilt
+    assert expanded("platform.drift", mountings) == tilt
+    assert expanded("platform.g_sensitivity", mountings) == azimuth
+
+
+def test_nothing_acts_on_a_vertical_input_axis():
+    assert expanded("platform.tilt", {"Qz": QZ}) == (
+        'model.terms[1]: no component of "platform.tilt" acts on these accelerometers to first '
+        "order; leave it out, or name one, such as platform.tilt.east"
+    )
+
+
+def test_gyro_terms_turn_with_the_platform():
+    # x east, y up, z south: the azimuth gyro is y, and the gyro about north is -z.
+    turned = attitude_rows("90 deg about east")
+    assert expanded("platform.tilt", {"Qx": QX}, [turned]) == "north"
+    assert expanded("platform.drift", {"Qx": QX}, [turned]) == "up"
+    assert expanded("platform.g_sensitivity", {"Qx": QX}, [turned]) == "yx"
+    assert expanded("platform.drift", {"Qx": QX}, [LEVEL, turned]) == "north up"
+
+
+@pytest.mark.parametrize("attitude", ["level", "90 deg about east", "30 deg about north"])
+@pytest.mark.parametrize("mounting", [QX, QY, QZ, OBLIQUE], ids=["Qx", "Qy", "Qz", "oblique"])
+def test_tilts_that_act_are_those_through_which_gravity_leaks(mounting, attitude):
+    rows = attitude_rows(attitude)
+    gravity = np.array([0.0, 0.0, Site(9.8, 0.7).gravity])
+    input_axis = mounting.matrix[0] @ rows
+    for row in BARE_NAMES["platform.tilt"]:
+        leak = -np.cross(np.eye(3)[row.axis], gravity) @ input_axis  # -(psi x f)
+        assert acts(row, mounting, rows) == (abs(leak) > 1e-6)
+
+
+def test_a_component_prior_overrides_that_of_the_bare_name():
+    model, _, problems = resolve(
+        {"Qx": QX, "Qy": QY},
+        terms=["K_II", "platform.tilt"],
+        priors={
+            "platform.tilt.north": "0 ± 2 arcsec",
+            "platform.tilt": "0 ± 1 arcsec",
+        },
+    )
+    assert problems == []
+    assert model.priors["platform.tilt.east"].u == pytest.approx(ARCSEC, rel=1e-14)
+    assert model.priors["platform.tilt.north"].u == pytest.approx(2 * ARCSEC, rel=1e-14)
+    assert set(model.priors) == set(model.terms) - {"K_II"}
+
+
+def test_one_accelerometer_prior_overrides_that_of_all():
+    _, priors, problems = resolve(
+        {"Qx": QX, "Qy": QY},
+        terms=["K_II"],
+        considered=["K_OO"],
+        priors={"Qx.K_OO": "1 ± 2 ug/g^2", "K_OO": "0 ± 1 ug/g^2"},
+    )
+    assert problems == []
+    assert priors["Qx"] == {"K_OO": Quantity(1e-6, 2e-6, "g/g^2")}
+    assert priors["Qy"] == {"K_OO": Quantity(0.0, 1e-6, "g/g^2")}
+
+
+def test_keys_without_quotation_marks_nest_and_are_understood():
+    model, priors, problems = resolve(
+        {"Qx": QX},
+        terms=["K_II", "platform.tilt"],
+        priors={"platform": {"tilt": "0 ± 1 arcsec"}, "Qx": {"K_II": "0 ± 1 g/g^2"}},
+        limits={"platform": {"tilt": "1 deg"}, "K_II": "1e-3 g/g^2"},
+    )
+    assert problems == []
+    assert "K_II" in priors["Qx"]
+    assert model.priors["platform.tilt.north"].u == pytest.approx(ARCSEC, rel=1e-14)
+    tilts = [model.limits[f"platform.tilt.{name}"] for name in ("east", "north", "up")]
+    assert tilts == pytest.approx([np.pi / 180] * 3, rel=1e-14)
+    assert model.limits["K_II"] == 1e-3
+
+
+def test_considered_terms_need_a_prior_for_every_accelerometer():
+    given = {"Qx": {"K_OO": Quantity(0.0, 1e-6, "g/g^2")}}
+    _, _, (problem,) = resolve(
+        {"Qx": QX, "Qy": QY}, given=given, terms=["K_II"], considered=["K_OO"]
+    )
+    assert problem == (
+        'model.considered: "K_OO" is considered but has no prior for Qy; '
+        'add "K_OO" = "VALUE ± U g/g^2" to [model.priors]'
+    )
+
+
+def test_terms_must_name_an_accelerometer_coefficient():
+    _, _, (problem,) = resolve({"Qx": QX}, terms=["platform.tilt"])
+    assert problem == "model.terms: names no accelerometer term to estimate"
+
+
+def test_every_platform_term_has_a_bare_name():
+    assert {row.symbol for rows in BARE_NAMES.values() for row in rows} == set(PLATFORM_TERMS)
