@@ -1,0 +1,194 @@
+"""The rules of the house that no linter knows."""
+
+import ast
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+from packaging.requirements import Requirement
+
+from counterspin._version import __version__
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+
+ROOT = Path(__file__).parents[1]
+PACKAGE = ROOT / "src" / "counterspin"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+PINS = sorted((ROOT / "requirements").glob("*.txt"))
+PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+
+every_module = pytest.mark.parametrize(
+    "module", MODULES, ids=lambda path: path.relative_to(PACKAGE).as_posix()
+)
+every_pin_file = pytest.mark.parametrize("pins", PINS, ids=lambda path: path.name)
+
+
+# Modules
+
+
+@every_module
+def test_module_says_what_it_is_for(module):
+    docstring = ast.get_docstring(ast.parse(module.read_text(encoding="utf-8")))
+    assert docstring
+    assert len(docstring.splitlines()[0].split()) >= 3
+
+
+@every_module
+def test_module_is_short_enough_to_read(module):
+    assert len(module.read_text(encoding="utf-8").splitlines()) <= 400
+
+
+def terms_listed(literal):
+    """Return the symbols that a literal lists, bare or at the head of its rows."""
+    symbols = []
+    for element in literal.elts:
+        if isinstance(element, ast.Tuple | ast.List) and element.elts:
+            head = element.elts[0]
+        elif isinstance(element, ast.Call) and element.args:
+            head = element.args[0]
+        else:
+            head = element
+        if isinstance(head, ast.Constant) and (head.value in TERMS or head.value in PLATFORM_TERMS):
+            symbols.append(head.value)
+    return symbols
+
+
+def lists_of_terms(source):
+    """Return every literal of a module that lists three or more terms."""
+    literals = (
+        node
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Tuple | ast.List | ast.Set)
+    )
+    return [listed for literal in literals if len(listed := terms_listed(literal)) >= 3]
+
+
+# A choice of terms is no list of terms; each is named here, so that a new one is thought about.
+CHOICES = {
+    "campaign/terms.py": [["K_F", "K_I", "K_II", "K_III"]],  # estimated where none are named
+    "reproduce/equations.py": [["K_II", "K_III", "K_IP"]],  # the integrals printed under Eq. 13
+}
+TABLE = "physics/accelerometer.py"
+
+
+@every_module
+def test_no_second_list_of_coefficients(module):
+    name = module.relative_to(PACKAGE).as_posix()
+    listed = lists_of_terms(module.read_text(encoding="utf-8"))
+    if name == TABLE:
+        assert set(TERMS) in map(set, listed)
+    else:
+        assert listed == CHOICES.get(name, [])
+
+
+def test_a_second_list_of_coefficients_would_be_found():
+    assert lists_of_terms("x = ('K_F', 'K_I', 'K_II')")
+    assert lists_of_terms("x = [('K_F', 'g'), ('K_I', 'g/g'), ('platform.drift.up', 'rad/s')]")
+    assert lists_of_terms("x: Literal['K_F', 'K_I', 'K_II']")
+    assert not lists_of_terms("x = ('K_F', 'K_II')")
+
+
+# Start-up
+
+
+HELP = "from counterspin.cli import main; sys.argv[1:] = ['--help']; main()"
+
+
+def modules_loaded_by(statement):
+    """Return the names of all modules that a fresh interpreter has loaded after a statement."""
+    code = f"""
+import sys
+try:
+    {statement}
+except SystemExit as end:
+    assert not end.code
+print("LOADED", *sys.modules)
+"""
+    run = subprocess.run(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, encoding="utf-8", check=True
+    )
+    return set(run.stdout.rpartition("LOADED ")[2].split())
+
+
+@pytest.mark.parametrize("statement", ["import counterspin", HELP], ids=["import", "help"])
+def test_start_up_loads_nothing_slow_that_it_does_not_use(statement):
+    loaded = modules_loaded_by(statement)
+    assert "counterspin" in loaded
+    assert loaded & {"matplotlib", "dask", "scipy.stats", "pint"} == set()
+
+
+def test_physics_and_inference_load_nothing_slow():
+    below = [
+        path.relative_to(PACKAGE.parent).with_suffix("").as_posix().replace("/", ".")
+        for room in ("physics", "inference")
+        for path in sorted((PACKAGE / room).glob("[a-z]*.py"))
+    ]
+    loaded = modules_loaded_by(f"import {', '.join(below)}")
+    assert set(below) <= loaded
+    assert loaded & {"matplotlib", "scipy.stats", "scipy.optimize", "polars", "pydantic"} == set()
+
+
+# What is published
+
+
+def test_changelog_begins_with_this_version():
+    changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    entries = re.findall(r"^## \[(.+)\] - (Unreleased|\d{4}-\d\d-\d\d)$", changelog, re.MULTILINE)
+    assert len(entries) == len(re.findall(r"^## ", changelog, re.MULTILINE))
+    assert entries[0][0] == __version__
+
+
+def test_pages_name_only_make_targets_that_exist():
+    targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M))
+    assert {"demo", "test", "lint", "bench"} <= targets
+    named = {
+        target
+        for page in PAGES
+        for target in re.findall(r"(?:^|`)make (\w+)", page.read_text(encoding="utf-8"), re.M)
+    }
+    assert named <= targets
+
+
+@every_pin_file
+def test_pins_carry_hashes_and_no_address(pins):
+    text = pins.read_text(encoding="utf-8")
+    logical = re.sub(r"\\\n", " ", re.sub(r"^ *#.*\n", "", text, flags=re.MULTILINE)).splitlines()
+    assert logical
+    pin = re.compile(r"[a-z0-9.-]+==\S+( ; [^\\-]+?)?( +--hash=sha256:[0-9a-f]{64})+")
+    assert [line for line in logical if not pin.fullmatch(line)] == []
+    assert "//" not in text
+
+
+@pytest.mark.parametrize(("extra", "pins"), [("dev", "dev.txt"), ("bench", "bench.txt")])
+def test_pins_meet_what_the_package_asks_for(extra, pins):
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    asked = [*project["dependencies"], *project["optional-dependencies"][extra]]
+    text = (ROOT / "requirements" / pins).read_text(encoding="utf-8")
+    pinned = {}
+    for name, version in re.findall(r"^([a-z0-9.-]+)==([^ ;]+)", text, re.MULTILINE):
+        pinned.setdefault(name, []).append(version)
+    for requirement in map(Requirement, asked):
+        versions = pinned.get(requirement.name.lower(), [])
+        assert versions, f"{requirement.name} has no pin: run make lock"
+        assert all(requirement.specifier.contains(version) for version in versions)
+
+
+TEXT = {".py", ".md", ".toml", ".txt", ".json", ".csv", ".svg", ".html", ".css", ".ts", ""}
+MACHINE_PATH = re.compile(r"(?<![\w.])/(?:home|root|Users|work)/|\b[A-Z]:\\+Users\b")
+
+
+def test_no_file_names_a_path_of_somebody_s_machine():
+    places = ("src", "tests", "docs", "benchmarks", "requirements", ".ci")
+    files = [path for place in places for path in (ROOT / place).rglob("*")]
+    files += ROOT.iterdir()
+    offenders = [
+        path.relative_to(ROOT).as_posix()
+        for path in files
+        if path.is_file()
+        and path.suffix in TEXT
+        and MACHINE_PATH.search(path.read_text(encoding="utf-8"))
+    ]
+    assert offenders == []
+    assert MACHINE_PATH.search("see " + "/home" + "/somebody/records")
