@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.campaign.checking import Problems
+from counterspin.campaign.checking import M, Problems
 from counterspin.campaign.quantity import Quantity, unit_factor
 from counterspin.campaign.resolved import (
     Accelerometer,
@@ -118,7 +118,7 @@ class _Reading:
         self.file = file
         self.problems = problems
         problems.check(DocumentSettings, raw, ())
-        self.site = problems.check(SiteSettings, self._table("site"), ("site",))
+        self.site = self._required(SiteSettings, "site")
         # Without a site any gravity serves, lest g against m/s^2 be blamed for its absence.
         self.gravity = self.site.gravity.value if self.site else 9.80665
         self.simulated = "simulation" in raw or "truth" in raw
@@ -130,12 +130,17 @@ class _Reading:
         value = self.raw.get(key)
         return value if isinstance(value, dict) else {}
 
+    def _required(self, model: type[M], key: str) -> M | None:
+        """Check a section that must be there; that it is absent is noted already."""
+        value = self.raw.get(key)
+        return self.problems.check(model, value, (key,)) if isinstance(value, dict) else None
+
     def campaign(self) -> Campaign | None:
         """Return the campaign, or None if there are problems."""
         problems, gravity = self.problems, self.gravity
         info = problems.check(CampaignSettings, self._table("campaign"), ("campaign",))
-        centrifuge = problems.check(CentrifugeSettings, self._table("centrifuge"), ("centrifuge",))
-        records = problems.check(RecordsSettings, self._table("records"), ("records",))
+        centrifuge = self._required(CentrifugeSettings, "centrifuge")
+        records = self._required(RecordsSettings, "records")
         noise = self._noise()
         mountings = self._mountings()
         tables = {
