@@ -142,7 +142,7 @@ def assess(
 
     loose = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
     found = _separate(root, problem.limits, loose, range(free.size), bucking)
-    named = [set(terms) for _, terms in found]
+    named = [set(group) for group in _connected([terms for _, terms in found])]
     pairs = [
         pair
         for pair in problem.bucking_pairs(bucking)
@@ -303,11 +303,11 @@ def _regress(root: Array, i: int, others: Sequence[int]) -> Array:
     return weights
 
 
-def _connected(pairs: Sequence[tuple[int, int]]) -> list[list[int]]:
-    """Join pairs that share a member into groups."""
+def _connected(sets: Sequence[Sequence[int]]) -> list[list[int]]:
+    """Join sets that share a member into groups."""
     groups: list[set[int]] = []
-    for pair in pairs:
-        joined = set(pair).union(*(group for group in groups if group & set(pair)))
+    for members in sets:
+        joined = set(members).union(*(group for group in groups if group & set(members)))
         groups = [group for group in groups if not group & joined] + [joined]
     return [sorted(group) for group in groups]
 
