@@ -127,7 +127,7 @@ def test_velocity_of_specific_force_is_its_integral(trajectory):
         expected = 0.5 * end * (weights @ force)
         got = trajectory.velocity_of_specific_force(np.array([0.0, end]))
         np.testing.assert_array_equal(got[0], 0.0)
-        np.testing.assert_allclose(got[1], expected, rtol=0, atol=1e-12)
+        np.testing.assert_allclose(got[1], expected, rtol=0, atol=1e-11)
 
 
 def test_every_point_of_the_case_feels_the_same():

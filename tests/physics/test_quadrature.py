@@ -1,0 +1,111 @@
+"""The integrator: exact where it must be, right between edges, and stopped at kinks."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.polynomial import Polynomial
+
+from counterspin.physics.quadrature import NODES, integrate, panel_edges, sign_changes
+from counterspin.physics.spindle import Ripple, Spindle
+
+EDGES = np.array([0.0, 0.4, 1.0, 1.1, 2.5])
+TIMES = np.array([0.0, 0.05, 0.4, 0.7, 1.05, 1.1, 2.0, 2.5])
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@settings(deadline=None, derandomize=True, max_examples=60)
+@given(coefficients=st.lists(st.floats(-3, 3), min_size=1, max_size=NODES))
+def test_polynomials_up_to_the_number_of_nodes_are_exact_everywhere(order, coefficients):
+    polynomial = Polynomial(coefficients)
+    got = integrate(lambda t: polynomial(t)[None], EDGES, TIMES, order)[:, 0]
+    expected = polynomial.integ(order)(TIMES)
+    size = Polynomial(np.abs(coefficients)).integ(order)(TIMES)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-14 * size.max() + 1e-300)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_several_functions_at_once_in_any_order_of_times(order):
+    shuffled = TIMES[[5, 0, 7, 2, 2, 1]]
+    got = integrate(lambda t: np.stack([np.exp(t), np.cos(3 * t)]), EDGES, shuffled, order)
+    exp, cos = np.exp(shuffled), np.cos(3 * shuffled)
+    expected = {
+        1: [exp - 1, np.sin(3 * shuffled) / 3],
+        2: [exp - 1 - shuffled, (1 - cos) / 9],
+    }[order]
+    assert got.shape == (6, 2)
+    np.testing.assert_allclose(got.T, expected, rtol=0, atol=3e-14)
+
+
+def test_a_million_times_are_evaluated_like_three():
+    many = np.linspace(0.0, 2.5, 200_001)  # more than one chunk
+    got = integrate(lambda t: np.cos(t)[None], EDGES, many, 2)[:, 0]
+    np.testing.assert_allclose(got, 1 - np.cos(many), rtol=0, atol=3e-15)
+
+
+def test_no_times_give_no_rows():
+    assert integrate(lambda t: np.cos(t)[None], EDGES, np.empty(0), 2).shape == (0, 1)
+
+
+@pytest.mark.parametrize("outside", [-0.01, 2.51])
+def test_times_outside_the_panels_are_refused(outside):
+    with pytest.raises(ValueError, match="outside the panels"):
+        integrate(lambda t: np.cos(t)[None], EDGES, np.array([1.0, outside]), 1)
+
+
+@pytest.mark.parametrize("rate", [2.0, -2.0])
+@pytest.mark.parametrize("harmonic", [0, 1, 5])
+def test_panels_resolve_the_highest_harmonic(rate, harmonic):
+    ripples = (Ripple(harmonic, 1e-3, 0.0),) if harmonic else ()
+    duration = 100.0
+    edges = panel_edges(Spindle(rate, ripples=ripples), duration)
+    assert edges[0] == 0.0
+    assert edges[-1] == duration
+    # The cubed force has three times the spindle's frequency; ripple adds its own.
+    period = 2 * math.pi / ((3 + harmonic) * abs(rate))
+    assert np.all(np.diff(edges) > 0.0)
+    assert np.diff(edges).max() <= 0.75 * period * (1 + 1e-9)
+
+
+def test_a_short_integration_still_has_a_panel():
+    edges = panel_edges(Spindle(1.0), 1e-6)
+    np.testing.assert_array_equal(edges, [0.0, 1e-6])
+
+
+def test_breaks_become_edges_once():
+    plain = panel_edges(Spindle(1.0), 10.0)
+    breaks = np.array([-1.0, 0.0, 0.123, plain[3], plain[4] * (1 + 1e-15), 10.0, 11.0])
+    edges = panel_edges(Spindle(1.0), 10.0, breaks)
+    assert edges.size == plain.size + 1
+    assert 0.123 in edges
+    assert np.diff(edges).min() > 1e-9
+    np.testing.assert_array_equal(panel_edges(Spindle(1.0), 10.0, np.empty(0)), plain)
+
+
+def test_sign_changes_are_found_to_rounding():
+    found = sign_changes(lambda t: np.sin(3 * t + 0.5), np.linspace(0.0, 20.0, 30))
+    expected = (np.arange(1, 20) * math.pi - 0.5) / 3
+    np.testing.assert_allclose(found, expected, rtol=4e-16, atol=4e-16)
+
+
+def test_a_function_without_sign_change_has_no_breaks():
+    assert sign_changes(lambda t: 1.5 + np.sin(t), np.linspace(0.0, 20.0, 30)).size == 0
+
+
+def test_a_kink_costs_digits_unless_it_is_an_edge():
+    """|sin| over many half waves: exact with the edges at the zeros, poor without."""
+    duration = 40.3
+    plain = panel_edges(Spindle(1.0), duration)
+    breaks = sign_changes(np.sin, plain)
+    split = panel_edges(Spindle(1.0), duration, breaks)
+    waves = int(duration / math.pi)
+    expected = 2.0 * waves + 1.0 - math.cos(duration - waves * math.pi)
+    end = np.array([duration])
+    errors = [
+        abs(integrate(lambda t: np.abs(np.sin(t))[None], edges, end, 1)[0, 0] - expected)
+        for edges in (plain, split)
+    ]
+    assert errors[0] > 1e-5
+    assert errors[1] < 1e-13
