@@ -1,0 +1,401 @@
+"""The clock of a record, and the encoder as its witness.
+
+`Clock.accept` takes a piece of a record and returns the rows that can be used, with the angle
+unwrapped. Time never runs backwards; rows with the same time are one row; missing rows are gaps.
+The encoder is the witness of the clock: across a gap the angle must have advanced with the time,
+and a sample that does not fit its neighbours is dropped when the angle comes back, and is a jump,
+which is refused, when it does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from counterspin.errors import RecordError
+
+#: Most gaps, and most rows of each kind of finding, that are listed; all are counted.
+LISTED = 100
+_TURN = 2 * math.pi
+_MAD = 1.4826
+#: Robust standard deviations that a step of the angle may stray from its neighbours.
+_LIMIT = 10.0
+#: The part of the advance across a gap by which the rate may have changed meanwhile.
+_GAP_SLACK = 1e-3
+
+#: Ratios of measured to nominal rate that come of a mistaken unit, and what to say.
+_UNIT_SLIPS = (
+    (180 / math.pi, "Is the angle column in degrees?"),
+    (math.pi / 180, "Is the angle column in radians?"),
+    (_TURN, "Is the angle column in radians rather than revolutions?"),
+    (1 / _TURN, "Is the angle column in revolutions?"),
+    (360.0, "Is the angle column in degrees rather than revolutions?"),
+    (1 / 360, "Is the angle column in revolutions rather than degrees?"),
+    (1e-3, "Is the time column in milliseconds?"),
+    (1e3, "Is the time column in seconds rather than milliseconds?"),
+    (1e-6, "Is the time column in microseconds?"),
+    (1e6, "Is the time column in seconds rather than microseconds?"),
+    (1e-9, "Is the time column in nanoseconds?"),
+    (1 / 60, "Is the time column in seconds rather than minutes, or the rate per minute?"),
+    (60.0, "Is the time column in minutes, or the rate per minute?"),
+)
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Missing rows: the time of the last row before them and the time to the next row, s."""
+
+    time: float
+    length: float
+
+
+@dataclass
+class ClockFindings:
+    """What was found in the time and angle columns (counts of rows)."""
+
+    repeated: int = 0
+    differing: int = 0
+    empty_time: int = 0
+    empty_angle: int = 0
+    angle_outliers: int = 0
+    outlier_rows: list[int] = field(default_factory=list)
+    gaps: list[Gap] = field(default_factory=list)
+    gap_count: int = 0
+    wrapped: bool = False
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """The usable rows of a piece: `rows` are places in the piece, None when all are used."""
+
+    rows: np.ndarray | None
+    time: np.ndarray
+    angle: np.ndarray | None
+    even: bool
+
+
+class Clock:
+    """Checks time and angle, piece after piece.
+
+    Parameters
+    ----------
+    path
+        The file, to name it in messages.
+    locate
+        Tells where a row stands in the file.
+    nominal_rate
+        The run's stated rate, rad/s, signed.
+    """
+
+    def __init__(self, path: object, locate: Callable[[int], str], nominal_rate: float) -> None:
+        self._path = path
+        self._locate = locate
+        self.rate = nominal_rate
+        self.step = math.nan
+        self.found = ClockFindings()
+        self._last_row = -1
+        self._last_time = math.nan
+        self._last_angle = math.nan
+        self._last_values: list[float] = []
+        # The first row of a run of unfitting angles that is still open, its time, and its fault.
+        self._lost: int | None = None
+        self._lost_time = math.nan
+        self._lost_words = ""
+
+    def _fail(self, row: int, words: str) -> RecordError:
+        return RecordError(f"{self._path}, {self._locate(row)}: {words}")
+
+    def start(self, time: np.ndarray, angle: np.ndarray | None) -> None:
+        """Take the spacing and the rate from the first piece; refuse a wrong rate or unit."""
+        good = np.isfinite(time) if angle is None else np.isfinite(time) & np.isfinite(angle)
+        t = time[good]
+        steps = np.diff(t)
+        if not (steps > 0).any():
+            if (steps < 0).any():
+                row = int(np.flatnonzero(good)[np.flatnonzero(steps < 0)[0] + 1])
+                raise self._fail(row, "time runs backwards.")
+            raise RecordError(f"{self._path}: fewer than two rows differ in time.")
+        self.step = float(np.median(steps[steps > 0]))
+        if angle is None:
+            return
+        a = angle[good]
+        nominal = self.rate
+        # Differences over an eighth of a revolution: long against the encoder's noise and step,
+        # short against a turn, so that one median serves wrapped and unwrapped angles.
+        lag = int(np.clip(_TURN / 8 / abs(nominal * self.step), 1, max(1, len(t) // 4)))
+        spans = t[lag:] - t[:-lag]
+        usual = (spans > 0) & (spans < 1.5 * lag * self.step)
+        measured = float(np.median((a[lag:] - a[:-lag])[usual] / spans[usual]))
+        ratio = measured / nominal
+        if abs(ratio - 1) > 0.05:
+            raise RecordError(f"{self._path}: {_rate_words(measured, nominal)}")
+        turned = (a[lag:] - a[:-lag])[usual] - nominal * spans[usual]
+        turned -= _TURN * np.round(turned / _TURN)
+        self.rate = nominal + float(np.median(turned / spans[usual]))
+
+    def accept(self, first_row: int, columns: list[np.ndarray], has_angle: bool) -> Accepted:
+        """Check one piece.
+
+        Parameters
+        ----------
+        first_row
+            The row of the file at which the piece begins.
+        columns
+            Time (s), angle (rad; if `has_angle`), then the signals: arrays (n,), NaN where empty.
+        has_angle
+            Whether the second column is the angle.
+
+        Raises
+        ------
+        RecordError
+            Time runs backwards, a value is infinite, or the clock or the angle jumps.
+        """
+        time = columns[0]
+        angle = columns[1] if has_angle else None
+        quick = self._accept_whole(first_row, time, angle)
+        accepted = quick or self._accept_rows(first_row, columns, time, angle)
+        if len(accepted.time):
+            kept = len(time) - 1 if accepted.rows is None else int(accepted.rows[-1])
+            self._last_row = first_row + kept
+            self._last_time = float(accepted.time[-1])
+            self._last_values = [float(column[kept]) for column in columns]
+            if accepted.angle is not None:
+                self._last_angle = float(accepted.angle[-1])
+                span = self._last_time - float(accepted.time[0])
+                if abs(self.rate) * span > 1.0:
+                    self.rate = (self._last_angle - float(accepted.angle[0])) / span
+        return accepted
+
+    def _accept_whole(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
+        self, first_row: int, time: np.ndarray, angle: np.ndarray | None
+    ) -> Accepted | None:
+        """Take the piece as it stands, if nothing in it needs attention (NaN fails every test)."""
+        steps = np.diff(time)
+        if len(steps) == 0 or not (steps.min() > 0 and steps.max() < 1.5 * self.step):
+            return None
+        gone = time[0] - self._last_time if first_row else self.step
+        if not 0 < gone < 1.5 * self.step:
+            return None
+        if angle is None:
+            return Accepted(None, time, None, even=True)
+        if self._lost is not None:
+            return None
+        advance = np.diff(angle)
+        sample = advance[:: max(1, len(advance) // 1024)]
+        usual = float(np.median(sample))
+        tolerance = _tolerance(sample - usual, angle)
+        low, high = float(advance.min()), float(advance.max())
+        if not (low >= usual - tolerance and high <= usual + tolerance):
+            odd = np.flatnonzero(np.abs(advance - usual) > tolerance)
+            turns = np.round((usual - advance[odd]) / _TURN)
+            if not (np.abs(advance[odd] + _TURN * turns - usual) <= tolerance).all():
+                return None
+            lengths = np.diff(odd + 1, prepend=0, append=len(angle))
+            angle = angle + np.repeat(np.append(0.0, _TURN * np.cumsum(turns)), lengths)
+            self.found.wrapped = True
+        if first_row:
+            expected = self._last_angle + self.rate * gone
+            shift = float(np.round((expected - angle[0]) / _TURN))
+            if abs(float(angle[0]) + _TURN * shift - expected) > tolerance:
+                return None
+            if shift:
+                angle = angle + _TURN * shift
+                self.found.wrapped = True
+        return Accepted(None, time, angle, even=True)
+
+    def _accept_rows(
+        self,
+        first_row: int,
+        columns: list[np.ndarray],
+        time: np.ndarray,
+        angle: np.ndarray | None,
+    ) -> Accepted:
+        """Judge a piece row by row."""
+        clock = columns[: 1 if angle is None else 2]
+        for column, word in zip(clock, ("time", "angle"), strict=False):
+            if np.isinf(column).any():
+                row = first_row + int(np.flatnonzero(np.isinf(column))[0])
+                raise self._fail(row, f"the {word} is infinite.")
+        has_time = ~np.isnan(time)
+        self.found.empty_time += int((~has_time).sum())
+        rows = np.flatnonzero(has_time)
+        before = self._last_time if first_row else math.nan
+        steps = np.diff(time[rows], prepend=before)
+        if (steps < 0).any():
+            place = int(np.flatnonzero(steps < 0)[0])
+            earlier = self._last_time if place == 0 else float(time[rows[place - 1]])
+            raise self._fail(
+                first_row + int(rows[place]),
+                f"time runs backwards, from {earlier:.9g} s to {time[rows[place]]:.9g} s "
+                "after the record's start.",
+            )
+        rows = self._drop_repeats(columns, rows, steps)
+        self._note_gaps(time[rows], before)
+        if angle is not None:
+            has_angle = ~np.isnan(angle[rows])
+            self.found.empty_angle += int((~has_angle).sum())
+            rows = rows[has_angle]
+            good, unwrapped = self._follow(first_row, rows, time[rows], angle[rows])
+            rows, angle = rows[good], unwrapped[good]
+        t = time[rows]
+        steps = np.diff(t)
+        even = len(steps) > 0 and bool(steps.max() < 1.5 * self.step)
+        return Accepted(rows, t, angle, even)
+
+    def _drop_repeats(
+        self, columns: list[np.ndarray], rows: np.ndarray, steps: np.ndarray
+    ) -> np.ndarray:
+        again = np.flatnonzero(steps == 0)
+        if not len(again):
+            return rows
+        differ = np.zeros(len(again), dtype=bool)
+        for place, column in enumerate(columns):
+            now = column[rows[again]]
+            then = column[rows[again - 1]]
+            if again[0] == 0:
+                then[0] = self._last_values[place]
+            differ |= (now != then) & ~(np.isnan(now) & np.isnan(then))
+        self.found.repeated += len(again)
+        self.found.differing += int(differ.sum())
+        return np.delete(rows, again)
+
+    def _note_gaps(self, time: np.ndarray, before: float) -> None:
+        steps = np.diff(time, prepend=before)
+        for place in np.flatnonzero(steps > 1.5 * self.step):
+            self.found.gap_count += 1
+            if len(self.found.gaps) < LISTED:
+                length = float(steps[place])
+                self.found.gaps.append(Gap(float(time[place]) - length, length))
+
+    def _follow(
+        self, first_row: int, rows: np.ndarray, time: np.ndarray, angle: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Unwrap the angle along the expected advance; mark the samples that fit it."""
+        good = np.ones(len(rows), dtype=bool)
+        if not len(rows):
+            return good, angle
+        steps = np.diff(time)
+        strays = _wrap(np.diff(angle) - self.rate * steps)
+        usual = float(np.median(strays)) if len(strays) else 0.0
+        base = _tolerance(strays - usual, angle) + abs(usual)
+
+        def misfit(places: np.ndarray, time0: float, angle0: float) -> np.ndarray:
+            gone = time[places] - time0
+            slack = _GAP_SLACK * abs(self.rate) * np.maximum(gone - 1.5 * self.step, 0.0)
+            return np.abs(_wrap(angle[places] - angle0 - self.rate * gone)) - base - slack
+
+        late = np.maximum(steps - 1.5 * self.step, 0.0)
+        bad = np.abs(strays) > base + _GAP_SLACK * abs(self.rate) * late
+        if math.isnan(self._last_angle):
+            # Begin at the first sample that its successor agrees with.
+            begin = int(np.argmin(bad)) if len(bad) else 0
+            good[:begin] = False
+            last, place = begin, begin + 1
+            last_time, last_angle = float(time[begin]), float(angle[begin])
+        else:
+            last, place = -1, 0
+            last_time, last_angle = self._last_time, self._last_angle
+        breaks = np.flatnonzero(bad) + 1
+        patience = max(_TURN / 4 / abs(self.rate), 8 * self.step)
+        while True:
+            if last >= 0:
+                where = np.searchsorted(breaks, last + 1)
+                if where == len(breaks):
+                    break
+                place = int(breaks[where])
+                last_time, last_angle = float(time[place - 1]), float(angle[place - 1])
+            # `place` may not fit the last good sample: look for the first one that does.
+            begun = time[place] if self._lost is None else self._lost_time
+            stop = int(np.searchsorted(time, begun + patience, side="right"))
+            fits = np.flatnonzero(misfit(np.arange(place, stop), last_time, last_angle) <= 0)
+            if len(fits):
+                last = place + int(fits[0])
+                good[place:last] = False
+                self._lost = None
+                continue
+            if self._lost is None:
+                self._lost, self._lost_time = first_row + int(rows[place]), float(begun)
+                gone = float(time[place]) - last_time
+                self._lost_words = _jump_words(
+                    gone,
+                    self.step,
+                    float(_wrap(angle[place] - last_angle - self.rate * gone)),
+                    self.rate,
+                )
+            if stop < len(rows):
+                raise self._fail(self._lost, self._lost_words)
+            good[place:] = False
+            break
+        self.found.angle_outliers += int((~good).sum())
+        room = LISTED - len(self.found.outlier_rows)
+        self.found.outlier_rows += [first_row + int(row) for row in rows[~good][:room]]
+        return good, self._unwrapped(time, angle, good)
+
+    def _unwrapped(self, time: np.ndarray, angle: np.ndarray, good: np.ndarray) -> np.ndarray:
+        angle = angle.copy()
+        t, a = time[good], angle[good]
+        if not len(t):
+            return angle
+        gone, advance = np.diff(t), np.diff(a)
+        turns = np.append(0.0, np.cumsum(np.round((self.rate * gone - advance) / _TURN)))
+        if not math.isnan(self._last_angle):
+            expected = self._last_angle + self.rate * (t[0] - self._last_time)
+            turns += np.round((expected - a[0]) / _TURN)
+        if turns.any():
+            self.found.wrapped = True
+        angle[good] = a + _TURN * turns
+        return angle
+
+    def finish(self) -> None:
+        """Refuse a record that ends on angles which do not fit, unless they are a few."""
+        if self._lost is not None and self.found.angle_outliers and self._open_rows() > 3:
+            raise self._fail(self._lost, self._lost_words)
+
+    def _open_rows(self) -> int:
+        return sum(row >= (self._lost or 0) for row in self.found.outlier_rows)
+
+
+def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
+    """Return how far a step of the angle may stray: noise, the encoder's step, rounding."""
+    size = np.abs(strays)
+    rounding = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
+    apart = size[size > rounding]
+    quantum = float(apart.min()) if len(apart) else 0.0
+    return (
+        _LIMIT * _MAD * float(np.median(size)) + 3 * quantum + rounding if len(size) else rounding
+    )
+
+
+def _wrap(angle: np.ndarray) -> np.ndarray:
+    return angle - _TURN * np.round(angle / _TURN)
+
+
+def _rate_words(measured: float, nominal: float) -> str:
+    ratio = measured / nominal
+    words = (
+        f"the angle advances at {measured:.6g} rad/s, but the run's rate is {nominal:.6g} rad/s."
+    )
+    if abs(ratio + 1) < 0.05:
+        return words + (
+            " The angle runs in the opposite sense to the run's rate: give the rate the other "
+            "sign, or the angle column."
+        )
+    for slip, hint in _UNIT_SLIPS:
+        if abs(abs(ratio) / slip - 1) < 0.05:
+            return f"{words} {hint}"
+    return words + " The two must agree within 5 %: check the rate, and the record's units."
+
+
+def _jump_words(gone: float, step: float, stray: float, rate: float) -> str:
+    if abs(gone / step - 1) < 0.2:
+        return (
+            f"the angle jumps: it is {stray:.4g} rad off what the rows before it lead to, "
+            "and stays off. Cut the record here."
+        )
+    return (
+        f"the clock jumps: time advances by {gone:.6g} s over one row, the angle as in "
+        f"{gone + stray / rate:.6g} s. Cut the record here."
+    )

@@ -1,0 +1,444 @@
+"""Records: the samples of one run, read from a file, checked, cleaned and reduced.
+
+- `ColumnSpec`: a column of the file and its unit
+- `read_record`: file -> `Record`, or a `RecordError` that names the file and the line
+- `Record`: point samples, or means over blocks of at most 1/64 revolution, in SI units
+- `RecordReport`: what was found on the way, counted and listed
+
+Whatever the format and the length, a record passes once through memory, in pieces: its clock is
+checked against the encoder (`record_clock`), outliers are found among their neighbours (`spikes`)
+and the rest is averaged (`reduction`). At the end the amplitudes are checked (`record_amplitude`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from counterspin.campaign.record_amplitude import against_reference, change_of_unit, waves
+from counterspin.campaign.record_clock import LISTED, Clock, Gap
+from counterspin.campaign.record_files import ColumnFile, Columns, open_columns
+from counterspin.campaign.reduction import Blocks, Reducer, block_size, piece_size
+from counterspin.campaign.spikes import find_spikes
+from counterspin.errors import RecordError
+
+#: More empty cells than this part of a run's rows refuse the record.
+MOST_EMPTY = 0.05
+#: Fewest revolutions of a record.
+FEWEST_REVOLUTIONS = 3.0
+
+
+@dataclass(frozen=True)
+class ColumnSpec:
+    """A column of a record file: its name and the factor that turns its unit into SI."""
+
+    name: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A sample that was left out: its column, data row (from 1) and time in the file's clock, s."""
+
+    column: str
+    row: int
+    time: float
+
+
+@dataclass(frozen=True)
+class RecordReport:
+    """What reading a record found.
+
+    Attributes
+    ----------
+    path
+        The file.
+    rows, used
+        Rows of the file, and rows that entered the record.
+    repeated, differing
+        Rows that repeat the time of the row before (dropped), and those of them whose other
+        columns differ from it.
+    empty, outliers
+        Column name -> count of empty cells, and of outlying ones. A row without time or angle is
+        dropped; a cell of a signal is left out of its block, or NaN in a record of points.
+    listed
+        The first outliers, at most 100 for each column.
+    gaps, gap_count
+        The first hundred stretches of missing rows, and how many there are.
+    wrapped
+        Whether the angle was unwrapped.
+    step, rate
+        Usual spacing of the samples, s; rate of the recorded angle, rad/s (None without one).
+    block
+        Samples that a full block holds; 1 for point samples.
+    """
+
+    path: Path
+    rows: int
+    used: int
+    repeated: int
+    differing: int
+    empty: dict[str, int]
+    outliers: dict[str, int]
+    listed: tuple[Outlier, ...]
+    gaps: tuple[Gap, ...]
+    gap_count: int
+    wrapped: bool
+    step: float
+    rate: float | None
+    block: int
+
+    def notes(self) -> list[str]:
+        """Return one plain sentence for each thing found, for warnings and reports."""
+        notes = []
+        if self.repeated:
+            words = f", {self.differing} of them with other values" if self.differing else ""
+            notes.append(f"{self.repeated} repeated rows were dropped{words}.")
+        for column, count in self.empty.items():
+            if count:
+                notes.append(f"{count} empty cells in column '{column}' were left out.")
+        for column, count in self.outliers.items():
+            if count:
+                notes.append(f"{count} outliers in column '{column}' were left out.")
+        if self.gap_count:
+            longest = max(gap.length for gap in self.gaps)
+            words = "1 gap" if self.gap_count == 1 else f"{self.gap_count} gaps"
+            notes.append(f"{words} in the record; the longest takes {longest:.6g} s.")
+        return notes
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run: point samples or block means, in SI units. Arrays (n,).
+
+    Attributes
+    ----------
+    time
+        s since the first sample; of a block, the mean time of its samples.
+    angle
+        rad, unwrapped; None when the file has no angle column.
+    signals
+        Accelerometer -> displacement, velocity or specific force (m, m/s, m/s^2); NaN where that
+        accelerometer has no good sample.
+    count
+        Samples in each block; 1 is a point sample.
+    time_sd
+        s, standard deviation of the times inside each block; 0 for a point.
+    start_time
+        s, the first sample's time in the file's own clock.
+    report
+        What was found.
+    """
+
+    time: np.ndarray
+    angle: np.ndarray | None
+    signals: dict[str, np.ndarray]
+    count: np.ndarray
+    time_sd: np.ndarray
+    start_time: float
+    report: RecordReport
+
+
+def read_record(
+    path: str | Path,
+    time: ColumnSpec,
+    angle: ColumnSpec | None,
+    signals: Mapping[str, ColumnSpec],
+    *,
+    nominal_rate: float,
+    radius: float,
+    input_axes: Mapping[str, np.ndarray] | None = None,
+    block: Literal["auto"] | None = "auto",
+) -> Record:
+    """Read, check, clean and reduce one record.
+
+    Parameters
+    ----------
+    path
+        A .csv, .parquet, .h5, .hdf5 or .mat file.
+    time, angle
+        The columns of time and spindle angle (wrapped or not), or no angle.
+    signals
+        Accelerometer -> its column.
+    nominal_rate
+        The run's stated rate, rad/s; negative turns from north to east.
+    radius
+        m.
+    input_axes
+        Accelerometer -> (3,) unit vector in east, north, up, where the signals are displacements:
+        their swing about the axis is then checked against the radius. None for other observables.
+    block
+        "auto" reduces a record that is denser than 2 samples per 1/64 revolution to block means;
+        None keeps every sample.
+
+    Raises
+    ------
+    RecordError
+        The file is missing, empty or unreadable, a column is missing, a cell holds text or an
+        infinite value, time runs backwards, the clock or the angle jumps, the angle's rate is not
+        the run's, more than 5 % of a column are empty, a unit changes on the way, or there are
+        fewer than three revolutions.
+    """
+    path = Path(path)
+    specs = [time, *([angle] if angle else []), *signals.values()]
+    names = list(dict.fromkeys(spec.name for spec in specs))
+    file = open_columns(path, names)
+    reading = _Reading(file, specs, angle is not None, nominal_rate, block)
+    blocks = reading.run()
+    duration = float(blocks.time[-1] - blocks.time[0])
+    revolutions = duration * abs(nominal_rate) / (2 * np.pi)
+    if revolutions < FEWEST_REVOLUTIONS:
+        raise RecordError(
+            f"{path}: the record lasts {duration:.6g} s, {revolutions:.3g} revolutions at the "
+            f"run's rate; at least {FEWEST_REVOLUTIONS:g} are needed. "
+            "Check the unit of the time column."
+        )
+    return reading.record(blocks, list(signals), radius, input_axes)
+
+
+class _Reading:
+    """The state of reading one file."""
+
+    def __init__(
+        self,
+        file: ColumnFile,
+        specs: list[ColumnSpec],
+        has_angle: bool,
+        nominal_rate: float,
+        block: Literal["auto"] | None,
+    ) -> None:
+        self._file = file
+        self._specs = specs
+        self._places = [file.names.index(spec.name) for spec in specs]
+        self._has_angle = has_angle
+        self._signals = specs[2 if has_angle else 1 :]
+        self._nominal_rate = nominal_rate
+        self._wants_blocks = block == "auto"
+        self._clock = Clock(file.path, file.locate, nominal_rate)
+        self._rows = 0
+        self._empty = [0] * len(self._signals)
+        self._outliers = [0] * len(self._signals)
+        self._listed: list[Outlier] = []
+        self.start_time = 0.0
+        self.block = 1
+
+    def run(self) -> Blocks:
+        """Read the file to its end."""
+        parts: list[Blocks] = []
+        reducer: Reducer | None = None
+        for piece in self._pieces():
+            if reducer is None:
+                self.start_time = self._first_time(piece[0])
+            columns = self._in_si(piece)
+            if reducer is None:
+                self._clock.start(columns[0], columns[1] if self._has_angle else None)
+                reducer = Reducer(self.block, self._clock.step, self._clock.rate)
+            blocks = self._take(columns, reducer)
+            self._rows += len(columns[0])
+            if blocks is not None:
+                parts.append(blocks)
+        if reducer is None:
+            raise RecordError(f"{self._file.path}: the file names its columns, but has no rows.")
+        self._clock.finish()
+        self._refuse_empty()
+        if not parts:
+            raise RecordError(f"{self._file.path}: no row of the record can be used.")
+        return Blocks.joined(parts)
+
+    def _pieces(self) -> Iterator[Columns]:
+        """Yield the columns in pieces of a fixed number of rows, however the file was batched."""
+        size = 0
+        held: list[Columns] = []
+        waiting = 0
+        for batch in self._file.batches():
+            held.append(batch)
+            waiting += len(batch[0])
+            if not size:
+                if waiting < piece_size(1):
+                    continue
+                size = self._choose_size(_joined(held))
+            if waiting < size:
+                continue
+            columns = _joined(held)
+            whole = waiting // size * size
+            for start in range(0, whole, size):
+                yield [column[start : start + size] for column in columns]
+            held = [[column[whole:] for column in columns]]
+            waiting -= whole
+        if not waiting:
+            return
+        columns = _joined(held)
+        size = size or self._choose_size(columns)
+        for start in range(0, waiting, size):
+            yield [column[start : start + size] for column in columns]
+
+    def _choose_size(self, columns: Columns) -> int:
+        """Choose the block from the spacing of the first rows; return the rows to a piece."""
+        time = columns[0][: piece_size(1)] * self._specs[0].factor
+        steps = np.diff(time[np.isfinite(time)])
+        steps = steps[steps > 0]
+        if self._wants_blocks and len(steps):
+            self.block = block_size(float(np.median(steps)), self._nominal_rate)
+        return piece_size(self.block)
+
+    def _first_time(self, time: np.ndarray) -> float:
+        finite = time[np.isfinite(time)]
+        if not len(finite):
+            raise RecordError(
+                f"{self._file.path}: column '{self._specs[0].name}' has no numbers at its start."
+            )
+        return float(finite[0])
+
+    def _in_si(self, piece: Columns) -> Columns:
+        """Return time from the record's start (s), the angle (rad) and the signals as filed."""
+        columns = [piece[place] for place in self._places]
+        if self.start_time:
+            columns[0] = columns[0] - self.start_time
+        for place in range(2 if self._has_angle else 1):
+            factor = self._specs[place].factor
+            if factor != 1:
+                columns[place] = columns[place] * factor
+        return columns
+
+    def _take(self, columns: Columns, reducer: Reducer) -> Blocks | None:
+        accepted = self._clock.accept(self._rows, columns, self._has_angle)
+        signals = columns[-len(self._signals) :] if self._signals else []
+        for place, signal in enumerate(signals):
+            # A sum shows in one pass whether all is finite.
+            if not np.isfinite(signal.sum()):
+                self._empty[place] += int(np.isnan(signal).sum())
+                infinite = np.flatnonzero(np.isinf(signal))
+                if len(infinite):
+                    where = self._file.locate(self._rows + int(infinite[0]))
+                    raise RecordError(
+                        f"{self._file.path}, {where}: column '{self._signals[place].name}' "
+                        "holds an infinite value."
+                    )
+        if accepted.rows is not None:
+            signals = [signal[accepted.rows] for signal in signals]
+        if not len(accepted.time):
+            return None
+        blocks, outliers = reducer.reduce(
+            accepted.time, accepted.angle, list(signals), accepted.even
+        )
+        for place, found in enumerate(outliers):
+            rows = found if accepted.rows is None else accepted.rows[found]
+            self._note_outliers(place, rows + self._rows, accepted.time[found])
+        return blocks
+
+    def _note_outliers(self, place: int, rows: np.ndarray, times: np.ndarray) -> None:
+        room = LISTED - self._outliers[place]
+        self._outliers[place] += len(rows)
+        name = self._signals[place].name
+        start = self.start_time * self._specs[0].factor
+        for row, time in zip(rows[: max(room, 0)], times, strict=False):
+            self._listed.append(Outlier(name, int(row) + 1, float(time) + start))
+
+    def _refuse_empty(self) -> None:
+        found = self._clock.found
+        for name, count in self._empty_counts().items():
+            if count > MOST_EMPTY * self._rows:
+                raise RecordError(
+                    f"{self._file.path}: column '{name}' has {count} empty cells in "
+                    f"{self._rows} rows; at most {MOST_EMPTY:.0%} may be empty."
+                )
+        if found.differing > MOST_EMPTY * self._rows:
+            raise RecordError(
+                f"{self._file.path}: {found.differing} of {self._rows} rows repeat the time of "
+                "the row before with other values; the time column may be too coarse."
+            )
+
+    def _empty_counts(self) -> dict[str, int]:
+        counts = {self._specs[0].name: self._clock.found.empty_time}
+        if self._has_angle:
+            counts[self._specs[1].name] = self._clock.found.empty_angle
+        counts.update(zip((s.name for s in self._signals), self._empty, strict=True))
+        return counts
+
+    def record(
+        self,
+        blocks: Blocks,
+        accelerometers: list[str],
+        radius: float,
+        input_axes: Mapping[str, np.ndarray] | None,
+    ) -> Record:
+        """Check the signals as a whole and assemble the record."""
+        angle = blocks.angle
+        phase = self._nominal_rate * blocks.time if angle is None else angle
+        signals: dict[str, np.ndarray] = {}
+        for place, name in enumerate(accelerometers):
+            spec = self._signals[place]
+            signal = blocks.signals[place] * spec.factor
+            if self.block > 1:
+                signal = self._without_odd_blocks(blocks, place, signal)
+            found = waves(phase, signal)
+            change = change_of_unit(found, phase, signal)
+            if change is not None:
+                sample, words = change
+                at = blocks.time[min(sample, len(blocks.time) - 1)]
+                raise RecordError(
+                    f"{self._file.path}: column '{spec.name}' changes near "
+                    f"{at + self.start_time * self._specs[0].factor:.6g} s (sample {sample + 1} "
+                    f"of {len(signal)}): {words}. Cut the record there or correct the column."
+                )
+            if input_axes is not None:
+                axis = np.asarray(input_axes[name], dtype=float)
+                wrong = against_reference(found, radius, axis, angle is not None)
+                if wrong is not None:
+                    raise RecordError(f"{self._file.path}: column '{spec.name}' {wrong}.")
+            signals[name] = signal
+        return Record(
+            blocks.time,
+            angle,
+            signals,
+            blocks.count,
+            blocks.time_sd,
+            self.start_time * self._specs[0].factor,
+            self._report(blocks),
+        )
+
+    def _without_odd_blocks(self, blocks: Blocks, place: int, signal: np.ndarray) -> np.ndarray:
+        """Leave out block means that stand off from their neighbours (a burst, a dead stretch)."""
+        weight = np.sqrt(blocks.count / self.block)
+        step = self._clock.step * self.block
+        odd = find_spikes(blocks.time, signal, self._clock.rate, step, weight)
+        if odd.any():
+            self._outliers[place] += int(blocks.count[odd].sum())
+            signal = np.where(odd, np.nan, signal)
+        return signal
+
+    def _report(self, blocks: Blocks) -> RecordReport:
+        found = self._clock.found
+        outliers = dict(zip((s.name for s in self._signals), self._outliers, strict=True))
+        listed = list(self._listed)
+        if self._has_angle:
+            name = self._specs[1].name
+            outliers = {name: found.angle_outliers, **outliers}
+            listed += [Outlier(name, row + 1, float("nan")) for row in found.outlier_rows]
+        start = self.start_time * self._specs[0].factor
+        return RecordReport(
+            path=self._file.path,
+            rows=self._rows,
+            used=int(blocks.count.sum()),
+            repeated=found.repeated,
+            differing=found.differing,
+            empty=self._empty_counts(),
+            outliers=outliers,
+            listed=tuple(listed),
+            gaps=tuple(Gap(gap.time + start, gap.length) for gap in found.gaps),
+            gap_count=found.gap_count,
+            wrapped=found.wrapped,
+            step=self._clock.step,
+            rate=self._clock.rate if self._has_angle else None,
+            block=self.block,
+        )
+
+
+def _joined(batches: list[Columns]) -> Columns:
+    if len(batches) == 1:
+        return batches[0]
+    return [np.concatenate(columns) for columns in zip(*batches, strict=True)]

@@ -1,0 +1,190 @@
+"""Means over blocks of at most 1/64 revolution, made piece by piece while a record is read.
+
+A record is cut into pieces of a fixed number of rows, each small enough for the processor's
+cache, and each piece is reduced by itself: blocks never reach across two pieces, so the result
+depends on neither the length of the record nor on how the file was read. In an evenly sampled
+piece a block is a number of rows; where rows are missing it is a span of time. Outliers are found
+before the mean is taken, and the rows that remain carry the block's mean time and angle.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from counterspin.campaign.spikes import find_spikes
+
+#: A block covers at most this part of a revolution: the means then lose nothing of K_II.
+BLOCKS_PER_REVOLUTION = 64
+#: More samples than this in one block gain nothing.
+_LARGEST_BLOCK = 8192
+#: Rows in a piece, about: three columns of them fit the processor's second cache.
+_PIECE = 65536
+
+
+@dataclass(frozen=True)
+class Blocks:
+    """Reduced samples (n,): mean time and spread of the times, s; samples; angle, rad."""
+
+    time: np.ndarray
+    time_sd: np.ndarray
+    count: np.ndarray
+    angle: np.ndarray | None
+    signals: list[np.ndarray]
+
+    @classmethod
+    def joined(cls, parts: list[Blocks]) -> Blocks:
+        """Return the parts one after the other."""
+        return cls(
+            np.concatenate([part.time for part in parts]),
+            np.concatenate([part.time_sd for part in parts]),
+            np.concatenate([part.count for part in parts]),
+            None
+            if parts[0].angle is None
+            else np.concatenate([part.angle for part in parts if part.angle is not None]),
+            [np.concatenate(arrays) for arrays in zip(*(p.signals for p in parts), strict=True)],
+        )
+
+
+def block_size(step: float, rate: float) -> int:
+    """Return the samples to a block: 1 unless the record is denser than 2 samples per block."""
+    longest = 2 * math.pi / (BLOCKS_PER_REVOLUTION * abs(rate))
+    # The tolerance keeps a spacing that divides the block exactly from losing a sample.
+    size = math.floor(longest / step * (1 + 1e-9))
+    return min(size, _LARGEST_BLOCK) if size >= 2 else 1
+
+
+def piece_size(block: int) -> int:
+    """Return the rows to a piece: a whole number of blocks."""
+    return block * max(1, _PIECE // block)
+
+
+class Reducer:
+    """Reduces pieces of a record to blocks.
+
+    Parameters
+    ----------
+    block
+        Samples in a block; 1 keeps point samples.
+    step
+        The usual spacing of the samples, s.
+    rate
+        Spindle rate, rad/s.
+    """
+
+    def __init__(self, block: int, step: float, rate: float) -> None:
+        self._block = block
+        self._step = step
+        self._rate = rate
+
+    def reduce(
+        self, time: np.ndarray, angle: np.ndarray | None, signals: list[np.ndarray], even: bool
+    ) -> tuple[Blocks, list[np.ndarray]]:
+        """Reduce one piece.
+
+        Parameters
+        ----------
+        time, angle
+            (n,) s, increasing; (n,) rad, unwrapped, or None.
+        signals
+            Arrays (n,), NaN where empty.
+        even
+            Whether the rows follow each other without a gap.
+
+        Returns
+        -------
+        blocks
+            The piece, reduced.
+        outliers
+            For each signal the places of its outlying samples.
+        """
+        outliers = [np.flatnonzero(find_spikes(time, x, self._rate, self._step)) for x in signals]
+        clean = not any(len(places) for places in outliers)
+        if self._block == 1:
+            for place, places in enumerate(outliers):
+                if len(places):
+                    signals[place] = signals[place].copy()
+                    signals[place][places] = np.nan
+            zeros = np.zeros(len(time))
+            return Blocks(time, zeros, np.ones(len(time), dtype=int), angle, signals), outliers
+        if even and clean:
+            blocks = self._even_means(time, angle, signals)
+            if all(np.isfinite(x).all() for x in blocks.signals):
+                return blocks, outliers
+        usable = [np.isfinite(x) for x in signals]
+        for mask, places in zip(usable, outliers, strict=True):
+            mask[places] = False
+        return self._means(time, angle, signals, usable, even), outliers
+
+    def _even_means(
+        self, time: np.ndarray, angle: np.ndarray | None, signals: list[np.ndarray]
+    ) -> Blocks:
+        size = self._block
+        whole = len(time) // size * size
+        tail = len(time) - whole
+
+        def means(x: np.ndarray) -> np.ndarray:
+            # A product with a constant vector is the fastest sum along short rows.
+            full = x[:whole].reshape(-1, size) @ np.full(size, 1 / size)
+            return np.append(full, x[whole:].mean()) if tail else full
+
+        mean_time = means(time)
+        spread = time[:whole].reshape(-1, size) - mean_time[: whole // size, None]
+        sd = np.sqrt(np.einsum("ij,ij->i", spread, spread) / size)
+        count = np.full(len(sd), size)
+        if tail:
+            sd = np.append(sd, time[whole:].std())
+            count = np.append(count, tail)
+        return Blocks(
+            mean_time,
+            sd,
+            count,
+            None if angle is None else means(angle),
+            [means(x) for x in signals],
+        )
+
+    def _means(
+        self,
+        time: np.ndarray,
+        angle: np.ndarray | None,
+        signals: list[np.ndarray],
+        usable: list[np.ndarray],
+        even: bool,
+    ) -> Blocks:
+        """Reduce a piece with gaps, empty cells or outliers."""
+        if even:
+            places = np.arange(len(time)) // self._block
+        else:
+            span = self._block * self._step
+            places = np.floor((time - time[0] + 0.5 * self._step) / span).astype(int)
+        starts = np.flatnonzero(np.diff(places, prepend=-1))
+        places = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(time)))
+        rows = np.diff(starts, append=len(time))
+        # One set of rows serves the whole block, so that time and angle are the means of the very
+        # samples that the signals are means of. A signal that lacks most of a block is left out
+        # of it, rather than costing the others their samples.
+        absent = [np.add.reduceat(mask.astype(int), starts) * 2 < rows for mask in usable]
+        keep = np.ones(len(time), dtype=bool)
+        for mask, gone in zip(usable, absent, strict=True):
+            keep &= mask | gone[places]
+        count = np.add.reduceat(keep.astype(int), starts)
+        filled = count > 0
+        divisor = np.maximum(count, 1)
+
+        def means(x: np.ndarray) -> np.ndarray:
+            return np.add.reduceat(np.where(keep, x, 0.0), starts) / divisor
+
+        mean_time = means(time)
+        sd = np.sqrt(means((time - mean_time[places]) ** 2))
+        reduced = []
+        for x, gone in zip(signals, absent, strict=True):
+            reduced.append(np.where(gone, np.nan, means(np.where(np.isfinite(x), x, 0.0)))[filled])
+        return Blocks(
+            mean_time[filled],
+            sd[filled],
+            count[filled],
+            None if angle is None else means(angle)[filled],
+            reduced,
+        )

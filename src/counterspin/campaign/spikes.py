@@ -1,0 +1,185 @@
+"""Outlying samples of a signal, judged against their own neighbours.
+
+Over a window of 128 samples, whatever an accelerometer on a centrifuge indicates (displacement,
+velocity or specific force) is smooth: a constant, a slow trend and a wave of one period a
+revolution. Those few functions are fitted to each window, robustly where it matters, and a sample
+that stands off by more than six standard deviations is an outlier. Six leaves Gaussian data alone
+(2e-9) and finds what would spoil a block mean; the joint fit judges finer, on its own residuals.
+
+Two levels keep this cheap. A plain least-squares projection (one matrix product with a fixed
+basis) screens every window; only windows that fail it are fitted robustly.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+#: Samples in a window.
+WINDOW = 128
+#: Fewest samples that can be judged at all: five functions are fitted to them.
+FEWEST = 16
+#: Standard deviations beyond which a sample is an outlier.
+LIMIT = 6.0
+#: Standard deviations beyond which the screening hands a window to the robust fit.
+_SCREEN = 5.0
+#: A window may be this many times noisier than its surroundings before that counts against it.
+_NOISIER = 4.0
+#: Relative unevenness of the clock that may be ignored, and that which breaks a window.
+_EVEN = 1e-4
+_GAP = 0.3
+#: MAD to standard deviation of Gaussian data.
+_MAD = 1.4826
+
+
+def find_spikes(
+    time: np.ndarray,
+    signal: np.ndarray,
+    rate: float,
+    step: float,
+    weight: np.ndarray | None = None,
+) -> np.ndarray:
+    """Mark the outlying samples of one signal.
+
+    Parameters
+    ----------
+    time
+        (n,) s, increasing; gaps are allowed.
+    signal
+        (n,) any unit; NaN where empty.
+    rate
+        Spindle rate, rad/s.
+    step
+        The usual spacing of the samples, s.
+    weight
+        (n,) optional: the square root of each sample's weight (short block means are noisier).
+
+    Returns
+    -------
+    (n,) bool, true for an outlier; never true where the signal is NaN.
+    """
+    count = len(signal)
+    marks = np.zeros(count, dtype=bool)
+    if count < FEWEST:
+        return marks
+    width = min(WINDOW, count)
+    # The last window overlaps the one before, so that every sample has a full window.
+    starts = np.append(np.arange(0, count - width, width), count - width)
+    finite = np.isfinite(signal)
+    whole = bool(finite.all())
+    filled = signal if whole else _bridge(finite, signal)
+    spaced = np.diff(time) - step
+    unevenness = float(max(spaced.max(), -spaced.min())) / step
+    basis, slopes = _even_basis(width, rate * step)
+    windows = filled[starts[:, None] + np.arange(width)]
+    if unevenness > _EVEN:
+        # Move each sample along the signal's slope to where an even clock would have taken it.
+        times = time[starts[:, None] + np.arange(width)]
+        late = times - times.mean(axis=1, keepdims=True)
+        late -= (np.arange(width) - (width - 1) / 2) * step
+        windows = windows - ((windows @ basis) @ slopes.T) * (late / step)
+    rest = windows - (windows @ basis) @ basis.T
+    sample = rest.ravel()[:: max(1, rest.size // 2048) | 1]
+    centre = np.median(sample)
+    scale = _MAD * np.median(np.abs(sample - centre))
+    peak = np.maximum(rest.max(axis=1) - centre, centre - rest.min(axis=1))
+    suspect = peak > _SCREEN * scale
+    if unevenness > _GAP:
+        broken = np.flatnonzero(np.abs(spaced) > _GAP * step) + 1
+        inside = np.searchsorted(broken, starts + width) - np.searchsorted(broken, starts)
+        suspect |= inside > 0
+    if not suspect.any():
+        return marks
+
+    # Take the scale afresh from robust fits, for outliers everywhere inflate the plain ones.
+    def robust(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        index = starts[chosen, None] + np.arange(width)
+        functions = basis
+        if unevenness > _EVEN:
+            functions = _basis((time[index] - time[index].mean(axis=1, keepdims=True)) * rate)
+        root = 1.0 if weight is None else weight[index]
+        return _robust_residuals(filled[index], functions, finite[index] * root)
+
+    chosen = np.unique(np.linspace(0, len(starts) - 1, 32).astype(int))
+    residuals, scales = robust(chosen)
+    floor = _resolution(filled) / 2
+    scale = max(float(np.median(scales)), floor)
+    suspect |= peak > _SCREEN * scale
+    for part in np.array_split(np.flatnonzero(suspect), -(-int(suspect.sum()) // 1024)):
+        residuals, scales = robust(part)
+        limits = LIMIT * np.clip(scales, scale, _NOISIER * scale)
+        out = np.abs(residuals) > limits[:, None]
+        marks[(starts[part, None] + np.arange(width))[out]] = True
+    return marks & finite
+
+
+def _bridge(finite: np.ndarray, signal: np.ndarray) -> np.ndarray:
+    index = np.arange(len(signal))
+    if not finite.any():
+        return np.zeros(len(signal))
+    return np.interp(index, index[finite], signal[finite])
+
+
+def _resolution(signal: np.ndarray) -> float:
+    """Return the step of a quantised signal: noise below it shows as rare whole steps."""
+    part = np.unique(signal[:4096])
+    rounding = 64 * np.finfo(float).eps * float(np.abs(part).max())
+    steps = np.diff(part)
+    steps = steps[steps > rounding]
+    return max(float(steps.min()) if len(steps) else 0.0, rounding)
+
+
+@lru_cache(maxsize=64)
+def _even_basis(width: int, phase_step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the basis of an evenly sampled window, and its change from sample to sample."""
+    basis = _basis((np.arange(width) - (width - 1) / 2) * phase_step)
+    return basis, np.gradient(basis, axis=0)
+
+
+def _basis(phase: np.ndarray) -> np.ndarray:
+    """Return orthonormal functions (..., width, 5) of the spindle phase about the centre."""
+    half = np.abs(phase).max(axis=-1, keepdims=True)
+    u = phase / half
+    if np.max(half) < 0.25:
+        # Over a short arc the wave is a quartic polynomial (to 5e-7 of its amplitude), and
+        # sine and cosine would be collinear with the trend.
+        functions = [np.ones_like(u), u, u**2, u**3, u**4]
+    else:
+        functions = [np.ones_like(u), u, u**2, np.cos(phase), np.sin(phase)]
+    orthonormal: np.ndarray = np.linalg.qr(np.stack(functions, axis=-1))[0]
+    return orthonormal
+
+
+def _robust_residuals(
+    windows: np.ndarray, basis: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fit each window by least absolute deviations, then bisquare; weighted residuals, scales."""
+    have = weight > 0
+    middle = np.maximum(have.sum(axis=1), 1) // 2
+    tiny = 1e-15 * np.abs(windows).max(axis=1) + 1e-300
+    ridge = 1e-12 * np.eye(basis.shape[-1])
+
+    def fit(w: np.ndarray) -> np.ndarray:
+        weighted = np.swapaxes(basis * w[..., None], -1, -2)
+        normal = weighted @ basis
+        normal += ridge * np.trace(normal, axis1=-2, axis2=-1)[:, None, None] + 1e-300 * ridge
+        amplitudes = np.linalg.solve(normal, weighted @ windows[..., None])
+        residuals: np.ndarray = (windows - (basis @ amplitudes)[..., 0]) * weight
+        return residuals
+
+    def spread(residuals: np.ndarray) -> np.ndarray:
+        size = np.sort(np.where(have, np.abs(residuals), np.inf), axis=1)
+        median: np.ndarray = np.take_along_axis(size, middle[:, None], axis=1)[:, 0]
+        return np.maximum(_MAD * median, tiny)
+
+    residuals = fit(weight**2)
+    for _ in range(10):
+        size = np.maximum(np.abs(residuals), 0.1 * spread(residuals)[:, None])
+        residuals = fit(weight**2 * size.min(axis=1, keepdims=True) / size)
+    for _ in range(4):
+        reach = np.clip(residuals / (6.0 * spread(residuals)[:, None]), -1, 1)
+        residuals = fit(weight**2 * ((1 - reach**2) ** 2 + 1e-12))
+    scale = spread(residuals)
+    used = np.maximum(have.sum(axis=1), basis.shape[-1] + 1)
+    return residuals, scale * np.sqrt(used / (used - basis.shape[-1]))
