@@ -13,10 +13,10 @@ Three sources, each given per sample:
 
 With a random walk, differences of the rows (second ones for displacement, first for velocity,
 divided by uneven steps) remove the start offset and the start velocity for good and leave a
-covariance of `order` off-diagonals: its banded Cholesky factor whitens in O(n). Entries follow from
-the walk's generalised covariance, tau^3/6 for tau > 0 twice integrated and -tau once: averaged over
-two blocks it is an exact polynomial in their distance and widths. Second differences of even point
-samples get N^2 h^3 (2/3, 1/6), of adjoining long blocks N^2 h^3 (11/20, 13/60, 1/120).
+covariance of `order` off-diagonals: its banded Cholesky factor whitens in O(n), exactly for blocks,
+gaps and uneven steps, because means over blocks of a walk's covariance are polynomials in their
+distance and widths. The walk's share for second differences is N^2 h^3 (2/3, 1/6) on even point
+samples and N^2 h^3 (11/20, 13/60, 1/120) on adjoining long blocks.
 Without a random walk a row is divided by its standard deviation, and nothing is removed.
 """
 
@@ -76,7 +76,7 @@ class Differences:
     Attributes
     ----------
     order
-        2, 1 or 0: that many rows and that many off-diagonals fewer, or more.
+        2, 1 or 0: how many rows fewer, and how many off-diagonals.
     blocks
         The samples of each row.
     spacing
@@ -175,7 +175,7 @@ class Differences:
         return bands, 2 * float(np.log(bands[0]).sum())
 
     def _velocity_factor(self, white: float, walk: float) -> Array:
-        from scipy.linalg.lapack import dpbtrf  # noqa: PLC0415
+        from scipy.linalg.lapack import dpbtrf
 
         variance = white / self.blocks.count - walk * self.blocks.mean_distance / 2
         covariance = np.zeros((2, self.rows))
@@ -241,8 +241,8 @@ class Whitener:
 def solve_banded_factor(bands: Array, rows: Array) -> Array:
     """L^-1 rows for a lower banded L as `Differences.factor` gives it."""
     if bands.shape[0] == 1:
-        return rows / (bands[0] if rows.ndim == 1 else bands[0][:, None])
-    from scipy.linalg.lapack import dtbtrs  # noqa: PLC0415
+        return np.asarray(rows / (bands[0] if rows.ndim == 1 else bands[0][:, None]))
+    from scipy.linalg.lapack import dtbtrs
 
     solution, failed = dtbtrs(bands, rows if rows.ndim == 2 else rows[:, None], uplo="L")
     if failed:
