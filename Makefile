@@ -50,7 +50,7 @@ lock: ## Renew the pins: make lock UPGRADE=--upgrade
 clean: ## Remove .venv, caches and build output
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis \
 	  .import_linter_cache
-	find src tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} +
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # --no-emit-index-url: a pin says which file by its hash, not where somebody fetched it.
 # --fork-strategy fewest: one version of each for all Pythons, so that all test the same.
