@@ -220,7 +220,7 @@ class Campaign:
     angle
         Column of the spindle's angle, in rad; None: the nominal rate is taken.
     timing_offset
-        Angle clock minus displacement clock, s; None: not stated.
+        How much later than its displacement the angle of a row was sampled, s; None: not stated.
     accelerometers
         By name, in the file's order.
     noise

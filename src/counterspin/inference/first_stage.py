@@ -62,8 +62,11 @@ class Parabola:
         return math.sqrt(self.covariance[2, 2])
 
 
-def first_stage(strobes: Strobes, sigma: float | None = None) -> Parabola:
+def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float = 0.0) -> Parabola:
     """Fit the strobes with a parabola (Eq. 16-18) and give its uncertainty (Eq. 31).
+
+    The weights are those of white noise, as in the paper; a random walk of the accelerometer's
+    velocity, where one is given, enters the uncertainty only.
 
     Parameters
     ----------
@@ -71,6 +74,8 @@ def first_stage(strobes: Strobes, sigma: float | None = None) -> Parabola:
         At least four; each is weighted by its own noise factor.
     sigma
         Standard deviation of one sample's displacement, m. None: from the residuals.
+    random_walk
+        Coefficient N of the accelerometer's white noise, m/s^2/Hz^0.5.
 
     Returns
     -------
@@ -95,9 +100,12 @@ def first_stage(strobes: Strobes, sigma: float | None = None) -> Parabola:
     squares = float(np.sum((residuals * weight) ** 2))
     used = math.sqrt(squares / (m - 3)) if sigma is None else sigma
     spread = gain * (used * strobes.noise_factor)
+    covariance = spread @ spread.T
+    if random_walk > 0.0:
+        covariance += gain @ _integrated_walk(strobes.time, random_walk) @ gain.T
     return Parabola(
         coefficients=coefficients,
-        covariance=spread @ spread.T,
+        covariance=covariance,
         sigma=used,
         sigma_from_residuals=sigma is None,
         dof=m - 3,
@@ -106,3 +114,11 @@ def first_stage(strobes: Strobes, sigma: float | None = None) -> Parabola:
         gain=gain,
         strobes=strobes,
     )
+
+
+def _integrated_walk(time: Array, random_walk: float) -> Array:
+    """Return the covariance of a twice integrated white noise, m^2, shape (m, m)."""
+    earlier = np.minimum(time[:, None], time)
+    later = np.maximum(time[:, None], time)
+    covariance: Array = random_walk**2 * earlier**2 * (later / 2.0 - earlier / 6.0)
+    return covariance

@@ -31,8 +31,11 @@ _FLOOR: Final = 1e-12
 #: The data improve a prior where they take away at least a tenth of its variance.
 _PRIOR_LEFT: Final = 0.9
 
-#: Weights are written so that what the text neglects is below this part of u.
+#: What the words leave out of a combination is below this part of its u, for any credible size.
 _NEGLIGIBLE: Final = 0.1
+
+#: Terms whose columns agree this well are taken together, whatever their priors.
+_TWINS: Final = 1.0 - 1e-6
 
 
 @dataclass(frozen=True)
@@ -47,11 +50,11 @@ class Confounded:
         Of the two estimates from the data, before the terms' own priors; of more than two terms
         the largest in size among the pairs, the other terms of the set held fixed.
     determined
-        The combination in words, such as ``K_I - K_IP``. Weights are whole numbers where the
-        neglected part, at the terms' largest credible sizes, is below a tenth of `u`, and have
-        four digits elsewhere; `weights` has them in full.
+        The combination in words, such as ``K_I - K_IP``. Terms whose part is below a tenth of
+        `u` at their largest credible size are left out, and weights are whole numbers where that
+        neglects no more; elsewhere they have four digits.
     weights
-        The exact combination, over all unknowns, shape (p,); 1 for the first term of the set.
+        The exact combination, over all unknowns, shape (p,); 1 for the first of the terms.
     value, u
         Its estimate and combined standard uncertainty.
     """
@@ -141,34 +144,42 @@ def assess(
     )
 
     loose = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
-    found = _separate(root, problem.limits, loose, range(free.size), bucking)
-    named = [set(group) for group in _connected([terms for _, terms in found])]
-    pairs = [
-        pair
-        for pair in problem.bucking_pairs(bucking)
-        if not any(set(pair) <= terms for terms in named)
-    ]
-    for group in _connected(pairs):
-        own = problem.root(without_priors=group)
-        found += _separate(own, problem.limits, group, group, bucking)
 
-    confounded = []
-    for short, terms in found:
-        weights = np.zeros(len(symbols))
-        weights[free] = short
-        combined = solution.combine(weights)
-        names = [symbols[free[i]] for i in terms]
+    def describe(weights: Array) -> Confounded | None:
+        """Put a combination of the free unknowns into words."""
+        full = np.zeros(len(symbols))
+        full[free] = weights
+        credible = _NEGLIGIBLE * solution.combine(full).u / problem.limits
+        terms = np.flatnonzero(np.abs(weights) > credible)
+        if terms.size < 2:
+            return None
+        full /= weights[terms[0]]
+        combined = solution.combine(full)
+        names = tuple(symbols[i] for i in free[terms])
         slack = _NEGLIGIBLE * combined.u / problem.limits[terms]
-        confounded.append(
-            Confounded(
-                terms=tuple(names),
-                correlation=problem.correlation(terms),
-                determined=_write(names, short[terms], slack),
-                weights=weights,
-                value=combined.value + float(weights @ offset),
-                u=combined.u,
-            )
+        return Confounded(
+            terms=names,
+            correlation=problem.correlation(terms),
+            determined=_write(names, full[free[terms]], slack),
+            weights=full,
+            value=combined.value + float(full @ offset),
+            u=combined.u,
         )
+
+    loose = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
+    behind = _separate(root, problem.limits, loose, range(free.size), bucking)
+    confounded = [item for weights in behind if (item := describe(weights))]
+    named = [set(group) for group in _connected([item.terms for item in confounded])]
+
+    alike = problem.alike(bucking)
+    twins = _connected([pair for pair, size in alike.items() if size > _TWINS])
+    pairs = [list(pair) for pair in alike if not any(set(pair) <= set(group) for group in twins)]
+    for group in [*twins, *pairs]:
+        if any({symbols[free[i]] for i in group} <= terms for terms in named):
+            continue
+        own = problem.root(without_priors=group)
+        separate = _separate(own, problem.limits, group, group, bucking)
+        confounded += [item for weights in separate if (item := describe(weights))]
     return Assessment(
         determined={name: bool(yes) for name, yes in zip(symbols, determined, strict=True)},
         u=np.sqrt(variance),
@@ -195,28 +206,37 @@ class _Problem:
         inverse = solve_triangular(triangle_of(rows), np.eye(self.floor.size))
         return np.asarray(inverse)
 
-    def correlation(self, terms: Sequence[int]) -> float:
+    def correlation(self, terms: npt.NDArray[np.intp]) -> float:
         """Largest pairwise correlation inside a set, before the set's own priors."""
-        columns = self._inside(np.asarray([terms], dtype=np.intp))[0]
+        columns = self._inside(terms[None])[0]
         cosine = columns.T @ columns
         norms = np.sqrt(np.diag(cosine))
         cosine = cosine / np.outer(norms, norms)
-        worst = max(combinations(range(len(terms)), 2), key=lambda pair: abs(cosine[pair]))
+        worst = max(combinations(range(terms.size), 2), key=lambda pair: abs(cosine[pair]))
         # Two columns that point the same way have estimates that work against each other.
         return float(np.clip(-cosine[worst], -1.0, 1.0))
 
-    def bucking_pairs(self, threshold: float) -> list[tuple[int, int]]:
-        """Pairs that the data see one by one but hardly tell apart, before their own priors."""
+    def alike(self, threshold: float) -> dict[tuple[int, int], float]:
+        """Pairs that the data see one by one but hardly tell apart, before their own priors.
+
+        Returns
+        -------
+        dict
+            The size of each such pair's correlation.
+        """
         pairs = list(combinations(range(self.limits.size), 2))
         if not pairs:
-            return []
+            return {}
         index = np.asarray(pairs, dtype=np.intp)
         columns = self._inside(index)
         norms = np.linalg.norm(columns, axis=1)
         seen = (norms * self.limits[index] >= 1.0).all(axis=1)
+        cosine = np.zeros(len(pairs))
         inner = np.abs(np.sum(columns[:, :, 0] * columns[:, :, 1], axis=1))
-        alike = inner > threshold * norms[:, 0] * norms[:, 1]
-        return [pair for pair, yes in zip(pairs, seen & alike, strict=True) if yes]
+        np.divide(inner, norms[:, 0] * norms[:, 1], out=cosine, where=seen)
+        return {
+            pair: float(size) for pair, size in zip(pairs, cosine, strict=True) if size > threshold
+        }
 
     def _inside(self, sets: npt.NDArray[np.intp]) -> Array:
         """Square-root information about sets of s terms, shape (sets, s, s).
@@ -244,7 +264,7 @@ def _separate(
     loose: Sequence[int],
     candidates: Sequence[int],
     bucking: float,
-) -> list[tuple[Array, list[int]]]:
+) -> list[Array]:
     """Find the combinations that are determined although their terms are not.
 
     Going from the last loose term to the first, a term is either set aside, or it is determined
@@ -254,7 +274,7 @@ def _separate(
     Returns
     -------
     list
-        Weights over all unknowns (1 for the first term) and the terms of each combination.
+        The weights of each combination over all unknowns.
     """
     size = np.linalg.norm(root, axis=1)
     aside: list[int] = []
@@ -286,9 +306,7 @@ def _separate(
             if np.linalg.norm(_regress(root, i, fewer) @ root) <= (1.0 + _NEGLIGIBLE) * best:
                 others = fewer
         if others:
-            weights = _regress(root, i, others)
-            terms = sorted([i, *others])
-            found.append((weights / weights[terms[0]], terms))
+            found.append(_regress(root, i, others))
     return found
 
 
@@ -303,9 +321,9 @@ def _regress(root: Array, i: int, others: Sequence[int]) -> Array:
     return weights
 
 
-def _connected(sets: Sequence[Sequence[int]]) -> list[list[int]]:
+def _connected[T](sets: Sequence[Sequence[T]]) -> list[list[T]]:
     """Join sets that share a member into groups."""
-    groups: list[set[int]] = []
+    groups: list[set[T]] = []
     for members in sets:
         joined = set(members).union(*(group for group in groups if group & set(members)))
         groups = [group for group in groups if not group & joined] + [joined]

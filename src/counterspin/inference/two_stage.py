@@ -82,9 +82,9 @@ class SecondStage:
         Pairs of columns whose correlation in the data is beyond 0.95, with it.
     misfit
         Each run's b2 less the model's, in units of its standard uncertainty, shape (runs,).
-    cubic
-        d(estimate)/d(K_III): what one unit of an ignored K_III would move each unknown by, shape
-        (p,). Ripple makes a parabola of K_III.
+    ignored
+        Term -> d(estimate)/d(coefficient), shape (p,): what one unit of a term that is neither
+        estimated nor considered would move each unknown by. Ripple makes a parabola of K_III.
     weighted
         Whether the runs were weighted by 1/sigma(b2)^2.
     """
@@ -95,7 +95,7 @@ class SecondStage:
     dof: Array
     near_collinear: tuple[tuple[str, str, float], ...]
     misfit: Array
-    cubic: Array
+    ignored: Mapping[str, Array]
     weighted: bool
 
     def estimate(self, symbol: str) -> tuple[float, float]:
@@ -115,6 +115,7 @@ def second_stage(
     nominal_angle: bool = False,
     ripple: as_printed.RippleModel = "amplitude",
     considered: Mapping[str, tuple[float, float]] | None = None,
+    ignored: Sequence[str] = ("K_III",),
     weighted: bool = True,
 ) -> SecondStage:
     """Resolve the b2 of several runs into K_II and the unknowns beside it.
@@ -141,6 +142,8 @@ def second_stage(
     considered
         Further terms (value, standard uncertainty): taken at their value, with their uncertainty
         carried into the result.
+    ignored
+        Terms of which only the effect is wanted that they would have.
     weighted
         Weight the runs by sigma(b2), or not, as the paper does. Priors then count like runs of
         the mean sigma(b2).
@@ -181,7 +184,7 @@ def second_stage(
         means += [value - term(symbol).nominal] * each.shape[1]
         spreads += [sd] * each.shape[1]
         names += [f"{symbol} ({r.name})" for r in runs] if each.shape[1] > 1 else [symbol]
-    ignored = np.column_stack(effects)
+    fixed = np.column_stack(effects)
     b2 = np.array([run.parabola.b2 for run in runs])
     sigma = np.array([run.parabola.u_b2 for run in runs])
     # Where residuals vanish (a noise-free demonstration) any common weight serves.
@@ -189,7 +192,7 @@ def second_stage(
     whitening = sigma if weighted else np.full_like(sigma, math.sqrt(np.mean(sigma**2)))
 
     block = least_squares.reduce_block(
-        design / whitening[:, None], b2 / whitening, None, ignored / whitening[:, None]
+        design / whitening[:, None], b2 / whitening, None, fixed / whitening[:, None]
     )
     solution = least_squares.solve(
         [block],
@@ -204,7 +207,7 @@ def second_stage(
         # Eq. 34: the estimate is unweighted, its uncertainty is that of the actual b2.
         spread = gain * sigma
         solution = replace(solution, covariance_noise=spread @ spread.T)
-    predicted = design @ solution.estimate + ignored @ np.array(means)
+    predicted = design @ solution.estimate + fixed @ np.array(means)
     return SecondStage(
         symbols=symbols,
         solution=solution,
@@ -212,7 +215,7 @@ def second_stage(
         dof=_effective_dof(gain, sigma, [run.parabola for run in runs]),
         near_collinear=_near_collinear(symbols, design / whitening[:, None]),
         misfit=(b2 - predicted) / sigma,
-        cubic=-gain @ observed.effect("K_III"),
+        ignored={symbol: gain @ observed.effect(symbol) for symbol in ignored},
         weighted=weighted,
     )
 

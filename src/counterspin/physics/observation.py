@@ -19,8 +19,6 @@ import numpy as np
 
 from counterspin.physics import quadrature
 from counterspin.physics.accelerometer import (
-    PLATFORM_TERMS,
-    TERMS,
     Array,
     Mounting,
     PlatformTerm,
@@ -275,49 +273,3 @@ def _mean_of_harmonics(factors: Sequence[str]) -> float:
     # The beta integral, (i-1)!! (o-1)!! / (i+o)!! in terms of gamma functions.
     gammas = math.gamma((i + 1) / 2) * math.gamma((o + 1) / 2)
     return gammas / (math.pi * math.gamma((i + o) / 2 + 1))
-
-
-def acting_platform_terms(
-    kind: str, input_axes: Sequence[Array], attitudes: Sequence[Array] = (LEVEL,)
-) -> tuple[str, ...]:
-    """Return the platform terms of a kind that act on level input axes to first order.
-
-    Tilts and drifts act through gravity: those about axes whose turn moves the vertical into an
-    input axis. Of the g-sensitivities the azimuth gyro's to force along the input axis counts,
-    because it alone rectifies.
-
-    Parameters
-    ----------
-    kind
-        ``tilt``, ``drift`` or ``g_sensitivity``.
-    input_axes
-        Unit vectors in the platform's level attitude (east-north-up), each shape (3,).
-    attitudes
-        Attitudes of the runs, each shape (3, 3) with rows x, y, z.
-
-    Returns
-    -------
-    tuple of str
-        Symbols in the order of the table.
-    """
-    acting = []
-    for row in PLATFORM_TERMS.values():
-        if row.kind != kind:
-            continue
-        for axis in input_axes:
-            for attitude in attitudes:
-                about = np.eye(3)[row.axis] if row.per_run else attitude[row.axis]
-                pointing = axis @ attitude
-                seen = np.cross(about, pointing)
-                if kind == "g_sensitivity":
-                    acts = row.axis == 2 and abs(axis[row.force_axis or 0]) > 1e-9
-                    acts = acts and row.force_axis != 2
-                else:
-                    acts = abs(float(seen[2])) > 1e-9
-                if acts and row.symbol not in acting:
-                    acting.append(row.symbol)
-    return tuple(acting)
-
-
-#: Every symbol of the two tables, accelerometer terms first.
-SYMBOLS: Final = (*TERMS, *PLATFORM_TERMS)

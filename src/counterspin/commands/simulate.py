@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -24,7 +24,10 @@ from counterspin.physics.accelerometer import Array
 from counterspin.physics.motion import Trajectory
 
 #: How the record of each ending is written.
-WRITERS: Final = {".csv": pl.DataFrame.write_csv, ".parquet": pl.DataFrame.write_parquet}
+WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
+    ".csv": lambda frame, path: frame.write_csv(path),
+    ".parquet": lambda frame, path: frame.write_parquet(path),
+}
 
 
 def simulate(campaign: Campaign, folder: Path, *, overwrite: bool = False) -> tuple[Path, ...]:

@@ -1,0 +1,7 @@
+"""`python -m counterspin`: the command line."""
+
+import sys
+
+from counterspin.cli import main
+
+sys.exit(main())

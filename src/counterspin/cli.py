@@ -1,0 +1,146 @@
+"""The command line: words to calls, errors to one paragraph, nothing else.
+
+Each command imports what it uses when it runs, so that `--help` answers at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from cyclopts import App, CycloptsError, Parameter
+
+from counterspin._version import __version__
+from counterspin.errors import CampaignError, CounterspinError
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+app = App(
+    name="counterspin",
+    help="Calibrate inertial accelerometers on precision centrifuges.",
+    version=__version__,
+)
+
+OutputDirectory = Annotated[Path, Parameter(name=["--output", "-o"])]
+JsonFile = Annotated[Path | None, Parameter(name="--json")]
+
+
+@app.command
+def init(directory: Path) -> None:
+    """Write a commented example campaign to start from.
+
+    Parameters
+    ----------
+    directory
+        Folder for campaign.toml; made if it is not there.
+    """
+    from counterspin.commands.init import init as run
+
+    written = run(directory)
+    _console().print(
+        f"Wrote {written}. Edit it, or try it:\n"
+        f"  counterspin simulate {written} -o {directory}/simulated\n"
+        f"  counterspin calibrate {directory}/simulated"
+    )
+
+
+@app.command
+def simulate(campaign: Path, *, output: OutputDirectory, overwrite: bool = False) -> None:
+    """Make the records of a campaign whose coefficients are known.
+
+    Parameters
+    ----------
+    campaign
+        Campaign description with [truth] tables, or its folder.
+    output
+        Folder for the records and a copy of the description.
+    overwrite
+        Replace records that are already there.
+    """
+    from counterspin.campaign.description import read_campaign
+    from counterspin.commands.simulate import simulate as run
+
+    written = run(read_campaign(campaign), output, overwrite=overwrite)
+    _console().print(f"Wrote {len(written)} records and campaign.toml to {output}.")
+
+
+@app.command
+def calibrate(
+    directory: Path,
+    *,
+    method: Literal["joint", "two-stage"] = "two-stage",
+    model: Literal["exact", "as-printed"] = "exact",
+    json: JsonFile = None,
+    weighted: bool = True,
+    ripple: Literal["amplitude", "ratio"] = "amplitude",
+    fit_bias: bool = True,
+    sigma: Literal["given", "residuals"] = "given",
+) -> None:
+    """Determine the accelerometers' coefficients from a campaign's records.
+
+    Parameters
+    ----------
+    directory
+        The campaign's folder, or its campaign.toml.
+    method
+        The paper's two stages.
+    model
+        Observation model of the two-stage method: the exact one, or the paper's as printed.
+    json
+        Write the result to this file too.
+    weighted
+        Two-stage: weight the runs by sigma(b2); the paper does not.
+    ripple
+        Two-stage, as printed: what is common to all rates, the ripple's amplitude or its ratio.
+    fit_bias
+        Two-stage: estimate K_F with its prior, or take it as known.
+    sigma
+        Two-stage: the displacement noise that the campaign gives, or that of the residuals.
+    """
+    from counterspin.campaign.result import write_result
+    from counterspin.commands.calibrate import calibrate as run
+    from counterspin.commands.two_stage import TwoStageOptions
+    from counterspin.report.text import print_result
+
+    options = TwoStageOptions(
+        model=model,
+        weighted=weighted,
+        ripple=ripple,
+        fit_bias=fit_bias,
+        from_residuals=sigma == "residuals",
+    )
+    result = run(directory, method=method, options=options)
+    if json is not None:
+        write_result(result, json)
+    print_result(result, _console())
+
+
+def _console(*, error: bool = False) -> Console:
+    from rich.console import Console
+
+    return Console(stderr=error, highlight=False)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line and return the exit status: 0 done, 1 failed, 2 wrong usage."""
+    try:
+        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+    except CounterspinError as error:
+        print(f"counterspin: {error}", file=sys.stderr)
+        return error.exit_status
+    except CycloptsError as error:
+        print(f"counterspin: {error}\nTry counterspin --help.", file=sys.stderr)
+        return CampaignError.exit_status
+    except KeyboardInterrupt:
+        print("counterspin: stopped", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

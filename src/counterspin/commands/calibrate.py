@@ -1,0 +1,188 @@
+"""`counterspin calibrate`: from a campaign folder to the accelerometers' error coefficients.
+
+- `calibrate`: read the campaign, observe its runs, estimate, say how sure
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final, Literal
+
+from counterspin._version import __version__
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.observed import ObservedRun, observe
+from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.result import (
+    AccelerometerResult,
+    Inputs,
+    ParabolaResult,
+    Provenance,
+    Result,
+    RippleResult,
+    RunResult,
+)
+from counterspin.commands.two_stage import TwoStageOptions, two_stage
+
+Method = Literal["joint", "two-stage"]
+
+#: Bytes hashed at once.
+_HASH_CHUNK: Final = 1 << 22
+
+
+def calibrate(
+    where: Path | str | Campaign,
+    *,
+    method: Method = "two-stage",
+    options: TwoStageOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Result:
+    """Calibrate every accelerometer of a campaign.
+
+    Parameters
+    ----------
+    where
+        The campaign's folder, its ``campaign.toml``, or a campaign already read.
+    method
+        ``two-stage``: the paper's method.
+    options
+        Of the two-stage method.
+    progress
+        Called with (runs read, runs in all).
+
+    Returns
+    -------
+    Result
+        Coefficients in g-units of the campaign's gravity.
+
+    Raises
+    ------
+    CampaignError
+        If the campaign file is missing or wrong.
+    RecordError
+        If a record cannot be used.
+    NotIdentifiableError
+        If the records cannot determine the unknowns.
+    """
+    campaign = where if isinstance(where, Campaign) else read_campaign(where)
+    files = [campaign.path, *(run.record for run in campaign.runs)]
+    # Checksums are taken beside the reading: both wait for the disk, neither for the other.
+    with ThreadPoolExecutor(1) as beside:
+        checksums = beside.map(_checksum, files)
+        observed = _observed(campaign, progress)
+        inputs = dict(zip((_name(campaign, file) for file in files), checksums, strict=True))
+    options = options or TwoStageOptions()
+    accelerometers: dict[str, AccelerometerResult] = {}
+    parabolas: dict[str, dict[str, ParabolaResult]] = {run.run.name: {} for run in observed}
+    for name, accelerometer in campaign.accelerometers.items():
+        outcome = two_stage(campaign, observed, accelerometer, options)
+        accelerometers[name] = outcome.result
+        for run, parabola in outcome.parabolas.items():
+            parabolas[run][name] = parabola
+    return Result(
+        method=method,
+        model=options.model,
+        title=campaign.title,
+        accelerometers=accelerometers,
+        runs={run.run.name: run_result(run, parabolas=parabolas[run.run.name]) for run in observed},
+        inputs=Inputs(
+            gravity=campaign.gravity.value,
+            latitude=campaign.latitude.value,
+            radius=campaign.radius.value,
+        ),
+        details=dict(campaign.details),
+        warnings=campaign_warnings(campaign, observed),
+        provenance=Provenance(version=__version__, inputs=inputs),
+    )
+
+
+def _observed(
+    campaign: Campaign, progress: Callable[[int, int], None] | None
+) -> tuple[ObservedRun, ...]:
+    observed = []
+    for run in observe(campaign):
+        observed.append(run)
+        if progress is not None:
+            progress(len(observed), len(campaign.runs))
+    return tuple(observed)
+
+
+def _name(campaign: Campaign, file: Path) -> str:
+    """Return a file's name as the campaign knows it: relative to its folder where it can be."""
+    try:
+        return file.relative_to(campaign.folder).as_posix()
+    except ValueError:
+        return str(file)
+
+
+def _checksum(file: Path) -> str:
+    digest = hashlib.sha256()
+    try:
+        with file.open("rb") as stream:
+            while chunk := stream.read(_HASH_CHUNK):
+                digest.update(chunk)
+    except OSError:
+        # Reading the record says what is wrong with the file, and says it better.
+        return "unreadable"
+    return f"sha256:{digest.hexdigest()}"
+
+
+def run_result(run: ObservedRun, *, parabolas: dict[str, ParabolaResult]) -> RunResult:
+    """Return what one run showed of its rotation and its samples."""
+    rotation, report = run.rotation, run.record.report
+    spindle = run.trajectory.spindle
+    outliers, empty = sum(report.outliers.values()), sum(report.empty.values())
+    ripples = [
+        RippleResult(
+            harmonic=ripple.harmonic,
+            amplitude=ripple.amplitude,
+            u_amplitude=u_amplitude,
+            phase=ripple.phase,
+            u_phase=u_phase,
+        )
+        for ripple, (u_amplitude, u_phase) in zip(
+            spindle.ripples, rotation.u_ripples if rotation else (), strict=True
+        )
+    ]
+    return RunResult(
+        rate=spindle.rate,
+        u_rate=rotation.u_rate if rotation else None,
+        drift=spindle.drift,
+        u_drift=rotation.u_drift if rotation else None,
+        ripples=ripples,
+        angle_rms=rotation.rms if rotation else None,
+        samples=report.used,
+        rejected=report.repeated + empty + outliers,
+        counts={
+            "rows": report.rows,
+            "repeated": report.repeated,
+            "empty": empty,
+            "outliers": outliers,
+            "gaps": report.gap_count,
+            "block": report.block,
+        },
+        notes=report.notes(),
+        parabolas=parabolas,
+    )
+
+
+def campaign_warnings(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
+    """Return what a user should know of the campaign as a whole."""
+    warnings = []
+    if campaign.angle is None:
+        warnings.append(
+            "The records have no angle: the nominal rates are taken for the rotation, and the "
+            "drift of the rate is an unknown."
+        )
+    for run in observed:
+        if run.rotation is None:
+            continue
+        rate = run.rotation.spindle.rate
+        if abs(rate / run.run.rate - 1.0) > 1e-3:
+            warnings.append(
+                f"{run.run.name}: the spindle turned at {rate:.6f} rad/s, not at the nominal "
+                f"{run.run.rate:.6f} rad/s; the recorded angle is what counts."
+            )
+    return warnings

@@ -1,0 +1,39 @@
+"""`counterspin init`: a commented campaign description to start from."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+from pathlib import Path
+
+from counterspin.campaign.description import DESCRIPTION_NAME
+from counterspin.campaign.output import write_text
+from counterspin.errors import CounterspinError
+
+
+def init(folder: Path) -> Path:
+    """Write the example description into a folder.
+
+    Parameters
+    ----------
+    folder
+        Made if it is not there.
+
+    Returns
+    -------
+    Path
+        The file written.
+
+    Raises
+    ------
+    CounterspinError
+        If there is a description already, or the folder cannot be written.
+    """
+    target = folder / DESCRIPTION_NAME
+    if target.exists():
+        raise CounterspinError(f"{target} exists; edit it, or choose another folder")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CounterspinError(f"{folder}: cannot be made ({error.strerror})") from error
+    write_text(target, (files("counterspin.campaign") / "starter.toml").read_text("utf-8"))
+    return target

@@ -1,0 +1,354 @@
+"""`--method two-stage`: from observed runs to the paper's result for each accelerometer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from counterspin.campaign.observed import ObservedRun
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.campaign.result import (
+    AccelerometerResult,
+    Coefficient,
+    Confounded,
+    Correlation,
+    NoiseLine,
+    ParabolaResult,
+    Residual,
+)
+from counterspin.errors import NotIdentifiableError
+from counterspin.inference import strobes as strobing
+from counterspin.inference.first_stage import Parabola, first_stage
+from counterspin.inference.two_stage import DRIFT, RIPPLE, SecondStage, StrobedRun, second_stage
+from counterspin.physics.accelerometer import TERMS, term
+from counterspin.physics.as_printed import RippleModel
+
+#: Below this probability a misfit is no accident.
+_SUSPICIOUS: Final = 0.001
+
+
+@dataclass(frozen=True)
+class TwoStageOptions:
+    """How the paper's method is applied.
+
+    Attributes
+    ----------
+    model
+        ``exact`` or ``as-printed``.
+    weighted
+        Whether the second stage weights runs by sigma(b2); the paper does not.
+    ripple
+        As printed: the ripple's ``amplitude`` or its ``ratio`` to the rate is common to the runs.
+    fit_bias
+        Whether K_F is estimated, with its prior, or taken as known.
+    from_residuals
+        Whether sigma is taken from the residuals even where the campaign states it.
+    """
+
+    model: str = "exact"
+    weighted: bool = True
+    ripple: RippleModel = "amplitude"
+    fit_bias: bool = True
+    from_residuals: bool = False
+
+
+@dataclass(frozen=True)
+class TwoStageOutcome:
+    """Both stages of one accelerometer: what the result says, and what it says it from."""
+
+    result: AccelerometerResult
+    parabolas: Mapping[str, ParabolaResult]
+    runs: tuple[StrobedRun, ...]
+    second: SecondStage
+
+
+def two_stage(
+    campaign: Campaign,
+    observed: Sequence[ObservedRun],
+    accelerometer: Accelerometer,
+    options: TwoStageOptions,
+) -> TwoStageOutcome:
+    """Apply the two-stage method to one accelerometer.
+
+    Parameters
+    ----------
+    campaign, accelerometer
+        The description and one of its accelerometers.
+    observed
+        The campaign's runs.
+    options
+        Model, weighting and so on.
+
+    Returns
+    -------
+    TwoStageOutcome
+
+    Raises
+    ------
+    NotIdentifiableError
+        If the accelerometer's record is not a displacement along a horizontal axis, or there are
+        fewer rates than unknowns.
+    RecordError
+        If a run has too few strobes.
+    """
+    if accelerometer.observable != "displacement":
+        raise NotIdentifiableError(
+            f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
+            f"is of {accelerometer.observable.replace('_', ' ')}; use --method joint"
+        )
+    sigma, walk = _noise(campaign, options)
+    runs = tuple(_strobed(run, accelerometer, sigma, walk) for run in observed)
+    priors = _priors(campaign, accelerometer)
+    scale_factor = priors.pop("K_I", (TERMS["K_I"].nominal, 0.0))
+    bias = priors.pop("K_F", (0.0, math.inf))
+    unknown = [s for s in _asked(campaign) if s not in (*priors, "K_II", "K_F", "K_I")]
+    second = second_stage(
+        runs,
+        accelerometer.mounting,
+        model=options.model,
+        scale_factor=scale_factor,
+        bias=bias,
+        fit_bias=options.fit_bias,
+        nominal_angle=campaign.angle is None,
+        ripple=options.ripple,
+        considered=priors,
+        ignored=unknown,
+        weighted=options.weighted,
+    )
+    coefficients = _coefficients(campaign, accelerometer, second, scale_factor, bias)
+    parabolas = [run.parabola for run in runs]
+    result = AccelerometerResult(
+        coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
+        second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
+        correlation=_correlation(second),
+        confounded=[
+            Confounded(terms=[a, b], correlation=r, determined="both, weakly")
+            for a, b, r in second.near_collinear
+        ],
+        residual=_residual(parabolas, walk),
+        noise=_noise_lines(parabolas, walk),
+        warnings=_warnings(campaign, accelerometer, runs, second, options),
+    )
+    return TwoStageOutcome(
+        result, {run.name: _parabola(run.parabola) for run in runs}, runs, second
+    )
+
+
+def _noise(campaign: Campaign, options: TwoStageOptions) -> tuple[float | None, float]:
+    """Return the displacement noise of a sample (None: from residuals) and the random walk."""
+    noise = campaign.noise
+    if noise is None or options.from_residuals:
+        return None, 0.0
+    walk = noise.acceleration if isinstance(noise.acceleration, float) else 0.0
+    step = noise.quantisation if isinstance(noise.quantisation, float) else 0.0
+    if not isinstance(noise.displacement, float):
+        return None, walk
+    sigma = math.hypot(noise.displacement, step / math.sqrt(12.0))
+    return sigma or None, walk
+
+
+def _strobed(
+    run: ObservedRun, accelerometer: Accelerometer, sigma: float | None, walk: float
+) -> StrobedRun:
+    error = run.signals[accelerometer.name].error
+    turned = accelerometer.mounting.turned(run.run.attitude)
+    phase = strobing.strobe_angle(turned.input_axis)
+    time, count = run.record.time, run.record.count
+    if run.rotation is None:
+        found = strobing.by_nominal_rate(time, run.run.rate, error, phase, count)
+    else:
+        angle = run.trajectory.spindle.angle(time)
+        found = strobing.by_angle(time, angle, error, phase, count)
+    parabola = first_stage(found, sigma, walk)
+    return StrobedRun(run.run.name, run.trajectory, parabola, run.run.attitude)
+
+
+def _asked(campaign: Campaign) -> tuple[str, ...]:
+    return (*campaign.model.terms, *campaign.model.considered)
+
+
+def _priors(campaign: Campaign, accelerometer: Accelerometer) -> dict[str, tuple[float, float]]:
+    """Return what is known beforehand, the platform's terms of the model included."""
+    known: dict[str, Quantity] = dict(accelerometer.priors)
+    known |= {s: q for s, q in campaign.model.priors.items() if s in _asked(campaign)}
+    return {symbol: (q.value, q.u) for symbol, q in known.items()}
+
+
+def _coefficients(
+    campaign: Campaign,
+    accelerometer: Accelerometer,
+    second: SecondStage,
+    scale_factor: tuple[float, float],
+    bias: tuple[float, float],
+) -> dict[str, Coefficient]:
+    """Return the unknowns, then the other terms of the model with what is known of them."""
+    found = {}
+    solution = second.solution
+    for index, symbol in enumerate(second.symbols):
+        value = float(solution.estimate[index])
+        noise, prior, considered = (
+            math.sqrt(float(part[index, index]))
+            for part in (
+                solution.covariance_noise,
+                solution.covariance_prior,
+                solution.covariance_considered,
+            )
+        )
+        considered = math.hypot(considered, *_from_inputs(campaign, symbol, value))
+        u = math.hypot(noise, prior, considered)
+        limit = campaign.model.limits.get(symbol, math.inf)
+        known = float(solution.prior_sd[index])
+        dof = float(second.dof[index])
+        estimated = u < limit and not (math.isfinite(known) and u * u > 0.9 * known**2)
+        found[symbol] = Coefficient(
+            value=value,
+            u=u,
+            u_noise=noise,
+            u_prior=prior,
+            u_considered=considered,
+            dof=dof if math.isfinite(dof) else None,
+            unit=_unit(symbol),
+            estimated=estimated,
+        )
+        if not estimated:
+            found[symbol] = _known(symbol, bias if symbol == "K_F" else None)
+    for symbol in campaign.model.terms:
+        if symbol in TERMS and symbol not in found:
+            prior_of = accelerometer.priors.get(symbol)
+            known_of = (prior_of.value, prior_of.u) if prior_of else None
+            found[symbol] = _known(symbol, scale_factor if symbol == "K_I" else known_of)
+    return found
+
+
+def _known(symbol: str, prior: tuple[float, float] | None) -> Coefficient:
+    """Return a coefficient that the data do not determine: its prior, or nothing."""
+    known = prior is not None and math.isfinite(prior[1])
+    return Coefficient(
+        value=prior[0] if prior and known else None,
+        u=prior[1] if prior and known else None,
+        unit=_unit(symbol),
+        estimated=False,
+    )
+
+
+def _unit(symbol: str) -> str:
+    units = {DRIFT: "1/s", RIPPLE: "rad/s"}
+    return units.get(symbol) or term(symbol).unit
+
+
+def _from_inputs(campaign: Campaign, symbol: str, value: float) -> tuple[float, float]:
+    """Return what uncertain radius and gravity add: a b2 of R^n g^(1-n) per unit coefficient."""
+    if symbol not in TERMS:
+        return (0.0, 0.0)
+    degree = len(TERMS[symbol].factors)
+    radius, gravity = campaign.radius, campaign.gravity
+    return (
+        degree * value * radius.u / radius.value,
+        (degree - 1) * value * gravity.u / gravity.value,
+    )
+
+
+def _correlation(second: SecondStage) -> Correlation:
+    covariance = second.solution.covariance
+    u = np.sqrt(np.diag(covariance))
+    matrix = covariance / np.outer(u, u)
+    return Correlation(terms=list(second.symbols), matrix=matrix.tolist())
+
+
+def _residual(parabolas: Sequence[Parabola], walk: float) -> Residual:
+    from scipy.special import chdtrc
+
+    weighted = [p.residuals / p.strobes.noise_factor for p in parabolas]
+    dof = sum(p.dof for p in parabolas)
+    rms = math.sqrt(sum(float(np.sum(w**2)) for w in weighted) / dof)
+    if walk > 0.0 or any(p.sigma_from_residuals for p in parabolas):
+        return Residual(rms=rms, unit="m", dof=dof)
+    chi2 = sum(p.chi2 for p in parabolas)
+    return Residual(rms=rms, unit="m", dof=dof, chi2=chi2, lack_of_fit_p=float(chdtrc(dof, chi2)))
+
+
+def _noise_lines(parabolas: Sequence[Parabola], walk: float) -> dict[str, NoiseLine]:
+    estimated = parabolas[0].sigma_from_residuals
+    dof = sum(p.dof for p in parabolas)
+    sigma = math.sqrt(sum(p.sigma**2 * p.dof for p in parabolas) / dof)
+    lines = {
+        "displacement": NoiseLine(
+            value=sigma,
+            u=sigma / math.sqrt(2.0 * dof) if estimated else None,
+            unit="m",
+            estimated=estimated,
+        )
+    }
+    if walk > 0.0:
+        lines["acceleration"] = NoiseLine(value=walk, unit="m/s^2/Hz^0.5", estimated=False)
+    return lines
+
+
+def _parabola(parabola: Parabola) -> ParabolaResult:
+    b0, b1, b2 = (float(b) for b in parabola.coefficients)
+    return ParabolaResult(
+        b0=b0,
+        b1=b1,
+        b2=b2,
+        u_b2=parabola.u_b2,
+        sigma=parabola.sigma,
+        sigma_from_residuals=parabola.sigma_from_residuals,
+        strobes=parabola.strobes.time.size,
+    )
+
+
+def _warnings(
+    campaign: Campaign,
+    accelerometer: Accelerometer,
+    runs: Sequence[StrobedRun],
+    second: SecondStage,
+    options: TwoStageOptions,
+) -> list[str]:
+    warnings = []
+    if options.model == "as-printed":
+        warnings.append(
+            "The equations are used as printed: their K_II term is twice the exact one, so K_II "
+            "is half of what the accelerometer has. Use --model exact for a calibration."
+        )
+    _, u = second.estimate("K_II")
+    for symbol, effect in second.ignored.items():
+        limit = campaign.model.limits.get(symbol, term(symbol).limit)
+        shift = abs(float(effect[0])) * limit
+        if shift > u and options.model == "exact":
+            warnings.append(
+                f"{symbol} is neither estimated nor known beforehand; at its largest credible "
+                f"size, {limit:.3g} {term(symbol).unit}, it would move K_II by {shift:.2g} g/g^2, "
+                f"more than its uncertainty. Give it a prior, or use --method joint."
+            )
+    warnings += [
+        f"The columns of {a} and {b} are nearly collinear at these rates (correlation {r:.4f})."
+        for a, b, r in second.near_collinear
+    ]
+    warnings += _misfit_warning(runs, second)
+    lost = sum(run.parabola.strobes.lost for run in runs)
+    if lost:
+        warnings.append(f"{lost} strobes fell into gaps of the record and were left out.")
+    return [f"{accelerometer.name}: {warning}" for warning in warnings]
+
+
+def _misfit_warning(runs: Sequence[StrobedRun], second: SecondStage) -> list[str]:
+    from scipy.special import chdtrc
+
+    free = len(second.symbols) - int(np.sum(np.isfinite(second.solution.prior_sd)))
+    dof = len(runs) - free
+    if dof < 1 or second.solution.chi2 <= 0.0:
+        return []
+    probability = float(chdtrc(dof, second.solution.chi2))
+    if probability > _SUSPICIOUS:
+        return []
+    worst = runs[int(np.argmax(np.abs(second.misfit)))].name
+    return [
+        f"The runs do not agree with the model (chi-square {second.solution.chi2:.1f} with {dof} "
+        f"degrees of freedom, p = {probability:.1g}; {worst} is farthest off): a term is missing, "
+        "a prior is wrong, or the noise is larger than stated."
+    ]
