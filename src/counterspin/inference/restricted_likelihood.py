@@ -1,4 +1,4 @@
-"""The restricted likelihood of a noise model: what records say once the unknowns are integrated out.
+"""The restricted likelihood of a noise model: what records say of it, whatever the unknowns are.
 
 Differencing removes start offset and velocity, whitening for a trial ratio of walk to white noise
 and one QR leave a triangle that serves every noise level (Patterson and Thompson, Biometrika 58
@@ -68,6 +68,7 @@ class RestrictedLikelihood:
         prior_rows: ArrayLike | None,
         prior_values: ArrayLike | None,
     ) -> RestrictedLikelihood:
+        """Difference the records; arguments and errors as in `variance_components.estimate`."""
         if not records:
             raise ValueError("noise cannot be estimated from no records")
         if len({record.order for record in records}) > 1:
@@ -114,10 +115,12 @@ class RestrictedLikelihood:
 
     @property
     def rows(self) -> int:
+        """How many differenced rows there are."""
         return sum(d.rows for d in self.differences)
 
     @property
     def evaluations(self) -> int:
+        """For how many ratios the rows were whitened."""
         return len(self.triangles)
 
     @property

@@ -134,8 +134,8 @@ def estimate(
     kept = max(found, key=lambda names: found[names].value - KEEP / 2 * len(names))
     best = found[kept]
     return VarianceComponents(
-        white=math.sqrt(max(best.white - floor, 0.0)),
-        random_walk=math.sqrt(best.walk),
+        white=math.sqrt(max(best.white - floor, 0.0)) if white is None else white,
+        random_walk=math.sqrt(best.walk) if random_walk is None else random_walk,
         quantisation=quantisation,
         covariance=_covariance(likelihood, best),
         estimated=kept,

@@ -1,0 +1,282 @@
+"""Is the fit good? Tests of whitened residuals, run by run.
+
+If the model and the noise are right, whitened residuals are independent with unit variance. Three
+things can show that they are not:
+
+- their size: chi-square against the degrees of freedom (only where the noise was given: estimated
+  noise makes it fit by construction);
+- their signs: too few changes of sign mean something slow was left out (Wald and Wolfowitz, Annals
+  of Mathematical Statistics 11 (1940) 147);
+- their spectrum: one frequency that stands out means something periodic was left out (Fisher, Proc.
+  Royal Society A 125 (1929) 54).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Array = NDArray[np.float64]
+
+#: Below this probability a departure is called one. It is shared among all tests of a fit.
+SIGNIFICANCE: Final = 0.01
+
+
+@dataclass(frozen=True)
+class RunDiagnostics:
+    """Tests of one run's whitened residuals.
+
+    Attributes
+    ----------
+    rows
+        How many residuals.
+    chi2, dof
+        Sum of squares, and this run's share of the degrees of freedom.
+    chi2_p
+        Probability of a larger sum, the noise being as stated.
+    sign_runs, sign_z, sign_p
+        Number of stretches of one sign; its distance from what independence gives, in standard
+        deviations (negative: too few); two-sided probability.
+    peak_frequency
+        Hz where times were given, else cycles per row.
+    peak_share, peak_p
+        Fisher's g, the peak's share of the periodogram, and the probability of a larger one.
+    """
+
+    rows: int
+    chi2: float
+    dof: float
+    chi2_p: float
+    sign_runs: int
+    sign_z: float
+    sign_p: float
+    peak_frequency: float
+    peak_share: float
+    peak_p: float
+
+
+@dataclass(frozen=True)
+class Diagnostics:
+    """Tests of a whole fit.
+
+    Attributes
+    ----------
+    chi2, dof
+        Sum of squares of all whitened residuals and the degrees of freedom.
+    lack_of_fit_p
+        Small means that the model or the noise is wrong. With given noise the probability of a
+        larger chi2; with estimated noise the smallest probability of the sign and peak tests,
+        times their number (Bonferroni), for chi2 then equals dof whatever the model.
+    noise_given
+        Which of the two it is.
+    runs
+        Tests of each run.
+    findings
+        What stands out, one sentence each; empty where nothing does.
+    """
+
+    chi2: float
+    dof: float
+    lack_of_fit_p: float
+    noise_given: bool
+    runs: dict[str, RunDiagnostics]
+    findings: tuple[str, ...]
+
+    @property
+    def verdict(self) -> str:
+        """One or more sentences for the report."""
+        if self.findings:
+            return " ".join(self.findings)
+        size = (
+            f"chi-square {self.chi2:.6g} on {self.dof:.6g} degrees of freedom"
+            if self.noise_given
+            else "noise estimated from the residuals"
+        )
+        return f"The residuals look like independent noise ({size}, p = {self.lack_of_fit_p:.2g})."
+
+
+def diagnose(
+    residuals: Mapping[str, ArrayLike],
+    dof: float,
+    *,
+    noise_given: bool,
+    times: Mapping[str, ArrayLike] | None = None,
+) -> Diagnostics:
+    """Test the whitened residuals of a fit.
+
+    Parameters
+    ----------
+    residuals
+        By run, (n,) whitened residuals in the order of time; n >= 3.
+    dof
+        Degrees of freedom of the whole fit.
+    noise_given
+        False where the noise was estimated from these residuals.
+    times
+        By run, the rows' times, s (any offset), for the frequency of a peak.
+
+    Raises
+    ------
+    ValueError
+        No runs, fewer than three residuals in one, or dof not positive.
+    """
+    values = {name: np.asarray(rows, float) for name, rows in residuals.items()}
+    total = sum(len(rows) for rows in values.values())
+    if not values or min(len(rows) for rows in values.values()) < 3:
+        raise ValueError("residuals can be tested only with three or more of them in every run")
+    if not dof > 0:
+        raise ValueError(f"{dof} degrees of freedom: there is nothing to test")
+    runs = {}
+    for name, rows in values.items():
+        interval = 1.0 if times is None else float(np.median(np.diff(np.asarray(times[name]))))
+        runs[name] = _diagnose_run(rows, dof * len(rows) / total, interval)
+
+    chi2 = float(sum(run.chi2 for run in runs.values()))
+    if noise_given:
+        fit_p = chi_square_p(chi2, dof)
+    else:
+        smallest = min(min(run.sign_p, run.peak_p) for run in runs.values())
+        fit_p = min(1.0, 2 * len(runs) * smallest)
+    findings = _findings(runs, chi2, dof, noise_given, "Hz" if times else "cycles per row")
+    return Diagnostics(chi2, float(dof), fit_p, noise_given, runs, findings)
+
+
+def _diagnose_run(rows: Array, dof: float, interval: float) -> RunDiagnostics:
+    chi2 = float(rows @ rows)
+    count, z, sign_p = runs_test(rows)
+    frequency, share, peak_p = periodogram_peak(rows)
+    return RunDiagnostics(
+        rows=len(rows),
+        chi2=chi2,
+        dof=dof,
+        chi2_p=chi_square_p(chi2, dof),
+        sign_runs=count,
+        sign_z=z,
+        sign_p=sign_p,
+        peak_frequency=frequency / interval,
+        peak_share=share,
+        peak_p=peak_p,
+    )
+
+
+def _findings(
+    runs: Mapping[str, RunDiagnostics], chi2: float, dof: float, noise_given: bool, unit: str
+) -> tuple[str, ...]:
+    """Sentences on what is too unlikely, all tests together at `SIGNIFICANCE`."""
+    limit = SIGNIFICANCE / (3 * len(runs) if noise_given else 2 * len(runs))
+    found = []
+    if noise_given and chi_square_p(chi2, dof) < SIGNIFICANCE:
+        found.append(
+            f"The residuals are {math.sqrt(chi2 / dof):.3g} times as large as the stated noise: "
+            "the noise is stated too small or the model lacks a term."
+        )
+    elif noise_given and chi_square_p(chi2, dof) > 1 - SIGNIFICANCE:
+        found.append(
+            f"The residuals are only {math.sqrt(chi2 / dof):.3g} times as large as the stated "
+            "noise: the noise is stated too large."
+        )
+    for name, run in runs.items():
+        if noise_given and run.chi2_p < limit and len(runs) > 1:
+            found.append(
+                f"{name}: the residuals are {math.sqrt(run.chi2 / run.dof):.3g} times as large as "
+                "the stated noise."
+            )
+        if run.sign_p < limit:
+            found.append(
+                f"{name}: the residuals change sign too {'seldom' if run.sign_z < 0 else 'often'} "
+                f"({run.sign_z:+.1f} standard deviations): neighbours are not independent."
+            )
+        if run.peak_p < limit:
+            found.append(
+                f"{name}: a peak at {run.peak_frequency:.4g} {unit} holds {run.peak_share:.2%} of "
+                "the residuals' variance: something periodic is left in them."
+            )
+    return tuple(found)
+
+
+def chi_square_p(chi2: float, dof: float) -> float:
+    """Probability of a sum of squares larger than `chi2` on `dof` degrees of freedom."""
+    from scipy.special import chdtrc
+
+    return float(chdtrc(dof, chi2))
+
+
+def runs_test(rows: ArrayLike) -> tuple[int, float, float]:
+    """Wald and Wolfowitz's runs test of the signs, by its normal approximation.
+
+    Parameters
+    ----------
+    rows
+        (n,) residuals in the order of time; zeros have no sign and are left out.
+
+    Returns
+    -------
+    Number of runs, its standardised distance from the mean, two-sided probability. Where all signs
+    are equal their order tells nothing: distance 0, probability 1.
+    """
+    from scipy.special import ndtr
+
+    values = np.asarray(rows, float)
+    positive = values[values != 0] > 0
+    up = int(positive.sum())
+    n, down = len(positive), len(positive) - up
+    if up == 0 or down == 0:
+        return min(n, 1), 0.0, 1.0
+    count = 1 + int(np.count_nonzero(positive[1:] != positive[:-1]))
+    mean = 1 + 2 * up * down / n
+    variance = (mean - 1) * (mean - 2) / (n - 1)
+    if variance <= 0:
+        return count, 0.0, 1.0
+    z = (count - mean) / math.sqrt(variance)
+    return count, z, float(2 * ndtr(-abs(z)))
+
+
+def periodogram_peak(rows: ArrayLike) -> tuple[float, float, float]:
+    """Largest line of the periodogram, with Fisher's exact test.
+
+    Parameters
+    ----------
+    rows
+        (n,) evenly spaced residuals, n >= 3. Zero frequency and Nyquist's are not looked at.
+
+    Returns
+    -------
+    Frequency in cycles per row, its share g of the power, probability of a larger share in
+    independent normal noise.
+    """
+    values = np.asarray(rows, float)
+    lines = (len(values) - 1) // 2
+    power = np.abs(np.fft.rfft(values)[1 : lines + 1]) ** 2
+    total = float(power.sum())
+    if total == 0:
+        return 0.0, 0.0, 1.0
+    peak = int(np.argmax(power))
+    share = float(power[peak]) / total
+    return (peak + 1) / len(values), share, fisher_g_p(share, lines)
+
+
+def fisher_g_p(share: float, lines: int) -> float:
+    """Probability that the largest of `lines` exponential shares exceeds `share`.
+
+    sum_j (-1)^(j-1) C(m, j) (1 - j g)^(m-1) over j g < 1 (Fisher 1929).
+    """
+    from scipy.special import gammaln
+
+    if share >= 1:
+        return 1.0 if lines == 1 else 0.0
+    first = lines * (1 - share) ** (lines - 1)
+    if first > 20:  # then p > 1 - 3e-9, and the alternating sum would only lose digits
+        return 1.0
+    j = np.arange(1, min(lines, math.ceil(1 / share) - 1, 200) + 1)
+    log_terms = (
+        gammaln(lines + 1)
+        - gammaln(j + 1)
+        - gammaln(lines - j + 1)
+        + (lines - 1) * np.log1p(-j * share)
+    )
+    return float(np.clip(np.sum(np.where(j % 2, 1.0, -1.0) * np.exp(log_terms)), 0.0, 1.0))
