@@ -91,7 +91,7 @@ class Term:
         Array
             Shape ``a_ipo.shape[1:]``, in g to the power of the product's degree.
         """
-        value = np.full(a_ipo.shape[1:], self.sign)
+        value = np.full(a_ipo.shape[1:], self.sign, dtype=np.float64)
         for factor in self.factors:
             value *= np.abs(a_ipo[0]) if factor == "|I|" else a_ipo["IPO".index(factor)]
         return value
@@ -152,7 +152,9 @@ TERMS: Final[Mapping[str, Term]] = {
         Term("K_OO", ("O", "O"), "second-order output-axis coefficient", "Koo", 1e-4),
         Term("K_OQ", ("I", "|I|"), "odd second-order coefficient", "Koq", 1e-4),
         Term("delta_O", ("P",), "misalignment about the output axis", "delta_o", 1e-2),
-        Term("delta_P", ("O",), "misalignment about the pendulous axis", "delta_p", 1e-2, sign=-1),
+        Term(
+            "delta_P", ("O",), "misalignment about the pendulous axis", "delta_p", 1e-2, sign=-1.0
+        ),
     )
 }
 
