@@ -1,0 +1,260 @@
+"""Numbers as a person reads them: rounded to their uncertainty, in the units of the field.
+
+The one rule is GUM 7.2.6: the uncertainty keeps two significant digits, and the value is rounded
+to the same decimal place. What has no uncertainty keeps as many digits as it is asked for.
+
+- `format_estimate`: ``(2.70445 ± 0.00037) x 1e-5 g/g^2``
+- `format_compact`: ``2.70445(37)e-5``, for tables
+- `format_interval`: ``2.7037 to 2.7052``
+- `format_number`, `format_share`: a number without uncertainty; a part of a whole
+- `round_to_uncertainty`, `Rounded`: the rounding itself
+- `field_unit`: from SI to arcsec, deg/h and the like
+- `speakable`: the same text for a stream that cannot write ±
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from decimal import ROUND_HALF_EVEN, Decimal
+from typing import Final
+
+from counterspin.physics.accelerometer import DEGREE_PER_HOUR
+
+NOT_DETERMINED: Final = "not determined"
+
+_ARCSECOND: Final = math.pi / 648000.0
+_MICRO: Final = 1e6
+
+#: Unit of a result -> the unit it is shown in, and one of the former in the latter.
+_FIELD_UNITS: Final = {
+    "g": ("ug", _MICRO),
+    "g/g^2": ("ug/g^2", _MICRO),
+    "g/g^3": ("ug/g^3", _MICRO),
+    "rad": ("arcsec", 1.0 / _ARCSECOND),
+    "rad/s": ("deg/h", 1.0 / DEGREE_PER_HOUR),
+    "rad/s/g": ("deg/h/g", 1.0 / DEGREE_PER_HOUR),
+    "1/s": ("ppm/h", 3600.0 * _MICRO),
+}
+
+#: Numbers from 0.001 to below a million are written without a power of ten.
+_PLAIN: Final = range(-3, 6)
+
+#: More digits than this are not in a double; the two numbers are then written on their own.
+_DIGITS: Final = 15
+
+#: What streams without these characters get instead.
+_ASCII: Final = {
+    "±": "+/-",
+    "×": "x",
+    "−": "-",
+    "–": "-",
+    "²": "^2",
+    "³": "^3",
+    "µ": "u",
+    "…": "...",
+}
+
+
+def field_unit(unit: str) -> tuple[str, float]:
+    """Return the unit in which the field reads a quantity, and the factor that leads to it.
+
+    Parameters
+    ----------
+    unit
+        As it stands in a result: SI or g-units.
+
+    Returns
+    -------
+    str, float
+        The unit shown and what a number in `unit` is multiplied with; `unit` itself and 1 where
+        it is shown as it is.
+    """
+    return _FIELD_UNITS.get(unit, (unit, 1.0))
+
+
+@dataclass(frozen=True)
+class Rounded:
+    """A value and its uncertainty, both to the second digit of the uncertainty.
+
+    Attributes
+    ----------
+    value, u
+        The digits, in units of ten to the power of `exponent`.
+    exponent
+        The common power of ten; 0 where none is needed.
+    place
+        Power of ten of the last digit kept.
+    """
+
+    value: str
+    u: str
+    exponent: int
+    place: int
+
+    def write(self, number: float) -> str:
+        """Return another number to the same place and in the same power of ten."""
+        return _digits(_exactly(number), self.place, self.exponent)
+
+
+def round_to_uncertainty(value: float, u: float) -> Rounded | None:
+    """Round a value to its uncertainty (GUM 7.2.6; halves to even, ISO 80000-1 B.3 rule A).
+
+    Parameters
+    ----------
+    value, u
+        Finite, u positive.
+
+    Returns
+    -------
+    Rounded or None
+        None if a double does not hold the value to two digits of u.
+    """
+    exact, spread = _exactly(value), _exactly(u)
+    place = spread.adjusted() - 1
+    # 0.0996 rounds to 0.10: one place fewer, or it would have three digits.
+    place += _at(spread, place).adjusted() - spread.adjusted()
+    if exact and exact.adjusted() - place >= _DIGITS:
+        return None
+    largest = max(abs(_at(exact, place)), _at(spread, place)).adjusted()
+    # Zeros before the point that are not significant would pretend to be.
+    exponent = 0 if place <= 0 and largest in _PLAIN else largest
+    return Rounded(
+        value=_digits(exact, place, exponent),
+        u=_digits(spread, place, exponent),
+        exponent=exponent,
+        place=place,
+    )
+
+
+def format_estimate(value: float | None, u: float | None, unit: str = "") -> str:
+    """Write a value with its standard uncertainty and unit.
+
+    Parameters
+    ----------
+    value
+        None, or anything that is not finite: it is not determined, and no value is shown.
+    u
+        Standard uncertainty. 0: the value is exact. None: unknown, and none is shown. Infinite:
+        the value is not determined.
+    unit
+        Of both; empty for a plain number.
+
+    Returns
+    -------
+    str
+        Such as ``1.0019743 ± 0.0000050 g/g`` or ``(2.70445 ± 0.00037) x 1e-5 g/g^2``; without a
+        power of ten, a campaign file reads it as it stands.
+
+    Raises
+    ------
+    ValueError
+        If u is negative.
+    """
+    if not _is_determined(value, u):
+        return NOT_DETERMINED
+    assert value is not None
+    if not u:
+        text = format_number(value, 12 if u == 0.0 else 6)
+        return _with_unit(text, unit) + (" (exact)" if u == 0.0 else "")
+    both = round_to_uncertainty(value, u)
+    if both is None:
+        return _with_unit(f"{format_number(value, 17)} ± {format_number(u, 2)}", unit)
+    text = f"{both.value} ± {both.u}"
+    if both.exponent:
+        text = f"({text}) x 1e{both.exponent}"
+    return _with_unit(text, unit)
+
+
+def format_compact(value: float | None, u: float | None) -> str:
+    """Write a value with the uncertainty of its last digits in brackets (GUM 7.2.2).
+
+    Takes and raises what `format_estimate` does. The result is such as ``1.570796301(12)`` or
+    ``2.70445(37)e-5``; an uncertainty that reaches across the point keeps it, as in ``3.1(1.2)``.
+    """
+    if not _is_determined(value, u):
+        return NOT_DETERMINED
+    assert value is not None
+    if not u:
+        return format_number(value, 12 if u == 0.0 else 6)
+    both = round_to_uncertainty(value, u)
+    if both is None:
+        return format_estimate(value, u)
+    last = both.u.removeprefix("0.").lstrip("0") if both.u.startswith("0.") else both.u
+    return f"{both.value}({last})" + (f"e{both.exponent}" if both.exponent else "")
+
+
+def format_interval(value: float, u: float, half_width: float, unit: str = "") -> str:
+    """Write the interval value ± half_width, its ends rounded to the place of u."""
+    both = round_to_uncertainty(value, u)
+    ends = (value - half_width, value + half_width)
+    if both is None:
+        return _with_unit(" to ".join(format_number(end, 17) for end in ends), unit)
+    text = " to ".join(both.write(end) for end in ends)
+    if both.exponent:
+        text = f"({text}) x 1e{both.exponent}"
+    return _with_unit(text, unit)
+
+
+def format_number(value: float, digits: int = 3) -> str:
+    """Write a number to so many significant digits, without zeros that say nothing."""
+    text = f"{value:.{digits}g}"
+    mantissa, mark, exponent = text.partition("e")
+    return f"{mantissa}e{int(exponent)}" if mark else text
+
+
+def format_share(share: float) -> str:
+    """Write a part of a whole in per cent; what would round to nothing is said to be small."""
+    percent = 100.0 * share
+    if 0.0 < percent < 0.05:
+        return "< 0.1 %"
+    return f"{percent:.1f} %" if percent < 9.95 else f"{percent:.0f} %"
+
+
+def speakable(text: str, encoding: str) -> str:
+    """Return the text with what the encoding lacks put otherwise: ``+/-`` for ``±``.
+
+    A character without such a substitute becomes a question mark.
+    """
+    if _can_write(text, encoding):
+        return text
+    return "".join(c if _can_write(c, encoding) else _ASCII.get(c, "?") for c in text)
+
+
+def _can_write(text: str, encoding: str) -> bool:
+    try:
+        text.encode(encoding)
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def _is_determined(value: float | None, u: float | None) -> bool:
+    if u is not None and u < 0.0:
+        raise ValueError(f"a standard uncertainty cannot be negative; got {u}")
+    if value is None or not math.isfinite(value):
+        return False
+    return u is None or math.isfinite(u)
+
+
+def _with_unit(text: str, unit: str) -> str:
+    return f"{text} {unit}" if unit else text
+
+
+def _exactly(number: float) -> Decimal:
+    # By way of the shortest text: 0.125 +- 0.05 is a tie to a reader, whatever its binary digits.
+    return Decimal(repr(float(number)))
+
+
+def _steps(number: Decimal, place: int) -> Decimal:
+    """Return how many steps of 10^place the number rounds to."""
+    # By way of an integer: a Decimal such as 2E+1 would keep its missing zeros missing.
+    return Decimal(int(number.scaleb(-place).to_integral_value(ROUND_HALF_EVEN)))
+
+
+def _at(number: Decimal, place: int) -> Decimal:
+    return _steps(number, place).scaleb(place)
+
+
+def _digits(number: Decimal, place: int, exponent: int) -> str:
+    return f"{_steps(number, place).scaleb(place - exponent):f}"
