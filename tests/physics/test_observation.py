@@ -1,0 +1,387 @@
+"""Observation columns: high-precision values, first principles without them, and symmetries.
+
+The values in ``tests/reference/double_integrals.json`` are our own. The script beside them,
+``make_double_integrals.py``, makes every one in 40-digit arithmetic from the definitions and
+without this package; it ends its panels at each kink of a_I*|a_I|.
+"""
+
+import importlib.util
+import json
+import math
+from pathlib import Path
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+
+from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, QZ, TERMS, Mounting, indicated
+from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.observation import ORDERS, columns, reference
+from counterspin.physics.spindle import Ripple, Spindle
+
+FOLDER = Path(__file__).parents[1] / "reference"
+DOCUMENT = json.loads((FOLDER / "double_integrals.json").read_text(encoding="utf-8"))
+CASES = {case["label"]: case for case in DOCUMENT["cases"]}
+MOUNTINGS = {"QX": QX, "QY": QY, "QZ": QZ}
+SYMBOLS = [*TERMS, *PLATFORM_TERMS]
+SETTINGS = settings(deadline=None, derandomize=True, max_examples=25)
+
+# --- high-precision values ------------------------------------------------------------------
+
+
+def trajectory_of(case):
+    ripples = tuple(Ripple(n, float(a), float(p)) for n, a, p in case.get("ripples", []))
+    spindle = Spindle(
+        float(case["rate"]),
+        float(case.get("drift", 0)),
+        ripples,
+        float(case.get("start_angle", 0)),
+    )
+    earth_rate = float(DOCUMENT["earth_rate"]) if case.get("earth_rate") else 0.0
+    site = Site(float(DOCUMENT["gravity"]), float(DOCUMENT["latitude"]), earth_rate)
+    return Trajectory(spindle, float(DOCUMENT["radius"]), site)
+
+
+@pytest.mark.parametrize("label", CASES)
+def test_angles_are_those_of_the_reference(label):
+    case = CASES[label]
+    got = trajectory_of(case).spindle.angle(np.array(case["times"], dtype=float))
+    # Three roundings of 253 rad.
+    np.testing.assert_allclose(got, np.array(case["angle"], dtype=float), rtol=0, atol=9e-14)
+
+
+@pytest.mark.parametrize("observable", ["velocity", "displacement"])
+@pytest.mark.parametrize("name", MOUNTINGS)
+@pytest.mark.parametrize("label", CASES)
+def test_columns_agree_with_the_reference_to_1e_11(label, name, observable):
+    case = CASES[label]
+    table = case[observable][name]
+    times = np.array(case["times"], dtype=float)
+    symbols = [*TERMS, *(PLATFORM_TERMS if case.get("platform") else ())]
+    got = columns(trajectory_of(case), MOUNTINGS[name], symbols, times, observable)
+    for symbol, column in zip(symbols, got.T, strict=True):
+        key = TERMS[symbol].product if symbol in TERMS else symbol
+        sign = -1.0 if symbol == "delta_P" else 1.0
+        expected = sign * np.array(table[key], dtype=float)
+        # An exact zero is left by whole waves of up to R omega^3 g; 1e-12 of those remains.
+        np.testing.assert_allclose(column, expected, rtol=1e-11, atol=1e-12, err_msg=symbol)
+
+
+def test_few_times_in_any_order_give_what_many_give():
+    trajectory, symbols = trajectory_of(CASES["drift, two ripples, Earth rate"]), SYMBOLS
+    many = columns(trajectory, QX, symbols, np.linspace(0.0, 161.0, 1611))
+    few = columns(trajectory, QX, symbols[::-1], np.array([161.0, 5.0, 41.0, 0.0]))[:, ::-1]
+    scale = np.maximum(np.abs(many).max(axis=0), 1.0)
+    np.testing.assert_allclose(few / scale, many[[1610, 50, 410, 0]] / scale, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(few[3], 0.0, atol=1e-15)
+
+
+@pytest.fixture(scope="module")
+def script():
+    spec = importlib.util.spec_from_file_location(
+        "make_double_integrals", FOLDER / "make_double_integrals.py"
+    )
+    module = importlib.util.module_from_spec(spec)
+    precision = mpmath.mp.dps
+    spec.loader.exec_module(module)
+    yield module
+    mpmath.mp.dps = precision
+
+
+def test_the_script_makes_the_file(script):
+    """The first time of one case, made again from nothing."""
+    assert [case["label"] for case in script.CASES] == list(CASES)
+    stored = CASES["drift and ripple"]
+    case = next(c for c in script.CASES if c["label"] == stored["label"])
+    single, double = script.integrals({**case, "times": case["times"][:1]})
+    made = {"velocity": single[0], "displacement": double[0]}
+    for observable, values in made.items():
+        for (name, key), value in zip(script.names(platform=False), values, strict=True):
+            assert mpmath.almosteq(
+                value, mpmath.mpf(stored[observable][name][key][0]), 1e-21, 1e-29
+            )
+
+
+def test_a_value_of_the_file_by_another_rule(script):
+    """The kinked double integral by mpmath's own tanh-sinh rule between the roots."""
+    stored = CASES["drift and ripple"]
+    motion = script.Motion(script.CASES[1])
+    end = mpmath.mpf(stored["times"][0])
+    edges = [mpmath.mpf(0), *sorted(motion.kinks(end)), end]
+    g = script.GRAVITY
+
+    def weighted(t):
+        east = motion.place(t)[2][0]
+        return (end - t) * east * abs(east) / g
+
+    value = mpmath.quad(weighted, edges)
+    expected = mpmath.mpf(stored["displacement"]["QX"]["a_I*|a_I|"][0])
+    assert mpmath.almosteq(value, expected, 1e-20)
+
+
+# --- first principles, without linearising anything --------------------------------------------
+
+ATTITUDE = np.array([[0.8, 0.6, 0.0], [-0.48, 0.64, 0.6], [0.36, -0.48, 0.8]])
+SPINDLE = Spindle(-2.4, 3e-4, (Ripple(1, 4e-3, 0.8), Ripple(2, 3e-3, -1.0)), start_angle=0.5)
+TRAJECTORY = Trajectory(SPINDLE, 2.5, Site(9.80665, 0.8))
+
+
+def skew(v):
+    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+
+
+def rodrigues(v):
+    """The rotation by the vector v, exactly."""
+    angle = np.linalg.norm(v)
+    unit = skew(v / angle)
+    return np.eye(3) + math.sin(angle) * unit + (1 - math.cos(angle)) * unit @ unit
+
+
+def simulated_errors(mounting, departures, attitude, times):
+    """Errors of displacement and velocity, by integrating attitude, velocity and position.
+
+    The platform's attitude is a rotation matrix that starts at the tilt, turns at the gyro drift
+    plus g-sensitivity x the force the platform feels, and is never taken as small. The
+    accelerometer follows Eq. 7; the navigation computer subtracts the harmful acceleration.
+    """
+    g = TRAJECTORY.site.gravity
+    coefficients = {s: TERMS[s].nominal + departures.get(s, 0.0) for s in TERMS}
+    values = [departures.get(s, 0.0) for s in PLATFORM_TERMS]
+    tilt, drift, sensitivity = values[:3], values[3:6], np.reshape(values[6:], (3, 3))
+    start = attitude @ rodrigues(-np.array(tilt)) if any(tilt) else attitude
+
+    def rates(time, state):
+        to_platform = state[:9].reshape(3, 3)
+        t = np.array([time])
+        force = to_platform @ TRAJECTORY.specific_force(t)[0]
+        turning = np.array(drift) + sensitivity @ (force / g)
+        sensed = g * indicated(mounting, coefficients, force[None] / g)[0]
+        along = mounting.turned(attitude).input_axis
+        # Navigation acceleration less the true one: gravity and Coriolis cancel in it.
+        computed = sensed - along @ TRAJECTORY.harmful_acceleration(t)[0]
+        error = computed - along @ TRAJECTORY.acceleration(t)[0]
+        return np.concatenate([(-skew(turning) @ to_platform).ravel(), [state[10], error]])
+
+    initial = np.concatenate([start.ravel(), [0.0, 0.0]])
+    solution = solve_ivp(
+        rates, (0.0, times[-1]), initial, "DOP853", times, rtol=1e-11, atol=1e-13, max_step=0.1
+    )
+    return solution.y[9], solution.y[10]
+
+
+@pytest.mark.parametrize(
+    ("mounting", "attitude"),
+    [(QX, np.eye(3)), (QY, np.eye(3)), (QX, ATTITUDE)],
+    ids=["QX", "QY", "QX tilted"],
+)
+def test_nonlinear_first_principles_differ_from_the_columns_by_second_order_only(
+    mounting, attitude
+):
+    times = np.array([2.0, 5.5, 8.0])
+    rng = np.random.default_rng(29)
+    unit = dict(zip(SYMBOLS, rng.choice([-1.0, 1.0], len(SYMBOLS)), strict=True))
+    linear = {
+        order: columns(TRAJECTORY, mounting, SYMBOLS, times, order, attitude=attitude)
+        for order in ("displacement", "velocity")
+    }
+    left = []
+    for size in (2e-4, 1e-4):
+        departures = {s: size * sign for s, sign in unit.items()}
+        weights = np.array([departures[s] for s in SYMBOLS])
+        simulated = simulated_errors(mounting, departures, attitude, times)
+        rest = [
+            e - linear[order] @ weights
+            for e, order in zip(simulated, ("displacement", "velocity"), strict=True)
+        ]
+        size_of_first_order = (np.abs(linear["displacement"]) @ np.abs(weights)).max()
+        assert np.abs(rest[0]).max() < 20 * size * size_of_first_order
+        left.append(np.array(rest))
+    # Halving every coefficient quarters what the columns leave: nothing of first order remains.
+    np.testing.assert_allclose(left[0] / left[1], 4.0, rtol=0.02)
+
+
+@pytest.mark.parametrize("symbol", SYMBOLS)
+def test_each_column_is_the_derivative_of_the_simulation(symbol):
+    """Central differences take the second order out: one coefficient at a time."""
+    times = np.array([1.0, 2.5])
+    step = 1e-4
+    up, down = (simulated_errors(QX, {symbol: s}, ATTITUDE, times)[0] for s in (step, -step))
+    expected = columns(TRAJECTORY, QX, [symbol], times, attitude=ATTITUDE)[:, 0]
+    np.testing.assert_allclose((up - down) / (2 * step), expected, rtol=1e-6, atol=1e-6)
+
+
+# --- what the columns are of ---------------------------------------------------------------
+
+
+def test_observables_are_derivatives_of_each_other():
+    times = np.linspace(1.0, 9.0, 9)
+    h = 1e-3
+    for higher, lower in (("displacement", "velocity"), ("velocity", "specific_force")):
+        stencil = [columns(TRAJECTORY, QX, SYMBOLS, times + k * h, higher) for k in (-2, -1, 1, 2)]
+        slope = (stencil[0] - 8 * stencil[1] + 8 * stencil[2] - stencil[3]) / (12 * h)
+        expected = columns(TRAJECTORY, QX, SYMBOLS, times, lower)
+        scale = np.maximum(np.abs(expected).max(axis=0), 1.0)
+        np.testing.assert_allclose(slope / scale, expected / scale, rtol=0, atol=1e-8)
+    assert ORDERS == {"displacement": 2, "velocity": 1, "specific_force": 0}
+
+
+def test_the_reference_is_the_motion_along_the_input_axis():
+    times = np.linspace(0.0, 9.0, 10)
+    theta = SPINDLE.angle(times)
+    np.testing.assert_allclose(reference(TRAJECTORY, QX, times), 2.5 * np.cos(theta), atol=1e-15)
+    np.testing.assert_allclose(
+        reference(TRAJECTORY, QY, times, "velocity"),
+        2.5 * SPINDLE.angular_rate(times) * np.cos(theta),
+        atol=1e-14,
+    )
+    force = TRAJECTORY.specific_force(times)
+    np.testing.assert_allclose(
+        reference(TRAJECTORY, QX, times, "specific_force", ATTITUDE), force @ ATTITUDE[0]
+    )
+
+
+def test_the_platform_is_seen_through_the_scale_factor():
+    times = np.array([1.0, 4.0])
+    plain = columns(TRAJECTORY, QX, SYMBOLS, times)
+    scaled = columns(TRAJECTORY, QX, SYMBOLS, times, scale_factor=1.25)
+    own = len(TERMS)
+    np.testing.assert_array_equal(scaled[:, :own], plain[:, :own])
+    np.testing.assert_allclose(scaled[:, own:], 1.25 * plain[:, own:], rtol=1e-14, atol=1e-13)
+
+
+def test_unknown_terms_are_refused():
+    with pytest.raises(ValueError, match="no term is called 'K_IV'"):
+        columns(TRAJECTORY, QX, ["K_II", "K_IV"], np.array([1.0]))
+
+
+def test_no_terms_and_no_times_make_empty_columns():
+    assert columns(TRAJECTORY, QX, [], np.array([1.0, 2.0])).shape == (2, 0)
+    assert columns(TRAJECTORY, QX, SYMBOLS, np.empty(0)).shape == (0, len(SYMBOLS))
+
+
+# --- symmetries ------------------------------------------------------------------------------
+
+STILL = Site(9.8, 0.8, earth_rate=0.0)
+OWN = list(TERMS)
+angles = st.floats(-math.pi, math.pi)
+ripples = st.builds(Ripple, st.integers(1, 3), st.floats(1e-4, 1e-2), angles)
+spindles = st.builds(
+    Spindle,
+    st.floats(0.8, 5.0) | st.floats(-5.0, -0.8),
+    st.floats(-1e-4, 1e-4),
+    st.lists(ripples, max_size=2).map(tuple),
+    angles,
+)
+TIMES = np.array([0.3, 2.9, 7.0])
+
+
+def about_up(angle):
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+
+
+def close(got, expected):
+    # Rounding of a double integral over 7 s of up to (6.4 g)^3: 1e-12 of the largest column.
+    scale = np.maximum(1.0, np.abs(expected).max(axis=0))
+    np.testing.assert_allclose(got / scale, expected / scale, rtol=0, atol=1e-11)
+
+
+@SETTINGS
+@given(spindle=spindles, turn=angles, mounting=st.sampled_from([QX, QY, QZ]))
+def test_turning_accelerometer_and_start_together_changes_nothing(spindle, turn, mounting):
+    """Without Earth rate no horizontal direction is special."""
+    turned_spindle = Spindle(
+        spindle.rate, spindle.drift, spindle.ripples, spindle.start_angle + turn
+    )
+    plain = columns(Trajectory(spindle, 2.5, STILL), mounting, OWN, TIMES)
+    turned = columns(
+        Trajectory(turned_spindle, 2.5, STILL), mounting.turned(about_up(turn)), OWN, TIMES
+    )
+    close(turned, plain)
+
+
+@SETTINGS
+@given(spindle=spindles)
+def test_the_mirrored_sense_changes_the_sign_of_what_is_odd(spindle):
+    """Mirrored in the east-up plane: for Qx only the output axis, north, changes sign.
+
+    The mirror image of a rotation vector is reversed where it lies in the plane: what depends on
+    a turn about up or east changes sign, about north it does not. So the azimuth
+    gyro's sensitivity to east force, seen by Qx, is odd in the spin sense, and K_II is even.
+    """
+    # The mirrored motion: theta becomes -theta; the phase keeps -(a/(n w0)) cos(n w0 t + phi).
+    mirrored = Spindle(
+        -spindle.rate,
+        spindle.drift,
+        tuple(Ripple(r.harmonic, r.amplitude, -r.phase) for r in spindle.ripples),
+        -spindle.start_angle,
+    )
+    forward = columns(Trajectory(spindle, 2.5, STILL), QX, SYMBOLS, TIMES)
+    backward = columns(Trajectory(mirrored, 2.5, STILL), QX, SYMBOLS, TIMES)
+    odd = {"K_IO", "K_PO", "delta_P"}
+    for symbol in PLATFORM_TERMS:
+        kind, which = symbol.split(".")[1:]
+        if kind == "g_sensitivity":
+            if (which[0] in "xz") != (which[1] == "y"):
+                odd.add(symbol)
+        elif which != "north":
+            odd.add(symbol)
+    sign = np.array([-1.0 if symbol in odd else 1.0 for symbol in SYMBOLS])
+    close(backward, forward * sign)
+
+
+@SETTINGS
+@given(spindle=spindles)
+def test_identities_between_the_terms(spindle):
+    """a_I^2 + a_O^2 does not know the azimuth; a_P = -1 makes K_I and K_IP one column."""
+    trajectory = Trajectory(spindle, 2.5, STILL)
+    x = dict(zip(OWN, columns(trajectory, QX, OWN, TIMES).T, strict=True))
+    y = dict(zip(OWN, columns(trajectory, QY, OWN, TIMES).T, strict=True))
+    close(x["K_II"] + x["K_OO"], y["K_II"] + y["K_OO"])
+    close(x["K_OO"], y["K_II"])
+    close(x["K_IP"], -x["K_I"])
+    close(x["K_PP"], x["K_F"])
+    close(x["delta_O"], -x["K_F"])
+    close(x["K_PO"], x["delta_P"])
+    close(x["delta_P"], -y["K_I"])
+
+
+@SETTINGS
+@given(spindle=spindles, factor=st.floats(0.3, 3.0))
+def test_columns_scale_with_the_power_of_the_radius(spindle, factor):
+    """Without gravity's part: K_I as R, K_II and K_OO as R^2, K_III as R^3."""
+    degree = {"K_I": 1, "K_II": 2, "K_IO": 2, "K_OO": 2, "K_OQ": 2, "K_III": 3, "K_F": 0}
+    base = columns(Trajectory(spindle, 1.0, STILL), QX, list(degree), TIMES)
+    larger = columns(Trajectory(spindle, factor, STILL), QX, list(degree), TIMES)
+    close(larger, base * factor ** np.array(list(degree.values())))
+
+
+def test_a_kink_inside_the_first_panel_is_found():
+    """East force of this start passes zero 0.01 rad after the start, twice a turn from then on."""
+    spindle = Spindle(2.0, start_angle=math.pi / 2 - 0.01)
+    end = np.array([0.02])
+    got = columns(Trajectory(spindle, 2.5, STILL), QX, ["K_OQ"], end)[0, 0]
+    k = 2.5 * 4.0
+    # -k|k| cos|cos| / g with cos(theta) = sin(0.01 - 2 t): exactly integrable on either side.
+    with mpmath.workdps(30):
+        a = mpmath.mpf("0.01")
+
+        def integrand(t):
+            east = -k * mpmath.sin(a - 2 * t)
+            return (mpmath.mpf("0.02") - t) * east * abs(east) / mpmath.mpf("9.8")
+
+        expected = float(mpmath.quad(integrand, [0, a / 2, mpmath.mpf("0.02")]))
+    assert got == pytest.approx(expected, rel=1e-11)
+
+
+def test_mounting_axes_may_point_anywhere():
+    """A general mounting is the tensor of products turned: K_II along a skew axis."""
+    mounting = Mounting.from_axes([0.6, 0.0, 0.8], [0.0, 1.0, 0.0])
+    got = columns(TRAJECTORY, mounting, ["K_I", "K_II"], TIMES)
+    x = dict(zip(OWN, columns(TRAJECTORY, QX, OWN, TIMES).T, strict=True))
+    # Qx: I east, P down, O north. East and up: a = 0.6 a_I - 0.8 a_P.
+    close(got[:, 0], 0.6 * x["K_I"] - 0.8 * x["delta_O"])
+    close(got[:, 1], 0.36 * x["K_II"] - 0.96 * x["K_IP"] + 0.64 * x["K_PP"])
