@@ -37,7 +37,16 @@ def test_module_says_what_it_is_for(module):
 
 @every_module
 def test_module_is_short_enough_to_read(module):
-    assert len(module.read_text(encoding="utf-8").splitlines()) <= 400
+    lines = module.read_text(encoding="utf-8").count("\n")
+    assert lines <= 400
+
+
+@pytest.mark.parametrize("room", ["physics", "inference"])
+def test_room_s_docstring_names_every_module(room):
+    modules = {path.stem for path in (PACKAGE / room).glob("[a-z]*.py")}
+    docstring = (PACKAGE / room / "__init__.py").read_text(encoding="utf-8")
+    listed = "".join(re.findall(r"^- (.+?):", docstring, re.MULTILINE))
+    assert set(re.findall(r"`(\w+)`", listed)) == modules
 
 
 def terms_listed(literal):

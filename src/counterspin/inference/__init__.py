@@ -2,10 +2,14 @@
 
 What stands in this room:
 
-- `least_squares`: blocks, priors and considered terms, solved by QR; near-collinear columns
+- `least_squares`: blocks, priors and considered terms, solved by QR
+- `identifiability`: what the data cannot tell apart, by name
+- `diagnostics`: whether the model fits the records
 - `noise`, `riccati`: models of a record's noise, and whitening with them
+- `variance_components`, `restricted_likelihood`: the noise's size, estimated from the records
 - `strobes`: the samples of a record at one angle of each revolution (Eq. 15)
-- `two_stage`: the paper's method, a parabola a run and then its curvature against the rate
+- `first_stage`, `two_stage`: the paper's method, a parabola a run and then its curvature
+  against the rate
 
 Glossary
 --------
