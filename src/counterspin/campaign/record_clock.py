@@ -69,12 +69,15 @@ class ClockFindings:
 
 @dataclass(frozen=True)
 class Accepted:
-    """The usable rows of a piece: `rows` are places in the piece, None when all are used."""
+    """The usable rows of a piece: `rows` are places in the piece, None when all are used.
+
+    `unevenness` is the largest deviation of a time step from the usual one, relative to it.
+    """
 
     rows: np.ndarray | None
     time: np.ndarray
     angle: np.ndarray | None
-    even: bool
+    unevenness: float
 
 
 class Clock:
@@ -174,13 +177,17 @@ class Clock:
     ) -> Accepted | None:
         """Take the piece as it stands, if nothing in it needs attention (NaN fails every test)."""
         steps = np.diff(time)
-        if len(steps) == 0 or not (steps.min() > 0 and steps.max() < 1.5 * self.step):
+        if not len(steps):
             return None
+        shortest, longest = float(steps.min()), float(steps.max())
+        if not (shortest > 0 and longest < 1.5 * self.step):
+            return None
+        unevenness = max(longest / self.step - 1, 1 - shortest / self.step)
         gone = time[0] - self._last_time if first_row else self.step
         if not 0 < gone < 1.5 * self.step:
             return None
         if angle is None:
-            return Accepted(None, time, None, even=True)
+            return Accepted(None, time, None, unevenness)
         if self._lost is not None:
             return None
         advance = np.diff(angle)
@@ -204,7 +211,7 @@ class Clock:
             if shift:
                 angle = angle + _TURN * shift
                 self.found.wrapped = True
-        return Accepted(None, time, angle, even=True)
+        return Accepted(None, time, angle, unevenness)
 
     def _accept_rows(
         self,
@@ -241,9 +248,8 @@ class Clock:
             good, unwrapped = self._follow(first_row, rows, time[rows], angle[rows])
             rows, angle = rows[good], unwrapped[good]
         t = time[rows]
-        steps = np.diff(t)
-        even = len(steps) > 0 and bool(steps.max() < 1.5 * self.step)
-        return Accepted(rows, t, angle, even)
+        unevenness = float(np.abs(np.diff(t) / self.step - 1).max(initial=0.0))
+        return Accepted(rows, t, angle, unevenness)
 
     def _drop_repeats(
         self, columns: list[np.ndarray], rows: np.ndarray, steps: np.ndarray

@@ -137,7 +137,7 @@ class CsvFile(ColumnFile):
             )
 
     def _scan(self, wanted: Any) -> pl.LazyFrame:
-        import polars as pl  # noqa: PLC0415
+        import polars as pl
 
         # An explicit type for every column: a type guessed from the first lines breaks on a
         # column that looks whole at the start. Unwanted columns are never parsed.
@@ -158,7 +158,7 @@ class CsvFile(ColumnFile):
 
     def batches(self) -> Iterator[Columns]:
         """Yield batches of the columns; text in a cell raises `RecordError` with its line."""
-        import polars as pl  # noqa: PLC0415
+        import polars as pl
 
         done = 0
         try:
@@ -177,7 +177,7 @@ class CsvFile(ColumnFile):
                 yield _arrays(frame)
 
     def _refuse_bad_cells(self) -> None:
-        import polars as pl  # noqa: PLC0415
+        import polars as pl
 
         number, width = self._widest_line()
         if width > len(self._header):
@@ -243,7 +243,7 @@ class ParquetFile(ColumnFile):
     """A Parquet file with numeric columns."""
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
-        import polars as pl  # noqa: PLC0415
+        import polars as pl
 
         super().__init__(path, names)
         try:
@@ -259,7 +259,7 @@ class ParquetFile(ColumnFile):
 
     def batches(self) -> Iterator[Columns]:
         """Yield batches of the columns as the streaming engine decodes them."""
-        import polars as pl  # noqa: PLC0415
+        import polars as pl
 
         frames = pl.scan_parquet(self.path).select(pl.col(self.names).cast(pl.Float64()))
         try:
@@ -278,7 +278,7 @@ class ArraysFile(ColumnFile):
     """
 
     def __init__(self, path: Path, names: Sequence[str]) -> None:
-        import h5py  # noqa: PLC0415
+        import h5py
 
         super().__init__(path, names)
         self._hdf5 = bool(h5py.is_hdf5(path))
@@ -322,7 +322,7 @@ class _hdf5_arrays:  # noqa: N801 - used as a function
         self._path = path
 
     def __enter__(self) -> dict[str, Any]:
-        import h5py  # noqa: PLC0415
+        import h5py
 
         self._file = h5py.File(self._path, "r")
         found: dict[str, Any] = {}
@@ -343,7 +343,7 @@ class _matlab_arrays:  # noqa: N801 - used as a function
         self._path, self._names = path, names
 
     def __enter__(self) -> dict[str, Any]:
-        from scipy.io import loadmat, whosmat  # noqa: PLC0415
+        from scipy.io import loadmat, whosmat
 
         try:
             present = [name for name, _, _ in whosmat(self._path)]

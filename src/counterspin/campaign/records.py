@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -251,30 +252,35 @@ class _Reading:
 
     def _pieces(self) -> Iterator[Columns]:
         """Yield the columns in pieces of a fixed number of rows, however the file was batched."""
-        size = 0
-        held: list[Columns] = []
-        waiting = 0
-        for batch in self._file.batches():
-            held.append(batch)
-            waiting += len(batch[0])
-            if not size:
-                if waiting < piece_size(1):
-                    continue
-                size = self._choose_size(_joined(held))
-            if waiting < size:
-                continue
-            columns = _joined(held)
-            whole = waiting // size * size
-            for start in range(0, whole, size):
-                yield [column[start : start + size] for column in columns]
-            held = [[column[whole:] for column in columns]]
-            waiting -= whole
-        if not waiting:
+        batches = self._file.batches()
+        head: list[Columns] = []
+        for batch in batches:
+            head.append(batch)
+            if sum(len(columns[0]) for columns in head) >= piece_size(1):
+                break
+        if not sum(len(columns[0]) for columns in head):
             return
-        columns = _joined(held)
-        size = size or self._choose_size(columns)
-        for start in range(0, waiting, size):
-            yield [column[start : start + size] for column in columns]
+        first = _joined(head)
+        size = self._choose_size(first)
+        held: Columns | None = None
+        for batch in chain([first], batches):
+            start = 0
+            if held is not None:
+                # Only what completes a piece is copied; the other pieces are views of the batch.
+                start = size - len(held[0])
+                held = _joined([held, [column[:start] for column in batch]])
+                if len(held[0]) < size:
+                    continue
+                yield held
+                held = None
+            for begin in range(start, len(batch[0]), size):
+                piece = [column[begin : begin + size] for column in batch]
+                if len(piece[0]) == size:
+                    yield piece
+                else:
+                    held = piece
+        if held is not None:
+            yield held
 
     def _choose_size(self, columns: Columns) -> int:
         """Choose the block from the spacing of the first rows; return the rows to a piece."""
@@ -308,7 +314,7 @@ class _Reading:
         accepted = self._clock.accept(self._rows, columns, self._has_angle)
         signals = columns[-len(self._signals) :] if self._signals else []
         for place, signal in enumerate(signals):
-            # A sum shows in one pass whether all is finite.
+            # One fast pass shows whether anything is amiss.
             if not np.isfinite(signal.sum()):
                 self._empty[place] += int(np.isnan(signal).sum())
                 infinite = np.flatnonzero(np.isinf(signal))
@@ -323,7 +329,7 @@ class _Reading:
         if not len(accepted.time):
             return None
         blocks, outliers = reducer.reduce(
-            accepted.time, accepted.angle, list(signals), accepted.even
+            accepted.time, accepted.angle, list(signals), accepted.unevenness
         )
         for place, found in enumerate(outliers):
             rows = found if accepted.rows is None else accepted.rows[found]
@@ -405,11 +411,19 @@ class _Reading:
         """Leave out block means that stand off from their neighbours (a burst, a dead stretch)."""
         weight = np.sqrt(blocks.count / self.block)
         step = self._clock.step * self.block
-        odd = find_spikes(blocks.time, signal, self._clock.rate, step, weight)
-        if odd.any():
+        unevenness = float(np.abs(np.diff(blocks.time) / step - 1).max(initial=0.0))
+        odd = find_spikes(blocks.time, signal, self._clock.rate, step, unevenness, weight)
+        if len(odd):
             self._outliers[place] += int(blocks.count[odd].sum())
-            signal = np.where(odd, np.nan, signal)
+            signal = signal.copy()
+            signal[odd] = np.nan
         return signal
+
+    @staticmethod
+    def _measured_rate(blocks: Blocks) -> float | None:
+        if blocks.angle is None:
+            return None
+        return float((blocks.angle[-1] - blocks.angle[0]) / (blocks.time[-1] - blocks.time[0]))
 
     def _report(self, blocks: Blocks) -> RecordReport:
         found = self._clock.found
@@ -433,7 +447,7 @@ class _Reading:
             gap_count=found.gap_count,
             wrapped=found.wrapped,
             step=self._clock.step,
-            rate=self._clock.rate if self._has_angle else None,
+            rate=self._measured_rate(blocks),
             block=self.block,
         )
 

@@ -20,6 +20,8 @@ from counterspin.campaign.spikes import find_spikes
 BLOCKS_PER_REVOLUTION = 64
 #: More samples than this in one block gain nothing.
 _LARGEST_BLOCK = 8192
+#: Steps less uneven than this give a block's times the spread of an even grid.
+_EVEN = 1e-3
 #: Rows in a piece, about: three columns of them fit the processor's second cache.
 _PIECE = 65536
 
@@ -80,7 +82,11 @@ class Reducer:
         self._rate = rate
 
     def reduce(
-        self, time: np.ndarray, angle: np.ndarray | None, signals: list[np.ndarray], even: bool
+        self,
+        time: np.ndarray,
+        angle: np.ndarray | None,
+        signals: list[np.ndarray],
+        unevenness: float,
     ) -> tuple[Blocks, list[np.ndarray]]:
         """Reduce one piece.
 
@@ -90,8 +96,8 @@ class Reducer:
             (n,) s, increasing; (n,) rad, unwrapped, or None.
         signals
             Arrays (n,), NaN where empty.
-        even
-            Whether the rows follow each other without a gap.
+        unevenness
+            Largest relative deviation of a time step from the usual one.
 
         Returns
         -------
@@ -100,7 +106,11 @@ class Reducer:
         outliers
             For each signal the places of its outlying samples.
         """
-        outliers = [np.flatnonzero(find_spikes(time, x, self._rate, self._step)) for x in signals]
+        outliers = [
+            np.flatnonzero(find_spikes(time, x, self._rate, self._step, unevenness))
+            for x in signals
+        ]
+        even = unevenness < 0.5
         clean = not any(len(places) for places in outliers)
         if self._block == 1:
             for place, places in enumerate(outliers):
@@ -110,7 +120,7 @@ class Reducer:
             zeros = np.zeros(len(time))
             return Blocks(time, zeros, np.ones(len(time), dtype=int), angle, signals), outliers
         if even and clean:
-            blocks = self._even_means(time, angle, signals)
+            blocks = self._even_means(time, angle, signals, unevenness)
             if all(np.isfinite(x).all() for x in blocks.signals):
                 return blocks, outliers
         usable = [np.isfinite(x) for x in signals]
@@ -119,7 +129,11 @@ class Reducer:
         return self._means(time, angle, signals, usable, even), outliers
 
     def _even_means(
-        self, time: np.ndarray, angle: np.ndarray | None, signals: list[np.ndarray]
+        self,
+        time: np.ndarray,
+        angle: np.ndarray | None,
+        signals: list[np.ndarray],
+        unevenness: float,
     ) -> Blocks:
         size = self._block
         whole = len(time) // size * size
@@ -131,12 +145,16 @@ class Reducer:
             return np.append(full, x[whole:].mean()) if tail else full
 
         mean_time = means(time)
-        spread = time[:whole].reshape(-1, size) - mean_time[: whole // size, None]
-        sd = np.sqrt(np.einsum("ij,ij->i", spread, spread) / size)
-        count = np.full(len(sd), size)
+        count = np.full(len(mean_time), size)
+        if unevenness < _EVEN:
+            sd = np.full(len(mean_time), self._step * math.sqrt((size**2 - 1) / 12))
+        else:
+            apart = time[:whole].reshape(-1, size) - mean_time[: whole // size, None]
+            sd = np.sqrt(np.einsum("ij,ij->i", apart, apart) / size)
         if tail:
-            sd = np.append(sd, time[whole:].std())
-            count = np.append(count, tail)
+            sd = np.append(sd, 0.0) if len(sd) < len(mean_time) else sd
+            sd[-1] = time[whole:].std()
+            count[-1] = tail
         return Blocks(
             mean_time,
             sd,

@@ -23,7 +23,7 @@ FEWEST = 16
 #: Standard deviations beyond which a sample is an outlier.
 LIMIT = 6.0
 #: Standard deviations beyond which the screening hands a window to the robust fit.
-_SCREEN = 5.0
+_SCREEN = 5.5
 #: A window may be this many times noisier than its surroundings before that counts against it.
 _NOISIER = 4.0
 #: Relative unevenness of the clock that may be ignored, and that which breaks a window.
@@ -38,9 +38,10 @@ def find_spikes(
     signal: np.ndarray,
     rate: float,
     step: float,
+    unevenness: float,
     weight: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Mark the outlying samples of one signal.
+    """Find the outlying samples of one signal.
 
     Parameters
     ----------
@@ -52,73 +53,88 @@ def find_spikes(
         Spindle rate, rad/s.
     step
         The usual spacing of the samples, s.
+    unevenness
+        Largest deviation of a spacing from the usual one, relative to it.
     weight
         (n,) optional: the square root of each sample's weight (short block means are noisier).
 
     Returns
     -------
-    (n,) bool, true for an outlier; never true where the signal is NaN.
+    (m,) int, the places of the outliers, rising; a NaN is never one.
     """
-    count = len(signal)
-    marks = np.zeros(count, dtype=bool)
-    if count < FEWEST:
-        return marks
-    width = min(WINDOW, count)
-    # The last window overlaps the one before, so that every sample has a full window.
-    starts = np.append(np.arange(0, count - width, width), count - width)
-    finite = np.isfinite(signal)
-    whole = bool(finite.all())
-    filled = signal if whole else _bridge(finite, signal)
-    spaced = np.diff(time) - step
-    unevenness = float(max(spaced.max(), -spaced.min())) / step
-    basis, slopes = _even_basis(width, rate * step)
-    windows = filled[starts[:, None] + np.arange(width)]
-    if unevenness > _EVEN:
-        # Move each sample along the signal's slope to where an even clock would have taken it.
-        times = time[starts[:, None] + np.arange(width)]
-        late = times - times.mean(axis=1, keepdims=True)
-        late -= (np.arange(width) - (width - 1) / 2) * step
-        windows = windows - ((windows @ basis) @ slopes.T) * (late / step)
-    rest = windows - (windows @ basis) @ basis.T
-    sample = rest.ravel()[:: max(1, rest.size // 2048) | 1]
-    centre = np.median(sample)
-    scale = _MAD * np.median(np.abs(sample - centre))
-    peak = np.maximum(rest.max(axis=1) - centre, centre - rest.min(axis=1))
+    if len(signal) < FEWEST:
+        return np.empty(0, dtype=int)
+    width = min(WINDOW, len(signal))
+    finite = None if np.isfinite(signal.sum()) else np.isfinite(signal)
+    if finite is not None:
+        if not finite.any():
+            return np.empty(0, dtype=int)
+        signal = np.interp(time, time[finite], signal[finite])
+    slope_time = time if unevenness > _EVEN else None
+    whole = len(signal) // width * width
+    first_time = None if slope_time is None else slope_time[:whole]
+    peak, scale = _screen(signal[:whole], first_time, width, rate * step, step)
+    starts = np.arange(0, whole, width)
+    if whole < len(signal):
+        # The last window overlaps the one before, so that every sample has a full window.
+        tail = slice(len(signal) - width, None)
+        last_time = None if slope_time is None else slope_time[tail]
+        last, _ = _screen(signal[tail], last_time, width, rate * step, step)
+        peak, starts = np.append(peak, last), np.append(starts, tail.start)
     suspect = peak > _SCREEN * scale
     if unevenness > _GAP:
-        broken = np.flatnonzero(np.abs(spaced) > _GAP * step) + 1
+        broken = np.flatnonzero(np.abs(np.diff(time) / step - 1) > _GAP) + 1
         inside = np.searchsorted(broken, starts + width) - np.searchsorted(broken, starts)
         suspect |= inside > 0
     if not suspect.any():
-        return marks
+        return np.empty(0, dtype=int)
 
-    # Take the scale afresh from robust fits, for outliers everywhere inflate the plain ones.
-    def robust(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def robust(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         index = starts[chosen, None] + np.arange(width)
-        functions = basis
-        if unevenness > _EVEN:
-            functions = _basis((time[index] - time[index].mean(axis=1, keepdims=True)) * rate)
-        root = 1.0 if weight is None else weight[index]
-        return _robust_residuals(filled[index], functions, finite[index] * root)
+        if slope_time is None:
+            basis, _ = _even_basis(width, rate * step)
+        else:
+            basis = _basis((time[index] - time[index].mean(axis=1, keepdims=True)) * rate)
+        have = np.ones(index.shape) if finite is None else finite[index].astype(float)
+        residuals, scales = _robust_fit(
+            signal[index], basis, have if weight is None else have * weight[index]
+        )
+        return index, residuals, scales
 
-    chosen = np.unique(np.linspace(0, len(starts) - 1, 32).astype(int))
-    residuals, scales = robust(chosen)
-    floor = _resolution(filled) / 2
-    scale = max(float(np.median(scales)), floor)
+    # The plain scale is inflated where outliers are many: take it from robust fits.
+    _, _, scales = robust(np.unique(np.linspace(0, len(starts) - 1, 32).astype(int)))
+    scale = max(float(np.median(scales)), _resolution(signal) / 2)
     suspect |= peak > _SCREEN * scale
-    for part in np.array_split(np.flatnonzero(suspect), -(-int(suspect.sum()) // 1024)):
-        residuals, scales = robust(part)
-        limits = LIMIT * np.clip(scales, scale, _NOISIER * scale)
-        out = np.abs(residuals) > limits[:, None]
-        marks[(starts[part, None] + np.arange(width))[out]] = True
-    return marks & finite
+    marked = np.zeros(len(signal), dtype=bool)
+    suspects = np.flatnonzero(suspect)
+    for begin in range(0, len(suspects), 1024):
+        index, residuals, scales = robust(suspects[begin : begin + 1024])
+        limit = LIMIT * np.clip(scales, scale, _NOISIER * scale)
+        marked[index[np.abs(residuals) > limit[:, None]]] = True
+    return np.flatnonzero(marked)
 
 
-def _bridge(finite: np.ndarray, signal: np.ndarray) -> np.ndarray:
-    index = np.arange(len(signal))
-    if not finite.any():
-        return np.zeros(len(signal))
-    return np.interp(index, index[finite], signal[finite])
+def _screen(
+    signal: np.ndarray, time: np.ndarray | None, width: int, phase_step: float, step: float
+) -> tuple[np.ndarray, float]:
+    """Fit whole windows by plain least squares; return each one's peak residual, and the scale.
+
+    `time` is given where it is uneven.
+    """
+    basis, slopes = _even_basis(width, phase_step)
+    windows = signal.reshape(-1, width)
+    if time is not None:
+        # Move each sample along the signal's slope to where an even clock would have taken it.
+        times = time.reshape(-1, width)
+        late = times - times.mean(axis=1, keepdims=True)
+        late -= (np.arange(width) - (width - 1) / 2) * step
+        windows = windows - ((windows @ basis) @ slopes.T) * (late / step)
+    rest = (windows @ basis) @ basis.T
+    np.subtract(windows, rest, out=rest)
+    sample = rest.ravel()[:: max(1, rest.size // 2048) | 1]
+    centre = float(np.median(sample))
+    scale = _MAD * float(np.median(np.abs(sample - centre)))
+    return np.maximum(rest.max(axis=1) - centre, centre - rest.min(axis=1)), scale
 
 
 def _resolution(signal: np.ndarray) -> float:
@@ -151,7 +167,7 @@ def _basis(phase: np.ndarray) -> np.ndarray:
     return orthonormal
 
 
-def _robust_residuals(
+def _robust_fit(
     windows: np.ndarray, basis: np.ndarray, weight: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Fit each window by least absolute deviations, then bisquare; weighted residuals, scales."""
