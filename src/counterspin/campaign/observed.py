@@ -6,10 +6,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-
-import numpy as np
 
 from counterspin.campaign.records import ColumnSpec, Record, read_record
 from counterspin.campaign.resolved import Accelerometer, Campaign, Channel, Run
@@ -58,25 +56,6 @@ class ObservedRun:
     rotation: SpindleFit | None
     trajectory: Trajectory
     signals: Mapping[str, Signal]
-
-    def over_blocks(self, function: Callable[[Array], Array]) -> Array:
-        """Return a function of time averaged over the record's blocks.
-
-        Two points at the mean time plus and minus its standard deviation inside the block have
-        the block's mean exactly up to the third power of time, which over 1/64 revolution leaves
-        less than 1e-8 of a harmonic.
-
-        Parameters
-        ----------
-        function
-            Maps times (m,) in s to values (m, ...).
-        """
-        time, sd = self.record.time, self.record.time_sd
-        if not np.any(sd):
-            return function(time)
-        both = function(np.concatenate([time - sd, time + sd]))
-        mean: Array = 0.5 * (both[: time.size] + both[time.size :])
-        return mean
 
 
 def observe(campaign: Campaign) -> Iterator[ObservedRun]:
@@ -135,13 +114,14 @@ def observe_run(campaign: Campaign, run: Run, record: Record) -> ObservedRun:
         rotation = fit_spindle(record.time + late, record.angle, run.rate, weights=record.count)
     spindle = rotation.spindle if rotation else Spindle(run.rate)
     trajectory = Trajectory(spindle, campaign.radius.value, campaign.site)
-    bare = ObservedRun(run, record, rotation, trajectory, {})
     signals = {}
     for name, accelerometer in campaign.accelerometers.items():
-        reference = bare.over_blocks(
+        reference = observation.over_blocks(
             lambda t, a=accelerometer: observation.reference(  # type: ignore[misc]
                 trajectory, a.mounting, t, a.observable, run.attitude
-            )
+            ),
+            record.time,
+            record.time_sd,
         )
         signals[name] = Signal(accelerometer, record.signals[name] - reference)
     return ObservedRun(run, record, rotation, trajectory, signals)

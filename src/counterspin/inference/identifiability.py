@@ -169,13 +169,14 @@ def assess(
     loose = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
     behind = _separate(root, problem.limits, loose, range(free.size), bucking)
     confounded = [item for weights in behind if (item := describe(weights))]
-    named = [set(group) for group in _connected([item.terms for item in confounded])]
+    place = {symbols[k]: i for i, k in enumerate(free)}
+    named = _connected([[place[name] for name in item.terms] for item in confounded])
 
     alike = problem.alike(bucking)
     twins = _connected([pair for pair, size in alike.items() if size > _TWINS])
     pairs = [list(pair) for pair in alike if not any(set(pair) <= set(group) for group in twins)]
     for group in [*twins, *pairs]:
-        if any({symbols[free[i]] for i in group} <= terms for terms in named):
+        if any(set(group) <= set(terms) for terms in named):
             continue
         own = problem.root(without_priors=group)
         separate = _separate(own, problem.limits, group, group, bucking)
@@ -321,9 +322,9 @@ def _regress(root: Array, i: int, others: Sequence[int]) -> Array:
     return weights
 
 
-def _connected[T](sets: Sequence[Sequence[T]]) -> list[list[T]]:
+def _connected(sets: Sequence[Sequence[int]]) -> list[list[int]]:
     """Join sets that share a member into groups."""
-    groups: list[set[T]] = []
+    groups: list[set[int]] = []
     for members in sets:
         joined = set(members).union(*(group for group in groups if group & set(members)))
         groups = [group for group in groups if not group & joined] + [joined]

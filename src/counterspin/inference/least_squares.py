@@ -151,6 +151,8 @@ class Combination:
         The estimate of the combination.
     noise
         Standard uncertainty from the records' noise.
+    noise_rows
+        Signed contribution of each row of the stacked blocks; `noise` is their norm.
     prior
         Signed contribution of each unknown's prior (sensitivity x its sd), shape (p,).
     considered
@@ -161,6 +163,7 @@ class Combination:
 
     value: float
     noise: float
+    noise_rows: Array
     prior: Array
     considered: Array
     unresolved: float
@@ -266,6 +269,7 @@ class Solution:
         return Combination(
             value=float(c @ self.estimate),
             noise=float(np.linalg.norm(data)),
+            noise_rows=data,
             prior=prior,
             considered=-(data @ rows.considered) * self.considered_sd,
             unresolved=float(np.linalg.norm(gain[after:])),

@@ -6,6 +6,7 @@ double time integrals for displacement, single for velocity, and none for specif
 
 - `columns`: one column for each term of the table, along any trajectory
 - `reference`: what a perfect system would have recorded
+- `over_blocks`: either of them for block means
 - `parabola`: the t^2 coefficients at constant rate, in closed form
 """
 
@@ -128,6 +129,32 @@ def columns(
         values = panels.integrate(lambda t: np.stack([f(t) for f in functions]), order, kink)
         result[:, [index for index, _ in by_quadrature]] = values
     return result
+
+
+def over_blocks(function: Callable[[Array], Array], times: Array, spread: Array) -> Array:
+    """Return a function of time averaged over blocks of samples.
+
+    Two points at the mean time plus and minus its standard deviation inside the block have the
+    block's mean exactly up to the third power of time, which over 1/64 revolution leaves less
+    than 1e-7 of the first harmonic.
+
+    Parameters
+    ----------
+    function
+        Maps times (m,) in s to values (m, ...).
+    times, spread
+        Mean time of each block and standard deviation of its samples' times, s, shape (n,).
+
+    Returns
+    -------
+    Array
+        Shape (n, ...).
+    """
+    if not np.any(spread):
+        return function(times)
+    both = function(np.concatenate([times - spread, times + spread]))
+    mean: Array = 0.5 * (both[: times.size] + both[times.size :])
+    return mean
 
 
 class _Panels:

@@ -1,0 +1,301 @@
+"""The joint estimate, step by step: outliers, noise, rotation, coefficients, degrees of freedom.
+
+- `estimate`: the whole story
+- `NoiseRequest`, `Estimate`: what goes in and what comes out
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.errors import ConvergenceError
+from counterspin.inference import joint, variance_components
+from counterspin.inference.joint import ROTATION, JointFit, Model, Prepared, Series
+from counterspin.inference.least_squares import REGULARISATION
+from counterspin.inference.noise import Noise
+from counterspin.inference.outliers import outlying
+from counterspin.inference.variance_components import RecordData, VarianceComponents
+from counterspin.physics import observation
+from counterspin.physics.accelerometer import Array
+
+Rows = npt.NDArray[np.bool_]
+
+_ROUNDS: Final = 20  #: of outlier rejection, and of the rotation's iteration
+
+#: A change of K_I by less than this changes no platform column noticeably.
+_SCALE_SETTLED: Final = 1e-4
+
+#: Angle at the end of a run, rad, below which the rotation's iteration has settled.
+_ROTATION_SETTLED: Final = 1e-7
+
+
+@dataclass(frozen=True)
+class NoiseRequest:
+    """Noise of one accelerometer's records: numbers that are given, None to be estimated.
+
+    Attributes
+    ----------
+    white, random_walk, quantisation
+        As in `Noise`.
+    """
+
+    white: float | None
+    random_walk: float | None
+    quantisation: float = 0.0
+
+    @property
+    def given(self) -> Noise | None:
+        """The noise, if all of it is given."""
+        if self.white is None or self.random_walk is None:
+            return None
+        return Noise(self.white, self.random_walk, self.quantisation)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The joint estimate.
+
+    Attributes
+    ----------
+    fit
+        The solved problem.
+    components
+        Accelerometer -> its estimated noise; without those whose noise was given.
+    dof
+        Effective degrees of freedom of each unknown, shape (p,); infinite where noise is given.
+    outliers
+        For each series, which of its rows were left out, bool.
+    """
+
+    fit: JointFit
+    components: Mapping[str, VarianceComponents]
+    dof: Array
+    outliers: tuple[Rows, ...]
+
+
+def estimate(
+    series: Sequence[Series],
+    model: Model,
+    requests: Mapping[str, NoiseRequest],
+    *,
+    reject: bool = True,
+) -> Estimate:
+    """Estimate a model from all series.
+
+    Parameters
+    ----------
+    series
+        The data.
+    model
+        What is estimated and considered.
+    requests
+        Accelerometer -> its noise, given or to be estimated.
+    reject
+        Whether outliers are looked for.
+
+    Returns
+    -------
+    Estimate
+
+    Raises
+    ------
+    NotIdentifiableError
+        If a record is too short for its own unknowns.
+    ConvergenceError
+        If the outliers or the rotation do not settle.
+    """
+    plain = replace(model, inputs=None)
+    rough = {name: Noise(1.0, 0.0) for name in requests}
+    series = tuple(series)
+    if any(unknown.symbol in ROTATION for unknown in model.unknowns):
+        series = _find_rotation(series, plain, rough)
+    prepared = joint.prepare(series, plain, _scale_factors(series, plain, None))
+    outliers = [np.zeros(one.time.size, dtype=bool) for one in series]
+    if reject:
+        prepared = _reject(prepared, plain, rough, requests, outliers)
+
+    noise, components = _noise(prepared, plain, requests)
+    fit = joint.solve_joint(prepared, plain, noise)
+    scale_factors = _scale_factors(series, plain, fit)
+    before = _scale_factors(series, plain, None)
+    moved = any(abs(scale_factors[a] - before[a]) > _SCALE_SETTLED for a in before)
+    if model.inputs or moved:
+        kept = [one.series for one in prepared]
+        prepared = joint.prepare(kept, model, scale_factors, fit.solution.estimate)
+        fit = joint.solve_joint(prepared, model, noise)
+    return Estimate(fit, components, _effective_dof(fit, components), tuple(outliers))
+
+
+def _scale_factors(
+    series: Sequence[Series], model: Model, fit: JointFit | None
+) -> dict[str, float]:
+    """Return K_I of each accelerometer: estimated, or known beforehand, or 1."""
+    factors = {one.accelerometer: 1.0 for one in series}
+    for index, unknown in enumerate(model.unknowns):
+        if unknown.symbol == "K_I":
+            if fit is not None and fit.solution.u[index] < unknown.limit:
+                factors[unknown.owner] = 1.0 + float(fit.solution.estimate[index])
+            elif math.isfinite(unknown.prior[1]):
+                factors[unknown.owner] = unknown.prior[0]
+    factors |= {c.owner: c.prior[0] for c in model.considered if c.symbol == "K_I"}
+    return factors
+
+
+def _reject(
+    prepared: tuple[Prepared, ...],
+    model: Model,
+    rough: Mapping[str, Noise],
+    requests: Mapping[str, NoiseRequest],
+    outliers: list[Rows],
+) -> tuple[Prepared, ...]:
+    """Leave outliers out, refitting until there are none; marks them in `outliers`."""
+    for _ in range(_ROUNDS):
+        fit = joint.solve_joint(prepared, model, rough)
+        found = []
+        for index, one in enumerate(prepared):
+            left, _whitened = joint.residuals(fit, index)
+            step = requests[one.series.accelerometer].quantisation
+            found.append(outlying(left, np.sqrt(one.series.count), step / math.sqrt(12.0)))
+        if not any(mask.any() for mask in found):
+            return prepared
+        prepared = tuple(
+            _without(one, mask) if mask.any() else one
+            for one, mask in zip(prepared, found, strict=True)
+        )
+        for mask, new in zip(outliers, found, strict=True):
+            mask[np.flatnonzero(np.logical_not(mask))[new]] = True
+    raise ConvergenceError(
+        "outliers were still found after "
+        f"{_ROUNDS} rounds of leaving them out: the residuals are not noise around a smooth curve; "
+        "look at the record, or add the missing terms to the model"
+    )
+
+
+def _without(prepared: Prepared, drop: Rows) -> Prepared:
+    keep = np.logical_not(drop)
+    return replace(
+        prepared,
+        series=prepared.series.without(drop),
+        design=prepared.design[keep],
+        fixed=prepared.fixed[keep],
+    )
+
+
+def _find_rotation(
+    series: tuple[Series, ...], model: Model, rough: Mapping[str, Noise]
+) -> tuple[Series, ...]:
+    """Iterate the rotation of each run where no angle was recorded (Gauss-Newton)."""
+    for _ in range(_ROUNDS):
+        prepared = joint.prepare(series, model, _scale_factors(series, model, None))
+        solution = joint.solve_joint(prepared, model, rough).solution
+        change: dict[str, dict[str, float]] = {}
+        for unknown, value in zip(model.unknowns, solution.estimate, strict=True):
+            if unknown.symbol in ROTATION:
+                change.setdefault(unknown.owner, {})[unknown.symbol] = float(value)
+        series = tuple(_turned(one, change[one.run]) for one in series)
+        if all(_end_angle(one, change[one.run]) < _ROTATION_SETTLED for one in series):
+            return series
+    raise ConvergenceError(
+        "the rotation could not be found from the displacement: the nominal rate is too far off; "
+        "record the spindle's angle, or state the rate more closely"
+    )
+
+
+def _turned(series: Series, change: Mapping[str, float]) -> Series:
+    """Return the series about the reference of a rotation changed by the given steps."""
+    spindle = series.trajectory.spindle
+    moved = replace(
+        series.trajectory,
+        spindle=replace(
+            spindle,
+            start_angle=spindle.start_angle + change["spindle.start_angle"],
+            rate=spindle.rate + change["spindle.rate"],
+            drift=spindle.drift + change["spindle.drift"],
+        ),
+    )
+    output = series.error + series.reference()
+    return replace(series, trajectory=moved, error=output - series.reference(moved))
+
+
+def _end_angle(series: Series, change: Mapping[str, float]) -> float:
+    end = float(series.time[-1])
+    return (
+        abs(change["spindle.start_angle"])
+        + abs(change["spindle.rate"]) * end
+        + abs(change["spindle.drift"] * series.trajectory.spindle.rate) * end**2
+    )
+
+
+def _noise(
+    prepared: Sequence[Prepared], model: Model, requests: Mapping[str, NoiseRequest]
+) -> tuple[dict[str, Noise], dict[str, VarianceComponents]]:
+    """Return each accelerometer's noise, given or by restricted maximum likelihood."""
+    noise: dict[str, Noise] = {}
+    components: dict[str, VarianceComponents] = {}
+    for name, request in requests.items():
+        if request.given is not None:
+            noise[name] = request.given
+            continue
+        own = [one for one in prepared if one.series.accelerometer == name]
+        components[name] = _components(own, model, request)
+        noise[name] = components[name].noise
+    return noise, components
+
+
+def _components(
+    prepared: Sequence[Prepared], model: Model, request: NoiseRequest
+) -> VarianceComponents:
+    used = sorted({index for one in prepared for index in one.unknowns})
+    records = []
+    for one in prepared:
+        design = np.zeros((one.series.time.size, len(used)))
+        design[:, [used.index(index) for index in one.unknowns]] = one.design
+        series = one.series
+        records.append(
+            RecordData(
+                series.time,
+                observation.ORDERS[series.observable],
+                design,
+                series.error,
+                series.count,
+                series.spacing,
+            )
+        )
+    # Priors are data too; what has none is held as loosely as in the solution.
+    chosen = [model.unknowns[index] for index in used]
+    spread = np.array(
+        [u.prior[1] if math.isfinite(u.prior[1]) else REGULARISATION * u.limit for u in chosen]
+    )
+    spread = np.maximum(spread, 1e-12 * np.array([unknown.limit for unknown in chosen]))
+    means = [
+        unknown.prior[0] - unknown.nominal if math.isfinite(unknown.prior[1]) else 0.0
+        for unknown in chosen
+    ]
+    return variance_components.estimate(
+        records,
+        white=request.white,
+        random_walk=request.random_walk,
+        quantisation=request.quantisation,
+        prior_rows=np.diag(1.0 / spread),
+        prior_values=np.array(means) / spread,
+    )
+
+
+def _effective_dof(fit: JointFit, components: Mapping[str, VarianceComponents]) -> Array:
+    """Return Satterthwaite's degrees of freedom; several accelerometers' 1/dof add up."""
+    inverse = np.zeros(len(fit.model.unknowns))
+    for name, component in components.items():
+
+        def variances(noise: Noise, name: str = name) -> Array:
+            other = joint.solve_joint(fit.prepared, fit.model, {**fit.noise, name: noise})
+            return np.diag(other.solution.covariance)
+
+        inverse += 1.0 / variance_components.effective_dof_of(variances, component)
+    with np.errstate(divide="ignore"):
+        return 1.0 / inverse

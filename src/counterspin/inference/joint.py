@@ -1,0 +1,438 @@
+"""Joint estimation from full records: every sample of every run and accelerometer in one fit.
+
+Each `Series` (one accelerometer in one run) is whitened and reduced to a block of square-root
+information about the shared unknowns, its own start offset and velocity projected out. All blocks
+are solved together with the priors and the considered terms. Whatever is asked next (another
+noise level, a run left out, one more considered input) starts from the prepared columns or the
+blocks, not from the records.
+
+- `Series`, `Unknown`, `Considered`, `Model`: the problem
+- `prepare`: the columns, computed once
+- `solve_joint`, `JointFit`: the answer
+- `residuals`, `leave_out`: checks of it
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.inference import least_squares
+from counterspin.inference.least_squares import Block, Solution
+from counterspin.inference.noise import Noise, Whitener, make_whitener
+from counterspin.physics import observation
+from counterspin.physics.accelerometer import TERMS, Array, Mounting, term
+from counterspin.physics.motion import Trajectory
+
+#: Rotation of a run as unknowns, where no angle is recorded: rad, rad/s, 1/s.
+ROTATION: Final = ("spindle.start_angle", "spindle.rate", "spindle.drift")
+
+#: Uncertain inputs: how each changes the trajectory, and the relative step of its derivative.
+_STEP: Final = 1e-5
+INPUTS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
+    "centrifuge.radius": lambda motion, step: replace(motion, radius=motion.radius + step),
+    "site.gravity": lambda motion, step: replace(
+        motion, site=replace(motion.site, gravity=motion.site.gravity + step)
+    ),
+    "site.latitude": lambda motion, step: replace(
+        motion, site=replace(motion.site, latitude=motion.site.latitude + step)
+    ),
+}
+TIMING: Final = "records.timing_offset"  #: s, between the clocks of angle and output
+
+
+@dataclass(frozen=True)
+class Series:
+    """One accelerometer's output in one run, less what a perfect system records.
+
+    Attributes
+    ----------
+    accelerometer, run
+        Names.
+    trajectory, mounting, observable, attitude
+        As for `observation.columns`.
+    time, spread, count
+        Mean time of each block, standard deviation of its samples' times (s) and their number,
+        shape (n,); for point samples 0 and 1.
+    spacing
+        Time between samples, s.
+    error
+        S - S_ref, m, m/s or m/s^2, shape (n,), without gaps (missing rows are left out).
+    in_g
+        Whether the record is in g, so that its size depends on the gravity assumed.
+    """
+
+    accelerometer: str
+    run: str
+    trajectory: Trajectory
+    mounting: Mounting
+    observable: str
+    attitude: Array
+    time: Array
+    spread: Array
+    count: Array
+    spacing: float
+    error: Array
+    in_g: bool = False
+
+    def columns(
+        self, symbols: Sequence[str], scale_factor: float, trajectory: Trajectory | None = None
+    ) -> Array:
+        """Return observation columns averaged over the blocks, shape (n, m)."""
+        motion = trajectory or self.trajectory
+        return observation.over_blocks(
+            lambda t: observation.columns(
+                motion,
+                self.mounting,
+                symbols,
+                t,
+                self.observable,
+                attitude=self.attitude,
+                scale_factor=scale_factor,
+            ),
+            self.time,
+            self.spread,
+        )
+
+    def reference(self, trajectory: Trajectory | None = None, later: float = 0.0) -> Array:
+        """Return the reference averaged over the blocks, shape (n,), at times later by `later`."""
+        motion = trajectory or self.trajectory
+        return observation.over_blocks(
+            lambda t: observation.reference(
+                motion, self.mounting, t + later, self.observable, self.attitude
+            ),
+            self.time,
+            self.spread,
+        )
+
+    def without(self, drop: npt.NDArray[np.bool_]) -> Series:
+        """Return the series without the rows where `drop` (bool, shape (n,)) is true."""
+        keep = np.logical_not(drop)
+        return replace(
+            self,
+            time=self.time[keep],
+            spread=self.spread[keep],
+            count=self.count[keep],
+            error=self.error[keep],
+        )
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One unknown of the joint fit.
+
+    Attributes
+    ----------
+    owner
+        The accelerometer's name, the run's name, or empty for what all share.
+    symbol
+        A term of the table, or one of `ROTATION`.
+    prior
+        (value, standard uncertainty) of the coefficient; infinite: nothing known.
+    limit
+        Largest credible size.
+    """
+
+    owner: str
+    symbol: str
+    prior: tuple[float, float]
+    limit: float
+
+    @property
+    def nominal(self) -> float:
+        """What the coefficient is in a perfect system."""
+        return 0.0 if self.symbol in ROTATION else term(self.symbol).nominal
+
+    @property
+    def name(self) -> str:
+        """Owner and symbol in one word."""
+        return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
+
+    def concerns(self, series: Series) -> bool:
+        """Return whether the unknown can show in a series."""
+        if self.symbol in TERMS:
+            return self.owner == series.accelerometer
+        return self.owner in ("", series.run)
+
+
+@dataclass(frozen=True)
+class Considered(Unknown):
+    """A term that is not estimated: its prior's value is taken, its uncertainty carried."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is estimated, what is considered, and which inputs are uncertain.
+
+    Attributes
+    ----------
+    unknowns, considered
+        In the order of the solution's rows and considered columns.
+    inputs
+        Input (a key of `INPUTS`, or `TIMING`) -> standard uncertainty, SI; considered too.
+    """
+
+    unknowns: tuple[Unknown, ...]
+    considered: tuple[Considered, ...] = ()
+    inputs: Mapping[str, float] | None = None
+
+    @property
+    def considered_names(self) -> tuple[str, ...]:
+        """Names of the solution's considered columns."""
+        return (*(c.name for c in self.considered), *(self.inputs or ()))
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A series and its columns, ready to be weighted with any noise.
+
+    Attributes
+    ----------
+    series
+        The series.
+    unknowns, considered
+        Which of the model's unknowns and considered columns the columns below belong to.
+    design, fixed
+        Their columns, shapes (n, m) and (n, c).
+    """
+
+    series: Series
+    unknowns: tuple[int, ...]
+    design: Array
+    considered: tuple[int, ...]
+    fixed: Array
+
+
+def prepare(
+    series: Sequence[Series],
+    model: Model,
+    scale_factors: Mapping[str, float],
+    estimate: Array | None = None,
+) -> tuple[Prepared, ...]:
+    """Compute every column of a problem.
+
+    Parameters
+    ----------
+    series
+        The data.
+    model
+        What is estimated and considered.
+    scale_factors
+        K_I of each accelerometer, with which it sees the platform's errors.
+    estimate
+        Values of the unknowns, less nominal, shape (p,), at which the uncertain inputs'
+        derivatives are taken; None: those of a perfect system.
+    """
+    return tuple(_prepare(one, model, scale_factors[one.accelerometer], estimate) for one in series)
+
+
+def _prepare(series: Series, model: Model, scale_factor: float, estimate: Array | None) -> Prepared:
+    unknowns = tuple(i for i, unknown in enumerate(model.unknowns) if unknown.concerns(series))
+    considered = tuple(i for i, other in enumerate(model.considered) if other.concerns(series))
+    symbols = [model.unknowns[i].symbol for i in unknowns]
+    ignored = [model.considered[i].symbol for i in considered]
+    terms = [symbol for symbol in (*symbols, *ignored) if symbol not in ROTATION]
+    table = dict(zip(terms, series.columns(terms, scale_factor).T, strict=True))
+    table |= {symbol: _rotation_column(series, symbol) for symbol in symbols if symbol in ROTATION}
+    n = series.time.size
+    design = np.column_stack([table[s] for s in symbols] or [np.empty((n, 0))])
+    fixed = [table[symbol] for symbol in ignored]
+    first_input = len(model.considered)
+    values = np.zeros(len(symbols)) if estimate is None else estimate[list(unknowns)]
+    known = {s: v for s, v in zip(symbols, values, strict=True) if s not in ROTATION}
+    for name in model.inputs or ():
+        fixed.append(_input_column(series, name, scale_factor, known, table))
+    inputs = tuple(range(first_input, first_input + len(model.inputs or ())))
+    return Prepared(
+        series,
+        unknowns,
+        design,
+        considered + inputs,
+        np.column_stack(fixed or [np.empty((n, 0))]),
+    )
+
+
+def _rotation_column(series: Series, symbol: str) -> Array:
+    """Return d(reference)/d(a parameter of the rotation), by central differences."""
+    spindle = series.trajectory.spindle
+    duration = float(series.time[-1])
+    name, step = {
+        "spindle.start_angle": ("start_angle", _STEP),
+        "spindle.rate": ("rate", _STEP / duration),
+        "spindle.drift": ("drift", _STEP / (abs(spindle.rate) * duration**2)),
+    }[symbol]
+    ahead, behind = (
+        series.reference(
+            replace(
+                series.trajectory,
+                spindle=replace(spindle, **{name: getattr(spindle, name) + change}),
+            )
+        )
+        for change in (step, -step)
+    )
+    return (ahead - behind) / (2.0 * step)
+
+
+def _input_column(
+    series: Series,
+    name: str,
+    scale_factor: float,
+    known: Mapping[str, float],
+    table: Mapping[str, Array],
+) -> Array:
+    """Return d(recorded output)/d(input) at the estimate, by a forward difference."""
+    base = series.reference()
+    if name == TIMING:
+        step = _STEP / abs(series.trajectory.spindle.rate)
+        return (series.reference(later=step) - base) / step
+    size = {
+        "centrifuge.radius": series.trajectory.radius,
+        "site.gravity": series.trajectory.site.gravity,
+        "site.latitude": 1.0,
+    }[name]
+    step = _STEP * size
+    moved = INPUTS[name](series.trajectory, step)
+    symbols = list(known)
+    errors = np.array([known[symbol] for symbol in symbols])
+    before = np.column_stack([table[s] for s in symbols] or [np.empty((base.size, 0))]) @ errors
+    after = series.columns(symbols, scale_factor, moved) @ errors
+    change: Array = (series.reference(moved) + after - base - before) / step
+    if name == "site.gravity" and series.in_g:
+        # A record in g was turned into m/s^2 with the gravity assumed.
+        change = change - (base + series.error) / series.trajectory.site.gravity
+    return change
+
+
+@dataclass(frozen=True)
+class JointFit:
+    """A solved joint problem.
+
+    Attributes
+    ----------
+    model
+        What was solved.
+    solution
+        Estimates less nominal, covariances by source, sensitivities.
+    prepared, blocks
+        The columns and each series' square-root information, in the order of the series.
+    noise
+        By accelerometer.
+    """
+
+    model: Model
+    solution: Solution
+    prepared: tuple[Prepared, ...]
+    blocks: tuple[Block, ...]
+    noise: Mapping[str, Noise]
+
+
+def whitener(series: Series, noise: Noise) -> Whitener:
+    """Return what turns the series' rows into rows of unit covariance."""
+    order = observation.ORDERS[series.observable]
+    return make_whitener(series.time, order, noise, series.count, series.spacing)
+
+
+def polynomials(series: Series, count: int) -> Array:
+    """Return the columns of start offset and start velocity, 1 and t, shape (n, count)."""
+    return np.vander(series.time, count, increasing=True)
+
+
+def solve_joint(prepared: Sequence[Prepared], model: Model, noise: Mapping[str, Noise]) -> JointFit:
+    """Solve a prepared problem for given noise.
+
+    Parameters
+    ----------
+    prepared
+        From `prepare`, for the same model.
+    model
+        What is estimated and considered.
+    noise
+        By accelerometer.
+
+    Returns
+    -------
+    JointFit
+
+    Raises
+    ------
+    NotIdentifiableError
+        If a record is too short for its own start offset and velocity.
+    """
+    blocks = tuple(_block(one, model, noise[one.series.accelerometer]) for one in prepared)
+    return JointFit(model, _solve(blocks, model), tuple(prepared), blocks, noise)
+
+
+def _block(prepared: Prepared, model: Model, noise: Noise) -> Block:
+    """Whiten one series and reduce it, then put its columns where the model has them."""
+    series = prepared.series
+    whiten = whitener(series, noise)
+    own = polynomials(series, whiten.polynomials)
+    rows = whiten.apply(np.column_stack([own, prepared.design, prepared.fixed, series.error]))
+    m, p = whiten.polynomials, prepared.design.shape[1]
+    block = least_squares.reduce_block(
+        rows[:, m : m + p], rows[:, -1], rows[:, :m], rows[:, m + p : -1]
+    )
+    factor = np.zeros((block.factor.shape[0], len(model.unknowns)))
+    factor[:, list(prepared.unknowns)] = block.factor
+    fixed = np.zeros((block.factor.shape[0], len(model.considered_names)))
+    fixed[:, list(prepared.considered)] = block.considered
+    return replace(block, factor=factor, considered=fixed)
+
+
+def _solve(blocks: Sequence[Block], model: Model) -> Solution:
+    inputs = model.inputs or {}
+    return least_squares.solve(
+        blocks,
+        prior_mean=_prior_means(model.unknowns),
+        prior_sd=[unknown.prior[1] for unknown in model.unknowns],
+        considered_mean=[*_prior_means(model.considered), *(0.0 for _ in inputs)],
+        considered_sd=[*(other.prior[1] for other in model.considered), *inputs.values()],
+        limits=[unknown.limit for unknown in model.unknowns],
+    )
+
+
+def _prior_means(unknowns: Sequence[Unknown]) -> list[float]:
+    """Return prior values less nominal; where nothing is known, nominal itself."""
+    return [
+        unknown.prior[0] - unknown.nominal if np.isfinite(unknown.prior[1]) else 0.0
+        for unknown in unknowns
+    ]
+
+
+def leave_out(fit: JointFit, run: str) -> Solution | None:
+    """Return the solution without one run; None if nothing is left."""
+    kept = [
+        block for block, one in zip(fit.blocks, fit.prepared, strict=True) if one.series.run != run
+    ]
+    return _solve(kept, fit.model) if kept else None
+
+
+def residuals(fit: JointFit, index: int) -> tuple[Array, Array]:
+    """Return the residuals of one series: in its own unit (n,), and whitened (m,).
+
+    Parameters
+    ----------
+    fit
+        The solved problem.
+    index
+        Which series.
+    """
+    prepared = fit.prepared[index]
+    series = prepared.series
+    means = np.array(_prior_means(fit.model.considered) + [0.0] * len(fit.model.inputs or ()))
+    left = series.error - prepared.design @ fit.solution.estimate[list(prepared.unknowns)]
+    left = left - prepared.fixed @ means[list(prepared.considered)]
+    whiten = whitener(series, fit.noise[series.accelerometer])
+    if whiten.polynomials == 0:
+        # The differences have removed the start errors; the plain residuals need them back.
+        own = polynomials(series, observation.ORDERS[series.observable])
+        start = np.linalg.lstsq(own, left, rcond=None)[0]
+        return left - own @ start, whiten.apply(left)
+    own = polynomials(series, whiten.polynomials)
+    rows = whiten.apply(np.column_stack([own, left]))
+    start = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)[0]
+    return left - own @ start, rows[:, -1] - rows[:, :-1] @ start
