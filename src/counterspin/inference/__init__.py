@@ -10,6 +10,7 @@ What stands in this room:
 - `strobes`: the samples of a record at one angle of each revolution (Eq. 15)
 - `first_stage`, `two_stage`: the paper's method, a parabola a run and then its curvature
   against the rate
+- `joint`: full records of all runs and accelerometers, solved together
 
 Glossary
 --------
