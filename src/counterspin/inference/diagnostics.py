@@ -207,7 +207,7 @@ def chi_square_p(chi2: float, dof: float) -> float:
 
 
 def runs_test(rows: ArrayLike) -> tuple[int, float, float]:
-    """Wald and Wolfowitz's runs test of the signs, by its normal approximation.
+    """Run Wald and Wolfowitz's test of the signs' order, by its normal approximation.
 
     Parameters
     ----------
@@ -233,7 +233,9 @@ def runs_test(rows: ArrayLike) -> tuple[int, float, float]:
     if variance <= 0:
         return count, 0.0, 1.0
     z = (count - mean) / math.sqrt(variance)
-    return count, z, float(2 * ndtr(-abs(z)))
+    # A count is a whole number: its tail begins half a step nearer the mean.
+    tail = max(abs(count - mean) - 0.5, 0.0) / math.sqrt(variance)
+    return count, z, float(2 * ndtr(-tail))
 
 
 def periodogram_peak(rows: ArrayLike) -> tuple[float, float, float]:

@@ -1,0 +1,131 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from counterspin.inference.diagnostics import (
+    chi_square_p,
+    diagnose,
+    fisher_g_p,
+    periodogram_peak,
+    runs_test,
+)
+
+
+def white(seed, n=2000):
+    return np.random.default_rng(seed).normal(size=n)
+
+
+def test_independent_residuals_pass():
+    result = diagnose({"run1": white(1), "run2": white(2)}, 3990, noise_given=True)
+    assert result.findings == ()
+    assert "independent noise" in result.verdict
+    assert result.chi2 == pytest.approx(sum(run.chi2 for run in result.runs.values()))
+    assert result.runs["run1"].dof == 1995
+    assert result.lack_of_fit_p == chi_square_p(result.chi2, 3990)
+
+
+def test_noise_stated_too_small_and_too_large():
+    small = diagnose({"a": 1.2 * white(1)}, 1995, noise_given=True)
+    assert small.lack_of_fit_p < 1e-6
+    assert "1.21 times as large" in small.verdict
+    large = diagnose({"a": 0.8 * white(1)}, 1995, noise_given=True)
+    assert "too large" in large.verdict
+
+
+def test_one_bad_run_is_named():
+    result = diagnose({"good": white(1), "bad": 1.3 * white(2)}, 3990, noise_given=True)
+    assert any(finding.startswith("bad:") for finding in result.findings)
+    assert not any(finding.startswith("good:") for finding in result.findings)
+
+
+def test_something_slow_left_out():
+    slow = white(3) + 0.7 * np.linspace(-1, 1, 2000) ** 3 * 2
+    result = diagnose({"a": slow / slow.std()}, 1995, noise_given=False)
+    assert result.lack_of_fit_p < 1e-3
+    assert result.runs["a"].sign_z < -3
+    assert "seldom" in result.verdict
+
+
+def test_something_periodic_left_out():
+    times = np.arange(2000) * 0.02
+    rows = white(4) + 0.3 * np.cos(2 * np.pi * 3.0 * times)
+    result = diagnose({"a": rows}, 1995, noise_given=False, times={"a": times})
+    assert result.runs["a"].peak_frequency == pytest.approx(3.0, abs=0.013)
+    assert result.lack_of_fit_p < 1e-6
+    assert "a peak at 3 Hz" in result.verdict
+
+
+def test_sign_test_against_all_orders():
+    """Mean and variance of the number of runs over every arrangement of 4 plus and 5 minus."""
+    counts, z = [], []
+    for places in itertools.combinations(range(9), 4):
+        signs = -np.ones(9)
+        signs[list(places)] = 1
+        count, distance, _ = runs_test(signs)
+        assert count == 1 + np.count_nonzero(np.diff(signs))
+        counts.append(count)
+        z.append(distance)
+    assert np.mean(z) == pytest.approx(0, abs=1e-12)
+    assert np.var(z) == pytest.approx(1, rel=1e-12)
+
+
+def test_sign_probability_against_all_orders():
+    signs = [
+        np.isin(np.arange(16), places) * 2.0 - 1 for places in itertools.combinations(range(16), 8)
+    ]
+    tests = [runs_test(rows) for rows in signs]
+    z = np.array([distance for _, distance, _ in tests])
+    for _, distance, p in tests[:50]:
+        assert p == pytest.approx((np.abs(z) >= abs(distance) - 1e-9).mean(), abs=0.01)
+
+
+def test_signs_that_tell_nothing():
+    assert runs_test(np.ones(5)) == (1, 0.0, 1.0)
+    assert runs_test(np.zeros(5)) == (0, 0.0, 1.0)
+    assert runs_test([1.0, -1.0]) == (2, 0.0, 1.0)
+    assert runs_test([1.0, 0.0, 2.0, -1.0, -2.0])[0] == 2
+
+
+def test_peak_test_against_tabled_values():
+    """Fisher's 5 % points of g (1929; also Shimshoni 1971): m = 5, 10, 20, 50."""
+    for lines, point in ((5, 0.68377), (10, 0.44495), (20, 0.27040), (50, 0.13135)):
+        assert fisher_g_p(point, lines) == pytest.approx(0.05, rel=2e-4)
+
+
+@pytest.mark.parametrize("lines", [2, 3, 60, 17_500])
+def test_peak_test_is_uniform_under_independence(lines):
+    rng = np.random.default_rng(lines)
+    power = rng.exponential(size=(400, lines))
+    p = np.sort([fisher_g_p(s, lines) for s in power.max(axis=1) / power.sum(axis=1)])
+    # Kolmogorov's 0.1 % point.
+    assert np.abs(p - (np.arange(400) + 0.5) / 400).max() < 1.95 / math.sqrt(400)
+
+
+def test_peak_of_a_pure_tone_and_of_nothing():
+    frequency, share, p = periodogram_peak(np.cos(2 * np.pi * 0.125 * np.arange(64)))
+    assert frequency == 0.125
+    assert share == pytest.approx(1)
+    assert p < 1e-100
+    assert periodogram_peak(np.zeros(8)) == (0.0, 0.0, 1.0)
+    assert periodogram_peak([1.0, -2.0, 0.5])[2] == 1.0
+    assert fisher_g_p(1.0, 7) == 0.0
+
+
+def test_false_alarms_are_as_rare_as_stated():
+    rng = np.random.default_rng(5)
+    alarms = sum(
+        bool(diagnose(dict(enumerate(rng.normal(size=(3, 200)))), 600, noise_given=False).findings)
+        for _ in range(3000)
+    )
+    assert alarms / 3000 < 0.01 + 3 * math.sqrt(0.01 / 3000)
+
+
+def test_what_cannot_be_tested_is_refused():
+    with pytest.raises(ValueError, match="three or more"):
+        diagnose({}, 5, noise_given=True)
+    with pytest.raises(ValueError, match="three or more"):
+        diagnose({"a": [1.0, 2.0]}, 5, noise_given=True)
+    with pytest.raises(ValueError, match="nothing to test"):
+        diagnose({"a": white(1)}, 0, noise_given=True)
