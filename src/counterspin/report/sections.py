@@ -1,0 +1,227 @@
+"""What a report of a result says, in order: the answer first, then what it rests on.
+
+- `sections`: a result as blocks
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+from counterspin.campaign.result import Coefficient, Result, RunResult
+from counterspin.report.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.report.findings import (
+    accelerometer_blocks,
+    budget_blocks,
+    coefficient_table,
+    in_field_units,
+)
+from counterspin.report.numbers import (
+    NOT_DETERMINED,
+    field_unit,
+    format_compact,
+    format_estimate,
+    format_interval,
+    format_number,
+)
+
+_COVERAGE: Final = 0.95
+
+
+def sections(result: Result, *, budget: bool = False, details: bool = False) -> list[Block]:
+    """Return a result as blocks, the answer first.
+
+    Parameters
+    ----------
+    result
+        What `calibrate` returned, or what was read from its JSON.
+    budget
+        Whether the uncertainty budgets are written.
+    details
+        Whether strong correlations, run counts, input files and their checksums are written.
+    """
+    blocks: list[Block] = [*_answer(result)]
+    for name, accelerometer in result.accelerometers.items():
+        blocks += accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=details)
+        if budget:
+            blocks += budget_blocks(name, accelerometer)
+    blocks += _platform(result)
+    blocks += _runs(result.runs)
+    if details:
+        blocks += _details(result)
+    return blocks
+
+
+# The answer
+
+
+def _answer(result: Result) -> Iterator[Block]:
+    yield Heading(result.title or "Calibration")
+    for name, accelerometer in result.accelerometers.items():
+        if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
+            yield _answer_line(f"K_II of {name}", coefficient)
+    for warning in result.warnings:
+        yield Paragraph(f"Warning: {warning}", "warning")
+    known = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
+    if line := "; ".join(known):
+        yield Paragraph(f"{line}.", "quiet")
+    gravity = format_number(result.inputs.gravity, 9)
+    yield Paragraph(
+        f"{result.method.capitalize()} method, {result.model} model. ± is one standard uncertainty "
+        f"(k = 1). Coefficients are in units of the site's own gravity, g = {gravity} m/s^2, and "
+        "of an error model that is not divided by K_I: IEEE Std 1293 divides by it, so that its "
+        "K2 is K_II/K_I.",
+        "quiet",
+    )
+
+
+def _answer_line(name: str, coefficient: Coefficient) -> Paragraph:
+    value, u, unit = in_field_units(coefficient)
+    if not coefficient.estimated or value is None or u is None:
+        prior = (
+            f"; known beforehand: {format_estimate(value, u, unit)}" if value is not None else ""
+        )
+        return Paragraph(f"{name}: {NOT_DETERMINED} by these records{prior}", "warning")
+    text = f"{name} = {format_estimate(value, u, unit)}"
+    if u > 0.0:
+        half = _coverage_factor(coefficient.dof) * u
+        interval = format_interval(value, u, half, unit)
+        dof = f", {format_number(coefficient.dof, 4)} dof" if coefficient.dof is not None else ""
+        text += f"   (95 %: {interval}{dof})"
+    return Paragraph(text, "answer")
+
+
+def _coverage_factor(dof: float | None) -> float:
+    """Return Student's factor of the coverage for degrees of freedom, None being infinite."""
+    from scipy.special import ndtri, stdtrit
+
+    tail = 0.5 * (1.0 + _COVERAGE)
+    return float(ndtri(tail) if dof is None else stdtrit(dof, tail))
+
+
+# Platform and runs
+
+
+def _platform(result: Result) -> Iterator[Block]:
+    terms = dict(result.platform)
+    for name, run in result.runs.items():
+        terms |= {f"{symbol} ({name})": found for symbol, found in run.terms.items()}
+    if terms:
+        yield Heading("Platform")
+        table = coefficient_table(terms)
+        yield Table(table.columns[1:], tuple(row[1:] for row in table.rows), table.quiet)
+
+
+def _runs(runs: dict[str, RunResult]) -> Iterator[Block]:
+    yield Heading("Runs")
+    yield Table(
+        columns=(
+            Column("Run", wraps=True),
+            Column("Rate, rad/s"),
+            Column("Drift, ppm/h"),
+            Column("Ripple, ppm of rate"),
+            Column("Used", "right"),
+            Column("Rejected", "right"),
+        ),
+        rows=tuple(
+            (
+                name,
+                format_compact(run.rate, run.u_rate),
+                format_compact(
+                    run.drift * field_unit("1/s")[1],
+                    None if run.u_drift is None else run.u_drift * field_unit("1/s")[1],
+                ),
+                _ripples(run),
+                str(run.samples),
+                str(run.rejected),
+            )
+            for name, run in runs.items()
+        ),
+    )
+    yield Paragraph("Digits in brackets: standard uncertainty of the last digits.", "quiet")
+    yield from _parabolas(runs)
+    yield from _fits(runs)
+    for name, run in runs.items():
+        for note in run.notes:
+            yield Paragraph(note if note.startswith(name) else f"{name}: {note}")
+
+
+def _ripples(run: RunResult) -> str:
+    if not run.ripples:
+        return "-"
+    # parts per million of the rate, whichever way it turns
+    scale = 1e6 / abs(run.rate)
+    return "\n".join(
+        f"{ripple.harmonic}: {format_compact(ripple.amplitude * scale, ripple.u_amplitude * scale)}"
+        for ripple in run.ripples
+    )
+
+
+def _parabolas(runs: dict[str, RunResult]) -> Iterator[Block]:
+    rows = [
+        (
+            name,
+            accelerometer,
+            str(fitted.strobes),
+            format_compact(fitted.b2, fitted.u_b2),
+            f"{format_number(fitted.sigma)} {'fitted' if fitted.sigma_from_residuals else 'given'}",
+        )
+        for name, run in runs.items()
+        for accelerometer, fitted in run.parabolas.items()
+    ]
+    if rows:
+        yield Table(
+            columns=(
+                Column("First stage", wraps=True),
+                Column("", wraps=True),
+                Column("Strobes", "right"),
+                Column("b2, m/s^2"),
+                Column("sigma, m"),
+            ),
+            rows=tuple(rows),
+        )
+
+
+def _fits(runs: dict[str, RunResult]) -> Iterator[Block]:
+    """Write whatever each run's fit is judged by, a column for each key."""
+    fits = [
+        (name, accelerometer, fit)
+        for name, run in runs.items()
+        for accelerometer, fit in run.fit.items()
+    ]
+    keys = tuple(dict.fromkeys(key for _, _, fit in fits for key in fit))
+    if keys:
+        yield Table(
+            columns=(
+                Column("Fit", wraps=True),
+                Column("", wraps=True),
+                *(Column(key.replace("_", " "), "right", wraps=True) for key in keys),
+            ),
+            rows=tuple(
+                (name, accelerometer, *(_plain(fit.get(key)) for key in keys))
+                for name, accelerometer, fit in fits
+            ),
+        )
+
+
+def _plain(value: float | str | None) -> str:
+    return "-" if value is None else value if isinstance(value, str) else format_number(value, 4)
+
+
+def _details(result: Result) -> Iterator[Block]:
+    yield Heading("Details")
+    for name, run in result.runs.items():
+        counts = ", ".join(f"{key.replace('_', ' ')} {count}" for key, count in run.counts.items())
+        if counts:
+            yield Paragraph(f"{name}: {counts}.")
+        if run.angle_rms is not None:
+            unit, factor = field_unit("rad")
+            rms = format_number(run.angle_rms * factor)
+            yield Paragraph(f"{name}: recorded angle less its model, rms {rms} {unit}.")
+    inputs = result.inputs
+    latitude = format_number(math.degrees(inputs.latitude), 8)
+    yield Paragraph(f"Radius {inputs.radius:.10g} m, latitude {latitude} deg.")
+    for file, checksum in result.provenance.inputs.items():
+        yield Paragraph(f"{file} {checksum}", "quiet")
+    yield Paragraph(f"counterspin {result.provenance.version}", "quiet")

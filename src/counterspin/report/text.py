@@ -1,0 +1,135 @@
+"""A result in the terminal, or as plain text where it is piped.
+
+Numbers are never cut: columns of words wrap first, and only where a terminal is too narrow for
+the numbers themselves are these wrapped too.
+
+- `print_result`: to a console
+- `render`: as something that rich prints
+- `report_console`: a console that is wide enough when its output is no terminal
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Final, TextIO
+
+from rich import box
+from rich.console import Console, ConsoleOptions, RenderResult
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from counterspin.campaign.result import Result
+from counterspin.report.blocks import Block, Heading, Paragraph, Style, Table
+from counterspin.report.numbers import speakable
+from counterspin.report.sections import sections
+
+#: Columns of plain text, where there is no terminal to ask.
+_PLAIN_WIDTH: Final = 100
+
+#: Words are not squeezed below this many characters as long as numbers fit beside them.
+_NARROWEST_WORDS: Final = 9
+
+_STYLES: Final[dict[Style, str]] = {
+    "plain": "",
+    "answer": "bold green",
+    "warning": "yellow",
+    "quiet": "dim",
+}
+
+
+def report_console(file: TextIO | None = None, *, error: bool = False) -> Console:
+    """Return a console for reports.
+
+    Parameters
+    ----------
+    file
+        Where it writes; None: standard output.
+    error
+        Standard error in place of standard output.
+
+    Returns
+    -------
+    Console
+        As wide as the terminal; 100 columns where there is none, unless ``COLUMNS`` says else.
+    """
+    made = Console(file=file, stderr=error, highlight=False)
+    if not made.is_terminal and "COLUMNS" not in os.environ:
+        made.width = _PLAIN_WIDTH
+    return made
+
+
+def print_result(
+    result: Result, console: Console, *, budget: bool = False, details: bool = False
+) -> None:
+    """Print a result; `budget` and `details` as in `render`."""
+    console.print(render(result, budget=budget, details=details))
+
+
+def render(result: Result, *, budget: bool = False, details: bool = False) -> Report:
+    """Return a result as a rich renderable.
+
+    Parameters
+    ----------
+    result
+        What `calibrate` returned, or what was read from its JSON.
+    budget
+        Whether to show the uncertainty budgets.
+    details
+        Whether to show correlations, counts, input files and their checksums.
+    """
+    return Report(sections(result, budget=budget, details=details))
+
+
+class Report:
+    """Blocks of a report as rich prints them, in the width and characters of its console."""
+
+    def __init__(self, blocks: list[Block]) -> None:
+        self.blocks = blocks
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        """Yield each block; called by rich."""
+        before: Block | None = None
+        for block in self.blocks:
+            if before is not None and _stand_apart(before, block):
+                yield ""
+            match block:
+                case Heading(text):
+                    yield Text(speakable(text, options.encoding), "bold")
+                case Paragraph(text, style):
+                    yield Text(speakable(text, options.encoding), _STYLES[style], overflow="fold")
+                case Table():
+                    yield _table(block, options)
+            before = block
+
+
+def _stand_apart(before: Block, block: Block) -> bool:
+    if isinstance(block, Heading):
+        return True
+    return not isinstance(before, Heading) and isinstance(before, Table) | isinstance(block, Table)
+
+
+def _table(block: Table, options: ConsoleOptions) -> RichTable:
+    rows = [[speakable(cell, options.encoding) for cell in row] for row in block.rows]
+    kept = _numbers_fit(block, rows, options.max_width)
+    table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
+    for column in block.columns:
+        table.add_column(
+            Text(speakable(column.title, options.encoding)),
+            justify=column.align,
+            no_wrap=kept and not column.wraps,
+            overflow="fold",
+        )
+    for index, row in enumerate(rows):
+        style = _STYLES["quiet"] if index in block.quiet else None
+        table.add_row(*(Text(cell, overflow="fold") for cell in row), style=style)
+    return table
+
+
+def _numbers_fit(block: Table, rows: list[list[str]], width: int) -> bool:
+    """Return whether the columns of numbers fit whole beside columns of narrow words."""
+    needed = 2 * len(block.columns)
+    for index, column in enumerate(block.columns):
+        cells = (column.title, *(row[index] for row in rows))
+        longest = max(len(line) for cell in cells for line in cell.split("\n"))
+        needed += min(longest, _NARROWEST_WORDS) if column.wraps else longest
+    return needed <= width
