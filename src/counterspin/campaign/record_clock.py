@@ -191,7 +191,7 @@ class Clock:
         if self._lost is not None:
             return None
         advance = np.diff(angle)
-        sample = advance[:: max(1, len(advance) // 1024)]
+        sample = advance[:: max(1, len(advance) // 512)]
         usual = float(np.median(sample))
         tolerance = _tolerance(sample - usual, angle)
         low, high = float(advance.min()), float(advance.max())

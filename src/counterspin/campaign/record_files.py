@@ -107,6 +107,9 @@ class CsvFile(ColumnFile):
         super().__init__(path, names)
         self._find_header()
         self._require(self._header)
+        # Looking out for comments takes the parser half as long again. A comment cannot pass for
+        # a number, so where the first column is read the strict parser stops at it by itself.
+        self._comments = self._header[0] not in names
         for name in self.names:
             if self._header.count(name) > 1:
                 raise RecordError(f"{path}: two columns of the header are named '{name}'.")
@@ -151,7 +154,7 @@ class CsvFile(ColumnFile):
             self.path,
             separator=self._separator,
             skip_lines=self._header_line - 1,
-            comment_prefix="#",
+            comment_prefix="#" if self._comments else None,
             schema=schema,
             encoding="utf8-lossy",
         ).select(self.names)
@@ -168,8 +171,9 @@ class CsvFile(ColumnFile):
         except pl.exceptions.NoDataError:
             return
         except pl.exceptions.PolarsError:
-            # The strict parser says no more than the cell's text. Find out where it stands; if
-            # it is only blanks around the numbers, go on with the tolerant parser from there.
+            # The strict parser says no more than the cell's text. Find out where it stands; if it
+            # is a comment, or blanks around the numbers, go on from there with the tolerant one.
+            self._comments = True
             self._refuse_bad_cells()
             cells = pl.all().str.strip_chars().cast(pl.Float64(), strict=False)
             frames = self._scan(pl.String()).select(cells).slice(done)

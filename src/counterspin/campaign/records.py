@@ -262,25 +262,27 @@ class _Reading:
             return
         first = _joined(head)
         size = self._choose_size(first)
-        held: Columns | None = None
+        # What lies across two batches is brought together in a buffer; the rest are views.
+        buffer = [np.empty(size) for _ in first]
+        filled = 0
         for batch in chain([first], batches):
+            rows = len(batch[0])
             start = 0
-            if held is not None:
-                # Only what completes a piece is copied; the other pieces are views of the batch.
-                start = size - len(held[0])
-                held = _joined([held, [column[:start] for column in batch]])
-                if len(held[0]) < size:
-                    continue
-                yield held
-                held = None
-            for begin in range(start, len(batch[0]), size):
-                piece = [column[begin : begin + size] for column in batch]
-                if len(piece[0]) == size:
-                    yield piece
-                else:
-                    held = piece
-        if held is not None:
-            yield held
+            while start < rows:
+                stop = min(start + size - filled, rows)
+                whole = stop - start == size
+                if not whole:
+                    for column, part in zip(buffer, batch, strict=True):
+                        column[filled : filled + stop - start] = part[start:stop]
+                    filled += stop - start
+                if whole:
+                    yield [column[start:stop] for column in batch]
+                elif filled == size:
+                    yield buffer
+                    filled = 0
+                start = stop
+        if filled:
+            yield [column[:filled] for column in buffer]
 
     def _choose_size(self, columns: Columns) -> int:
         """Choose the block from the spacing of the first rows; return the rows to a piece."""

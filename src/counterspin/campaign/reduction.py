@@ -113,12 +113,13 @@ class Reducer:
         even = unevenness < 0.5
         clean = not any(len(places) for places in outliers)
         if self._block == 1:
-            for place, places in enumerate(outliers):
-                if len(places):
-                    signals[place] = signals[place].copy()
-                    signals[place][places] = np.nan
-            zeros = np.zeros(len(time))
-            return Blocks(time, zeros, np.ones(len(time), dtype=int), angle, signals), outliers
+            # A copy: the piece may be a buffer that the next one overwrites.
+            points = [x.copy() for x in signals]
+            for x, places in zip(points, outliers, strict=True):
+                x[places] = np.nan
+            alone = np.ones(len(time), dtype=int)
+            held_angle = None if angle is None else angle.copy()
+            return Blocks(time.copy(), np.zeros(len(time)), alone, held_angle, points), outliers
         if even and clean:
             blocks = self._even_means(time, angle, signals, unevenness)
             if all(np.isfinite(x).all() for x in blocks.signals):

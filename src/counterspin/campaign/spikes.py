@@ -119,7 +119,7 @@ def _screen(
 ) -> tuple[np.ndarray, float]:
     """Fit whole windows by plain least squares; return each one's peak residual, and the scale.
 
-    `time` is given where it is uneven.
+    Peaks are 0 where none stands out. `time` is given where it is uneven.
     """
     basis, slopes = _even_basis(width, phase_step)
     windows = signal.reshape(-1, width)
@@ -131,9 +131,11 @@ def _screen(
         windows = windows - ((windows @ basis) @ slopes.T) * (late / step)
     rest = (windows @ basis) @ basis.T
     np.subtract(windows, rest, out=rest)
-    sample = rest.ravel()[:: max(1, rest.size // 2048) | 1]
+    sample = rest.ravel()[:: max(1, rest.size // 512) | 1]
     centre = float(np.median(sample))
     scale = _MAD * float(np.median(np.abs(sample - centre)))
+    if max(rest.max() - centre, centre - rest.min()) <= _SCREEN * scale:
+        return np.zeros(len(rest)), scale  # no window needs its own peak: the usual case
     return np.maximum(rest.max(axis=1) - centre, centre - rest.min(axis=1)), scale
 
 
