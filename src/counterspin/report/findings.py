@@ -34,10 +34,11 @@ from counterspin.report.numbers import (
 #: Above this correlation, estimates are named as moving together.
 _STRONG: Final = 0.9
 
-#: Unknowns of the two-stage method, which are the spindle's and so in neither table of terms.
-_SPINDLE_WORDS: Final = {
-    "spindle.drift": "drift of the rate, common to all runs",
-    "spindle.ripple": "ripple as in Eq. 26, common to all runs",
+#: Unknowns of the two-stage method that are the spindle's, and so in neither table of terms:
+#: symbol and words.
+_SPINDLE: Final = {
+    "spindle.drift": ("C", "drift of the rate, common to all runs"),
+    "spindle.ripple": ("w_p", "ripple as in Eq. 26, common to all runs"),
 }
 
 
@@ -72,7 +73,7 @@ def in_field_units(coefficient: Coefficient) -> tuple[float | None, float | None
 def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
     """Return one row for each coefficient; the first column is its symbol, the second its words."""
     rows = [
-        (symbol, _words(symbol), *_cells(coefficient), _origin(coefficient))
+        (*_names(symbol), *_cells(coefficient), _origin(coefficient))
         for symbol, coefficient in coefficients.items()
     ]
     return Table(
@@ -89,11 +90,11 @@ def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
     )
 
 
-def _words(symbol: str) -> str:
-    """Return what a term is called; a run's own term has the run's name in brackets."""
+def _names(symbol: str) -> tuple[str, str]:
+    """Return symbol and words of a term; a run's own term keeps the run's name in brackets."""
     bare, bracket, run = symbol.partition(" (")
     row = TERMS.get(bare) or PLATFORM_TERMS.get(bare)
-    return (row.words if row else _SPINDLE_WORDS.get(bare, bare)) + bracket + run
+    return (symbol, row.words + bracket + run) if row else _SPINDLE.get(bare, (symbol, ""))
 
 
 def _cells(coefficient: Coefficient) -> tuple[str, str, str]:

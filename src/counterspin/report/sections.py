@@ -86,7 +86,7 @@ def _answer_line(name: str, coefficient: Coefficient) -> Paragraph:
     text = f"{name} = {format_estimate(value, u, unit)}"
     if u > 0.0:
         half = _coverage_factor(coefficient.dof) * u
-        interval = format_interval(value, u, half, unit)
+        interval = format_interval(value, u, half)
         dof = f", {format_number(coefficient.dof, 4)} dof" if coefficient.dof is not None else ""
         text += f"   (95 %: {interval}{dof})"
     return Paragraph(text, "answer")

@@ -26,8 +26,8 @@ from counterspin.report.sections import sections
 #: Columns of plain text, where there is no terminal to ask.
 _PLAIN_WIDTH: Final = 100
 
-#: Words are not squeezed below this many characters as long as numbers fit beside them.
-_NARROWEST_WORDS: Final = 9
+#: Characters between two columns.
+_GAP: Final = 2
 
 _STYLES: Final[dict[Style, str]] = {
     "plain": "",
@@ -110,26 +110,37 @@ def _stand_apart(before: Block, block: Block) -> bool:
 
 def _table(block: Table, options: ConsoleOptions) -> RichTable:
     rows = [[speakable(cell, options.encoding) for cell in row] for row in block.rows]
-    kept = _numbers_fit(block, rows, options.max_width)
-    table = RichTable(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False, header_style="bold")
-    for column in block.columns:
-        table.add_column(
-            Text(speakable(column.title, options.encoding)),
-            justify=column.align,
-            no_wrap=kept and not column.wraps,
-            overflow="fold",
-        )
+    titles = [speakable(column.title, options.encoding) for column in block.columns]
+    widths = _widths(block, [titles, *rows], options.max_width)
+    table = RichTable(
+        box=box.SIMPLE_HEAD,
+        padding=(0, _GAP - 1, 0, 0),
+        pad_edge=False,
+        show_edge=False,
+        header_style="bold",
+    )
+    for index, (column, title) in enumerate(zip(block.columns, titles, strict=True)):
+        width = None if widths is None else widths[index]
+        table.add_column(Text(title), justify=column.align, width=width, overflow="fold")
     for index, row in enumerate(rows):
         style = _STYLES["quiet"] if index in block.quiet else None
         table.add_row(*(Text(cell, overflow="fold") for cell in row), style=style)
     return table
 
 
-def _numbers_fit(block: Table, rows: list[list[str]], width: int) -> bool:
-    """Return whether the columns of numbers fit whole beside columns of narrow words."""
-    needed = 2 * len(block.columns)
+def _widths(block: Table, rows: list[list[str]], available: int) -> list[int] | None:
+    """Return the columns' widths; None if they cannot hold every number and word in one piece."""
+    widths, wanted = [], []
     for index, column in enumerate(block.columns):
-        cells = (column.title, *(row[index] for row in rows))
-        longest = max(len(line) for cell in cells for line in cell.split("\n"))
-        needed += min(longest, _NARROWEST_WORDS) if column.wraps else longest
-    return needed <= width
+        lines = [line for row in rows for line in row[index].split("\n")]
+        wanted.append(max(map(len, lines)))
+        words = [word for line in lines for word in line.split()]
+        widths.append(max(map(len, words), default=0) if column.wraps else wanted[-1])
+    spare = available - sum(widths) - _GAP * (len(widths) - 1)
+    if spare < 0:
+        return None
+    # Room goes, one by one, to the column of words that lacks most.
+    while spare > 0 and widths != wanted:
+        widths[max(range(len(widths)), key=lambda i: wanted[i] - widths[i])] += 1
+        spare -= 1
+    return widths
