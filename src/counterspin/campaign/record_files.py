@@ -153,7 +153,8 @@ class CsvFile(ColumnFile):
         return pl.scan_csv(
             self.path,
             separator=self._separator,
-            skip_lines=self._header_line - 1,
+            has_header=False,  # read above: blanks around the names are no part of them
+            skip_lines=self._header_line,
             comment_prefix="#" if self._comments else None,
             schema=schema,
             encoding="utf8-lossy",

@@ -106,10 +106,7 @@ class Reducer:
         outliers
             For each signal the places of its outlying samples.
         """
-        outliers = [
-            np.flatnonzero(find_spikes(time, x, self._rate, self._step, unevenness))
-            for x in signals
-        ]
+        outliers = [find_spikes(time, x, self._rate, self._step, unevenness) for x in signals]
         even = unevenness < 0.5
         clean = not any(len(places) for places in outliers)
         if self._block == 1:
