@@ -36,12 +36,39 @@ _UNIT_RATIOS = (
 
 @dataclass(frozen=True)
 class Waves:
-    """One period a revolution: complex amplitudes, residual deviations, first and last sample."""
+    """A wave and a slow trend, fitted to each revolution.
 
-    amplitude: np.ndarray
+    Attributes
+    ----------
+    coefficients
+        (m, 5) of cos, sin, 1, u, u^2, where u is the angle from `centre` over pi.
+    centre, deviation
+        (m,) rad, mean angle; standard deviation of the residuals.
+    first, last
+        (m,) int, the first and last sample.
+    """
+
+    coefficients: np.ndarray
+    centre: np.ndarray
     deviation: np.ndarray
     first: np.ndarray
     last: np.ndarray
+
+    @property
+    def amplitude(self) -> np.ndarray:
+        """Return (m,) complex: of the cosine of the angle, and of its sine."""
+        amplitude: np.ndarray = self.coefficients[:, 0] + 1j * self.coefficients[:, 1]
+        return amplitude
+
+    def value(self, place: int, angle: np.ndarray) -> np.ndarray:
+        """Return the wave and trend of revolution `place` at (n,) angles."""
+        value: np.ndarray = _functions(angle, self.centre[place]) @ self.coefficients[place]
+        return value
+
+
+def _functions(angle: np.ndarray, centre: np.ndarray) -> np.ndarray:
+    u = (angle - centre) / math.pi
+    return np.stack([np.cos(angle), np.sin(angle), np.ones_like(u), u, u**2], axis=-1)
 
 
 def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
@@ -54,10 +81,6 @@ def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
     signal
         (n,), NaN where there is no sample.
 
-    Returns
-    -------
-    Waves
-        Re is the amplitude of the cosine of the angle, Im that of the sine.
     """
     turns = np.abs(angle - angle[0]) / (2 * math.pi)
     per_turn = len(angle) / max(float(turns[-1]), 1.0)
@@ -70,77 +93,59 @@ def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
     # An incomplete last revolution carries too little of the wave.
     enough = sizes >= max(_FEWEST, 0.7 * float(np.median(sizes))) if len(sizes) else sizes > 0
     edges, sizes = edges[enough], sizes[enough]
-    rows = len(edges)
     index = edges[:, None] + np.arange(sizes.max(initial=0))
     valid = np.arange(sizes.max(initial=0)) < sizes[:, None]
     index = np.where(valid, index, edges[:, None])
-    th, s = th[index], s[index]
-    u = (th - th.mean(axis=1, keepdims=True)) / math.pi if rows else th
-    functions = np.stack([np.cos(th), np.sin(th), np.ones_like(u), u, u**2], axis=-1)
-    functions *= valid[..., None]
-    s = np.where(valid, s, 0.0)
+    th, s = th[index], np.where(valid, s[index], 0.0)
+    centre = th.sum(axis=1, where=valid) / sizes
+    functions = _functions(th, centre[:, None]) * valid[..., None]
     transposed = np.swapaxes(functions, -1, -2)
     normal = transposed @ functions + 1e-12 * np.eye(5)
     fitted = np.linalg.solve(normal, transposed @ s[..., None])
     rest = s - (functions @ fitted)[..., 0]
     deviation = np.sqrt((rest**2).sum(axis=1) / np.maximum(sizes - 5, 1))
-    amplitude = fitted[:, 0, 0] + 1j * fitted[:, 1, 0]
-    return Waves(amplitude, deviation, order[edges], order[edges + sizes - 1])
+    return Waves(fitted[..., 0], centre, deviation, order[edges], order[edges + sizes - 1])
 
 
-def change_of_unit(found: Waves, angle: np.ndarray, signal: np.ndarray) -> tuple[int, str] | None:
-    """Find where the amplitude of a wave changes by a factor.
+def change_of_unit(found: Waves) -> tuple[int, int, str] | None:
+    """Find where the amplitude of a signal's wave changes by a factor.
 
     Returns
     -------
-    (sample, words) or None
-        The first sample after the change, and what changed; None where all is well, or where the
-        signal has no wave to judge by.
+    (before, after, words) or None
+        The places of a revolution before the change and of one after it, and what changes. None
+        where all is well, or where the signal has no wave to judge by.
     """
     size = np.abs(found.amplitude)
     if len(size) < 3:
         return None
-    usual = float(np.median(size))
-    if usual < 5 * float(np.median(found.deviation)):
+    # One of the amplitudes, not the middle of two: half the record may be in either unit.
+    usual = float(np.sort(size)[len(size) // 2])
+    if not usual > 5 * float(np.median(found.deviation)):
         return None
     ratio = size / usual
-    odd = np.flatnonzero((ratio > _OFF) | (ratio < 1 / _OFF))
-    if not len(odd):
+    odd = (ratio > _OFF) | (ratio < 1 / _OFF)
+    if not odd.any():
         return None
-    # The revolution in which the unit changes is a mixture: take the ratio from the next one.
-    begin = int(odd[0])
-    settled = begin + 1 if begin + 1 < len(ratio) and begin + 1 in odd else begin
-    factor = float(ratio[settled])
-    if begin == 0:  # the odd part stands at the start: what changes is where it ends
-        inside = int(np.argmin(np.isin(np.arange(len(ratio)), odd)))
-        factor = 1 / factor
-        before, after = inside - 1, inside
-    else:
-        before, after = begin - 1, begin
-    low, high = int(found.first[before]), int(found.last[after]) + 1
-    part = slice(low, high)
-    sample = low + _switch(
-        angle[part], signal[part], found, before if begin else after, factor, begin
-    )
-    near = min(_UNIT_RATIOS, key=lambda known: abs(abs(math.log(factor)) - math.log(known[0])))
+    turn = int(np.flatnonzero(odd != odd[0])[0])
+    # The revolution in which the unit changes is a mixture of both: take those beside it.
+    before, after = max(turn - 2, 0), min(turn + 1, len(size) - 1)
+    factor = float(size[after] / size[before])
+    near, off = _nearest_units(factor)
     words = f"its wave of one period a revolution changes by a factor of {factor:.4g}"
-    if abs(abs(math.log(factor)) - math.log(near[0])) < 0.02:
-        words += f", as between {near[1]}"
-    return sample, words
+    return before, after, words + (f", as between {near}" if off < 0.02 else "")
 
 
-def _switch(
-    angle: np.ndarray, signal: np.ndarray, found: Waves, good: int, factor: float, begin: int
-) -> int:
-    """Return the sample at which a signal turns from one scale to the other."""
-    wave = found.amplitude[good].real * np.cos(angle) + found.amplitude[good].imag * np.sin(angle)
-    if begin:
-        first, second = wave, wave * factor
-    else:
-        first, second = wave / factor, wave
-    scale = np.maximum(np.abs(first), np.abs(second)).max()
-    cost = np.nan_to_num((np.abs(signal - first) - np.abs(signal - second)) / scale)
-    return int(np.argmin(np.append(0.0, np.cumsum(cost))))
+def _nearest_units(factor: float) -> tuple[str, float]:
+    """Return the units whose ratio comes nearest to a factor, and how near (logarithm)."""
+    size = abs(math.log(factor))
+    return min(((names, abs(size - math.log(r))) for r, names in _UNIT_RATIOS), key=lambda n: n[1])
+
+
+def switch(found: Waves, before: int, after: int, angle: np.ndarray, signal: np.ndarray) -> int:
+    """Return the sample, of (n,) signal, from which on it follows `after` and not `before`."""
+    cost = np.abs(signal - found.value(before, angle)) - np.abs(signal - found.value(after, angle))
+    return int(np.argmin(np.append(0.0, np.cumsum(np.nan_to_num(cost)))))
 
 
 def against_reference(
@@ -177,7 +182,7 @@ def against_reference(
             f"is turned by {turn:.0f} degrees against the input axis: "
             "check the input axis, its sign, and which column is which"
         )
-    near = min(_UNIT_RATIOS, key=lambda known: abs(abs(math.log(size)) - math.log(known[0])))
-    if abs(abs(math.log(size)) - math.log(near[0])) < 0.05:
-        words += f"; the factor {size:.4g} is that between {near[1]}: check the column's unit"
+    near, off = _nearest_units(size)
+    if off < 0.05:
+        words += f"; the factor {size:.4g} is that between {near}: check the column's unit"
     return words

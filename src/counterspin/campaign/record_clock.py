@@ -191,10 +191,12 @@ class Clock:
         if self._lost is not None:
             return None
         advance = np.diff(angle)
+        low, high = float(advance.min()), float(advance.max())
+        if not math.isfinite(low + high):
+            return None
         sample = advance[:: max(1, len(advance) // 512)]
         usual = float(np.median(sample))
         tolerance = _tolerance(sample - usual, angle)
-        low, high = float(advance.min()), float(advance.max())
         if not (low >= usual - tolerance and high <= usual + tolerance):
             odd = np.flatnonzero(np.abs(advance - usual) > tolerance)
             turns = np.round((usual - advance[odd]) / _TURN)
@@ -291,7 +293,9 @@ class Clock:
         def misfit(places: np.ndarray, time0: float, angle0: float) -> np.ndarray:
             gone = time[places] - time0
             slack = _GAP_SLACK * abs(self.rate) * np.maximum(gone - 1.5 * self.step, 0.0)
-            return np.abs(_wrap(angle[places] - angle0 - self.rate * gone)) - base - slack
+            stray = _wrap(angle[places] - angle0 - self.rate * gone)
+            excess: np.ndarray = np.abs(stray) - base - slack
+            return excess
 
         late = np.maximum(steps - 1.5 * self.step, 0.0)
         bad = np.abs(strays) > base + _GAP_SLACK * abs(self.rate) * late

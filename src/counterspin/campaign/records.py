@@ -20,7 +20,13 @@ from typing import Literal
 
 import numpy as np
 
-from counterspin.campaign.record_amplitude import against_reference, change_of_unit, waves
+from counterspin.campaign.record_amplitude import (
+    Waves,
+    against_reference,
+    change_of_unit,
+    switch,
+    waves,
+)
 from counterspin.campaign.record_clock import LISTED, Clock, Gap
 from counterspin.campaign.record_files import ColumnFile, Columns, open_columns
 from counterspin.campaign.reduction import Blocks, Reducer, block_size, piece_size
@@ -384,15 +390,9 @@ class _Reading:
             if self.block > 1:
                 signal = self._without_odd_blocks(blocks, place, signal)
             found = waves(phase, signal)
-            change = change_of_unit(found, phase, signal)
+            change = change_of_unit(found)
             if change is not None:
-                sample, words = change
-                at = blocks.time[min(sample, len(blocks.time) - 1)]
-                raise RecordError(
-                    f"{self._file.path}: column '{spec.name}' changes near "
-                    f"{at + self.start_time * self._specs[0].factor:.6g} s (sample {sample + 1} "
-                    f"of {len(signal)}): {words}. Cut the record there or correct the column."
-                )
+                raise self._changed(place, blocks, phase, found, *change)
             if input_axes is not None:
                 axis = np.asarray(input_axes[name], dtype=float)
                 wrong = against_reference(found, radius, axis, angle is not None)
@@ -407,6 +407,40 @@ class _Reading:
             blocks.time_sd,
             self.start_time * self._specs[0].factor,
             self._report(blocks),
+        )
+
+    def _changed(
+        self,
+        place: int,
+        blocks: Blocks,
+        phase: np.ndarray,
+        found: Waves,
+        before: int,
+        after: int,
+        words: str,
+    ) -> RecordError:
+        """Say at which line of the file a signal changes its unit."""
+        # Samples about the change were taken for outliers: look at the file again.
+        ends = blocks.time[found.first[before]], blocks.time[found.last[after]]
+        spec = self._signals[place]
+        rows: list[np.ndarray] = []
+        parts: list[Columns] = []
+        row = 0
+        for batch in self._file.batches():
+            columns = self._in_si(batch)
+            inside = np.flatnonzero((columns[0] >= ends[0]) & (columns[0] <= ends[1]))
+            if len(inside):
+                signal = columns[len(columns) - len(self._signals) + place] * spec.factor
+                parts.append([columns[0][inside], signal[inside]])
+                rows.append(row + inside)
+            row += len(batch[0])
+        time, signal = _joined(parts)
+        angle = np.interp(time, blocks.time, phase)
+        at = min(switch(found, before, after, angle, signal), len(time) - 1)
+        return RecordError(
+            f"{self._file.path}, {self._file.locate(int(np.concatenate(rows)[at]))}: column "
+            f"'{spec.name}' changes its unit or its scale: {words}. "
+            "Cut the record here or correct the column."
         )
 
     def _without_odd_blocks(self, blocks: Blocks, place: int, signal: np.ndarray) -> np.ndarray:

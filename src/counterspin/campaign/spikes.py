@@ -110,7 +110,10 @@ def find_spikes(
     for begin in range(0, len(suspects), 1024):
         index, residuals, scales = robust(suspects[begin : begin + 1024])
         limit = LIMIT * np.clip(scales, scale, _NOISIER * scale)
-        marked[index[np.abs(residuals) > limit[:, None]]] = True
+        out = np.abs(residuals) > limit[:, None]
+        # Where most of a window is out, something has changed; that is not for us to judge.
+        out[2 * out.sum(axis=1) > width] = False
+        marked[index[out]] = True
     return np.flatnonzero(marked)
 
 
@@ -189,7 +192,8 @@ def _robust_fit(
     def spread(residuals: np.ndarray) -> np.ndarray:
         size = np.sort(np.where(have, np.abs(residuals), np.inf), axis=1)
         median: np.ndarray = np.take_along_axis(size, middle[:, None], axis=1)[:, 0]
-        return np.maximum(_MAD * median, tiny)
+        floored: np.ndarray = np.maximum(_MAD * median, tiny)
+        return floored
 
     residuals = fit(weight**2)
     for _ in range(10):
