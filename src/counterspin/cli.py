@@ -5,17 +5,15 @@ Each command imports what it uses when it runs, so that `--help` answers at once
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 from cyclopts import App, CycloptsError, Parameter
 
 from counterspin._version import __version__
 from counterspin.errors import CampaignError, CounterspinError
-
-if TYPE_CHECKING:
-    from rich.console import Console
 
 app = App(
     name="counterspin",
@@ -39,7 +37,7 @@ def init(directory: Path) -> None:
     from counterspin.commands.init import init as run
 
     written = run(directory)
-    _console().print(
+    print(
         f"Wrote {written}. Edit it, or try it:\n"
         f"  counterspin simulate {written} -o {directory}/simulated\n"
         f"  counterspin calibrate {directory}/simulated"
@@ -63,20 +61,22 @@ def simulate(campaign: Path, *, output: OutputDirectory, overwrite: bool = False
     from counterspin.commands.simulate import simulate as run
 
     written = run(read_campaign(campaign), output, overwrite=overwrite)
-    _console().print(f"Wrote {len(written)} records and campaign.toml to {output}.")
+    print(f"Wrote {len(written)} records and campaign.toml to {output}.")
 
 
 @app.command
 def calibrate(
     directory: Path,
     *,
-    method: Literal["joint", "two-stage"] = "two-stage",
+    method: Literal["joint", "two-stage"] = "joint",
     model: Literal["exact", "as-printed"] = "exact",
     json: JsonFile = None,
     weighted: bool = True,
     ripple: Literal["amplitude", "ratio"] = "amplitude",
     fit_bias: bool = True,
     sigma: Literal["given", "residuals"] = "given",
+    budget: bool = False,
+    details: bool = False,
 ) -> None:
     """Determine the accelerometers' coefficients from a campaign's records.
 
@@ -85,7 +85,7 @@ def calibrate(
     directory
         The campaign's folder, or its campaign.toml.
     method
-        The paper's two stages.
+        All samples in one weighted fit, or the paper's two stages.
     model
         Observation model of the two-stage method: the exact one, or the paper's as printed.
     json
@@ -98,11 +98,15 @@ def calibrate(
         Two-stage: estimate K_F with its prior, or take it as known.
     sigma
         Two-stage: the displacement noise that the campaign gives, or that of the residuals.
+    budget
+        Joint: print where the uncertainty of each K_II comes from, line by line.
+    details
+        Print all that was found: tests of each run, samples left out, correlations.
     """
     from counterspin.campaign.result import write_result
     from counterspin.commands.calibrate import calibrate as run
     from counterspin.commands.two_stage import TwoStageOptions
-    from counterspin.report.text import print_result
+    from counterspin.report.text import print_result, report_console
 
     options = TwoStageOptions(
         model=model,
@@ -114,17 +118,13 @@ def calibrate(
     result = run(directory, method=method, options=options)
     if json is not None:
         write_result(result, json)
-    print_result(result, _console())
-
-
-def _console(*, error: bool = False) -> Console:
-    from rich.console import Console
-
-    return Console(stderr=error, highlight=False)
+    print_result(result, report_console(), budget=budget, details=details)
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit status: 0 done, 1 failed, 2 wrong usage."""
+    # The matrices are small: more threads than one cost more than they bring.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CounterspinError as error:

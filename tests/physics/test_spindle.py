@@ -176,12 +176,24 @@ def test_time_may_start_late():
 def test_harmonics_are_found_even_beyond_an_absent_one():
     angle = recorded(REVERSED, 1e-5, seed=13)
     fit = fit_spindle(TIMES, angle, REVERSED.rate)
-    assert fit.spindle.highest_harmonic == 3
-    amplitudes = [r.amplitude for r in fit.spindle.ripples]
-    (u_second, _) = fit.u_ripples[1]
-    assert amplitudes[0] == pytest.approx(4e-3, rel=1e-2)
-    assert amplitudes[1] < 5 * u_second
-    assert amplitudes[2] == pytest.approx(2e-3, rel=1e-2)
+    assert [ripple.harmonic for ripple in fit.spindle.ripples] == [1, 3]
+    first, third = (ripple.amplitude for ripple in fit.spindle.ripples)
+    assert first == pytest.approx(4e-3, rel=1e-2)
+    assert third == pytest.approx(2e-3, rel=1e-2)
+
+
+def test_a_lone_high_harmonic_is_found():
+    spindle = Spindle(2.0 * math.pi, ripples=(Ripple(7, 1e-3, 0.4),))
+    (ripple,) = fit_spindle(TIMES, recorded(spindle, 1e-5, seed=14), spindle.rate).spindle.ripples
+    assert ripple.harmonic == 7
+    assert ripple.amplitude == pytest.approx(1e-3, rel=0.05)
+
+
+def test_an_unwrapped_angle_may_have_gaps():
+    spindle = Spindle(2.0 * math.pi, 1e-6)
+    times = TIMES[(TIMES < 10.0) | (TIMES > 14.3)]
+    fit = fit_spindle(times, spindle.angle(times), spindle.rate)
+    assert fit.spindle.rate == pytest.approx(spindle.rate, rel=1e-10)
 
 
 def test_no_harmonic_is_found_in_noise():
@@ -191,8 +203,8 @@ def test_no_harmonic_is_found_in_noise():
         fit_spindle(TIMES, recorded(plain, 1e-4, seed=[17, k]), plain.rate).spindle.ripples
         for k in range(trials)
     ]
-    # The criterion asks ln(501) = 6.2 for each of two parameters: exp(-6.2) = 2e-3 a trial,
-    # so that more than four in 200 would be one case in 10000.
+    # The criterion keeps each of eight harmonics with probability 1/(8 x 501): 2e-3 a trial, so
+    # that more than four in 200 would be one case in 10000.
     assert sum(map(bool, found)) <= 4
 
 

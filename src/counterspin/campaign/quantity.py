@@ -246,7 +246,7 @@ def _evaluate(written: str) -> tuple[float, Mapping[str, float]]:
 def _registry() -> Any:
     """Make the registry of the units in `UNITS` and no others."""
     # Imported here: pint costs more to import than everything else in this room together.
-    import pint  # noqa: PLC0415
+    import pint
 
     registry: Any = pint.UnitRegistry(None)
     for name, (factor, base) in UNITS.items():

@@ -1,5 +1,8 @@
-"""The commands, one module each: what the command line and the Python interface both call.
+"""The commands: what the command line and the Python interface both call.
 
+- `init`: a commented campaign description to start from
 - `simulate`: records of a campaign whose coefficients are known
 - `calibrate`: the main job, from a campaign folder to a `Result`
+- `two_stage`: its method of the paper
+- `joint`, `joint_parts`, `joint_checks`: its method of full records; the result's parts; its checks
 """

@@ -6,17 +6,17 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 from counterspin._version import __version__
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.observed import ObservedRun, observe
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.result import (
-    AccelerometerResult,
+    Coefficient,
     Inputs,
     ParabolaResult,
     Provenance,
@@ -24,6 +24,7 @@ from counterspin.campaign.result import (
     RippleResult,
     RunResult,
 )
+from counterspin.commands.joint import joint
 from counterspin.commands.two_stage import TwoStageOptions, two_stage
 
 Method = Literal["joint", "two-stage"]
@@ -35,7 +36,7 @@ _HASH_CHUNK: Final = 1 << 22
 def calibrate(
     where: Path | str | Campaign,
     *,
-    method: Method = "two-stage",
+    method: Method = "joint",
     options: TwoStageOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Result:
@@ -46,7 +47,8 @@ def calibrate(
     where
         The campaign's folder, its ``campaign.toml``, or a campaign already read.
     method
-        ``two-stage``: the paper's method.
+        ``joint``: all samples of all records in one weighted fit; ``two-stage``: the paper's
+        method, on one sample a revolution.
     options
         Of the two-stage method.
     progress
@@ -73,29 +75,65 @@ def calibrate(
         checksums = beside.map(_checksum, files)
         observed = _observed(campaign, progress)
         inputs = dict(zip((_name(campaign, file) for file in files), checksums, strict=True))
-    options = options or TwoStageOptions()
-    accelerometers: dict[str, AccelerometerResult] = {}
-    parabolas: dict[str, dict[str, ParabolaResult]] = {run.run.name: {} for run in observed}
-    for name, accelerometer in campaign.accelerometers.items():
-        outcome = two_stage(campaign, observed, accelerometer, options)
-        accelerometers[name] = outcome.result
-        for run, parabola in outcome.parabolas.items():
-            parabolas[run][name] = parabola
+    estimated = (
+        _jointly(campaign, observed)
+        if method == "joint"
+        else _in_two_stages(campaign, observed, options or TwoStageOptions())
+    )
     return Result(
         method=method,
-        model=options.model,
         title=campaign.title,
-        accelerometers=accelerometers,
-        runs={run.run.name: run_result(run, parabolas=parabolas[run.run.name]) for run in observed},
         inputs=Inputs(
             gravity=campaign.gravity.value,
             latitude=campaign.latitude.value,
             radius=campaign.radius.value,
         ),
         details=dict(campaign.details),
-        warnings=campaign_warnings(campaign, observed),
         provenance=Provenance(version=__version__, inputs=inputs),
+        **estimated,
     )
+
+
+def _jointly(campaign: Campaign, observed: Sequence[ObservedRun]) -> dict[str, Any]:
+    outcome = joint(campaign, observed)
+    return {
+        "model": "exact",
+        "accelerometers": outcome.accelerometers,
+        "platform": outcome.platform,
+        "runs": {
+            run.run.name: run_result(
+                run,
+                terms=outcome.runs[run.run.name],
+                fit=outcome.fits[run.run.name],
+                outliers=outcome.outliers[run.run.name],
+            )
+            for run in observed
+        },
+        "warnings": [*campaign_warnings(campaign, observed), *outcome.warnings],
+    }
+
+
+def _in_two_stages(
+    campaign: Campaign, observed: Sequence[ObservedRun], options: TwoStageOptions
+) -> dict[str, Any]:
+    outcomes = {
+        name: two_stage(campaign, observed, accelerometer, options)
+        for name, accelerometer in campaign.accelerometers.items()
+    }
+    return {
+        "model": options.model,
+        "accelerometers": {name: outcome.result for name, outcome in outcomes.items()},
+        "runs": {
+            run.run.name: run_result(
+                run,
+                parabolas={
+                    name: outcome.parabolas[run.run.name] for name, outcome in outcomes.items()
+                },
+            )
+            for run in observed
+        },
+        "warnings": campaign_warnings(campaign, observed),
+    }
 
 
 def _observed(
@@ -129,11 +167,33 @@ def _checksum(file: Path) -> str:
     return f"sha256:{digest.hexdigest()}"
 
 
-def run_result(run: ObservedRun, *, parabolas: dict[str, ParabolaResult]) -> RunResult:
-    """Return what one run showed of its rotation and its samples."""
+def run_result(
+    run: ObservedRun,
+    *,
+    parabolas: Mapping[str, ParabolaResult] | None = None,
+    terms: Mapping[str, Coefficient] | None = None,
+    fit: Mapping[str, dict[str, float | str | None]] | None = None,
+    outliers: int = 0,
+) -> RunResult:
+    """Return what one run showed of its rotation and its samples.
+
+    Parameters
+    ----------
+    run
+        The run.
+    parabolas
+        Its first stages, by accelerometer.
+    terms
+        The terms that belong to the run itself, such as its tilt.
+    fit
+        Tests of its residuals, by accelerometer.
+    outliers
+        How many samples the fit has left out beside those that reading has.
+    """
     rotation, report = run.rotation, run.record.report
     spindle = run.trajectory.spindle
-    outliers, empty = sum(report.outliers.values()), sum(report.empty.values())
+    outliers += sum(report.outliers.values())
+    empty = sum(report.empty.values())
     ripples = [
         RippleResult(
             harmonic=ripple.harmonic,
@@ -164,7 +224,9 @@ def run_result(run: ObservedRun, *, parabolas: dict[str, ParabolaResult]) -> Run
             "block": report.block,
         },
         notes=report.notes(),
-        parabolas=parabolas,
+        parabolas=dict(parabolas or {}),
+        terms=dict(terms or {}),
+        fit=dict(fit or {}),
     )
 
 

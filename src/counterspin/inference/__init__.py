@@ -10,7 +10,10 @@ What stands in this room:
 - `strobes`: the samples of a record at one angle of each revolution (Eq. 15)
 - `first_stage`, `two_stage`: the paper's method, a parabola a run and then its curvature
   against the rate
+- `series`: one accelerometer's output in one run, with its columns and its whitening
 - `joint`: full records of all runs and accelerometers, solved together
+- `estimation`: the joint estimate step by step; `outliers`: samples that noise does not explain
+- `budget`: where the uncertainty of a coefficient comes from
 
 Glossary
 --------

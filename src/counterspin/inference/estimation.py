@@ -16,12 +16,12 @@ import numpy.typing as npt
 
 from counterspin.errors import ConvergenceError
 from counterspin.inference import joint, variance_components
-from counterspin.inference.joint import ROTATION, JointFit, Model, Prepared, Series
+from counterspin.inference.joint import ROTATION, JointFit, Model, Prepared
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.noise import Noise
 from counterspin.inference.outliers import outlying
+from counterspin.inference.series import Series
 from counterspin.inference.variance_components import RecordData, VarianceComponents
-from counterspin.physics import observation
 from counterspin.physics.accelerometer import Array
 
 Rows = npt.NDArray[np.bool_]
@@ -260,11 +260,11 @@ def _components(
         records.append(
             RecordData(
                 series.time,
-                observation.ORDERS[series.observable],
+                series.order,
                 design,
                 series.error,
                 series.count,
-                series.spacing,
+                series.block_spacing,
             )
         )
     # Priors are data too; what has none is held as loosely as in the solution.

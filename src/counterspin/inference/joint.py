@@ -6,7 +6,7 @@ are solved together with the priors and the considered terms. Whatever is asked 
 noise level, a run left out, one more considered input) starts from the prepared columns or the
 blocks, not from the records.
 
-- `Series`, `Unknown`, `Considered`, `Model`: the problem
+- `Unknown`, `Considered`, `Model`: the problem, beside the series (`counterspin.inference.series`)
 - `prepare`: the columns, computed once
 - `solve_joint`, `JointFit`: the answer
 - `residuals`, `leave_out`: checks of it
@@ -19,13 +19,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from counterspin.inference import least_squares
 from counterspin.inference.least_squares import Block, Solution
-from counterspin.inference.noise import Noise, Whitener, make_whitener
-from counterspin.physics import observation
-from counterspin.physics.accelerometer import TERMS, Array, Mounting, term
+from counterspin.inference.noise import Noise
+from counterspin.inference.series import Series
+from counterspin.physics.accelerometer import TERMS, Array, term
 from counterspin.physics.motion import Trajectory
 
 #: Rotation of a run as unknowns, where no angle is recorded: rad, rad/s, 1/s.
@@ -43,82 +42,6 @@ INPUTS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
     ),
 }
 TIMING: Final = "records.timing_offset"  #: s, between the clocks of angle and output
-
-
-@dataclass(frozen=True)
-class Series:
-    """One accelerometer's output in one run, less what a perfect system records.
-
-    Attributes
-    ----------
-    accelerometer, run
-        Names.
-    trajectory, mounting, observable, attitude
-        As for `observation.columns`.
-    time, spread, count
-        Mean time of each block, standard deviation of its samples' times (s) and their number,
-        shape (n,); for point samples 0 and 1.
-    spacing
-        Time between samples, s.
-    error
-        S - S_ref, m, m/s or m/s^2, shape (n,), without gaps (missing rows are left out).
-    in_g
-        Whether the record is in g, so that its size depends on the gravity assumed.
-    """
-
-    accelerometer: str
-    run: str
-    trajectory: Trajectory
-    mounting: Mounting
-    observable: str
-    attitude: Array
-    time: Array
-    spread: Array
-    count: Array
-    spacing: float
-    error: Array
-    in_g: bool = False
-
-    def columns(
-        self, symbols: Sequence[str], scale_factor: float, trajectory: Trajectory | None = None
-    ) -> Array:
-        """Return observation columns averaged over the blocks, shape (n, m)."""
-        motion = trajectory or self.trajectory
-        return observation.over_blocks(
-            lambda t: observation.columns(
-                motion,
-                self.mounting,
-                symbols,
-                t,
-                self.observable,
-                attitude=self.attitude,
-                scale_factor=scale_factor,
-            ),
-            self.time,
-            self.spread,
-        )
-
-    def reference(self, trajectory: Trajectory | None = None, later: float = 0.0) -> Array:
-        """Return the reference averaged over the blocks, shape (n,), at times later by `later`."""
-        motion = trajectory or self.trajectory
-        return observation.over_blocks(
-            lambda t: observation.reference(
-                motion, self.mounting, t + later, self.observable, self.attitude
-            ),
-            self.time,
-            self.spread,
-        )
-
-    def without(self, drop: npt.NDArray[np.bool_]) -> Series:
-        """Return the series without the rows where `drop` (bool, shape (n,)) is true."""
-        keep = np.logical_not(drop)
-        return replace(
-            self,
-            time=self.time[keep],
-            spread=self.spread[keep],
-            count=self.count[keep],
-            error=self.error[keep],
-        )
 
 
 @dataclass(frozen=True)
@@ -330,17 +253,6 @@ class JointFit:
     noise: Mapping[str, Noise]
 
 
-def whitener(series: Series, noise: Noise) -> Whitener:
-    """Return what turns the series' rows into rows of unit covariance."""
-    order = observation.ORDERS[series.observable]
-    return make_whitener(series.time, order, noise, series.count, series.spacing)
-
-
-def polynomials(series: Series, count: int) -> Array:
-    """Return the columns of start offset and start velocity, 1 and t, shape (n, count)."""
-    return np.vander(series.time, count, increasing=True)
-
-
 def solve_joint(prepared: Sequence[Prepared], model: Model, noise: Mapping[str, Noise]) -> JointFit:
     """Solve a prepared problem for given noise.
 
@@ -369,8 +281,8 @@ def solve_joint(prepared: Sequence[Prepared], model: Model, noise: Mapping[str, 
 def _block(prepared: Prepared, model: Model, noise: Noise) -> Block:
     """Whiten one series and reduce it, then put its columns where the model has them."""
     series = prepared.series
-    whiten = whitener(series, noise)
-    own = polynomials(series, whiten.polynomials)
+    whiten = series.whitener(noise)
+    own = series.polynomials(whiten.polynomials)
     rows = whiten.apply(np.column_stack([own, prepared.design, prepared.fixed, series.error]))
     m, p = whiten.polynomials, prepared.design.shape[1]
     block = least_squares.reduce_block(
@@ -426,13 +338,13 @@ def residuals(fit: JointFit, index: int) -> tuple[Array, Array]:
     means = np.array(_prior_means(fit.model.considered) + [0.0] * len(fit.model.inputs or ()))
     left = series.error - prepared.design @ fit.solution.estimate[list(prepared.unknowns)]
     left = left - prepared.fixed @ means[list(prepared.considered)]
-    whiten = whitener(series, fit.noise[series.accelerometer])
+    whiten = series.whitener(fit.noise[series.accelerometer])
     if whiten.polynomials == 0:
         # The differences have removed the start errors; the plain residuals need them back.
-        own = polynomials(series, observation.ORDERS[series.observable])
+        own = series.polynomials(series.order)
         start = np.linalg.lstsq(own, left, rcond=None)[0]
         return left - own @ start, whiten.apply(left)
-    own = polynomials(series, whiten.polynomials)
+    own = series.polynomials(whiten.polynomials)
     rows = whiten.apply(np.column_stack([own, left]))
     start = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)[0]
     return left - own @ start, rows[:, -1] - rows[:, :-1] @ start

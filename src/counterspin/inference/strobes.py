@@ -18,8 +18,8 @@ import numpy.typing as npt
 
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.physics.accelerometer import Array
+from counterspin.physics.spindle import TURN
 
-TURN: Final = 2.0 * math.pi  #: rad
 MINIMUM: Final = 4  #: strobes that a parabola and one degree of freedom need
 
 

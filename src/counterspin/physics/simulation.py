@@ -157,10 +157,11 @@ def accelerometer_walk(
     step = np.diff(times)
     if order == 0:
         spacing = np.concatenate([step[:1], step])
-        return random_walk * generator.standard_normal(times.size) / np.sqrt(spacing)
+        white: Array = random_walk * generator.standard_normal(times.size) / np.sqrt(spacing)
+        return white
     # Over a step the walk's velocity gains sqrt(h) z1, its position h^1.5 (z1/2 + z2/sqrt(12)).
     z1, z2 = generator.standard_normal((2, step.size))
-    velocity = np.concatenate([[0.0], np.cumsum(random_walk * np.sqrt(step) * z1)])
+    velocity: Array = np.concatenate([[0.0], np.cumsum(random_walk * np.sqrt(step) * z1)])
     if order == 1:
         return velocity
     inside = random_walk * step**1.5 * (0.5 * z1 + z2 / np.sqrt(12.0))

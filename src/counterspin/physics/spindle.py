@@ -10,6 +10,7 @@ rate(t) = w0 (1 + C t) + sum_n w_n sin(n w0 t + phi_n).
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -19,6 +20,8 @@ import numpy.typing as npt
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 
 Array = npt.NDArray[np.float64]
+
+TURN: Final = 2.0 * math.pi  #: rad
 
 MAX_HARMONICS: Final = 8  #: highest ripple harmonic that `fit_spindle` tries by itself
 
@@ -159,9 +162,8 @@ def fit_spindle(
     """Identify w0, C and the ripples from a recorded angle (Eq. 2).
 
     Linear least squares in (theta0, w0, C w0/2, a_n, b_n) with the harmonics taken at the
-    current w0, iterated; the noise of the angle is estimated from the residuals. Harmonics are
-    added from the first upwards for as long as the Bayesian information criterion falls, looking
-    two harmonics ahead so that an absent one does not hide the next.
+    current w0, iterated; the noise of the angle is estimated from the residuals. Of the first
+    `MAX_HARMONICS` harmonics those are kept that an information criterion supports.
 
     Parameters
     ----------
@@ -171,7 +173,7 @@ def fit_spindle(
     nominal_rate
         Start value of w0 in rad/s; its sign gives the sense.
     harmonics
-        Number of harmonics; None chooses it by the criterion, up to `MAX_HARMONICS`.
+        Harmonics 1 to this number; None chooses them by the criterion.
     weights
         Shape (n,), relative weights (1/variance), such as the samples in each block mean.
 
@@ -187,34 +189,40 @@ def fit_spindle(
     ConvergenceError
         If w0 does not settle.
     """
-    theta = np.unwrap(angle)
+    # What spans more than a turn has been unwrapped already, perhaps across gaps.
+    wrapped = angle.size == 0 or np.ptp(angle) <= TURN * (1.0 + 1e-9)
+    theta = np.unwrap(angle) if wrapped else angle
     root_weight = np.ones_like(time) if weights is None else np.sqrt(weights / np.mean(weights))
+    if harmonics is not None:
+        return _fit(time, theta, root_weight, nominal_rate, range(1, harmonics + 1))
     # No more harmonics than the samples of a revolution can tell apart.
     spacing = float(np.median(np.diff(time))) if time.size > 1 else 0.0
     resolvable = int(math.pi / abs(nominal_rate * spacing)) - 1 if spacing else 0
-    if harmonics is not None:
-        return _fit(time, theta, root_weight, nominal_rate, harmonics)
-    best = _fit(time, theta, root_weight, nominal_rate, 0)
-    for count in range(1, max(0, min(MAX_HARMONICS, resolvable)) + 1):
-        if count - best.spindle.highest_harmonic > 2 or time.size < 2 * count + 8:
-            break
-        candidate = _fit(time, theta, root_weight, best.spindle.rate, count)
-        if _information_criterion(candidate) < _information_criterion(best):
-            best = candidate
-    return best
+    highest = min(MAX_HARMONICS, resolvable, (time.size - 8) // 2)
+    everything = _fit(time, theta, root_weight, nominal_rate, range(1, highest + 1))
+    kept = [
+        ripple.harmonic
+        for ripple, u_ripple in zip(everything.spindle.ripples, everything.u_ripples, strict=True)
+        if _supported(ripple, u_ripple, time.size)
+    ]
+    return _fit(time, theta, root_weight, everything.spindle.rate, kept)
 
 
-def _information_criterion(fit: SpindleFit) -> float:
-    """Return the Bayesian information criterion (Schwarz 1978) of a fit, up to a constant."""
-    n = fit.residuals.size
-    parameters = n - fit.dof
-    squares = max(fit.rms**2 * fit.dof / n, np.finfo(float).tiny)
-    return n * math.log(squares) + parameters * math.log(n)
+def _supported(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> bool:
+    """Return whether the extended Bayesian information criterion keeps a harmonic.
+
+    Two more parameters, chosen among `MAX_HARMONICS` pairs, must gain more than
+    2 ln(n) + 2 ln(MAX_HARMONICS) of chi-square (Chen and Chen, Biometrika 95 (2008) 759); for a
+    harmonic, whose two coefficients are as good as uncorrelated, the gain is the square of its
+    signal-to-noise ratio. Pure noise then keeps one in about 1/n of the fits.
+    """
+    return ripple.amplitude**2 > 2.0 * math.log(samples * MAX_HARMONICS) * u_ripple[0] ** 2
 
 
 def _fit(
-    time: Array, theta: Array, root_weight: Array, start_rate: float, count: int
+    time: Array, theta: Array, root_weight: Array, start_rate: float, harmonics: Sequence[int]
 ) -> SpindleFit:
+    count = len(harmonics)
     n, unknowns = time.size, 3 + 2 * count
     if n <= unknowns:
         raise NotIdentifiableError(
@@ -228,7 +236,7 @@ def _fit(
     w0 = start_rate
     for _ in range(20):
         columns = [np.ones(n), scaled, scaled**2]
-        for harmonic in range(1, count + 1):
+        for harmonic in harmonics:
             columns += [np.cos(harmonic * w0 * time), np.sin(harmonic * w0 * time)]
         design = np.stack(columns, -1) * root_weight[:, None]
         q, r = np.linalg.qr(design)
@@ -241,7 +249,7 @@ def _fit(
         solution = np.linalg.solve(r, q.T @ target)
         previous, w0 = w0, start_rate + float(solution[1]) / span
         # Once the harmonics turn by less than 1e-9 rad over the record they are settled.
-        if abs(w0 - previous) * span * max(count, 1) < 1e-9:
+        if abs(w0 - previous) * span * max(harmonics, default=1) < 1e-9:
             break
     else:
         raise ConvergenceError(
@@ -253,7 +261,7 @@ def _fit(
     variance = float(residuals @ residuals) / dof
     inverse = np.linalg.inv(r)
     covariance = variance * inverse @ inverse.T
-    ripples, u_ripples = _ripples(w0, solution[3:], covariance[3:, 3:])
+    ripples, u_ripples = _ripples(w0, harmonics, solution[3:], covariance[3:, 3:])
     half_drift = float(solution[2]) / span**2
     # start_angle is theta(0); the model's own ripple vanishes at t = 0, so the cosines add here.
     at_zero = np.zeros(unknowns)
@@ -277,18 +285,18 @@ def _fit(
 
 
 def _ripples(
-    w0: float, coefficients: Array, covariance: Array
+    w0: float, harmonics: Sequence[int], coefficients: Array, covariance: Array
 ) -> tuple[tuple[Ripple, ...], tuple[tuple[float, float], ...]]:
     """Turn a_n cos + b_n sin of the angle into amplitude and phase of the rate."""
     ripples, uncertainties = [], []
-    for k in range(coefficients.size // 2):
-        n_w0 = (k + 1) * w0
+    for k, harmonic in enumerate(harmonics):
+        n_w0 = harmonic * w0
         a, b = float(coefficients[2 * k]), float(coefficients[2 * k + 1])
         # -(w_n/(n w0)) cos(n w0 t + phi) = a cos(n w0 t) + b sin(n w0 t)
         # The sign of w0 goes into the phase so that the amplitude stays positive.
         sense = math.copysign(1.0, n_w0)
         size = math.hypot(a, b)
-        ripples.append(Ripple(k + 1, abs(n_w0) * size, math.atan2(sense * b, -sense * a)))
+        ripples.append(Ripple(harmonic, abs(n_w0) * size, math.atan2(sense * b, -sense * a)))
         block = covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
         if size == 0.0:
             uncertainties.append((abs(n_w0) * math.sqrt(block[0, 0]), math.inf))

@@ -1,0 +1,164 @@
+"""`--method joint`: from observed runs to every coefficient that full records determine."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from counterspin.campaign.observed import ObservedRun
+from counterspin.campaign.problem import model_of, noise_of, series_of
+from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.result import AccelerometerResult, Coefficient
+from counterspin.commands.joint_checks import (
+    compare,
+    driving_runs,
+    jackknife,
+    residual_tests,
+    run_fits,
+)
+from counterspin.commands.joint_parts import (
+    budget_lines,
+    coefficient,
+    confounded,
+    correlation,
+    noise_lines,
+    residual,
+)
+from counterspin.inference.diagnostics import Diagnostics
+from counterspin.inference.estimation import Estimate, estimate
+from counterspin.inference.identifiability import Assessment, assess
+from counterspin.inference.joint import ROTATION, Unknown
+from counterspin.physics.accelerometer import DEGREE_PER_HOUR, TERMS
+
+#: Drift (deg/h) times time squared (s^2) at which first order in the attitude errs by 0.01 m.
+_LARGE_DRIFT: Final = 0.2 * 400.0**2
+
+
+@dataclass(frozen=True)
+class JointOutcome:
+    """What the joint fit says: the result's parts, and what they come from."""
+
+    accelerometers: Mapping[str, AccelerometerResult]
+    platform: Mapping[str, Coefficient]
+    runs: Mapping[str, Mapping[str, Coefficient]]
+    fits: Mapping[str, Mapping[str, dict[str, float | str | None]]]
+    outliers: Mapping[str, int]
+    warnings: tuple[str, ...]
+    estimate: Estimate
+
+
+def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
+    """Fit all records of a campaign together.
+
+    Parameters
+    ----------
+    campaign
+        The description.
+    observed
+        Its runs.
+
+    Returns
+    -------
+    JointOutcome
+
+    Raises
+    ------
+    NotIdentifiableError, ConvergenceError
+        As `counterspin.inference.estimation.estimate`.
+    """
+    series = series_of(campaign, observed)
+    model = model_of(campaign)
+    found = estimate(series, model, noise_of(campaign))
+    fit = found.fit
+    assessment = assess(
+        fit.solution,
+        [unknown.name for unknown in model.unknowns],
+        nominal=[unknown.nominal for unknown in model.unknowns],
+    )
+    coefficients = {
+        unknown: coefficient(found, assessment, index)
+        for index, unknown in enumerate(model.unknowns)
+    }
+    diagnostics = {name: residual_tests(found, name) for name in campaign.accelerometers}
+    accelerometers = {
+        name: _accelerometer(
+            campaign, observed, found, assessment, coefficients, name, diagnostics[name]
+        )
+        for name in campaign.accelerometers
+    }
+    shared = {u: c for u, c in coefficients.items() if u.symbol not in TERMS}
+    outliers: dict[str, int] = {run.run.name: 0 for run in observed}
+    for one, mask in zip(series, found.outliers, strict=True):
+        outliers[one.run] += int(mask.sum())
+    return JointOutcome(
+        accelerometers=accelerometers,
+        platform={u.symbol: c for u, c in shared.items() if not u.owner},
+        runs={
+            run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
+            for run in observed
+        },
+        fits={run.run.name: run_fits(diagnostics, run.run.name) for run in observed},
+        outliers=outliers,
+        warnings=tuple(_warnings(coefficients)),
+        estimate=found,
+    )
+
+
+def _accelerometer(
+    campaign: Campaign,
+    observed: Sequence[ObservedRun],
+    found: Estimate,
+    assessment: Assessment,
+    coefficients: Mapping[Unknown, Coefficient],
+    name: str,
+    diagnostics: Diagnostics,
+) -> AccelerometerResult:
+    own = {u.symbol: c for u, c in coefficients.items() if u.owner == name}
+    # The campaign's order is the user's; the table of terms has its own.
+    own = {symbol: own[symbol] for symbol in campaign.model.terms if symbol in own}
+    lines = {
+        symbol: budget_lines(found, index, name)
+        for index, (unknown, c) in enumerate(coefficients.items())
+        if unknown.owner == name and c.estimated
+        for symbol in (unknown.symbol,)
+    }
+    return AccelerometerResult(
+        coefficients=own,
+        correlation=correlation(found, coefficients, name),
+        confounded=confounded(campaign, assessment, name),
+        residual=residual(campaign, found, name, diagnostics),
+        noise=noise_lines(campaign, found, name),
+        budget=lines,
+        jackknife=jackknife(found, name),
+        two_stage=compare(campaign, observed, found, name),
+        warnings=[f"{name}: {finding}" for finding in diagnostics.findings]
+        + driving_runs(found, name)
+        + _undetermined(own, name),
+    )
+
+
+def _undetermined(own: Mapping[str, Coefficient], name: str) -> list[str]:
+    return [
+        f"{name}: the records do not determine {symbol}"
+        + ("; its prior stands." if c.value is not None else ", and nothing is known beforehand.")
+        for symbol, c in own.items()
+        if not c.estimated and c.u != 0.0
+    ]
+
+
+def _warnings(coefficients: Mapping[Unknown, Coefficient]) -> list[str]:
+    warnings = []
+    for unknown, c in coefficients.items():
+        if unknown.symbol in TERMS:
+            continue
+        if not c.estimated and unknown.symbol not in ROTATION:
+            warnings.append(f"The records do not determine {unknown.name}.")
+        if unknown.symbol.startswith("platform.drift") and c.value is not None:
+            rate = abs(c.value) / DEGREE_PER_HOUR
+            if rate * 400.0**2 > _LARGE_DRIFT:
+                warnings.append(
+                    f"{unknown.symbol} is {rate:.2f} deg/h: beyond about 0.2 deg/h the platform's "
+                    "attitude is no longer a first-order matter in runs of 400 s."
+                )
+    return warnings

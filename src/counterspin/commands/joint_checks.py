@@ -1,0 +1,139 @@
+"""Checks of a joint result: tests of the residuals, runs left out, the two-stage method beside it.
+
+- `residual_tests`, `run_fits`
+- `jackknife`, `driving_runs`
+- `compare`
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+from counterspin.campaign.observed import ObservedRun
+from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.result import Comparison, Jackknife
+from counterspin.commands.two_stage import TwoStageOptions, two_stage
+from counterspin.errors import NotIdentifiableError, RecordError
+from counterspin.inference import joint as fitting
+from counterspin.inference.diagnostics import Diagnostics, diagnose
+from counterspin.inference.estimation import Estimate
+
+#: A run left out that moves K_II by more than this many standard uncertainties drives the result.
+_DRIVES: Final = 3.0
+
+
+def residual_tests(found: Estimate, name: str) -> Diagnostics:
+    """Test the whitened residuals of one accelerometer, run by run."""
+    fit = found.fit
+    rows, times, dof = {}, {}, 0.0
+    for index, one in enumerate(fit.prepared):
+        if one.series.accelerometer == name:
+            _, whitened = fitting.residuals(fit, index)
+            rows[one.series.run] = whitened
+            # Differences belong to the later of the rows they are made from.
+            times[one.series.run] = one.series.time[-whitened.size :]
+            dof += fit.blocks[index].rows - fit.blocks[index].nuisance
+    free = sum(
+        unknown.owner == name and math.isinf(unknown.prior[1]) for unknown in fit.model.unknowns
+    )
+    given = name not in found.components
+    return diagnose(rows, max(dof - free, 1.0), noise_given=given, times=times)
+
+
+def _k_ii(found: Estimate, name: str) -> int | None:
+    for index, unknown in enumerate(found.fit.model.unknowns):
+        if unknown.owner == name and unknown.symbol == "K_II":
+            return index
+    return None
+
+
+def jackknife(found: Estimate, name: str) -> list[Jackknife]:
+    """Leave each run out in turn and see how far K_II moves for what it may move."""
+    index = _k_ii(found, name)
+    runs = list(dict.fromkeys(one.series.run for one in found.fit.prepared))
+    if index is None or len(runs) < 2:
+        return []
+    whole = found.fit.solution
+    lines = []
+    for run in runs:
+        without = fitting.leave_out(found.fit, run)
+        limit = found.fit.model.unknowns[index].limit
+        if without is None or float(without.u[index]) >= limit:
+            lines.append(Jackknife(run=run, value=None, shift=None, z=None))
+            continue
+        shift = float(without.estimate[index] - whole.estimate[index])
+        # The whole is the better estimate of the two, so that variances subtract (Hausman).
+        parts = [s.covariance_noise + s.covariance_prior for s in (without, whole)]
+        spread = float(parts[0][index, index] - parts[1][index, index])
+        lines.append(
+            Jackknife(
+                run=run,
+                value=float(without.estimate[index]),
+                shift=shift,
+                z=shift / math.sqrt(spread) if spread > 0.0 else None,
+            )
+        )
+    return lines
+
+
+def driving_runs(found: Estimate, name: str) -> list[str]:
+    """Return a warning for each run without which K_II is another."""
+    return [
+        f"{name}: without {line.run} K_II moves by {line.shift:.2g} g/g^2, {abs(line.z):.1f} times "
+        "what noise explains: this run disagrees with the others."
+        for line in jackknife(found, name)
+        if line.z is not None and line.shift is not None and abs(line.z) > _DRIVES
+    ]
+
+
+def run_fits(
+    diagnostics: Mapping[str, Diagnostics], run: str
+) -> dict[str, dict[str, float | str | None]]:
+    """Return the tests of one run's residuals, by accelerometer."""
+    fits: dict[str, dict[str, float | str | None]] = {}
+    for name, tests in diagnostics.items():
+        test = tests.runs.get(run)
+        if test is not None:
+            fits[name] = {
+                "rows": float(test.rows),
+                "chi2": test.chi2,
+                "dof": test.dof,
+                "chi2_p": test.chi2_p if tests.noise_given else None,
+                "sign_p": test.sign_p,
+                "peak_frequency_hz": test.peak_frequency,
+                "peak_p": test.peak_p,
+            }
+    return fits
+
+
+def compare(
+    campaign: Campaign, observed: Sequence[ObservedRun], found: Estimate, name: str
+) -> Comparison | None:
+    """Return the two-stage K_II beside the joint one; None where that method does not apply."""
+    index = _k_ii(found, name)
+    if index is None:
+        return None
+    try:
+        outcome = two_stage(campaign, observed, campaign.accelerometers[name], TwoStageOptions())
+    except (NotIdentifiableError, RecordError):
+        return None
+    other = outcome.result.coefficients["K_II"]
+    if not other.estimated or other.value is None or other.u is None:
+        return None
+    solution = found.fit.solution
+    own = (solution.covariance_noise + solution.covariance_prior)[index, index]
+    second = outcome.second.solution
+    theirs = (second.covariance_noise + second.covariance_prior)[0, 0]
+    # Both rest on the same records, and the joint estimate is the better one: variances subtract
+    # (Hausman). Where the two-stage method leaves more out it can seem better; then they add.
+    spread = math.sqrt(theirs - own if theirs > own else theirs + own)
+    difference = other.value - float(solution.estimate[index])
+    return Comparison(
+        value=other.value,
+        u=other.u,
+        difference=difference,
+        u_difference=spread,
+        z=difference / spread,
+    )
