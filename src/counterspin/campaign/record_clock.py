@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from counterspin.campaign.clock_faults import jump_words, rate_words
+from counterspin.campaign.record_report import Gap
 from counterspin.errors import RecordError
 
 #: Most gaps, and most rows of each kind of finding, that are listed; all are counted.
@@ -25,31 +27,6 @@ _MAD = 1.4826
 _LIMIT = 10.0
 #: The part of the advance across a gap by which the rate may have changed meanwhile.
 _GAP_SLACK = 1e-3
-
-#: Ratios of measured to nominal rate that come of a mistaken unit, and what to say.
-_UNIT_SLIPS = (
-    (180 / math.pi, "Is the angle column in degrees?"),
-    (math.pi / 180, "Is the angle column in radians?"),
-    (_TURN, "Is the angle column in radians rather than revolutions?"),
-    (1 / _TURN, "Is the angle column in revolutions?"),
-    (360.0, "Is the angle column in degrees rather than revolutions?"),
-    (1 / 360, "Is the angle column in revolutions rather than degrees?"),
-    (1e-3, "Is the time column in milliseconds?"),
-    (1e3, "Is the time column in seconds rather than milliseconds?"),
-    (1e-6, "Is the time column in microseconds?"),
-    (1e6, "Is the time column in seconds rather than microseconds?"),
-    (1e-9, "Is the time column in nanoseconds?"),
-    (1 / 60, "Is the time column in seconds rather than minutes, or the rate per minute?"),
-    (60.0, "Is the time column in minutes, or the rate per minute?"),
-)
-
-
-@dataclass(frozen=True)
-class Gap:
-    """Missing rows: the time of the last row before them and the time to the next row, s."""
-
-    time: float
-    length: float
 
 
 @dataclass
@@ -134,7 +111,7 @@ class Clock:
         measured = float(np.median((a[lag:] - a[:-lag])[usual] / spans[usual]))
         ratio = measured / nominal
         if abs(ratio - 1) > 0.05:
-            raise RecordError(f"{self._path}: {_rate_words(measured, nominal)}")
+            raise RecordError(f"{self._path}: {rate_words(measured, nominal)}")
         turned = (a[lag:] - a[:-lag])[usual] - nominal * spans[usual]
         turned -= _TURN * np.round(turned / _TURN)
         self.rate = nominal + float(np.median(turned / spans[usual]))
@@ -329,7 +306,7 @@ class Clock:
             if self._lost is None:
                 self._lost, self._lost_time = first_row + int(rows[place]), float(begun)
                 gone = float(time[place]) - last_time
-                self._lost_words = _jump_words(
+                self._lost_words = jump_words(
                     gone,
                     self.step,
                     float(_wrap(angle[place] - last_angle - self.rate * gone)),
@@ -381,31 +358,3 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
 
 def _wrap(angle: np.ndarray) -> np.ndarray:
     return angle - _TURN * np.round(angle / _TURN)
-
-
-def _rate_words(measured: float, nominal: float) -> str:
-    ratio = measured / nominal
-    words = (
-        f"the angle advances at {measured:.6g} rad/s, but the run's rate is {nominal:.6g} rad/s."
-    )
-    if abs(ratio + 1) < 0.05:
-        return words + (
-            " The angle runs in the opposite sense to the run's rate: give the rate the other "
-            "sign, or the angle column."
-        )
-    for slip, hint in _UNIT_SLIPS:
-        if abs(abs(ratio) / slip - 1) < 0.05:
-            return f"{words} {hint}"
-    return words + " The two must agree within 5 %: check the rate, and the record's units."
-
-
-def _jump_words(gone: float, step: float, stray: float, rate: float) -> str:
-    if abs(gone / step - 1) < 0.2:
-        return (
-            f"the angle jumps: it is {stray:.4g} rad off what the rows before it lead to, "
-            "and stays off. Cut the record here."
-        )
-    return (
-        f"the clock jumps: time advances by {gone:.6g} s over one row, the angle as in "
-        f"{gone + stray / rate:.6g} s. Cut the record here."
-    )

@@ -3,7 +3,7 @@
 - `ColumnSpec`: a column of the file and its unit
 - `read_record`: file -> `Record`, or a `RecordError` that names the file and the line
 - `Record`: point samples, or means over blocks of at most 1/64 revolution, in SI units
-- `RecordReport`: what was found on the way, counted and listed
+- `RecordReport` (of `record_report`): what was found on the way, counted and listed
 
 Whatever the format and the length, a record passes once through memory, in pieces: its clock is
 checked against the encoder (`record_clock`), outliers are found among their neighbours (`spikes`)
@@ -12,9 +12,8 @@ and the rest is averaged (`reduction`). At the end the amplitudes are checked (`
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -27,9 +26,17 @@ from counterspin.campaign.record_amplitude import (
     switch,
     waves,
 )
-from counterspin.campaign.record_clock import LISTED, Clock, Gap
+from counterspin.campaign.record_clock import LISTED, Clock
 from counterspin.campaign.record_files import ColumnFile, Columns, open_columns
-from counterspin.campaign.reduction import Blocks, Reducer, block_size, piece_size
+from counterspin.campaign.record_report import Gap, Outlier, RecordReport
+from counterspin.campaign.reduction import (
+    Blocks,
+    Reducer,
+    block_size,
+    in_pieces,
+    joined,
+    piece_size,
+)
 from counterspin.campaign.spikes import find_spikes
 from counterspin.errors import RecordError
 
@@ -45,77 +52,6 @@ class ColumnSpec:
 
     name: str
     factor: float = 1.0
-
-
-@dataclass(frozen=True)
-class Outlier:
-    """A sample that was left out: its column, data row (from 1) and time in the file's clock, s."""
-
-    column: str
-    row: int
-    time: float
-
-
-@dataclass(frozen=True)
-class RecordReport:
-    """What reading a record found.
-
-    Attributes
-    ----------
-    path
-        The file.
-    rows, used
-        Rows of the file, and rows that entered the record.
-    repeated, differing
-        Rows that repeat the time of the row before (dropped), and those of them whose other
-        columns differ from it.
-    empty, outliers
-        Column name -> count of empty cells, and of outlying ones. A row without time or angle is
-        dropped; a cell of a signal is left out of its block, or NaN in a record of points.
-    listed
-        The first outliers, at most 100 for each column.
-    gaps, gap_count
-        The first hundred stretches of missing rows, and how many there are.
-    wrapped
-        Whether the angle was unwrapped.
-    step, rate
-        Usual spacing of the samples, s; rate of the recorded angle, rad/s (None without one).
-    block
-        Samples that a full block holds; 1 for point samples.
-    """
-
-    path: Path
-    rows: int
-    used: int
-    repeated: int
-    differing: int
-    empty: dict[str, int]
-    outliers: dict[str, int]
-    listed: tuple[Outlier, ...]
-    gaps: tuple[Gap, ...]
-    gap_count: int
-    wrapped: bool
-    step: float
-    rate: float | None
-    block: int
-
-    def notes(self) -> list[str]:
-        """Return one plain sentence for each thing found, for warnings and reports."""
-        notes = []
-        if self.repeated:
-            words = f", {self.differing} of them with other values" if self.differing else ""
-            notes.append(f"{self.repeated} repeated rows were dropped{words}.")
-        for column, count in self.empty.items():
-            if count:
-                notes.append(f"{count} empty cells in column '{column}' were left out.")
-        for column, count in self.outliers.items():
-            if count:
-                notes.append(f"{count} outliers in column '{column}' were left out.")
-        if self.gap_count:
-            longest = max(gap.length for gap in self.gaps)
-            words = "1 gap" if self.gap_count == 1 else f"{self.gap_count} gaps"
-            notes.append(f"{words} in the record; the longest takes {longest:.6g} s.")
-        return notes
 
 
 @dataclass(frozen=True)
@@ -237,7 +173,7 @@ class _Reading:
         """Read the file to its end."""
         parts: list[Blocks] = []
         reducer: Reducer | None = None
-        for piece in self._pieces():
+        for piece in in_pieces(self._file.batches(), self._choose_size):
             if reducer is None:
                 self.start_time = self._first_time(piece[0])
             columns = self._in_si(piece)
@@ -255,40 +191,6 @@ class _Reading:
         if not parts:
             raise RecordError(f"{self._file.path}: no row of the record can be used.")
         return Blocks.joined(parts)
-
-    def _pieces(self) -> Iterator[Columns]:
-        """Yield the columns in pieces of a fixed number of rows, however the file was batched."""
-        batches = self._file.batches()
-        head: list[Columns] = []
-        for batch in batches:
-            head.append(batch)
-            if sum(len(columns[0]) for columns in head) >= piece_size(1):
-                break
-        if not sum(len(columns[0]) for columns in head):
-            return
-        first = _joined(head)
-        size = self._choose_size(first)
-        # What lies across two batches is brought together in a buffer; the rest are views.
-        buffer = [np.empty(size) for _ in first]
-        filled = 0
-        for batch in chain([first], batches):
-            rows = len(batch[0])
-            start = 0
-            while start < rows:
-                stop = min(start + size - filled, rows)
-                whole = stop - start == size
-                if not whole:
-                    for column, part in zip(buffer, batch, strict=True):
-                        column[filled : filled + stop - start] = part[start:stop]
-                    filled += stop - start
-                if whole:
-                    yield [column[start:stop] for column in batch]
-                elif filled == size:
-                    yield buffer
-                    filled = 0
-                start = stop
-        if filled:
-            yield [column[:filled] for column in buffer]
 
     def _choose_size(self, columns: Columns) -> int:
         """Choose the block from the spacing of the first rows; return the rows to a piece."""
@@ -434,7 +336,7 @@ class _Reading:
                 parts.append([columns[0][inside], signal[inside]])
                 rows.append(row + inside)
             row += len(batch[0])
-        time, signal = _joined(parts)
+        time, signal = joined(parts)
         angle = np.interp(time, blocks.time, phase)
         at = min(switch(found, before, after, angle, signal), len(time) - 1)
         return RecordError(
@@ -486,9 +388,3 @@ class _Reading:
             rate=self._measured_rate(blocks),
             block=self.block,
         )
-
-
-def _joined(batches: list[Columns]) -> Columns:
-    if len(batches) == 1:
-        return batches[0]
-    return [np.concatenate(columns) for columns in zip(*batches, strict=True)]

@@ -10,10 +10,13 @@ before the mean is taken, and the rows that remain carry the block's mean time a
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 
 import numpy as np
 
+from counterspin.campaign.record_files import Columns
 from counterspin.campaign.spikes import find_spikes
 
 #: A block covers at most this part of a revolution: the means then lose nothing of K_II.
@@ -61,6 +64,52 @@ def block_size(step: float, rate: float) -> int:
 def piece_size(block: int) -> int:
     """Return the rows to a piece: a whole number of blocks."""
     return block * max(1, _PIECE // block)
+
+
+def in_pieces(
+    batches: Iterator[Columns], choose_size: Callable[[Columns], int]
+) -> Iterator[Columns]:
+    """Yield columns in pieces of a fixed number of rows, however the file was batched.
+
+    A piece may be a buffer that the next one overwrites. `choose_size` takes the first rows.
+    """
+    head: list[Columns] = []
+    for batch in batches:
+        head.append(batch)
+        if sum(len(columns[0]) for columns in head) >= piece_size(1):
+            break
+    if not sum(len(columns[0]) for columns in head):
+        return
+    first = joined(head)
+    size = choose_size(first)
+    # What lies across two batches is brought together in a buffer; the rest are views.
+    buffer = [np.empty(size) for _ in first]
+    filled = 0
+    for batch in chain([first], batches):
+        rows = len(batch[0])
+        start = 0
+        while start < rows:
+            stop = min(start + size - filled, rows)
+            whole = stop - start == size
+            if not whole:
+                for column, part in zip(buffer, batch, strict=True):
+                    column[filled : filled + stop - start] = part[start:stop]
+                filled += stop - start
+            if whole:
+                yield [column[start:stop] for column in batch]
+            elif filled == size:
+                yield buffer
+                filled = 0
+            start = stop
+    if filled:
+        yield [column[:filled] for column in buffer]
+
+
+def joined(batches: list[Columns]) -> Columns:
+    """Return the columns of several batches, one batch after the other."""
+    if len(batches) == 1:
+        return batches[0]
+    return [np.concatenate(columns) for columns in zip(*batches, strict=True)]
 
 
 class Reducer:

@@ -1,0 +1,85 @@
+"""What reading a record found: counts of everything, and the first places of each kind."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Gap:
+    """Missing rows: the time of the last row before them and the time to the next row, s."""
+
+    time: float
+    length: float
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A sample that was left out: its column, data row (from 1) and time in the file's clock, s."""
+
+    column: str
+    row: int
+    time: float
+
+
+@dataclass(frozen=True)
+class RecordReport:
+    """What reading a record found.
+
+    Attributes
+    ----------
+    path
+        The file.
+    rows, used
+        Rows of the file, and rows that entered the record.
+    repeated, differing
+        Rows that repeat the time of the row before (dropped), and those of them whose other
+        columns differ from it.
+    empty, outliers
+        Column name -> count of empty cells, and of outlying ones. A row without time or angle is
+        dropped; a cell of a signal is left out of its block, or NaN in a record of points.
+    listed
+        The first outliers, at most 100 for each column.
+    gaps, gap_count
+        The first hundred stretches of missing rows, and how many there are.
+    wrapped
+        Whether the angle was unwrapped.
+    step, rate
+        Usual spacing of the samples, s; rate of the recorded angle, rad/s (None without one).
+    block
+        Samples that a full block holds; 1 for point samples.
+    """
+
+    path: Path
+    rows: int
+    used: int
+    repeated: int
+    differing: int
+    empty: dict[str, int]
+    outliers: dict[str, int]
+    listed: tuple[Outlier, ...]
+    gaps: tuple[Gap, ...]
+    gap_count: int
+    wrapped: bool
+    step: float
+    rate: float | None
+    block: int
+
+    def notes(self) -> list[str]:
+        """Return one plain sentence for each thing found, for warnings and reports."""
+        notes = []
+        if self.repeated:
+            words = f", {self.differing} of them with other values" if self.differing else ""
+            notes.append(f"{self.repeated} repeated rows were dropped{words}.")
+        for column, count in self.empty.items():
+            if count:
+                notes.append(f"{count} empty cells in column '{column}' were left out.")
+        for column, count in self.outliers.items():
+            if count:
+                notes.append(f"{count} outliers in column '{column}' were left out.")
+        if self.gap_count:
+            longest = max(gap.length for gap in self.gaps)
+            words = "1 gap" if self.gap_count == 1 else f"{self.gap_count} gaps"
+            notes.append(f"{words} in the record; the longest takes {longest:.6g} s.")
+        return notes
