@@ -221,6 +221,7 @@ class Result(Part):
     title: str = ""
     accelerometers: dict[str, AccelerometerResult]
     platform: dict[str, Coefficient] = {}
+    confounded: list[Confounded] = []
     runs: dict[str, RunResult]
     inputs: Inputs
     details: dict[str, str] = {}

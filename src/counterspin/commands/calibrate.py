@@ -26,6 +26,7 @@ from counterspin.campaign.result import (
 )
 from counterspin.commands.joint import joint
 from counterspin.commands.two_stage import TwoStageOptions, two_stage
+from counterspin.inference.joint import ROTATION
 
 Method = Literal["joint", "two-stage"]
 
@@ -100,6 +101,7 @@ def _jointly(campaign: Campaign, observed: Sequence[ObservedRun]) -> dict[str, A
         "model": "exact",
         "accelerometers": outcome.accelerometers,
         "platform": outcome.platform,
+        "confounded": outcome.confounded,
         "runs": {
             run.run.name: run_result(
                 run,
@@ -191,7 +193,10 @@ def run_result(
         How many samples the fit has left out beside those that reading has.
     """
     rotation, report = run.rotation, run.record.report
-    spindle = run.trajectory.spindle
+    spindle, own = run.trajectory.spindle, dict(terms or {})
+    # Where no angle was recorded the joint fit has found the rotation.
+    found = {symbol: own.pop(symbol) for symbol in ROTATION if symbol in own}
+    _, rate, drift = (found.get(symbol) for symbol in ROTATION)
     outliers += sum(report.outliers.values())
     empty = sum(report.empty.values())
     ripples = [
@@ -207,10 +212,10 @@ def run_result(
         )
     ]
     return RunResult(
-        rate=spindle.rate,
-        u_rate=rotation.u_rate if rotation else None,
-        drift=spindle.drift,
-        u_drift=rotation.u_drift if rotation else None,
+        rate=rate.value if rate and rate.value is not None else spindle.rate,
+        u_rate=rotation.u_rate if rotation else rate.u if rate else None,
+        drift=drift.value if drift and drift.value is not None else spindle.drift,
+        u_drift=rotation.u_drift if rotation else drift.u if drift else None,
         ripples=ripples,
         angle_rms=rotation.rms if rotation else None,
         samples=report.used,
@@ -225,7 +230,7 @@ def run_result(
         },
         notes=report.notes(),
         parabolas=dict(parabolas or {}),
-        terms=dict(terms or {}),
+        terms=own,
         fit=dict(fit or {}),
     )
 

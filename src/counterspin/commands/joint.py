@@ -9,7 +9,7 @@ from typing import Final
 from counterspin.campaign.observed import ObservedRun
 from counterspin.campaign.problem import model_of, noise_of, series_of
 from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.result import AccelerometerResult, Coefficient
+from counterspin.campaign.result import AccelerometerResult, Coefficient, Confounded
 from counterspin.commands.joint_checks import (
     compare,
     driving_runs,
@@ -21,6 +21,7 @@ from counterspin.commands.joint_parts import (
     budget_lines,
     coefficient,
     confounded,
+    confounded_platform,
     correlation,
     noise_lines,
     residual,
@@ -44,6 +45,7 @@ class JointOutcome:
     runs: Mapping[str, Mapping[str, Coefficient]]
     fits: Mapping[str, Mapping[str, dict[str, float | str | None]]]
     outliers: Mapping[str, int]
+    confounded: tuple[Confounded, ...]
     warnings: tuple[str, ...]
     estimate: Estimate
 
@@ -79,7 +81,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
     coefficients = {
         unknown: coefficient(found, assessment, index)
         for index, unknown in enumerate(model.unknowns)
-    }
+    } | _rotations(found, assessment)
     diagnostics = {name: residual_tests(found, name) for name in campaign.accelerometers}
     accelerometers = {
         name: _accelerometer(
@@ -100,9 +102,22 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         },
         fits={run.run.name: run_fits(diagnostics, run.run.name) for run in observed},
         outliers=outliers,
+        confounded=tuple(confounded_platform(assessment)),
         warnings=tuple(_warnings(coefficients)),
         estimate=found,
     )
+
+
+def _rotations(found: Estimate, assessment: Assessment) -> dict[Unknown, Coefficient]:
+    """Return the rotations that were found from the displacement, as the runs had them."""
+    spindles = {one.series.run: one.series.trajectory.spindle for one in found.fit.prepared}
+    rotations = {}
+    for index, unknown in enumerate(found.fit.model.unknowns):
+        if unknown.symbol in ROTATION:
+            step = coefficient(found, assessment, index)
+            base = getattr(spindles[unknown.owner], unknown.symbol.removeprefix("spindle."))
+            rotations[unknown] = step.model_copy(update={"value": base + (step.value or 0.0)})
+    return rotations
 
 
 def _accelerometer(
@@ -126,7 +141,7 @@ def _accelerometer(
     return AccelerometerResult(
         coefficients=own,
         correlation=correlation(found, coefficients, name),
-        confounded=confounded(campaign, assessment, name),
+        confounded=confounded(assessment, name),
         residual=residual(campaign, found, name, diagnostics),
         noise=noise_lines(campaign, found, name),
         budget=lines,
@@ -140,10 +155,9 @@ def _accelerometer(
 
 def _undetermined(own: Mapping[str, Coefficient], name: str) -> list[str]:
     return [
-        f"{name}: the records do not determine {symbol}"
-        + ("; its prior stands." if c.value is not None else ", and nothing is known beforehand.")
+        f"{name}: the records do not determine {symbol}, and nothing is known of it beforehand."
         for symbol, c in own.items()
-        if not c.estimated and c.u != 0.0
+        if c.value is None
     ]
 
 
@@ -152,8 +166,11 @@ def _warnings(coefficients: Mapping[Unknown, Coefficient]) -> list[str]:
     for unknown, c in coefficients.items():
         if unknown.symbol in TERMS:
             continue
-        if not c.estimated and unknown.symbol not in ROTATION:
-            warnings.append(f"The records do not determine {unknown.name}.")
+        if c.value is None:
+            warnings.append(
+                f"The records do not determine {unknown.name}, and nothing is known of it "
+                "beforehand."
+            )
         if unknown.symbol.startswith("platform.drift") and c.value is not None:
             rate = abs(c.value) / DEGREE_PER_HOUR
             if rate * 400.0**2 > _LARGE_DRIFT:

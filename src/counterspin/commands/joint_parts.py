@@ -25,6 +25,7 @@ from counterspin.inference.budget import budget
 from counterspin.inference.diagnostics import Diagnostics
 from counterspin.inference.estimation import Estimate
 from counterspin.inference.identifiability import Assessment
+from counterspin.inference.identifiability import Confounded as ConfoundedTerms
 from counterspin.inference.joint import ROTATION, TIMING, Unknown
 from counterspin.physics.accelerometer import TERMS, term
 
@@ -120,21 +121,33 @@ def correlation(
     )
 
 
-def confounded(campaign: Campaign, assessment: Assessment, name: str) -> list[Confounded]:
-    """Return the sets that concern an accelerometer, its own name left out."""
-    others = [f"{other}." for other in campaign.accelerometers if other != name]
+def confounded(assessment: Assessment, name: str) -> list[Confounded]:
+    """Return the sets with terms of an accelerometer's own, its name left out."""
+    own = f"{name}."
     return [
-        Confounded(
-            terms=[t.removeprefix(name + ".") for t in item.terms],
-            correlation=item.correlation,
-            determined=item.determined.replace(name + ".", ""),
-            value=item.value,
-            u=item.u,
-        )
+        _written(item, own)
         for item in assessment.confounded
-        if any(t.startswith(name + ".") for t in item.terms)
-        or not any(t.startswith(tuple(others)) for t in item.terms if others)
+        if any(symbol.startswith(own) for symbol in item.terms)
     ]
+
+
+def confounded_platform(assessment: Assessment) -> list[Confounded]:
+    """Return the sets of platform terms alone, those of a run's own rotation left out."""
+    return [
+        _written(item, "")
+        for item in assessment.confounded
+        if all("platform." in symbol for symbol in item.terms)
+    ]
+
+
+def _written(item: ConfoundedTerms, own: str) -> Confounded:
+    return Confounded(
+        terms=[symbol.removeprefix(own) for symbol in item.terms],
+        correlation=item.correlation,
+        determined=item.determined.replace(own, "") if own else item.determined,
+        value=item.value,
+        u=item.u,
+    )
 
 
 def residual(campaign: Campaign, found: Estimate, name: str, diagnostics: Diagnostics) -> Residual:
