@@ -9,4 +9,8 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `truth`: what a simulated campaign is made of; calibration never looks at it
 - `resolved`: the campaign as the calculation sees it, in SI
 - `description`: `read_campaign`, from the file to the resolved campaign
+- `records`: `read_record`, from a run's file to samples or block means, checked and cleaned
+- `record_files`, `record_clock`, `clock_faults`, `spikes`, `reduction`, `record_amplitude`: its
+  steps, in the order in which a record passes them
+- `record_report`: what was found on the way
 """

@@ -33,9 +33,9 @@ def rate_words(measured: float, nominal: float) -> str:
             " The angle runs in the opposite sense to the run's rate: give the rate the other "
             "sign, or the angle column."
         )
-    for slip, hint in _UNIT_SLIPS:
-        if abs(abs(ratio) / slip - 1) < 0.05:
-            return f"{words} {hint}"
+    slip, hint = min(_UNIT_SLIPS, key=lambda known: abs(abs(ratio) / known[0] - 1))
+    if abs(abs(ratio) / slip - 1) < 0.05:
+        return f"{words} {hint}"
     return words + " The two must agree within 5 %: check the rate, and the record's units."
 
 

@@ -297,29 +297,31 @@ class Clock:
             # `place` may not fit the last good sample: look for the first one that does.
             begun = time[place] if self._lost is None else self._lost_time
             stop = int(np.searchsorted(time, begun + patience, side="right"))
-            fits = np.flatnonzero(misfit(np.arange(place, stop), last_time, last_angle) <= 0)
+            # Nearly always one of the next few does.
+            for end in (min(place + 32, stop), stop):
+                fits = np.flatnonzero(misfit(np.arange(place, end), last_time, last_angle) <= 0)
+                if len(fits):
+                    break
             if len(fits):
                 last = place + int(fits[0])
                 good[place:last] = False
                 self._lost = None
                 continue
             if self._lost is None:
-                self._lost, self._lost_time = first_row + int(rows[place]), float(begun)
                 gone = float(time[place]) - last_time
-                self._lost_words = jump_words(
-                    gone,
-                    self.step,
-                    float(_wrap(angle[place] - last_angle - self.rate * gone)),
-                    self.rate,
-                )
+                stray = float(_wrap(angle[place] - last_angle - self.rate * gone))
+                self._lose(first_row + int(rows[place]), float(begun), gone, stray)
             if stop < len(rows):
-                raise self._fail(self._lost, self._lost_words)
+                raise self._jump()
             good[place:] = False
             break
-        self.found.angle_outliers += int((~good).sum())
-        room = LISTED - len(self.found.outlier_rows)
-        self.found.outlier_rows += [first_row + int(row) for row in rows[~good][:room]]
+        self._note_strays(first_row + rows[~good])
         return good, self._unwrapped(time, angle, good)
+
+    def _note_strays(self, rows: np.ndarray) -> None:
+        self.found.angle_outliers += len(rows)
+        room = LISTED - len(self.found.outlier_rows)
+        self.found.outlier_rows += [int(row) for row in rows[:room]]
 
     def _unwrapped(self, time: np.ndarray, angle: np.ndarray, good: np.ndarray) -> np.ndarray:
         angle = angle.copy()
@@ -339,7 +341,14 @@ class Clock:
     def finish(self) -> None:
         """Refuse a record that ends on angles which do not fit, unless they are a few."""
         if self._lost is not None and self.found.angle_outliers and self._open_rows() > 3:
-            raise self._fail(self._lost, self._lost_words)
+            raise self._jump()
+
+    def _lose(self, row: int, time: float, gone: float, stray: float) -> None:
+        self._lost, self._lost_time = row, time
+        self._lost_words = jump_words(gone, self.step, stray, self.rate)
+
+    def _jump(self) -> RecordError:
+        return self._fail(self._lost or 0, self._lost_words)
 
     def _open_rows(self) -> int:
         return sum(row >= (self._lost or 0) for row in self.found.outlier_rows)

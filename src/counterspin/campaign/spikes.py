@@ -26,9 +26,12 @@ LIMIT = 6.0
 _SCREEN = 5.5
 #: A window may be this many times noisier than its surroundings before that counts against it.
 _NOISIER = 4.0
-#: Relative unevenness of the clock that may be ignored, and that which breaks a window.
+#: Relative unevenness of the steps that may be ignored.
 _EVEN = 1e-4
+#: How late a sample may be before moving it along the slope no longer serves: in steps, or, where
+#: that is more, in rad of spindle angle (the curvature then costs 5e-7 of the wave).
 _GAP = 0.3
+_LATE = 1e-3
 #: MAD to standard deviation of Gaussian data.
 _MAD = 1.4826
 
@@ -70,29 +73,27 @@ def find_spikes(
         if not finite.any():
             return np.empty(0, dtype=int)
         signal = np.interp(time, time[finite], signal[finite])
-    slope_time = time if unevenness > _EVEN else None
+    uneven_time = time if unevenness > _EVEN else None
     whole = len(signal) // width * width
-    first_time = None if slope_time is None else slope_time[:whole]
-    peak, scale = _screen(signal[:whole], first_time, width, rate * step, step)
+    phase_step = rate * step
     starts = np.arange(0, whole, width)
+    first_time = None if uneven_time is None else uneven_time[:whole]
+    peak, broken, scale = _screen(signal[:whole], first_time, width, phase_step, step)
     if whole < len(signal):
         # The last window overlaps the one before, so that every sample has a full window.
         tail = slice(len(signal) - width, None)
-        last_time = None if slope_time is None else slope_time[tail]
-        last, _ = _screen(signal[tail], last_time, width, rate * step, step)
-        peak, starts = np.append(peak, last), np.append(starts, tail.start)
-    suspect = peak > _SCREEN * scale
-    if unevenness > _GAP:
-        broken = np.flatnonzero(np.abs(np.diff(time) / step - 1) > _GAP) + 1
-        inside = np.searchsorted(broken, starts + width) - np.searchsorted(broken, starts)
-        suspect |= inside > 0
+        last_time = None if uneven_time is None else uneven_time[tail]
+        last_peak, last_broken, _ = _screen(signal[tail], last_time, width, phase_step, step)
+        peak, broken = np.append(peak, last_peak), np.append(broken, last_broken)
+        starts = np.append(starts, tail.start)
+    suspect = broken | (peak > _SCREEN * scale)
     if not suspect.any():
         return np.empty(0, dtype=int)
 
     def robust(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         index = starts[chosen, None] + np.arange(width)
-        if slope_time is None:
-            basis, _ = _even_basis(width, rate * step)
+        if uneven_time is None:
+            basis, _ = _even_basis(width, phase_step)
         else:
             basis = _basis((time[index] - time[index].mean(axis=1, keepdims=True)) * rate)
         have = np.ones(index.shape) if finite is None else finite[index].astype(float)
@@ -101,9 +102,11 @@ def find_spikes(
         )
         return index, residuals, scales
 
-    # The plain scale is inflated where outliers are many: take it from robust fits.
-    _, _, scales = robust(np.unique(np.linspace(0, len(starts) - 1, 32).astype(int)))
-    scale = max(float(np.median(scales)), _resolution(signal) / 2)
+    if 10 * suspect.sum() > len(suspect):
+        # Where outliers are many they inflate the plain scale: take it from robust fits.
+        _, _, scales = robust(np.unique(np.linspace(0, len(starts) - 1, 32).astype(int)))
+        scale = float(np.median(scales))
+    scale = max(scale, _resolution(signal) / 2)
     suspect |= peak > _SCREEN * scale
     marked = np.zeros(len(signal), dtype=bool)
     suspects = np.flatnonzero(suspect)
@@ -119,27 +122,39 @@ def find_spikes(
 
 def _screen(
     signal: np.ndarray, time: np.ndarray | None, width: int, phase_step: float, step: float
-) -> tuple[np.ndarray, float]:
-    """Fit whole windows by plain least squares; return each one's peak residual, and the scale.
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Fit whole windows by plain least squares. `time` is given where it is uneven.
 
-    Peaks are 0 where none stands out. `time` is given where it is uneven.
+    Returns
+    -------
+    peak
+        (m,) the largest residual of each window; all 0 where none stands out.
+    broken
+        (m,) bool, windows too uneven to be judged by this fit.
+    scale
+        Standard deviation of the residuals.
     """
     basis, slopes = _even_basis(width, phase_step)
     windows = signal.reshape(-1, width)
+    broken = np.zeros(len(windows), dtype=bool)
     if time is not None:
         # Move each sample along the signal's slope to where an even clock would have taken it.
         times = time.reshape(-1, width)
-        late = times - times.mean(axis=1, keepdims=True)
-        late -= (np.arange(width) - (width - 1) / 2) * step
-        windows = windows - ((windows @ basis) @ slopes.T) * (late / step)
+        late = (times - times.mean(axis=1, keepdims=True)) / step
+        late -= np.arange(width) - (width - 1) / 2
+        broken = np.abs(late).max(axis=1) > max(_LATE / abs(phase_step), _GAP)
+        windows = windows - ((windows @ basis) @ slopes.T) * late
     rest = (windows @ basis) @ basis.T
     np.subtract(windows, rest, out=rest)
-    sample = rest.ravel()[:: max(1, rest.size // 512) | 1]
+    judged = rest[~broken] if broken.any() else rest
+    sample = judged.ravel()[:: max(1, judged.size // 512) | 1]
+    if not len(sample):
+        return np.zeros(len(rest)), broken, 0.0
     centre = float(np.median(sample))
     scale = _MAD * float(np.median(np.abs(sample - centre)))
-    if max(rest.max() - centre, centre - rest.min()) <= _SCREEN * scale:
-        return np.zeros(len(rest)), scale  # no window needs its own peak: the usual case
-    return np.maximum(rest.max(axis=1) - centre, centre - rest.min(axis=1)), scale
+    if max(judged.max() - centre, centre - judged.min()) <= _SCREEN * scale:
+        return np.zeros(len(rest)), broken, scale  # no window needs its own peak: the usual case
+    return np.maximum(rest.max(axis=1) - centre, centre - rest.min(axis=1)), broken, scale
 
 
 def _resolution(signal: np.ndarray) -> float:
