@@ -22,6 +22,9 @@ from counterspin.physics.spindle import TURN
 
 MINIMUM: Final = 4  #: strobes that a parabola and one degree of freedom need
 
+#: A strobe this near to a sample is on it: of a sample's spacing, and of a turn at the ends.
+_ROUNDING: Final = 1e-9
+
 
 @dataclass(frozen=True)
 class Strobes:
@@ -94,11 +97,13 @@ def by_angle(
     RecordError
         If fewer than `MINIMUM` strobes are found.
     """
-    # Turned so that a strobe lies at each whole number, in either sense of rotation.
     turns = (angle - phase) / TURN
-    low, high = np.minimum(turns[:-1], turns[1:]), np.maximum(turns[:-1], turns[1:])
-    left = np.flatnonzero(np.ceil(low) < high)  # a strobe on a sample belongs to what follows
-    target = np.ceil(low[left])
+    turns = turns * (1.0 if turns[-1] >= turns[0] else -1.0)  # a strobe lies at each whole number
+    first, last = math.ceil(turns[0] - _ROUNDING), math.floor(turns[-1] + _ROUNDING)
+    target = np.arange(first, last + 1.0)
+    # A noisy angle may pass a strobe to and fro: the first time counts.
+    reached = np.searchsorted(np.maximum.accumulate(turns), target)
+    left = np.clip(reached, 1, turns.size - 1) - 1
     share = (target - turns[left]) / (turns[left + 1] - turns[left])
     return _interpolate(time, error, left, share, count)
 
@@ -133,16 +138,19 @@ def _interpolate(
     spacing = np.diff(time)
     # Across a gap a straight line is no interpolation any more.
     whole = spacing[left] <= 1.5 * float(np.median(spacing))
+    # On a sample the other neighbour does not matter, even if it is missing or far away.
+    share = np.where(np.abs(share) < _ROUNDING, 0.0, share)
+    share = np.where(np.abs(share - 1.0) < _ROUNDING, 1.0, share)
     before, after = error[left], error[left + 1]
-    on_sample = share <= 1e-12  # the other neighbour then does not matter, even if it is missing
-    value = np.where(on_sample, before, (1.0 - share) * before + share * after)
+    value = np.where(share == 0.0, before, (1.0 - share) * before + share * after)
+    value = np.where(share == 1.0, after, value)
     samples = np.ones(time.size) if count is None else count
     variance = (1.0 - share) ** 2 / samples[left] + share**2 / samples[left + 1]
-    keep = (whole | on_sample) & np.isfinite(value)
+    keep = (whole | (share == 0.0) | (share == 1.0)) & np.isfinite(value)
     if np.count_nonzero(keep) < MINIMUM:
         raise RecordError(
-            f"only {np.count_nonzero(keep)} strobes could be read, and the parabola of the first "
-            f"stage needs {MINIMUM}: record more revolutions or fill the gaps"
+            f"only {np.count_nonzero(keep)} of the {MINIMUM} strobes that the parabola of the "
+            "first stage needs could be read: record more revolutions or fill the gaps"
         )
     at = time[left] + share * spacing[left]
     return Strobes(at[keep], value[keep], np.sqrt(variance[keep]), int(np.sum(~keep)))
