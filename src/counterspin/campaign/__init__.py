@@ -13,4 +13,8 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `record_files`, `record_clock`, `clock_faults`, `spikes`, `reduction`, `record_amplitude`: its
   steps, in the order in which a record passes them
 - `record_report`: what was found on the way
+- `observed`: records brought together with the rotation they were taken on
+- `problem`: the joint fit's unknowns, priors and noise, as a campaign asks for them
+- `result`: what a calibration found, its JSON
+- `output`: files that appear whole or not at all
 """

@@ -2,6 +2,7 @@
 
 - `series_of`: the data
 - `model_of`: what is estimated, considered and uncertain
+- `left_out_of`: what the model says nothing of
 - `noise_of`: what is known of the noise
 """
 
@@ -16,11 +17,12 @@ import numpy as np
 from counterspin.campaign.observed import ObservedRun
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import Accelerometer, Campaign, Run
+from counterspin.campaign.terms import acts
 from counterspin.inference.estimation import NoiseRequest
 from counterspin.inference.joint import ROTATION, TIMING, Considered, Model, Unknown
 from counterspin.inference.series import Series
 from counterspin.physics import observation
-from counterspin.physics.accelerometer import TERMS, term
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
 
 #: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
 _ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
@@ -96,6 +98,27 @@ def model_of(campaign: Campaign) -> Model:
             for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
         ]
     return Model(tuple(unknowns), tuple(considered), _uncertain_inputs(campaign))
+
+
+def left_out_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
+    """Return the terms that could reach an accelerometer and that its model says nothing of.
+
+    Each is taken as a considered term without uncertainty; a tilt is one term for each run.
+    """
+    accelerometer, model = campaign.accelerometers[name], campaign.model
+    known = {*model.terms, *model.considered, *accelerometer.priors}
+    terms = [
+        Considered(name, row.symbol, (row.nominal, 0.0), model.limits[row.symbol])
+        for row in TERMS.values()
+        if row.symbol not in known
+    ]
+    for row in PLATFORM_TERMS.values():
+        reached = [run for run in campaign.runs if acts(row, accelerometer.mounting, run.attitude)]
+        if row.symbol not in known and reached:
+            owners = [run.name for run in reached] if row.per_run else [""]
+            limit = model.limits[row.symbol]
+            terms += [Considered(owner, row.symbol, (0.0, 0.0), limit) for owner in owners]
+    return tuple(terms)
 
 
 def _pair(quantity: Quantity | None) -> tuple[float, float]:

@@ -133,6 +133,13 @@ class Comparison(Part):
     z: float
 
 
+class LeftOut(Part):
+    """A term that the model leaves out: what one unit of it would move K_II by, in g/g^2."""
+
+    sensitivity: float
+    unit: str
+
+
 class AccelerometerResult(Part):
     """All that was found out about one accelerometer."""
 
@@ -145,6 +152,7 @@ class AccelerometerResult(Part):
     second_unknown: dict[str, Coefficient] = {}
     jackknife: list[Jackknife] = []
     two_stage: Comparison | None = None
+    left_out: dict[str, LeftOut] = {}
     warnings: list[str] = []
 
 

@@ -14,6 +14,7 @@ from counterspin.commands.joint_checks import (
     compare,
     driving_runs,
     jackknife,
+    left_out,
     residual_tests,
     run_fits,
 )
@@ -147,6 +148,7 @@ def _accelerometer(
         budget=lines,
         jackknife=jackknife(found, name),
         two_stage=compare(campaign, observed, found, name),
+        left_out=left_out(campaign, found, name),
         warnings=[f"{name}: {finding}" for finding in diagnostics.findings]
         + driving_runs(found, name)
         + _undetermined(own, name),

@@ -3,6 +3,7 @@
 - `residual_tests`, `run_fits`
 - `jackknife`, `driving_runs`
 - `compare`
+- `left_out`
 """
 
 from __future__ import annotations
@@ -12,13 +13,16 @@ from collections.abc import Mapping, Sequence
 from typing import Final
 
 from counterspin.campaign.observed import ObservedRun
+from counterspin.campaign.problem import left_out_of
 from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.result import Comparison, Jackknife
+from counterspin.campaign.result import Comparison, Jackknife, LeftOut
 from counterspin.commands.two_stage import TwoStageOptions, two_stage
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference import joint as fitting
 from counterspin.inference.diagnostics import Diagnostics, diagnose
 from counterspin.inference.estimation import Estimate
+from counterspin.inference.left_out import sensitivities
+from counterspin.physics.accelerometer import term
 
 #: A run left out that moves K_II by more than this many standard uncertainties drives the result.
 _DRIVES: Final = 3.0
@@ -137,3 +141,24 @@ def compare(
         u_difference=spread,
         z=difference / spread,
     )
+
+
+def left_out(campaign: Campaign, found: Estimate, name: str) -> dict[str, LeftOut]:
+    """Return what each term that the model leaves out would move an accelerometer's K_II by.
+
+    Of a term that every run has anew, the runs' effects are combined as independent ones.
+    """
+    index = _k_ii(found, name)
+    terms = left_out_of(campaign, name)
+    if index is None or not terms:
+        return {}
+    effects: dict[str, list[float]] = {}
+    for other, effect in zip(terms, sensitivities(found.fit, terms)[index], strict=True):
+        effects.setdefault(other.symbol, []).append(float(effect))
+    return {
+        symbol: LeftOut(
+            sensitivity=parts[0] if len(parts) == 1 else math.hypot(*parts),
+            unit=term(symbol).unit,
+        )
+        for symbol, parts in effects.items()
+    }

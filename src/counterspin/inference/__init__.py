@@ -13,7 +13,7 @@ What stands in this room:
 - `series`: one accelerometer's output in one run, with its columns and its whitening
 - `joint`: full records of all runs and accelerometers, solved together
 - `estimation`: the joint estimate step by step; `outliers`: samples that noise does not explain
-- `budget`: where the uncertainty of a coefficient comes from
+- `budget`: where the uncertainty of a coefficient comes from; `left_out`: what is not in it
 
 Glossary
 --------

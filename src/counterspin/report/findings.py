@@ -52,6 +52,8 @@ def accelerometer_blocks(
         yield Paragraph(f"Warning: {warning.removeprefix(f'{name}: ')}", "warning")
     for confounded in found.confounded:
         yield Paragraph(_confounded(confounded))
+    if sentence := _left_out(found):
+        yield Paragraph(sentence)
     yield Paragraph(_residual(found))
     if found.noise:
         yield Paragraph(_noise(found.noise, gravity))
@@ -142,6 +144,23 @@ def _confounded(found: Confounded) -> str:
     unit, factor = field_unit(row.unit if row else "")
     u = None if found.u is None else found.u * factor
     return f"{text} = {format_estimate(found.value * factor, u, unit)}."
+
+
+def _left_out(found: AccelerometerResult) -> str:
+    """Say what the terms would do that the model leaves out, where it would be noticed."""
+    k_ii = found.coefficients.get("K_II")
+    if k_ii is None or k_ii.u is None:
+        return ""
+    noticed = []
+    for symbol, term_left_out in found.left_out.items():
+        unit, factor = field_unit(term_left_out.unit)
+        shift = abs(term_left_out.sensitivity) / factor
+        if shift > 0.5 * k_ii.u:
+            shown, to_shown = field_unit(k_ii.unit)
+            noticed.append(f"1 {unit} of {symbol} by {format_number(shift * to_shown, 2)} {shown}")
+    if not noticed:
+        return ""
+    return "Not in the model, and so not in u: K_II would move with " + "; ".join(noticed) + "."
 
 
 def _correlation(r: float) -> str:
