@@ -112,8 +112,8 @@ def read_record(
     radius
         m.
     input_axes
-        Accelerometer -> (3,) unit vector in east, north, up, where the signals are displacements:
-        their swing about the axis is then checked against the radius. None for other observables.
+        Accelerometer -> (3,) unit vector in east, north, up, for those whose signal is a
+        displacement: its swing about the axis is then checked against the radius.
     block
         "auto" reduces a record that is denser than 2 samples per 1/64 revolution to block means;
         None keeps every sample.
@@ -295,7 +295,7 @@ class _Reading:
             change = change_of_unit(found)
             if change is not None:
                 raise self._changed(place, blocks, phase, found, *change)
-            if input_axes is not None:
+            if input_axes is not None and name in input_axes:
                 axis = np.asarray(input_axes[name], dtype=float)
                 wrong = against_reference(found, radius, axis, angle is not None)
                 if wrong is not None:
