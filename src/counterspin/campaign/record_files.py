@@ -76,6 +76,16 @@ class ColumnFile(ABC):
     def batches(self) -> Iterator[Columns]:
         """Yield the columns, in the order asked for, in consecutive batches of equal length."""
 
+    def table(self) -> pl.DataFrame:
+        """Return the whole file as it stands, cells of text remaining text.
+
+        Raises
+        ------
+        RecordError
+            The file is not a table.
+        """
+        raise RecordError(f"{self.path}: a table is needed here: a .csv or .parquet file.")
+
     def locate(self, row: int) -> str:
         """Say where data row `row` (counted from 0) stands in the file."""
         return f"row {row + 1}"
@@ -159,6 +169,14 @@ class CsvFile(ColumnFile):
             schema=schema,
             encoding="utf8-lossy",
         ).select(self.names)
+
+    def table(self) -> pl.DataFrame:
+        """Return every column of the file as text; comments are left out."""
+        import polars as pl
+
+        whole = CsvFile(self.path, self._header)
+        whole._comments = True
+        return whole._scan(pl.String()).collect()
 
     def batches(self) -> Iterator[Columns]:
         """Yield batches of the columns; text in a cell raises `RecordError` with its line."""
@@ -261,6 +279,12 @@ class ParquetFile(ColumnFile):
                 raise RecordError(
                     f"{path}: column '{name}' is of type {schema[name]}; numbers belong there."
                 )
+
+    def table(self) -> pl.DataFrame:
+        """Return every column of the file with its type."""
+        import polars as pl
+
+        return pl.read_parquet(self.path)
 
     def batches(self) -> Iterator[Columns]:
         """Yield batches of the columns as the streaming engine decodes them."""

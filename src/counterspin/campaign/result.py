@@ -5,18 +5,21 @@ The JSON is a contract with users' own programs: keys keep their names and meani
 else is SI unless its unit stands beside it.
 
 - `Result` and its parts
+- `described`: what a result repeats of an accelerometer's description
 - `write_result`, `read_result`
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Collection
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from counterspin.campaign.output import write_text
+from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import RecordError
 
 SCHEMA: Final = 1  #: version of the JSON
@@ -141,9 +144,26 @@ class LeftOut(Part):
 
 
 class AccelerometerResult(Part):
-    """All that was found out about one accelerometer."""
+    """All that was found out about one accelerometer.
+
+    Attributes
+    ----------
+    coefficients
+        The terms that the campaign asked for.
+    known
+        Further terms of which something is known beforehand, as the campaign states it; the fit
+        has taken their values away.
+    axes
+        Where the input, pendulous and output axes point, as rows, in east-north-up while the
+        platform is level.
+    observable
+        What was recorded: ``displacement``, ``velocity`` or ``specific_force``.
+    """
 
     coefficients: dict[str, Coefficient]
+    known: dict[str, Coefficient] = {}
+    axes: list[tuple[float, float, float]] | None = None
+    observable: str | None = None
     correlation: Correlation | None
     confounded: list[Confounded] = []
     residual: Residual
@@ -239,6 +259,32 @@ class Result(Part):
     def to_json(self) -> str:
         """Return the JSON text, with a newline at the end; NaN and infinity become null."""
         return self.model_dump_json(by_alias=True, indent=1) + "\n"
+
+
+def described(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str, Any]:
+    """Return what is needed of an accelerometer's description to apply its result without it.
+
+    Parameters
+    ----------
+    accelerometer
+        The description.
+    shown
+        The symbols of its coefficients, which are not repeated.
+
+    Returns
+    -------
+    dict
+        `known`, `axes` and `observable` of `AccelerometerResult`.
+    """
+    return {
+        "known": {
+            symbol: Coefficient(value=prior.value, u=prior.u, unit=prior.unit, estimated=False)
+            for symbol, prior in accelerometer.priors.items()
+            if symbol not in shown
+        },
+        "axes": list(accelerometer.mounting.axes),
+        "observable": accelerometer.observable,
+    }
 
 
 def write_result(result: Result, path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Final
 from counterspin.campaign.observed import ObservedRun
 from counterspin.campaign.problem import model_of, noise_of, series_of
 from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.result import AccelerometerResult, Coefficient, Confounded
+from counterspin.campaign.result import AccelerometerResult, Coefficient, Confounded, described
 from counterspin.commands.joint_checks import (
     compare,
     driving_runs,
@@ -152,6 +152,7 @@ def _accelerometer(
         warnings=[f"{name}: {finding}" for finding in diagnostics.findings]
         + driving_runs(found, name)
         + _undetermined(own, name),
+        **described(campaign.accelerometers[name], own),
     )
 
 

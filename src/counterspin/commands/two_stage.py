@@ -20,6 +20,7 @@ from counterspin.campaign.result import (
     NoiseLine,
     ParabolaResult,
     Residual,
+    described,
 )
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference import strobes as strobing
@@ -133,6 +134,7 @@ def two_stage(
         residual=_residual(parabolas, walk),
         noise=_noise_lines(parabolas, walk),
         warnings=_warnings(campaign, accelerometer, runs, second, options),
+        **described(accelerometer, coefficients),
     )
     return TwoStageOutcome(
         result, {run.name: _parabola(run.parabola) for run in runs}, runs, second

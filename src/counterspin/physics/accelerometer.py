@@ -71,6 +71,11 @@ class Term:
         return "*".join(f"a_{f}" + (f"^{n}" if n > 1 else "") for f, n in powers.items()) or "1"
 
     @property
+    def power(self) -> int:
+        """How many times a_I or |a_I| stands in the product."""
+        return sum(factor in ("I", "|I|") for factor in self.factors)
+
+    @property
     def unit(self) -> str:
         """The unit in g-units; misalignments are angles."""
         if self.symbol.startswith("delta"):
@@ -93,8 +98,40 @@ class Term:
         """
         value = np.full(a_ipo.shape[1:], self.sign, dtype=np.float64)
         for factor in self.factors:
-            value *= np.abs(a_ipo[0]) if factor == "|I|" else a_ipo["IPO".index(factor)]
+            value *= _component(a_ipo, factor)
         return value
+
+    def slope(self, a_ipo: Array, axis: str) -> Array:
+        """Return the signed product's derivative along one axis.
+
+        Parameters
+        ----------
+        a_ipo
+            Specific force along I, P, O in g, shape (3, ...).
+        axis
+            ``I``, ``P`` or ``O``.
+
+        Returns
+        -------
+        Array
+            Shape ``a_ipo.shape[1:]``, in g to the power of the product's degree less one.
+        """
+        total = np.zeros(a_ipo.shape[1:])
+        for place, factor in enumerate(self.factors):
+            if factor.strip("|") != axis:
+                continue
+            value = np.full(a_ipo.shape[1:], self.sign, dtype=np.float64)
+            if factor == "|I|":
+                value *= np.sign(a_ipo[0])
+            for other in self.factors[:place] + self.factors[place + 1 :]:
+                value *= _component(a_ipo, other)
+            total += value
+        return total
+
+
+def _component(a_ipo: Array, factor: str) -> Array:
+    found: Array = np.abs(a_ipo[0]) if factor == "|I|" else a_ipo["IPO".index(factor)]
+    return found
 
 
 @dataclass(frozen=True)
