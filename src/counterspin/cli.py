@@ -106,6 +106,7 @@ def calibrate(
     from counterspin.campaign.result import write_result
     from counterspin.commands.calibrate import calibrate as run
     from counterspin.commands.two_stage import TwoStageOptions
+    from counterspin.report.progress import progress
     from counterspin.report.text import print_result, report_console
 
     options = TwoStageOptions(
@@ -115,10 +116,41 @@ def calibrate(
         fit_bias=fit_bias,
         from_residuals=sigma == "residuals",
     )
-    result = run(directory, method=method, options=options)
+    with progress() as advance:
+        result = run(directory, method=method, options=options, progress=advance)
     if json is not None:
         write_result(result, json)
     print_result(result, report_console(), budget=budget, details=details)
+
+
+@app.command
+def demo(
+    *,
+    output: OutputDirectory = Path("counterspin-demo"),
+    figure: Literal["svg", "png", "pdf"] = "svg",
+) -> None:
+    """Simulate and calibrate the paper's plan: truth beside each method, and a figure.
+
+    Parameters
+    ----------
+    output
+        Folder for the campaign, its records and the figure.
+    figure
+        Format of the figure.
+    """
+    from counterspin.commands.demo import demo as run
+    from counterspin.report.demonstration import demonstration_figure, render_demonstration
+    from counterspin.report.figure import save
+    from counterspin.report.text import report_console
+
+    shown = run(output)
+    drawn = output / f"displacement.{figure}"
+    save(demonstration_figure(shown), drawn)
+    report_console().print(render_demonstration(shown))
+    print(
+        f"\nWrote campaign.toml, {len(shown.records)} records and {drawn.name} to {output}. Next:\n"
+        f"  counterspin calibrate {output}"
+    )
 
 
 def main(arguments: list[str] | None = None) -> int:

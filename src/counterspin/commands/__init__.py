@@ -5,4 +5,5 @@
 - `calibrate`: the main job, from a campaign folder to a `Result`
 - `two_stage`: its method of the paper
 - `joint`, `joint_parts`, `joint_checks`: its method of full records; the result's parts; its checks
+- `demo`: the paper's plan from simulation to result, by every method
 """

@@ -1,0 +1,88 @@
+"""A sign of life on the terminal while records are read; nothing where there is no terminal.
+
+- `progress`: a bar that appears only if the work takes longer than a moment
+"""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+#: Seconds of work before anything is shown.
+PATIENCE: Final = 1.0
+
+
+@contextmanager
+def progress(
+    console: Console | None = None, *, patience: float = PATIENCE
+) -> Iterator[Callable[[int, int], None] | None]:
+    """Show how many runs are read, on standard error, and wipe it out at the end.
+
+    Parameters
+    ----------
+    console
+        Where to show it; None: standard error.
+    patience
+        Seconds of work before anything is shown.
+
+    Yields
+    ------
+    Callable or None
+        To be called with (runs read, runs in all); None where there is no terminal.
+    """
+    if console is None and not sys.stderr.isatty():
+        yield None
+        return
+    bar = _Bar(console)
+    # A short calibration ends before the timer, and neither shows nor loads anything.
+    timer = threading.Timer(patience, bar.show)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield bar.advance
+    finally:
+        timer.cancel()
+        timer.join()
+        bar.close()
+
+
+class _Bar:
+    def __init__(self, console: Console | None) -> None:
+        self.console = console
+        self.reached = (0, 0)
+        self.shown: Progress | None = None
+
+    def show(self) -> None:
+        from rich import progress as rich
+        from rich.console import Console
+
+        bar = rich.Progress(
+            rich.TextColumn("{task.description}"),
+            rich.BarColumn(),
+            rich.MofNCompleteColumn(),
+            rich.TimeElapsedColumn(),
+            console=self.console or Console(stderr=True),
+            transient=True,
+        )
+        bar.add_task("Reading runs", total=None)
+        bar.start()
+        self.shown = bar
+        self.advance(*self.reached)
+
+    def advance(self, done: int, total: int) -> None:
+        self.reached = (done, total)
+        if self.shown is not None:
+            (task,) = self.shown.task_ids
+            text = "Estimating" if 0 < total == done else "Reading runs"
+            self.shown.update(task, description=text, completed=done, total=total or None)
+
+    def close(self) -> None:
+        if self.shown is not None:
+            self.shown.stop()
