@@ -20,6 +20,7 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.errors import NotIdentifiableError
 from counterspin.inference import least_squares
 from counterspin.inference.least_squares import Block, Solution
 from counterspin.inference.noise import Noise
@@ -41,7 +42,7 @@ INPUTS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
         motion, site=replace(motion.site, latitude=motion.site.latitude + step)
     ),
 }
-TIMING: Final = "records.timing_offset"  #: s, between the clocks of angle and output
+TIMING: Final = "records.timing_offset"  #: s, by which an angle is sampled after its output
 
 
 @dataclass(frozen=True)
@@ -211,7 +212,8 @@ def _input_column(
     base = series.reference()
     if name == TIMING:
         step = _STEP / abs(series.trajectory.spindle.rate)
-        return (series.reference(later=step) - base) / step
+        # Angles that were taken later were reached later: the spindle was behind by that time.
+        return (series.reference(later=-step) - base) / step
     size = {
         "centrifuge.radius": series.trajectory.radius,
         "site.gravity": series.trajectory.site.gravity,
@@ -281,6 +283,11 @@ def solve_joint(prepared: Sequence[Prepared], model: Model, noise: Mapping[str, 
 def _block(prepared: Prepared, model: Model, noise: Noise) -> Block:
     """Whiten one series and reduce it, then put its columns where the model has them."""
     series = prepared.series
+    if series.time.size <= series.order:
+        raise NotIdentifiableError(
+            f"{series.accelerometer} in {series.run}: {series.time.size} samples do not determine "
+            "the record's own start offset and start velocity; the record is too short"
+        )
     whiten = series.whitener(noise)
     own = series.polynomials(whiten.polynomials)
     rows = whiten.apply(np.column_stack([own, prepared.design, prepared.fixed, series.error]))
