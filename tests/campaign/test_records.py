@@ -410,6 +410,18 @@ def test_a_fifth_of_outliers(tmp_path, bias):
     assert lost[~places].mean() < 1e-3
 
 
+def test_the_harmonics_of_a_quiet_record_are_no_outliers(tmp_path):
+    # Specific force at 16 ppm of noise: a drifting rate and a K_II stand out of it.
+    columns = table(n=20_000)
+    phase = np.pi / 2 * columns[TIME] * (1 + 5e-7 * columns[TIME])
+    columns[ANGLE] = phase
+    columns[SIGNAL] = -6.17 * np.cos(phase) + 5e-5 * np.cos(2 * phase)
+    columns[SIGNAL] += 1e-4 * np.random.default_rng(6).standard_normal(phase.size)
+    path = write(tmp_path / "run.parquet", columns)
+    record = read(path, rate=np.pi / 2, input_axes=None)
+    assert record.report.outliers[SIGNAL] == 0
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-5, 1e-3])
 def test_quantised_signals_keep_their_samples(tmp_path, noise):
     columns = table(n=20_000, noise=noise)

@@ -1,10 +1,11 @@
 """Outlying samples of a signal, judged against their own neighbours.
 
 Over a window of 128 samples, whatever an accelerometer on a centrifuge indicates (displacement,
-velocity or specific force) is smooth: a constant, a slow trend and a wave of one period a
-revolution. Those few functions are fitted to each window, robustly where it matters, and a sample
-that stands off by more than six standard deviations is an outlier. Six leaves Gaussian data alone
-(2e-9) and finds what would spoil a block mean; the joint fit judges finer, on its own residuals.
+velocity or specific force) is smooth: a constant, a slow trend, a wave of one period a
+revolution that may grow, and its second harmonic. Those few functions are fitted to each window,
+robustly where it matters, and a sample that stands off by more than six standard deviations is an
+outlier. Six leaves Gaussian data alone (2e-9) and finds what would spoil a block mean; the joint
+fit judges finer, on its own residuals.
 
 Two levels keep this cheap. A plain least-squares projection (one matrix product with a fixed
 basis) screens every window; only windows that fail it are fitted robustly.
@@ -18,8 +19,10 @@ import numpy as np
 
 #: Samples in a window.
 WINDOW = 128
-#: Fewest samples that can be judged at all: five functions are fitted to them.
-FEWEST = 16
+#: Fewest samples that can be judged at all: up to nine functions are fitted to them.
+FEWEST = 24
+#: How many of the functions are fitted first, while outliers are still in.
+_STURDY = 5
 #: Standard deviations beyond which a sample is an outlier.
 LIMIT = 6.0
 #: Standard deviations beyond which the screening hands a window to the robust fit.
@@ -174,7 +177,7 @@ def _even_basis(width: int, phase_step: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _basis(phase: np.ndarray) -> np.ndarray:
-    """Return orthonormal functions (..., width, 5) of the spindle phase about the centre."""
+    """Return orthonormal functions (..., width, 5 or 9) of the spindle phase about the centre."""
     half = np.abs(phase).max(axis=-1, keepdims=True)
     u = phase / half
     if np.max(half) < 0.25:
@@ -182,7 +185,11 @@ def _basis(phase: np.ndarray) -> np.ndarray:
         # sine and cosine would be collinear with the trend.
         functions = [np.ones_like(u), u, u**2, u**3, u**4]
     else:
-        functions = [np.ones_like(u), u, u**2, np.cos(phase), np.sin(phase)]
+        cos, sin = np.cos(phase), np.sin(phase)
+        # A wave that grows or whose rate is slightly off, and the second harmonic: in a record
+        # of little noise they are no outliers.
+        functions = [np.ones_like(u), u, u**2, cos, sin, u * cos, u * sin]
+        functions += [np.cos(2.0 * phase), np.sin(2.0 * phase)]
     orthonormal: np.ndarray = np.linalg.qr(np.stack(functions, axis=-1))[0]
     return orthonormal
 
@@ -194,9 +201,9 @@ def _robust_fit(
     have = weight > 0
     middle = np.maximum(have.sum(axis=1), 1) // 2
     tiny = 1e-15 * np.abs(windows).max(axis=1) + 1e-300
-    ridge = 1e-12 * np.eye(basis.shape[-1])
 
-    def fit(w: np.ndarray) -> np.ndarray:
+    def fit(w: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        ridge = 1e-12 * np.eye(basis.shape[-1])
         weighted = np.swapaxes(basis * w[..., None], -1, -2)
         normal = weighted @ basis
         normal += ridge * np.trace(normal, axis1=-2, axis2=-1)[:, None, None] + 1e-300 * ridge
@@ -210,13 +217,16 @@ def _robust_fit(
         floored: np.ndarray = np.maximum(_MAD * median, tiny)
         return floored
 
-    residuals = fit(weight**2)
+    # Fewer functions withstand more outliers: the first ones part these from the rest, then all
+    # of them follow the rest more closely.
+    first = basis[..., :_STURDY]
+    residuals = fit(weight**2, first)
     for _ in range(10):
         size = np.maximum(np.abs(residuals), 0.1 * spread(residuals)[:, None])
-        residuals = fit(weight**2 * size.min(axis=1, keepdims=True) / size)
+        residuals = fit(weight**2 * size.min(axis=1, keepdims=True) / size, first)
     for _ in range(4):
         reach = np.clip(residuals / (6.0 * spread(residuals)[:, None]), -1, 1)
-        residuals = fit(weight**2 * ((1 - reach**2) ** 2 + 1e-12))
+        residuals = fit(weight**2 * ((1 - reach**2) ** 2 + 1e-12), basis)
     scale = spread(residuals)
     used = np.maximum(have.sum(axis=1), basis.shape[-1] + 1)
     return residuals, scale * np.sqrt(used / (used - basis.shape[-1]))
