@@ -7,7 +7,8 @@ What stands in this room, from the ground up:
 - `motion`: exact position, velocity and specific force of the platform; harmful acceleration
 - `quadrature`: single and double time integrals along a trajectory, to rounding
 - `observation`: columns, the displacement per unit of each coefficient
-- `correction`: the error model's inverse, and how uncertain what it returns is
+- `inversion`: the error model's inverse, from an indication to the specific force
+- `correction`: accelerometers corrected together, and how uncertain that leaves them
 - `simulation`: what an imperfect system records, without linearisation
 - `as_printed`: the paper's equations as printed, where they depart from the exact ones
 

@@ -1,18 +1,12 @@
-"""From indicated to true specific force: the inverse of Eq. 7, and its uncertainty.
-
-On either side of a_I = 0 the indicated specific force is a polynomial in a_I. It rises there from
-zero up to its first turning point; within that range there is exactly one specific force along
-the input axis that an indication can stand for, and a bracketed Newton iteration finds it.
+"""Correction of accelerometers for their calibrated errors, and how uncertain it leaves them.
 
 The products with a_P and a_O need the specific force along the other two axes. It is known, or
 it is what other accelerometers on the same platform sense; their errors are then corrected too,
 in turn, until nothing moves any more.
 
-- `invert`: one accelerometer, a_P and a_O given
 - `Instrument`, `Known`: calibrated accelerometers, and directions in which the force is known
 - `missing_axes`: the axes along which the force is needed and not known
-- `correct`: several accelerometers together, with standard uncertainties
-- `NotInvertibleError`: an indication that the model does not reach
+- `correct`, `Corrected`: several accelerometers together, with standard uncertainties
 """
 
 from __future__ import annotations
@@ -23,169 +17,16 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.errors import ConvergenceError
 from counterspin.physics.accelerometer import TERMS, Array, Mounting
+from counterspin.physics.inversion import NotInvertibleError, invert
 
 _EPS: Final = float(np.finfo(np.float64).eps)
-
-#: A bracket halves at least every other step, so that this is never reached by a sound model.
-_STEPS: Final = 200
 
 #: Rounds of correcting each accelerometer with the others; a misalignment of 1e-2 needs eight.
 _ROUNDS: Final = 100
 
 #: Projections below this are rounding of the mountings (directions are unit vectors).
 _PARALLEL: Final = 1e-9
-
-
-class NotInvertibleError(ConvergenceError):
-    """A sample has no specific force that the model could indicate in that way.
-
-    Attributes
-    ----------
-    row
-        The sample, counted from 0.
-    reason
-        Why, as a sentence without its subject.
-    """
-
-    def __init__(self, row: int, reason: str) -> None:
-        self.row, self.reason = row, reason
-        super().__init__(f"sample {row} (counted from 0) {reason}")
-
-
-def invert(
-    coefficients: Mapping[str, float],
-    indicated: Array,
-    a_p: Array | float = 0.0,
-    a_o: Array | float = 0.0,
-) -> Array:
-    """Return the specific force along the input axis, the inverse of Eq. 7.
-
-    Parameters
-    ----------
-    coefficients
-        Coefficients by symbol, in g-units; those not named have their nominal value.
-    indicated
-        Indicated specific force in g, shape (n,). Where it, a_p or a_o is not finite, so is the
-        result.
-    a_p, a_o
-        Specific force along the pendulous and the output axis in g, shape (n,) or one for all.
-
-    Returns
-    -------
-    Array
-        a_I in g, shape (n,), to rounding.
-
-    Raises
-    ------
-    NotInvertibleError
-        If an indication lies outside of what the model reaches before it turns round, or the
-        model does not rise at a_I = 0.
-    """
-    y, p, o = np.broadcast_arrays(np.asarray(indicated, dtype=np.float64), a_p, a_o)
-    present = np.isfinite(y) & np.isfinite(p) & np.isfinite(o)
-    force = np.full(y.shape, np.nan)
-    rows = np.flatnonzero(present)
-    if rows.size:
-        force[rows] = _rising(coefficients, y[rows], p[rows], o[rows], rows)
-    return force
-
-
-def _rising(
-    coefficients: Mapping[str, float], y: Array, p: Array, o: Array, rows: np.ndarray
-) -> Array:
-    """Return the root of the indication less y on the branch that holds a_I = 0."""
-    at_zero = _polynomial(coefficients, np.ones_like(y), p, o)[0]
-    side = np.where(y >= at_zero, 1.0, -1.0)
-    # In x = |a_I|, and with this sign, what is sought is the root of a polynomial that begins
-    # below zero and rises.
-    poly = _polynomial(coefficients, side, p, o)
-    poly[0] -= y
-    poly *= side
-    flat = np.flatnonzero(~(poly[1] > 0.0))
-    if flat.size:
-        worst = int(flat[0])
-        raise NotInvertibleError(
-            int(rows[worst]),
-            "cannot be corrected: the indication does not rise with the specific force at zero "
-            f"(slope {poly[1, worst]:.3g}); check the coefficients and their units.",
-        )
-    turn = _turning_point(poly)
-    high = np.minimum(turn, 2.0 * -poly[0] / poly[1])
-    while True:
-        short = (_value(poly, high) < 0.0) & (high < turn)
-        if not short.any():
-            break
-        high = np.where(short, np.minimum(2.0 * high, turn), high)
-    beyond = np.flatnonzero(_value(poly, high) < -_rounding(poly, high, y))
-    if beyond.size:
-        worst = int(beyond[0])
-        level = float(side[worst] * turn[worst])
-        reach = float(y[worst] + side[worst] * _value(poly, turn)[worst])
-        raise NotInvertibleError(
-            int(rows[worst]),
-            f"cannot be corrected: it indicates {y[worst]:.6g} g, and this model turns round at "
-            f"{level:.6g} g, where it indicates {reach:.6g} g.",
-        )
-    return side * _root(poly, high, y, rows)
-
-
-def _polynomial(coefficients: Mapping[str, float], side: Array, p: Array, o: Array) -> Array:
-    """Return the indication's coefficients in powers of |a_I|, lowest first, shape (4, n)."""
-    unit = np.stack([side, p, o])
-    poly = np.zeros((1 + max(row.power for row in TERMS.values()), side.size))
-    for row in TERMS.values():
-        value = coefficients.get(row.symbol, row.nominal)
-        if value != 0.0:
-            # Each product is homogeneous in a_I on its side: its value at +-1 times |a_I|^power.
-            poly[row.power] += value * row.evaluate(unit)
-    return poly
-
-
-def _turning_point(poly: Array) -> Array:
-    """Return where a cubic's slope, positive at zero, first vanishes beyond; infinite if never."""
-    a, b, c = poly[1], 2.0 * poly[2], 3.0 * poly[3]
-    square = b * b - 4.0 * a * c
-    # This form of the root keeps its digits as c goes to zero.
-    divisor = -b + np.sqrt(np.maximum(square, 0.0))
-    turns = (square >= 0.0) & (divisor > 0.0)
-    turn = np.full(a.shape, np.inf)
-    turn[turns] = 2.0 * a[turns] / divisor[turns]
-    return turn
-
-
-def _value(poly: Array, x: Array) -> Array:
-    total: Array = poly[-1]
-    for row in poly[-2::-1]:
-        total = total * x + row
-    return total
-
-
-def _slope(poly: Array, x: Array) -> Array:
-    return _value(poly[1:] * np.arange(1.0, poly.shape[0])[:, None], x)
-
-
-def _rounding(poly: Array, x: Array, y: Array) -> Array:
-    """Return what rounding may make of the polynomial's value, which cancels against y."""
-    return 2.0 * _EPS * (_value(np.abs(poly), x) + np.abs(y))
-
-
-def _root(poly: Array, high: Array, y: Array, rows: np.ndarray) -> Array:
-    low = np.zeros_like(high)
-    x = np.minimum(-poly[0] / poly[1], high)
-    for _ in range(_STEPS):
-        value, slope = _value(poly, x), _slope(poly, x)
-        low, high = np.where(value < 0.0, x, low), np.where(value < 0.0, high, x)
-        step = np.divide(-value, slope, out=np.full_like(x, np.inf), where=slope > 0.0)
-        new = x + step
-        new = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
-        settled = (np.abs(value) <= _rounding(poly, x, y)) | (np.abs(new - x) <= 2.0 * _EPS * x)
-        x = new
-        if settled.all():
-            return x
-    worst = int(rows[int(np.flatnonzero(~settled)[0])])
-    raise NotInvertibleError(worst, f"has not settled after {_STEPS} steps.")
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,301 @@
+"""The inverse of the error model, alone and coupled, and the uncertainty that it leaves."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from counterspin.errors import ConvergenceError
+from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting, indicated
+from counterspin.physics.correction import Instrument, Known, correct, missing_axes
+from counterspin.physics.inversion import NotInvertibleError, invert
+
+SETTINGS = settings(deadline=None, derandomize=True, max_examples=150)
+
+#: I, P, O along the three components of the vector.
+PLAIN = Mounting(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
+
+#: Sizes up to which every term together still rises over +-100 g: the slope is at least
+#: 0.9 - 600 x 3e-4 (all second-order terms at 100 g) - 3e4 x 1e-5 (third order) = 0.42.
+SIZES = {"": 0.1, "I": 0.1, "II": 3e-4, "III": 1e-5}
+
+
+def size(symbol):
+    row = TERMS[symbol]
+    return SIZES["I" * min(len(row.factors), 3)] if len(row.factors) != 1 else 0.1
+
+
+def coefficients():
+    return st.fixed_dictionaries(
+        {
+            s: st.floats(-size(s), size(s)).map(lambda v, n=row.nominal: n + v)
+            for s, row in TERMS.items()
+        }
+    )
+
+
+levels = st.floats(-100.0, 100.0)
+
+
+# --- slopes ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("symbol", TERMS)
+def test_slopes_are_the_derivatives_of_the_products(symbol):
+    sympy = pytest.importorskip("sympy")
+    i, p, o = axes = sympy.symbols("I P O", real=True)
+    names = {"I": i, "P": p, "O": o, "|I|": sympy.Abs(i)}
+    row = TERMS[symbol]
+    product = row.sign * math.prod((names[f] for f in row.factors), start=sympy.Integer(1))
+    for at in ((1.3, -0.7, 2.1), (-1.9, 0.4, -0.6)):
+        for axis, variable in zip("IPO", axes, strict=True):
+            exact = float(sympy.diff(product, variable).subs(dict(zip(axes, at, strict=True))))
+            assert row.slope(np.array(at)[:, None], axis)[0] == pytest.approx(exact, rel=1e-14)
+    assert row.power == sympy.Poly(product.subs(sympy.Abs(i), i), i).degree()
+
+
+def test_no_product_is_of_higher_than_third_power_in_the_input_axis():
+    """The turning point is found as the root of a quadratic."""
+    assert max(row.power for row in TERMS.values()) == 3
+
+
+# --- one accelerometer ----------------------------------------------------------------------
+
+
+@SETTINGS
+@given(coefficients=coefficients(), force=st.tuples(levels, levels, levels))
+def test_round_trip_over_a_hundred_g_with_all_terms(coefficients, force):
+    vector = np.array([force])
+    y = indicated(PLAIN, coefficients, vector)
+    got = invert(coefficients, y, vector[:, 1], vector[:, 2])
+    assert abs(got[0] - force[0]) < 1e-12
+    again = np.array([[got[0], force[1], force[2]]])
+    assert abs(indicated(PLAIN, coefficients, again)[0] - y[0]) < 1e-12
+
+
+def test_round_trip_of_many_samples_at_once():
+    rng = np.random.default_rng(11)
+    force = rng.uniform(-100.0, 100.0, size=(5000, 3))
+    force[:4, 0] = 0.0, -0.0, 1e-300, -1e-12
+    values = {s: row.nominal + 0.5 * size(s) for s, row in TERMS.items()}
+    got = invert(values, indicated(PLAIN, values, force), force[:, 1], force[:, 2])
+    np.testing.assert_allclose(got, force[:, 0], rtol=0, atol=1e-12)
+
+
+def test_a_perfect_accelerometer_needs_no_correction():
+    y = np.array([-3.0, -0.0, 0.0, 1e-9, 70.0])
+    np.testing.assert_array_equal(invert({}, y), y)
+
+
+def test_quadratic_against_its_closed_form():
+    k_f, k_i, k_ii = 0.005, 1.002, 2.7e-5
+    y = np.linspace(-60.0, 60.0, 41)
+    c = k_f - y
+    exact = -2.0 * c / (k_i + np.sqrt(k_i**2 - 4.0 * k_ii * c))
+    got = invert({"K_F": k_f, "K_I": k_i, "K_II": k_ii}, y)
+    np.testing.assert_allclose(got, exact, rtol=0, atol=3e-14)
+
+
+def test_up_to_the_turning_point_and_not_beyond():
+    """a - k a^3 turns at a = 1/sqrt(3 k), where it is 2/3 of that."""
+    k = 1e-5
+    turn = 1.0 / math.sqrt(3.0 * k)
+    top = 2.0 / 3.0 * turn
+    y = np.array([0.0, top * (1.0 - 1e-9), -top * (1.0 - 1e-9)])
+    got = invert({"K_III": -k}, y)
+    # Near the top top - y = sqrt(3 k) (turn - a)^2, in the third place after the leading one.
+    gap = math.sqrt(1e-9 * top / math.sqrt(3.0 * k))
+    np.testing.assert_allclose(got, [0.0, turn - gap, gap - turn], rtol=0, atol=1e-4 * gap)
+    for row, sign in ((1, 1.0), (2, -1.0)):
+        beyond = np.zeros(3)
+        beyond[row] = sign * top * (1.0 + 1e-9)
+        with pytest.raises(NotInvertibleError, match=rf"sample {row} .* turns round") as error:
+            invert({"K_III": -k}, beyond)
+        assert error.value.row == row
+        assert isinstance(error.value, ConvergenceError)
+        assert f"{sign * turn:.6g} g" in str(error.value)
+
+
+def test_the_branch_through_zero_is_taken_although_another_root_lies_nearer():
+    """K_III < 0: the cubic comes down again and indicates the same far outside."""
+    got = invert({"K_III": -2e-5}, np.array([85.0]))
+    roots = np.roots([-2e-5, 0.0, 1.0, -85.0])
+    assert got[0] == pytest.approx(min(r.real for r in roots if r.real > 0), rel=1e-12)
+
+
+def test_a_model_that_does_not_rise_is_refused():
+    with pytest.raises(NotInvertibleError, match=r"sample 0 .* does not rise .*\(slope -1\)"):
+        invert({"K_I": -1.0}, np.array([1.0]))
+    # Where K_IP a_P eats up the scale factor.
+    with pytest.raises(NotInvertibleError, match="sample 2 "):
+        invert({"K_IP": 1e-2}, np.ones(3), np.array([0.0, 0.0, -101.0]))
+
+
+def test_missing_samples_stay_missing():
+    got = invert({"K_II": 1e-5}, np.array([1.0, math.nan, 2.0]), np.array([0.0, 0.0, math.inf]))
+    assert np.isfinite(got).tolist() == [True, False, False]
+    assert invert({}, np.array([])).shape == (0,)
+
+
+# --- several accelerometers -----------------------------------------------------------------
+
+
+def instrument(mounting, values, covariance=None, name="Q"):
+    covariance = np.zeros((len(values), len(values))) if covariance is None else covariance
+    return Instrument(name, mounting, values, covariance)
+
+
+MOUNTINGS = st.sampled_from(
+    [
+        (QX, QY, QZ),
+        (
+            Mounting.from_axes([1.0, 0.2, 0.1], [0.0, -0.5, 1.0]),
+            Mounting.from_axes([0.0, 1.0, -0.3], "east"),
+            Mounting.from_axes([0.3, 0.0, 1.0], [1.0, 1.0, -0.3]),
+        ),
+    ]
+)
+
+
+@SETTINGS
+@given(
+    mountings=MOUNTINGS,
+    values=st.tuples(coefficients(), coefficients(), coefficients()),
+    force=st.tuples(*[st.floats(-30.0, 30.0)] * 3),
+)
+def test_three_accelerometers_correct_each_other(mountings, values, force):
+    vector = np.array([force])
+    # A tenth of the sizes above: misalignments of 0.01 rad.
+    values = [
+        {s: row.nominal + 0.1 * (v[s] - row.nominal) for s, row in TERMS.items()} for v in values
+    ]
+    y = np.stack([indicated(m, v, vector) for m, v in zip(mountings, values, strict=True)], axis=1)
+    instruments = [instrument(m, v) for m, v in zip(mountings, values, strict=True)]
+    got = correct(instruments, y)
+    exact = [m.input_axis @ vector[0] for m in mountings]
+    np.testing.assert_allclose(got.force[0], exact, rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(got.u, 0.0)
+
+
+def test_two_accelerometers_and_a_known_vertical():
+    rng = np.random.default_rng(4)
+    force = rng.uniform(-20.0, 20.0, size=(200, 3))
+    force[:, 2] = 1.0
+    values = {s: row.nominal + 0.1 * size(s) for s, row in TERMS.items()}
+    instruments = [instrument(QX, values, name="Qx"), instrument(QY, values, name="Qy")]
+    y = np.stack([indicated(m, values, force) for m in (QX, QY)], axis=1)
+    down = Known(np.array([0.0, 0.0, -1.0]), -1.0)
+    got = correct(instruments, y, [down])
+    np.testing.assert_allclose(got.force, force[:, :2], rtol=0, atol=1e-12)
+    missing = missing_axes(instruments, [])
+    assert [(one.name, axis) for one, axis, _ in missing] == [("Qx", "P"), ("Qy", "P")]
+    assert missing[0][2] == ("K_IP", "K_PO", "K_PP", "delta_O")
+    with pytest.raises(ValueError, match="Qx: K_IP, K_PO, K_PP, delta_O need a_P"):
+        correct(instruments, y)
+
+
+def test_forces_that_are_given_twice_are_refused():
+    one = instrument(QX, {"K_IP": 1e-5})
+    down, up = (Known(np.array([0.0, 0.0, s]), s) for s in (-1.0, 1.0))
+    with pytest.raises(ValueError, match="more than once"):
+        correct([one], np.ones((1, 1)), [down, up])
+    with pytest.raises(ValueError, match="more than once"):
+        correct([one, instrument(QX, {})], np.ones((1, 2)))
+
+
+def test_a_term_of_size_zero_needs_an_axis_only_if_it_is_uncertain():
+    assert missing_axes([instrument(QX, {"K_PP": 0.0})], []) == []
+    uncertain = instrument(QX, {"K_PP": 0.0}, np.array([[1e-12]]))
+    assert [axis for _, axis, _ in missing_axes([uncertain], [])] == ["P"]
+
+
+def test_corrections_that_do_not_settle_are_an_error_with_their_sample():
+    """Each sees the other with more than its own weight: the round trip diverges."""
+    values = {"delta_O": 1.5}
+    pair = [
+        instrument(Mounting.from_axes("east", "north"), values, name="A"),
+        instrument(Mounting.from_axes("north", "east"), values, name="B"),
+    ]
+    with pytest.raises(ConvergenceError, match=r"sample 1 .* mutual corrections"):
+        correct(pair, np.array([[0.0, 0.0], [1.0, 1.0]]))
+
+
+def test_a_sample_that_one_accelerometer_misses_is_missing():
+    pair = [instrument(QX, {"K_II": 1e-5}), instrument(QY, {"delta_P": 1e-3})]
+    got = correct(pair, np.array([[1.0, 2.0], [1.0, math.nan]]))
+    assert np.isfinite(got.force).tolist() == [[True, True], [False, False]]
+    assert np.isfinite(got.u).tolist() == [[True, True], [False, False]]
+
+
+# --- uncertainty ----------------------------------------------------------------------------
+
+
+def test_uncertainty_of_one_accelerometer_by_hand():
+    """u = sqrt(J C J^T)/|slope|, J = (1, a, a^2): the textbook quadratic form."""
+    u = np.array([2e-6, 5e-6, 7e-8])
+    correlation = np.array([[1.0, 0.3, -0.9], [0.3, 1.0, -0.2], [-0.9, -0.2, 1.0]])
+    covariance = correlation * np.outer(u, u)
+    values = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
+    a = np.array([-40.0, -1.0, 0.0, 1.0, 40.0])
+    y = indicated(PLAIN, values, np.stack([a, 0 * a, 0 * a], axis=1))
+    got = correct([instrument(PLAIN, values, covariance)], y[:, None])
+    for k, level in enumerate(a):
+        j = np.array([1.0, level, level**2])
+        expected = math.sqrt(j @ covariance @ j) / (1.002 + 2 * 2.7e-5 * level)
+        assert got.u[k, 0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_uncertainty_of_a_known_force():
+    """K_PP a_P^2 with a_P = -1 g +- u: da_I = 2 K_PP u."""
+    one = instrument(PLAIN, {"K_PP": 1e-4, "K_I": 1.0})
+    got = correct([one], np.ones((1, 1)), [Known(np.array([0.0, 1.0, 0.0]), -1.0, 1e-3)])
+    assert got.force[0, 0] == pytest.approx(1.0 - 1e-4, abs=1e-15)
+    assert got.u[0, 0] == pytest.approx(2e-7, rel=1e-12)
+
+
+def test_uncertainty_of_coupled_accelerometers_against_differences():
+    """Sensitivities by central differences of the whole correction, for all 36 coefficients."""
+    rng = np.random.default_rng(2026)
+    mountings = (QX, QY, QZ)
+    vector = np.array([[7.0, -4.0, 1.0]])
+    instruments = []
+    for name, mounting in zip("xyz", mountings, strict=True):
+        values = {s: row.nominal + 0.2 * size(s) * rng.normal() for s, row in TERMS.items()}
+        root = rng.normal(size=(len(values),) * 2) * [[0.01 * size(s)] for s in TERMS]
+        instruments.append(Instrument(name, mounting, values, root @ root.T))
+    y = np.stack([indicated(one.mounting, one.coefficients, vector) for one in instruments], 1)
+    claimed = correct(instruments, y).u[0]
+    variance = np.zeros(3)
+    for k, one in enumerate(instruments):
+        gradient = []
+        for symbol, value in one.coefficients.items():
+            step = 1e-3 * size(symbol)
+            shifted = []
+            for sign in (1.0, -1.0):
+                moved = dict(one.coefficients) | {symbol: value + sign * step}
+                others = [*instruments]
+                others[k] = instrument(one.mounting, moved)
+                shifted.append(correct(others, y).force[0])
+            gradient.append((shifted[0] - shifted[1]) / (2.0 * step))
+        gradient = np.array(gradient)
+        variance += np.einsum("ai,ab,bi->i", gradient, one.covariance, gradient)
+    np.testing.assert_allclose(claimed, np.sqrt(variance), rtol=1e-5)
+
+
+def test_uncertainty_against_trials():
+    """Correct with coefficients drawn around the estimates and look at the scatter.
+
+    With 2000 trials a standard deviation is known to 1/sqrt(4000) = 1.6 %; 8 % is 5 sigma.
+    """
+    rng = np.random.default_rng(5)
+    values = {s: row.nominal + 0.5 * size(s) for s, row in TERMS.items()}
+    root = rng.normal(size=(len(values),) * 2) * [[0.005 * size(s)] for s in TERMS]
+    force = np.array([[-60.0, 3.0, 1.0], [0.5, -1.0, 0.0], [1.0, -1.0, 2.0], [60.0, 0.0, -5.0]])
+    y = indicated(PLAIN, values, force)
+    known = [Known(np.eye(3)[k], force[:, k]) for k in (1, 2)]
+    claimed = correct([instrument(PLAIN, values, root @ root.T)], y[:, None], known).u[:, 0]
+    drawn = rng.multivariate_normal(list(values.values()), root @ root.T, size=2000)
+    found = [invert(dict(zip(values, d, strict=True)), y, *force[:, 1:].T) for d in drawn]
+    np.testing.assert_allclose(np.std(found, axis=0), claimed, rtol=0.08)
