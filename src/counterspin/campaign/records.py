@@ -350,7 +350,9 @@ class _Reading:
         weight = np.sqrt(blocks.count / self.block)
         step = self._clock.step * self.block
         unevenness = float(np.abs(np.diff(blocks.time) / step - 1).max(initial=0.0))
-        odd = find_spikes(blocks.time, signal, self._clock.rate, step, unevenness, weight)
+        # The mean over a shorter piece of a wave's crest is another: such blocks are not compared.
+        judged = np.where(blocks.count >= 0.9 * self.block, signal, np.nan)
+        odd = find_spikes(blocks.time, judged, self._clock.rate, step, unevenness, weight)
         if len(odd):
             self._outliers[place] += int(blocks.count[odd].sum())
             signal = signal.copy()
