@@ -1,1 +1,163 @@
-"""Calibration of inertial accelerometers on precision centrifuges."""
+"""Calibration of inertial accelerometers on precision centrifuges.
+
+    import counterspin as cs
+
+    result = cs.calibrate("my-campaign")
+    k_ii = result.accelerometers["Qx"].coefficients["K_II"]
+    print(k_ii.value, k_ii.u, k_ii.unit)
+
+The commands, as functions:
+
+- `init`: a commented campaign description to start from
+- `simulate`: records of a campaign whose coefficients are known
+- `calibrate`: from a campaign's folder to a `Result`; `TwoStageOptions` for the paper's method
+- `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
+- `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
+- `read_campaign`: a description, checked (`Campaign`)
+
+The physics, from the ground up:
+
+- `Spindle`, `Ripple`, `fit_spindle`: the angle of the spindle (Eq. 1-4) and its identification
+- `Site`, `Trajectory`: place, velocity, specific force of the platform
+- `Mounting`, `QX`, `QY`, `QZ`: axes of an accelerometer; `TERMS`, `PLATFORM_TERMS`: the error terms
+- `indicated`: what it indicates (Eq. 7)
+- `reference`: what a perfect system records; `columns`: the error per unit of each coefficient
+
+The paper's two-stage method, step by step:
+
+- `strobe_angle`, `strobes_by_angle`, `strobes_by_nominal_rate`: one sample a revolution (Eq. 15)
+- `first_stage`: a parabola a run (Eq. 16-18, 31), a `Parabola`
+- `StrobedRun`, `second_stage`: K_II from all runs (Eq. 20-27, 33-34), a `SecondStage`
+
+What is raised on purpose is a `CounterspinError`: `CampaignError`, `RecordError`,
+`NotIdentifiableError`, `ConvergenceError`.
+
+Glossary
+--------
+units
+    SI, angles in rad, unless said. Accelerometer coefficients are in g-units (g, g/g, g/g^2,
+    g/g^3), g being the site's own plumb-line gravity; misalignments are in rad.
+frame
+    East-north-up at the spindle axis; vectors are the last axis of an array, shape (n, 3).
+spindle angle
+    From east towards north; a negative rate turns the other way.
+accelerometer axes
+    Input I, pendulous P, output O, right-handed: I x P = O.
+coefficients
+    K_F bias, K_I scale factor, K_II second order, K_III third order, K_IP and so on cross terms:
+    the paper's symbols. Eq. 7 does not divide by K_I as IEEE Std 1293 does, so that K2 of the
+    standard is K_II/K_I.
+displacement error
+    Recorded displacement along the input axis less the true one. Given the trajectory it is
+    linear in the coefficients.
+u
+    Standard uncertainty (k = 1).
+
+Names are loaded when they are first used, so that ``import counterspin`` costs nothing.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from counterspin._version import __version__ as __version__
+    from counterspin.campaign.description import read_campaign as read_campaign
+    from counterspin.campaign.resolved import Campaign as Campaign
+    from counterspin.campaign.result import Result as Result
+    from counterspin.campaign.result import read_result as read_result
+    from counterspin.campaign.result import write_result as write_result
+    from counterspin.commands.calibrate import calibrate as calibrate
+    from counterspin.commands.demo import Demonstration as Demonstration
+    from counterspin.commands.demo import demo as demo
+    from counterspin.commands.init import init as init
+    from counterspin.commands.simulate import simulate as simulate
+    from counterspin.commands.two_stage import TwoStageOptions as TwoStageOptions
+    from counterspin.errors import CampaignError as CampaignError
+    from counterspin.errors import ConvergenceError as ConvergenceError
+    from counterspin.errors import CounterspinError as CounterspinError
+    from counterspin.errors import NotIdentifiableError as NotIdentifiableError
+    from counterspin.errors import RecordError as RecordError
+    from counterspin.inference.first_stage import Parabola as Parabola
+    from counterspin.inference.first_stage import first_stage as first_stage
+    from counterspin.inference.strobes import by_angle as strobes_by_angle  # noqa: F401
+    from counterspin.inference.strobes import by_nominal_rate as strobes_by_nominal_rate  # noqa: F401
+    from counterspin.inference.strobes import strobe_angle as strobe_angle
+    from counterspin.inference.two_stage import SecondStage as SecondStage
+    from counterspin.inference.two_stage import StrobedRun as StrobedRun
+    from counterspin.inference.two_stage import second_stage as second_stage
+    from counterspin.physics.accelerometer import PLATFORM_TERMS as PLATFORM_TERMS
+    from counterspin.physics.accelerometer import QX as QX
+    from counterspin.physics.accelerometer import QY as QY
+    from counterspin.physics.accelerometer import QZ as QZ
+    from counterspin.physics.accelerometer import TERMS as TERMS
+    from counterspin.physics.accelerometer import Mounting as Mounting
+    from counterspin.physics.accelerometer import indicated as indicated
+    from counterspin.physics.motion import Site as Site
+    from counterspin.physics.motion import Trajectory as Trajectory
+    from counterspin.physics.observation import columns as columns
+    from counterspin.physics.observation import reference as reference
+    from counterspin.physics.spindle import Ripple as Ripple
+    from counterspin.physics.spindle import Spindle as Spindle
+    from counterspin.physics.spindle import fit_spindle as fit_spindle
+    from counterspin.report.text import print_result as print_result
+
+#: Module -> what it offers here. The same again, for those who run the code and do not check it;
+#: a test holds the two together.
+_OFFERED = {
+    "_version": ("__version__",),
+    "campaign.description": ("read_campaign",),
+    "campaign.resolved": ("Campaign",),
+    "campaign.result": ("Result", "read_result", "write_result"),
+    "commands.calibrate": ("calibrate",),
+    "commands.demo": ("Demonstration", "demo"),
+    "commands.init": ("init",),
+    "commands.simulate": ("simulate",),
+    "commands.two_stage": ("TwoStageOptions",),
+    "errors": (
+        "CampaignError",
+        "ConvergenceError",
+        "CounterspinError",
+        "NotIdentifiableError",
+        "RecordError",
+    ),
+    "inference.first_stage": ("Parabola", "first_stage"),
+    "inference.strobes": ("by_angle", "by_nominal_rate", "strobe_angle"),
+    "inference.two_stage": ("SecondStage", "StrobedRun", "second_stage"),
+    "physics.accelerometer": (
+        "PLATFORM_TERMS",
+        "QX",
+        "QY",
+        "QZ",
+        "TERMS",
+        "Mounting",
+        "indicated",
+    ),
+    "physics.motion": ("Site", "Trajectory"),
+    "physics.observation": ("columns", "reference"),
+    "physics.spindle": ("Ripple", "Spindle", "fit_spindle"),
+    "report.text": ("print_result",),
+}
+
+#: Names that are too short to stand without their module.
+_LONGER = {"by_angle": "strobes_by_angle", "by_nominal_rate": "strobes_by_nominal_rate"}
+
+_PLACES = {
+    _LONGER.get(name, name): (module, name) for module, names in _OFFERED.items() for name in names
+}
+
+__all__ = sorted(_PLACES)  # noqa: PLE0605 -- computed, so that no name is written a third time
+
+
+def __getattr__(name: str) -> Any:
+    """Load a name at its first use (PEP 562)."""
+    if name not in _PLACES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    module, attribute = _PLACES[name]
+    value = getattr(import_module(f"{__name__}.{module}"), attribute)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Return the names offered, loaded or not."""
+    return sorted({*globals(), *_PLACES})

@@ -57,10 +57,9 @@ def simulate(campaign: Path, *, output: OutputDirectory, overwrite: bool = False
     overwrite
         Replace records that are already there.
     """
-    from counterspin.campaign.description import read_campaign
     from counterspin.commands.simulate import simulate as run
 
-    written = run(read_campaign(campaign), output, overwrite=overwrite)
+    written = run(campaign, output, overwrite=overwrite)
     print(f"Wrote {len(written)} records and campaign.toml to {output}.")
 
 
@@ -121,6 +120,65 @@ def calibrate(
     if json is not None:
         write_result(result, json)
     print_result(result, report_console(), budget=budget, details=details)
+
+
+@app.command
+def apply(
+    result: Path,
+    file: Path,
+    *,
+    accelerometer: str,
+    output: OutputDirectory,
+    column: Annotated[str | None, Parameter(name="--input")] = None,
+    unit: str = "g",
+    pendulous: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    output_axis: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    others: str | None = None,
+    force: bool = False,
+) -> None:
+    """Correct indicated specific force for a calibrated accelerometer.
+
+    Parameters
+    ----------
+    result
+        Result that `counterspin calibrate --json` wrote.
+    file
+        Table with a column of indicated specific force, .csv or .parquet.
+    accelerometer
+        Which of the result's accelerometers it is.
+    output
+        File to write: the table and two more columns, corrected force and its uncertainty.
+    column
+        The column to correct; may be left out where only one is possible.
+    unit
+        Unit of the table's forces: g, m/s^2, mg.
+    pendulous
+        Specific force along the pendulous axis: a column, or a constant such as "-1 g".
+    output_axis
+        Specific force along the output axis, likewise.
+    others
+        Accelerometers beside it, from which both follow: Qy=COLUMN,Qz=COLUMN.
+    force
+        Apply even a result of the equations as printed, whose K_II is half the true one.
+    """
+    from counterspin.campaign.result import read_result
+    from counterspin.commands.apply_file import apply_file, parse_others
+    from counterspin.report.application import render_application
+    from counterspin.report.text import report_console
+
+    done = apply_file(
+        read_result(result),
+        accelerometer,
+        file,
+        output,
+        column=column,
+        unit=unit,
+        pendulous=pendulous,
+        output_axis=output_axis,
+        others=parse_others(others),
+        force=force,
+    )
+    report_console().print(render_application(done))
 
 
 @app.command

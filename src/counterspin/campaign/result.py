@@ -287,12 +287,12 @@ def described(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str,
     }
 
 
-def write_result(result: Result, path: Path) -> None:
+def write_result(result: Result, path: Path | str) -> None:
     """Write the JSON file, whole or not at all; raises CounterspinError if it cannot."""
-    write_text(path, result.to_json())
+    write_text(Path(path), result.to_json())
 
 
-def read_result(path: Path) -> Result:
+def read_result(path: Path | str) -> Result:
     """Read a result file.
 
     Raises
@@ -300,6 +300,7 @@ def read_result(path: Path) -> Result:
     RecordError
         If the file is missing, damaged, of a newer schema or not a result.
     """
+    path = Path(path)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:

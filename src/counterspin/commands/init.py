@@ -10,7 +10,7 @@ from counterspin.campaign.output import write_text
 from counterspin.errors import CounterspinError
 
 
-def init(folder: Path) -> Path:
+def init(folder: Path | str) -> Path:
     """Write the example description into a folder.
 
     Parameters
@@ -28,6 +28,7 @@ def init(folder: Path) -> Path:
     CounterspinError
         If there is a description already, or the folder cannot be written.
     """
+    folder = Path(folder)
     target = folder / DESCRIPTION_NAME
     if target.exists():
         raise CounterspinError(f"{target} exists; edit it, or choose another folder")

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 import polars as pl
 
+from counterspin.campaign.description import read_campaign
 from counterspin.campaign.output import write_whole
 from counterspin.campaign.resolved import Accelerometer, Campaign, Noise, Run
 from counterspin.errors import CampaignError, CounterspinError
@@ -30,15 +31,17 @@ WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
 }
 
 
-def simulate(campaign: Campaign, folder: Path, *, overwrite: bool = False) -> tuple[Path, ...]:
+def simulate(
+    where: Path | str | Campaign, folder: Path | str, *, overwrite: bool = False
+) -> tuple[Path, ...]:
     """Write the records of every run, and the campaign's description beside them.
 
     Each run draws from a random stream of its own, so that adding a run changes no other.
 
     Parameters
     ----------
-    campaign
-        With [simulation] and [truth].
+    where
+        A campaign's description file or its folder, or a campaign already read; with [truth].
     folder
         Where to write; made if it is not there.
     overwrite
@@ -52,10 +55,13 @@ def simulate(campaign: Campaign, folder: Path, *, overwrite: bool = False) -> tu
     Raises
     ------
     CampaignError
-        If the campaign says nothing of the truth, or a record's format cannot be written.
+        If the description is wrong or says nothing of the truth, or a record's format cannot be
+        written.
     CounterspinError
         If a file is in the way or cannot be written.
     """
+    campaign = where if isinstance(where, Campaign) else read_campaign(where)
+    folder = Path(folder)
     if campaign.simulation is None:
         raise CampaignError(
             str(campaign.path),

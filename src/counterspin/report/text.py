@@ -59,9 +59,10 @@ def report_console(file: TextIO | None = None, *, error: bool = False) -> Consol
 
 
 def print_result(
-    result: Result, console: Console, *, budget: bool = False, details: bool = False
+    result: Result, console: Console | None = None, *, budget: bool = False, details: bool = False
 ) -> None:
-    """Print a result; `budget` and `details` as in `render`."""
+    """Print a result, to standard output if to no other console; otherwise as `render`."""
+    console = console or report_console()
     console.print(render(result, budget=budget, details=details))
 
 
