@@ -229,6 +229,17 @@ def main(arguments: list[str] | None = None) -> int:
     except BrokenPipeError:
         sys.stderr.close()
         return 0
+    except Exception as error:
+        # Never a traceback for a user; with this variable set, one for whoever mends it.
+        if os.environ.get("COUNTERSPIN_DEBUG"):
+            raise
+        print(
+            f"counterspin: internal error ({type(error).__name__}: {error}). This is a fault of "
+            "counterspin, not of your files: please report it, with the output that "
+            "COUNTERSPIN_DEBUG=1 gives.",
+            file=sys.stderr,
+        )
+        return 1
     return 0
 
 

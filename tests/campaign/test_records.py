@@ -570,3 +570,10 @@ def test_other_observables_are_not_held_to_the_radius(tmp_path):
     columns = table(n=3000)
     columns[SIGNAL] *= -RATE * 10
     read(write(tmp_path / "run.csv", columns), input_axes=None)
+
+
+@pytest.mark.parametrize("content", [bytes(3000), bytes(range(256)) * 40, b"\x89PNG\r\n\x1a\n"])
+def test_a_file_that_is_not_text_is_refused(tmp_path, content):
+    path = tmp_path / "run.csv"
+    path.write_bytes(content)
+    assert "line 1: this is not text" in refusal(path)

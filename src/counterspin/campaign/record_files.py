@@ -27,6 +27,8 @@ Columns = list[np.ndarray]
 
 #: Rows read at a time from HDF5 (24 MB for three columns).
 _HDF5_BATCH = 1_000_000
+#: No line of column names is longer, in bytes.
+_LONGEST_HEADER = 100_000
 #: What counts as an empty cell of a CSV file, in lower case and without surrounding blanks.
 _EMPTY_WORDS = ("", "nan")
 
@@ -134,6 +136,11 @@ class CsvFile(ColumnFile):
                         f"{self.path}: the text is in UTF-16; save the file as UTF-8 text."
                     )
                 line = raw.decode("utf-8-sig", errors="replace").strip("\r\n")
+                if len(raw) > _LONGEST_HEADER or any(c < " " and c != "\t" for c in line):
+                    raise RecordError(
+                        f"{self.path}, line {number}: this is not text; a .csv file holds a line of "
+                        "column names and lines of numbers."
+                    )
                 if line.strip() and not line.startswith("#"):
                     break
             else:
@@ -328,7 +335,7 @@ class ArraysFile(ColumnFile):
         if len(set(lengths.values())) > 1:
             listed = ", ".join(f"'{name}' {length}" for name, length in lengths.items())
             raise RecordError(f"{path}: the columns differ in length: {listed}.")
-        self._length = max(lengths.values())
+        self._length = max(lengths.values(), default=0)
 
     def _arrays(self) -> Any:
         return _hdf5_arrays(self.path) if self._hdf5 else _matlab_arrays(self.path, self.names)
