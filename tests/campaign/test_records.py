@@ -576,4 +576,4 @@ def test_other_observables_are_not_held_to_the_radius(tmp_path):
 def test_a_file_that_is_not_text_is_refused(tmp_path, content):
     path = tmp_path / "run.csv"
     path.write_bytes(content)
-    assert "line 1: this is not text" in refusal(path)
+    assert "line 1: this is not text in UTF-8" in refusal(path)

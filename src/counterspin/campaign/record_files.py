@@ -131,15 +131,12 @@ class CsvFile(ColumnFile):
         with self.path.open("rb") as file:
             for raw in file:
                 number += 1
-                if raw.startswith((b"\xff\xfe", b"\xfe\xff")):
-                    raise RecordError(
-                        f"{self.path}: the text is in UTF-16; save the file as UTF-8 text."
-                    )
                 line = raw.decode("utf-8-sig", errors="replace").strip("\r\n")
-                if len(raw) > _LONGEST_HEADER or any(c < " " and c != "\t" for c in line):
+                odd = "\ufffd" in line or any(c < " " and c != "\t" for c in line)
+                if odd or len(raw) > _LONGEST_HEADER:
                     raise RecordError(
-                        f"{self.path}, line {number}: this is not text; a .csv file holds a line of "
-                        "column names and lines of numbers."
+                        f"{self.path}, line {number}: this is not text in UTF-8; a .csv file holds "
+                        "a line of column names and lines of numbers."
                     )
                 if line.strip() and not line.startswith("#"):
                     break
