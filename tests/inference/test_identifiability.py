@@ -1,10 +1,16 @@
 """What can be told apart: the cases of a level campaign, from closed forms at constant rate."""
 
+import math
+
 import numpy as np
 import pytest
 
 from counterspin.inference.identifiability import assess
 from counterspin.inference.least_squares import reduce_block, solve
+from counterspin.physics.accelerometer import QX, QY, term
+from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.observation import columns as exact_columns
+from counterspin.physics.spindle import Spindle
 
 GRAVITY, RADIUS, SIGMA = 9.8066, 2.5, 0.01
 RATES = (np.pi / 2, np.pi, 2 * np.pi)
@@ -13,7 +19,7 @@ TRUTH = {"K_F": 5e-3, "K_I": 2e-3, "K_II": 2e-5, "K_III": 5e-6, "K_IP": 1e-5, "K
 
 # In the closed forms K_IP is -K_I; Earth rate adds a part in quadrature, of this relative size:
 # with Qx the correlation becomes 1 - 6e-11, with Qy 0.98.
-QX, QY = np.sqrt(2 * 6e-11), 0.2
+EARTH_QX, EARTH_QY = np.sqrt(2 * 6e-11), 0.2
 
 
 def columns(t, rate, quadrature):
@@ -107,7 +113,7 @@ class TestLevelCampaign:
 
     def test_barely_different_columns_pass_a_rank_test_only(self):
         symbols = ["K_I", "K_II", "K_IP"]
-        solution, assessment = campaign(symbols, quadrature=QX)
+        solution, assessment = campaign(symbols, quadrature=EARTH_QX)
         singular = np.linalg.svd(
             solution.information / np.linalg.norm(solution.information, axis=0), compute_uv=False
         )
@@ -121,12 +127,12 @@ class TestLevelCampaign:
 
     def test_a_term_may_be_determined_and_its_partner_not(self):
         symbols = ["K_I", "K_II", "K_IP"]
-        _, assessment = campaign(symbols, quadrature=QY, sigma=SIGMA * 0.9)
+        _, assessment = campaign(symbols, quadrature=EARTH_QY, sigma=SIGMA * 0.9)
         # u of both is about 2e-4: below 0.1 g/g, not below 1e-4 g/g^2
         assert assessment.determined["K_I"]
         assert not assessment.determined["K_IP"]
         item = found(assessment)["K_I - K_IP"]
-        assert item.correlation == pytest.approx(1 / np.sqrt(1 + QY**2), rel=1e-3)
+        assert item.correlation == pytest.approx(1 / np.sqrt(1 + EARTH_QY**2), rel=1e-3)
 
     def test_two_second_order_terms(self):
         symbols = ["K_F", "K_I", "K_II", "K_III", "K_OO"]
@@ -235,6 +241,63 @@ class TestLevelCampaign:
         assert assessment.confounded == ()
 
 
+class TestEarthRate:
+    """The exact columns, on a level platform at 45.75 degrees north, 100 revolutions a rate."""
+
+    @staticmethod
+    def campaign(mounting, symbols, priors=None):
+        names = []
+        for symbol in symbols:
+            runs = [f"{symbol}@{k}" for k in range(len(RATES))]
+            names += runs if term(symbol).per_run else [symbol]
+        blocks = []
+        for k, rate in enumerate(RATES):
+            t = np.arange(0.0, 100 * 2 * np.pi / rate, 0.02)
+            spindle = Trajectory(Spindle(rate), RADIUS, Site(GRAVITY, math.radians(45.75)))
+            design = np.zeros((t.size, len(names)))
+            exact = exact_columns(spindle, mounting, symbols, t)
+            for symbol, column in zip(symbols, exact.T, strict=True):
+                place = f"{symbol}@{k}" if term(symbol).per_run else symbol
+                design[:, names.index(place)] = column
+            own = np.column_stack([np.ones_like(t), t])
+            blocks.append(reduce_block(design / SIGMA, np.zeros(t.size), own / SIGMA))
+        bare = [name.partition("@")[0] for name in names]
+        solution = solve(
+            blocks,
+            prior_sd=[(priors or {}).get(name, np.inf) for name in bare],
+            limits=[term(name).limit for name in bare],
+        )
+        return assess(solution, names)
+
+    @pytest.mark.parametrize(
+        ("mounting", "apart", "u_ip", "bias_known"),
+        [(QX, 6e-11, 3.0, False), (QY, 0.018, 1.7e-4, True)],
+    )
+    def test_scale_factor_and_cross_coupling(self, mounting, apart, u_ip, bias_known):
+        symbols = ["K_F", "K_I", "K_II", "K_III", "K_IP"]
+        assessment = self.campaign(mounting, symbols)
+        assert not assessment.determined["K_IP"]
+        assert assessment.determined["K_I"] == bias_known
+        assert assessment.u[4] == pytest.approx(u_ip, rel=0.05)
+        item = found(assessment)["K_I - K_IP"]
+        assert 1 - item.correlation == pytest.approx(apart, rel=0.1)
+
+    def test_a_whole_model_with_its_priors(self):
+        # Only what is worth saying: of all the pairs that priors separate, two combinations are
+        # known better than their terms.
+        tilt = "platform.tilt.north"
+        symbols = ["K_F", "K_I", "K_II", "K_III", "K_OO", "K_PP", tilt]
+        symbols += ["platform.drift.north", "platform.g_sensitivity.zx"]
+        priors = {"K_F": 2e-6, "K_I": 5e-6, "K_OO": 2e-6, "K_PP": 2e-6, tilt: 2.4e-6}
+        assessment = self.campaign(QX, symbols, priors)
+        assert [item.terms for item in assessment.confounded] == [
+            ("K_F", "K_PP"),
+            ("K_II", "K_OO"),
+        ]
+        assert assessment.determined["K_II"]
+        assert not assessment.determined["K_OO"]
+
+
 class TestRules:
     @staticmethod
     def scalar(information, prior=np.inf, considered=0.0):
@@ -262,6 +325,14 @@ class TestRules:
         assert item.determined == "K_I - K_IP"
         assert item.value == pytest.approx(1.002, rel=1e-9)
         assert item.u == pytest.approx(0.01, rel=1e-9)
+
+    def test_a_negligible_partner_is_named_and_a_negligible_third_is_not(self):
+        # At 1e-4 the twin adds 1e-3 of u: the reason why x is undetermined all the same.
+        rows = np.array([[10.0, 10.0, 1e-3], [0.0, 0.0, 0.0]])
+        solution = solve([reduce_block(rows, [0.0, 0.0])], limits=[0.5, 1e-4, 1e-4])
+        assessment = assess(solution, ["x", "twin", "third"])
+        assert not assessment.determined["x"]
+        assert found(assessment)["x + twin"].terms == ("x", "twin")
 
     def test_value_and_u_are_those_of_the_weights(self):
         solution, assessment = campaign(["K_F", "K_II", "K_OO", "K_PP"], {"K_OO": 2e-6})

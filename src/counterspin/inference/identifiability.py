@@ -108,8 +108,8 @@ def assess(
         What must be added to the estimates to get the coefficients named (1 for K_I where its
         unknown is K_I - 1), shape (p,); zeros by default. It enters the values of combinations.
     bucking
-        Pairs of determined unknowns are named where their correlation, before their own priors,
-        exceeds this.
+        Pairs of unknowns are named where their correlation, before their own priors, exceeds
+        this and their combination is known at least twice as well as they are.
 
     Returns
     -------
@@ -143,19 +143,17 @@ def assess(
         & (variance <= _PRIOR_LEFT * solution.prior_sd**2)
     )
 
-    loose = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
-
-    def describe(weights: Array) -> Confounded | None:
+    def describe(weights: Array) -> Confounded:
         """Put a combination of the free unknowns into words."""
         full = np.zeros(len(symbols))
         full[free] = weights
-        credible = _NEGLIGIBLE * solution.combine(full).u / problem.limits
-        terms = np.flatnonzero(np.abs(weights) > credible)
-        if terms.size < 2:
-            return None
+        part = np.abs(weights) * problem.limits
+        # An undetermined term always has its partner named.
+        named_from = min(_NEGLIGIBLE * solution.combine(full).u, np.sort(part)[-2])
+        terms = np.flatnonzero(part >= named_from)
         full /= weights[terms[0]]
         combined = solution.combine(full)
-        names = tuple(symbols[i] for i in free[terms])
+        names = tuple(symbols[k] for k in free[terms].tolist())
         slack = _NEGLIGIBLE * combined.u / problem.limits[terms]
         return Confounded(
             terms=names,
@@ -168,19 +166,22 @@ def assess(
 
     loose = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
     behind = _separate(root, problem.limits, loose, range(free.size), bucking)
-    confounded = [item for weights in behind if (item := describe(weights))]
-    place = {symbols[k]: i for i, k in enumerate(free)}
+    confounded = [describe(weights) for weights in behind]
+    place = {symbols[k]: i for i, k in enumerate(free.tolist())}
     named = _connected([[place[name] for name in item.terms] for item in confounded])
 
     alike = problem.alike(bucking)
     twins = _connected([pair for pair, size in alike.items() if size > _TWINS])
-    pairs = [list(pair) for pair in alike if not any(set(pair) <= set(group) for group in twins)]
-    for group in [*twins, *pairs]:
+    for group in [*twins, *map(list, alike)]:
         if any(set(group) <= set(terms) for terms in named):
             continue
         own = problem.root(without_priors=group)
-        separate = _separate(own, problem.limits, group, group, bucking)
-        confounded += [item for weights in separate if (item := describe(weights))]
+        for weights in _separate(own, problem.limits, group, group, bucking):
+            item = describe(weights)
+            # Where priors decide more than the pair's combination, it says nothing.
+            if group in twins or item.u < 0.5 * np.max(np.abs(item.weights) * np.sqrt(variance)):
+                confounded.append(item)
+                named.append(group)
     return Assessment(
         determined={name: bool(yes) for name, yes in zip(symbols, determined, strict=True)},
         u=np.sqrt(variance),
