@@ -1,0 +1,216 @@
+"""Equations 5 to 19: printed coefficients beside those that the simulation of Eq. 7 shows.
+
+- `coefficients`: mean force, integrals, displacement at the strobes, b2; at the fastest rate
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from counterspin.physics import as_printed
+from counterspin.physics.accelerometer import Array
+from counterspin.physics.motion import Trajectory
+from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.reproduce.plan import (
+    DRIFT_RATE,
+    GRAVITY,
+    RADIUS,
+    RATES,
+    RIPPLE_PHASE,
+    RIPPLE_RATIO,
+    SITE,
+    TABLE_1,
+    first_stage_of,
+    simulate_strobes,
+)
+from counterspin.reproduce.result import Row
+
+RATE: Final = RATES[-1]
+RIPPLE: Final = RIPPLE_RATIO * RATE  #: w_p, rad/s
+RIPPLE_UNIT: Final = RADIUS * RATE * RIPPLE * math.sin(RIPPLE_PHASE)  #: R w0 w_p sin(phi)
+RECTIFIED: Final = RADIUS**2 * RATE**4 / GRAVITY  #: R^2 w0^4/g
+
+
+def coefficients() -> tuple[Row, ...]:
+    """Return the rows, in the order of the paper's equations."""
+    return (*_mean_force(), *_integrals(), *_strobes())
+
+
+def _mean_force() -> tuple[Row, ...]:
+    """Eq. 5, averaged over a revolution; drift left out."""
+    turn = np.linspace(0.0, 2 * math.pi / RATE, 256, endpoint=False)
+    spindle = Spindle(RATE, ripples=(Ripple(1, RIPPLE, RIPPLE_PHASE),))
+    exact = Trajectory(spindle, RADIUS, SITE).acceleration(turn)[:, 0]
+    printed = as_printed.specific_force_error(
+        turn, rate=RATE, drift=0.0, ripple=RIPPLE, phase=RIPPLE_PHASE, radius=RADIUS
+    )[:, 0]
+    return (
+        Row(
+            "eq5.ripple_mean",
+            "Eq. 5: mean east acceleration due to ripple",
+            float(np.mean(printed)) / RIPPLE_UNIT,
+            float(np.mean(exact)) / RIPPLE_UNIT,
+            "R w0 w_p sin(phi)",
+            "the tangential part has the wrong sign and -sin(w0 t) d(theta) is dropped; a motion "
+            "that returns has no mean acceleration",
+            "z.3f",
+        ),
+    )
+
+
+def _integrals() -> tuple[Row, ...]:
+    """Expansions under Eq. 13, against runs in which only the one coefficient is present."""
+    time, _ = simulate_strobes(RATE)
+    k_ii, k_iii, k_ip = (
+        first_stage_of(*simulate_strobes(RATE, truth={"K_I": 1.0, symbol: TABLE_1[symbol]}))
+        for symbol in ("K_II", "K_III", "K_IP")
+    )
+    printed_k_ii = first_stage_of(time, as_printed.k_ii_integral(time, RATE, RADIUS, GRAVITY))
+    printed_k_iii = as_printed.k_iii_integral(time, RATE, RADIUS, GRAVITY)
+    printed_k_ip = as_printed.k_ip_integral(time, RATE, RADIUS)
+    return (
+        Row(
+            "eq13.k_ii_parabola",
+            "Eq. 13: t^2 coefficient of K_II",
+            printed_k_ii.b2 / RECTIFIED,
+            k_ii.b2 / TABLE_1["K_II"] / RECTIFIED,
+            "R^2 w0^4/g",
+            "cos^2 has the mean 1/2, and the double integral of 1/2 is t^2/4",
+            ".4f",
+        ),
+        Row(
+            "eq13.k_ii_constant",
+            "Eq. 13: constant of K_II at the strobes, 2 pi rad/s",
+            TABLE_1["K_II"] * float(printed_k_ii.coefficients[0]),
+            float(k_ii.coefficients[0]),
+            "m",
+            "the harmonic part lacks the division by w0^2; it changes b0 only",
+            ".3e",
+        ),
+        Row(
+            "eq13.k_iii_constant",
+            "Eq. 13: constant of K_III at the strobes, 2 pi rad/s",
+            TABLE_1["K_III"] * float(np.mean(printed_k_iii)),
+            float(k_iii.coefficients[0]),
+            "m",
+            "the same division by w0^2; b0 only",
+            ".3e",
+        ),
+        Row(
+            "eq13.k_ip_constant",
+            "Eq. 13: constant of K_IP at the strobes",
+            TABLE_1["K_IP"] * float(np.mean(printed_k_ip)),
+            float(k_ip.coefficients[0]),
+            "m",
+            "agrees",
+            ".3e",
+        ),
+    )
+
+
+def _strobes() -> tuple[Row, ...]:
+    """Eq. 15 and 19: what ripple and drift change, against the nominal angle, and b2 itself."""
+    steady, rippled, drifting = (
+        _spindle_effect(ripple, drift)
+        for ripple, drift in ((0.0, 0.0), (RIPPLE, 0.0), (0.0, DRIFT_RATE))
+    )
+    printed_steady, printed_rippled, printed_drifting = (
+        _printed_spindle_effect(ripple, drift, phase)
+        for ripple, drift, phase in (
+            (0.0, 0.0, 0.0),
+            (RIPPLE, 0.0, RIPPLE_PHASE),
+            (0.0, DRIFT_RATE, 0.0),
+        )
+    )
+    drift_unit = TABLE_1["K_I"] * RADIUS * DRIFT_RATE
+    ripple_unit = TABLE_1["K_I"] * RIPPLE_UNIT
+    printed_b2 = as_printed.strobe_curvature(
+        rate=RATE,
+        ripple=RIPPLE,
+        phase=RIPPLE_PHASE,
+        radius=RADIUS,
+        gravity=GRAVITY,
+        bias=TABLE_1["K_F"],
+        scale_factor=TABLE_1["K_I"],
+        second_order=TABLE_1["K_II"],
+    )
+    return (
+        Row(
+            "eq15.ripple_parabola",
+            "Eq. 15, 19: t^2 coefficient of ripple",
+            float(printed_rippled[2] - printed_steady[2]) / ripple_unit,
+            float(rippled[2] - steady[2]) / ripple_unit,
+            "K_I R w0 w_p sin(phi)",
+            "half of the mean of Eq. 5 above; with the exact kinematics it vanishes",
+            "z.3f",
+        ),
+        Row(
+            "eq15.ripple_constant",
+            "Eq. 15: constant of ripple",
+            float(printed_rippled[0] - printed_steady[0]),
+            float(rippled[0] - steady[0]),
+            "m",
+            "printed without the factor w_p/w0; b0 only",
+            ".3e",
+        ),
+        Row(
+            "eq15.drift_slope",
+            "Eq. 15: slope due to drift, nominal angle as reference",
+            float(printed_drifting[1] - printed_steady[1]) / drift_unit,
+            float(drifting[1] - steady[1]) / drift_unit,
+            "K_I R C",
+            "drift makes the platform run ahead of the nominal angle as t^2, not as t",
+            "z.2f",
+        ),
+        Row(
+            "eq15.drift_parabola",
+            "Eq. 15: t^2 coefficient of drift, nominal angle as reference",
+            float(printed_drifting[2] - printed_steady[2]) / drift_unit / RATE,
+            float(drifting[2] - steady[2]) / drift_unit / RATE,
+            "K_I R C w0",
+            "this is what a column in w0 has to take up; with a measured angle there is none",
+            "z.2f",
+        ),
+        Row(
+            "eq19.b2",
+            "Eq. 19: b2 with Tables 1 and 2, 2 pi rad/s",
+            printed_b2,
+            first_stage_of(*simulate_strobes(RATE)).b2,
+            "m/s^2",
+            "1/2 against 1/4 for K_II; the bias of 0.004 g is in both",
+            ".6e",
+        ),
+    )
+
+
+def _spindle_effect(ripple: float, drift: float) -> Array:
+    """Return b0, b1, b2 of a simulated run with a scale factor only, nominal angle, shape (3,)."""
+    time, error = simulate_strobes(
+        RATE,
+        truth={"K_I": TABLE_1["K_I"]},
+        ripple_ratio=ripple / RATE,
+        drift=drift,
+        nominal_reference=True,
+    )
+    return first_stage_of(time, error).coefficients
+
+
+def _printed_spindle_effect(ripple: float, drift: float, phase: float) -> Array:
+    """Return b0, b1, b2 of Eq. 15 for the same, shape (3,)."""
+    time, _ = simulate_strobes(RATE)
+    error = as_printed.strobe_error(
+        time,
+        rate=RATE,
+        drift=drift,
+        ripple=ripple,
+        phase=phase,
+        radius=RADIUS,
+        gravity=GRAVITY,
+        bias=0.0,
+        scale_factor=TABLE_1["K_I"],
+        second_order=0.0,
+    )
+    return first_stage_of(time, error).coefficients

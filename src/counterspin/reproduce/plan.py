@@ -1,0 +1,139 @@
+"""The paper's plan: what it states, and its runs simulated from first principles.
+
+- `TABLE_1` and the other constants: the paper's figures, the only ones that are put in
+- `simulate_strobes`: one run without noise, by integrating Eq. 7 along the exact motion
+- `first_stage_of`, `simulate_runs`: the same through the first stage
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.inference.first_stage import Parabola, first_stage
+from counterspin.inference.strobes import Strobes
+from counterspin.inference.two_stage import StrobedRun
+from counterspin.physics import quadrature
+from counterspin.physics.accelerometer import QX, Array, indicated
+from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.spindle import Ripple, Spindle
+
+# What the paper states.
+TABLE_1: Final[Mapping[str, float]] = {
+    "K_F": 0.004,
+    "K_I": 1.001,
+    "K_II": 2e-5,
+    "K_III": 4e-6,
+    "K_IP": 6e-6,
+}
+RADIUS: Final = 2.5  #: m, Table 2
+RIPPLE_RATIO: Final = 5e-7  #: w_p/w0, Table 2
+RIPPLE_PHASE: Final = math.radians(30.0)  #: Table 2
+RATES: Final = (math.pi / 2, math.pi, 2 * math.pi)  #: rad/s, section 2.3
+STROBES: Final = 100
+SIGMA_DISPLACEMENT: Final = 0.01  #: m
+PRINTED_SIGMA_B2: Final = (6.6220e-5, 6.5837e-5, 6.6725e-5)  #: after Eq. 31
+PRINTED_SIGMA_K_II: Final = 3.0362e-7  #: g/g^2, after Eq. 34
+
+# What it leaves open.
+GRAVITY: Final = 9.8  #: m/s^2; not stated, and of the usual values this one comes nearest
+STANDARD_GRAVITY: Final = 9.80665  #: m/s^2
+SITE: Final = Site(GRAVITY, latitude=0.0, earth_rate=0.0)  #: the paper's Earth stands still
+DRIFT_RATE: Final = 1e-7  #: 1/s; the paper names C but gives no value
+
+
+def stated_inputs() -> dict[str, Any]:
+    """Return the inputs with their units, as ``--json`` writes them."""
+    return {
+        "accelerometer": dict(TABLE_1),
+        "radius": {"value": RADIUS, "unit": "m"},
+        "ripple_ratio": RIPPLE_RATIO,
+        "ripple_phase": {"value": RIPPLE_PHASE, "unit": "rad"},
+        "rates": {"value": list(RATES), "unit": "rad/s"},
+        "strobes": STROBES,
+        "sigma_displacement": {"value": SIGMA_DISPLACEMENT, "unit": "m"},
+        "sigma_b2": {"value": list(PRINTED_SIGMA_B2), "unit": "m/s^2"},
+        "sigma_k_ii": {"value": PRINTED_SIGMA_K_II, "unit": "g/g^2"},
+        "gravity": {"value": GRAVITY, "unit": "m/s^2"},
+    }
+
+
+def simulate_strobes(
+    rate: float,
+    *,
+    truth: Mapping[str, float] = TABLE_1,
+    drift: float = 0.0,
+    ripple_ratio: float = RIPPLE_RATIO,
+    nominal_reference: bool = False,
+) -> tuple[Array, Array]:
+    """Simulate the strobed displacement error of one run, without noise (Eq. 10-12).
+
+    The indicated specific force of Eq. 7 along the exact trajectory, less the harmful
+    acceleration, is integrated twice and compared with the true place. No expansion in small
+    quantities and no linearity in the coefficients is used. As in the paper the Earth stands
+    still.
+
+    Parameters
+    ----------
+    rate
+        w0, rad/s.
+    truth
+        Coefficients by symbol, in g-units.
+    drift
+        C, 1/s.
+    ripple_ratio
+        w_p/w0; its phase is Table 2's.
+    nominal_reference
+        Take the strobes and the reference from w0 t instead of the true angle.
+
+    Returns
+    -------
+    time, error
+        s and m, each of shape (100,).
+    """
+    ripple = Ripple(1, ripple_ratio * rate, RIPPLE_PHASE)
+    spindle = Spindle(rate, drift=drift, ripples=(ripple,))
+    trajectory = Trajectory(spindle, RADIUS, SITE)
+    angle = math.pi / 2 + 2 * math.pi * np.arange(1.0, STROBES + 1.0)
+    time: Array = angle / rate if nominal_reference else spindle.time_at(angle)
+
+    def sensed(t: Array) -> Array:
+        force = indicated(QX, truth, trajectory.specific_force(t) / GRAVITY) * GRAVITY
+        return (force - trajectory.harmful_acceleration(t)[:, 0])[None]
+
+    edges = quadrature.panel_edges(spindle, float(time[-1]))
+    moved = quadrature.integrate(sensed, edges, time, order=2)[:, 0]
+    # The platform starts due east of the spindle, moving north: no start velocity to the east.
+    error: Array = RADIUS + moved - RADIUS * np.cos(angle)
+    return time, error
+
+
+def first_stage_of(time: Array, error: Array) -> Parabola:
+    """Return the first stage of strobes that have the plan's standard deviation."""
+    return first_stage(Strobes(time, error, np.ones(time.size), lost=0), SIGMA_DISPLACEMENT)
+
+
+def simulate_runs(*, drift: float = 0.0, nominal_reference: bool = False) -> list[StrobedRun]:
+    """Simulate the plan's three runs with Tables 1 and 2; the ripple is left out beside drift.
+
+    Parameters
+    ----------
+    drift, nominal_reference
+        As for `simulate_strobes`.
+    """
+    ratio = RIPPLE_RATIO if drift == 0.0 else 0.0
+    return [
+        StrobedRun(
+            f"{rate:.4f} rad/s",
+            Trajectory(Spindle(rate), RADIUS, SITE),
+            first_stage_of(
+                *simulate_strobes(
+                    rate, drift=drift, ripple_ratio=ratio, nominal_reference=nominal_reference
+                )
+            ),
+        )
+        for rate in RATES
+    ]
