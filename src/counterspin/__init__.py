@@ -11,6 +11,7 @@ The commands, as functions:
 - `init`: a commented campaign description to start from
 - `simulate`: records of a campaign whose coefficients are known
 - `calibrate`: from a campaign's folder to a `Result`; `TwoStageOptions` for the paper's method
+- `apply`: indicated specific force corrected for a `Result` (`Correction`); `apply_file`: of a file
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
 - `read_campaign`: a description, checked (`Campaign`)
@@ -66,6 +67,9 @@ if TYPE_CHECKING:
     from counterspin.campaign.result import Result as Result
     from counterspin.campaign.result import read_result as read_result
     from counterspin.campaign.result import write_result as write_result
+    from counterspin.commands.apply import Correction as Correction
+    from counterspin.commands.apply import apply as apply
+    from counterspin.commands.apply_file import apply_file as apply_file
     from counterspin.commands.calibrate import calibrate as calibrate
     from counterspin.commands.demo import Demonstration as Demonstration
     from counterspin.commands.demo import demo as demo
@@ -108,6 +112,8 @@ _OFFERED = {
     "campaign.description": ("read_campaign",),
     "campaign.resolved": ("Campaign",),
     "campaign.result": ("Result", "read_result", "write_result"),
+    "commands.apply": ("Correction", "apply"),
+    "commands.apply_file": ("apply_file",),
     "commands.calibrate": ("calibrate",),
     "commands.demo": ("Demonstration", "demo"),
     "commands.init": ("init",),

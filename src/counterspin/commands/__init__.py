@@ -6,4 +6,5 @@
 - `two_stage`: its method of the paper
 - `joint`, `joint_parts`, `joint_checks`: its method of full records; the result's parts; its checks
 - `demo`: the paper's plan from simulation to result, by every method
+- `apply`, `apply_file`: corrects indicated specific force for a result; the same for a file
 """

@@ -219,11 +219,13 @@ def _settled(
     scale = 32.0 * _EPS * (1.0 + np.max(np.abs(force), axis=1, keepdims=True))
     for _ in range(_ROUNDS if coupled else 1):
         a_ipo = _along_axes(force, given, weights)
-        columns = [
-            invert(one.coefficients, np.where(np.isnan(force[:, k]), np.nan, indicated[:, k]), p, o)
-            for k, (one, (_, p, o)) in enumerate(zip(instruments, a_ipo, strict=True))
-        ]
-        new = np.stack(columns, axis=1)
+        new = np.empty_like(force)
+        for k, (one, (_, p, o)) in enumerate(zip(instruments, a_ipo, strict=True)):
+            wanted = np.where(np.isnan(force[:, k]), np.nan, indicated[:, k])
+            try:
+                new[:, k] = invert(one.coefficients, wanted, p, o)
+            except NotInvertibleError as error:
+                raise NotInvertibleError(error.row, f"of {one.name} {error.reason}") from error
         moving = np.abs(new - force) > scale
         force = new
         if not coupled or not moving.any():
