@@ -20,19 +20,17 @@ from counterspin.inference.joint import ROTATION, JointFit, Model, Prepared
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.noise import Noise
 from counterspin.inference.outliers import outlying
+from counterspin.inference.rotation import find_rotation
 from counterspin.inference.series import Series
 from counterspin.inference.variance_components import RecordData, VarianceComponents
 from counterspin.physics.accelerometer import Array
 
 Rows = npt.NDArray[np.bool_]
 
-_ROUNDS: Final = 20  #: of outlier rejection, and of the rotation's iteration
+_ROUNDS: Final = 20  #: of outlier rejection
 
 #: A change of K_I by less than this changes no platform column noticeably.
 _SCALE_SETTLED: Final = 1e-4
-
-#: Angle at the end of a run, rad, below which the rotation's iteration has settled.
-_ROTATION_SETTLED: Final = 1e-7
 
 
 @dataclass(frozen=True)
@@ -114,7 +112,7 @@ def estimate(
     rough = {name: Noise(1.0, 0.0) for name in requests}
     series = tuple(series)
     if any(unknown.symbol in ROTATION for unknown in model.unknowns):
-        series = _find_rotation(series, plain, rough)
+        series = find_rotation(series, plain, _scale_factors(series, plain, None), rough)
     prepared = joint.prepare(series, plain, _scale_factors(series, plain, None))
     outliers = [np.zeros(one.time.size, dtype=bool) for one in series]
     if reject:
@@ -187,51 +185,6 @@ def _without(prepared: Prepared, drop: Rows) -> Prepared:
     )
 
 
-def _find_rotation(
-    series: tuple[Series, ...], model: Model, rough: Mapping[str, Noise]
-) -> tuple[Series, ...]:
-    """Iterate the rotation of each run where no angle was recorded (Gauss-Newton)."""
-    for _ in range(_ROUNDS):
-        prepared = joint.prepare(series, model, _scale_factors(series, model, None))
-        solution = joint.solve_joint(prepared, model, rough).solution
-        change: dict[str, dict[str, float]] = {}
-        for unknown, value in zip(model.unknowns, solution.estimate, strict=True):
-            if unknown.symbol in ROTATION:
-                change.setdefault(unknown.owner, {})[unknown.symbol] = float(value)
-        series = tuple(_turned(one, change[one.run]) for one in series)
-        if all(_end_angle(one, change[one.run]) < _ROTATION_SETTLED for one in series):
-            return series
-    raise ConvergenceError(
-        "the rotation could not be found from the displacement: the nominal rate is too far off; "
-        "record the spindle's angle, or state the rate more closely"
-    )
-
-
-def _turned(series: Series, change: Mapping[str, float]) -> Series:
-    """Return the series about the reference of a rotation changed by the given steps."""
-    spindle = series.trajectory.spindle
-    moved = replace(
-        series.trajectory,
-        spindle=replace(
-            spindle,
-            start_angle=spindle.start_angle + change["spindle.start_angle"],
-            rate=spindle.rate + change["spindle.rate"],
-            drift=spindle.drift + change["spindle.drift"],
-        ),
-    )
-    output = series.error + series.reference()
-    return replace(series, trajectory=moved, error=output - series.reference(moved))
-
-
-def _end_angle(series: Series, change: Mapping[str, float]) -> float:
-    end = float(series.time[-1])
-    return (
-        abs(change["spindle.start_angle"])
-        + abs(change["spindle.rate"]) * end
-        + abs(change["spindle.drift"] * series.trajectory.spindle.rate) * end**2
-    )
-
-
 def _noise(
     prepared: Sequence[Prepared], model: Model, requests: Mapping[str, NoiseRequest]
 ) -> tuple[dict[str, Noise], dict[str, VarianceComponents]]:
@@ -262,7 +215,7 @@ def _components(
                 series.time,
                 series.order,
                 design,
-                series.error,
+                joint.unexplained(one, model),
                 series.count,
                 series.block_spacing,
             )
@@ -277,14 +230,19 @@ def _components(
         unknown.prior[0] - unknown.nominal if math.isfinite(unknown.prior[1]) else 0.0
         for unknown in chosen
     ]
-    return variance_components.estimate(
+    # Like quantisation, noise of the time stamps is white noise of a known size; its mean square
+    # over the runs serves here, while the fit gives each run its own.
+    rows = sum(one.series.time.size for one in prepared)
+    jitter = sum(one.series.time.size * one.series.jitter**2 for one in prepared) / rows
+    found = variance_components.estimate(
         records,
         white=request.white,
         random_walk=request.random_walk,
-        quantisation=request.quantisation,
+        quantisation=math.sqrt(request.quantisation**2 + 12.0 * jitter),
         prior_rows=np.diag(1.0 / spread),
         prior_values=np.array(means) / spread,
     )
+    return replace(found, quantisation=request.quantisation)
 
 
 def _effective_dof(fit: JointFit, components: Mapping[str, VarianceComponents]) -> Array:

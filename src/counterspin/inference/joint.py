@@ -9,7 +9,7 @@ blocks, not from the records.
 - `Unknown`, `Considered`, `Model`: the problem, beside the series (`counterspin.inference.series`)
 - `prepare`: the columns, computed once
 - `solve_joint`, `JointFit`: the answer
-- `residuals`, `leave_out`: checks of it
+- `residuals`, `unexplained`, `leave_out`: checks of it
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ import numpy as np
 
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference import least_squares
-from counterspin.inference.least_squares import Block, Solution
+from counterspin.inference.blocks import Block, reduce_block
+from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise import Noise
 from counterspin.inference.series import Series
 from counterspin.physics.accelerometer import TERMS, Array, term
@@ -292,9 +293,7 @@ def _block(prepared: Prepared, model: Model, noise: Noise) -> Block:
     own = series.polynomials(whiten.polynomials)
     rows = whiten.apply(np.column_stack([own, prepared.design, prepared.fixed, series.error]))
     m, p = whiten.polynomials, prepared.design.shape[1]
-    block = least_squares.reduce_block(
-        rows[:, m : m + p], rows[:, -1], rows[:, :m], rows[:, m + p : -1]
-    )
+    block = reduce_block(rows[:, m : m + p], rows[:, -1], rows[:, :m], rows[:, m + p : -1])
     factor = np.zeros((block.factor.shape[0], len(model.unknowns)))
     factor[:, list(prepared.unknowns)] = block.factor
     fixed = np.zeros((block.factor.shape[0], len(model.considered_names)))
@@ -322,6 +321,13 @@ def _prior_means(unknowns: Sequence[Unknown]) -> list[float]:
     ]
 
 
+def unexplained(prepared: Prepared, model: Model) -> Array:
+    """Return a series' error less what the considered terms' assumed values put into it, (n,)."""
+    means = np.array(_prior_means(model.considered) + [0.0] * len(model.inputs or ()))
+    left: Array = prepared.series.error - prepared.fixed @ means[list(prepared.considered)]
+    return left
+
+
 def leave_out(fit: JointFit, run: str) -> Solution | None:
     """Return the solution without one run; None if nothing is left."""
     kept = [
@@ -342,9 +348,8 @@ def residuals(fit: JointFit, index: int) -> tuple[Array, Array]:
     """
     prepared = fit.prepared[index]
     series = prepared.series
-    means = np.array(_prior_means(fit.model.considered) + [0.0] * len(fit.model.inputs or ()))
-    left = series.error - prepared.design @ fit.solution.estimate[list(prepared.unknowns)]
-    left = left - prepared.fixed @ means[list(prepared.considered)]
+    left = unexplained(prepared, fit.model)
+    left = left - prepared.design @ fit.solution.estimate[list(prepared.unknowns)]
     whiten = series.whitener(fit.noise[series.accelerometer])
     if whiten.polynomials == 0:
         # The differences have removed the start errors; the plain residuals need them back.
