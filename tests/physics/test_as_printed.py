@@ -149,6 +149,12 @@ def test_drift_seen_at_nominal_strobes_is_a_parabola_not_a_slope():
     assert sp.simplify(double_integral(parts.subs(wp, 0)) - exact) == 0
 
 
+def test_eq15_slope_is_that_of_the_centripetal_part_alone():
+    """At the strobes it gives 2 R C t - 4 R C/omega; Eq. 15 prints the constant with a plus."""
+    alone = double_integral((centripetal * sp.cos(w * t)).subs(wp, 0))
+    assert sp.simplify(strobe(alone) - 2 * R * C * t + 4 * R * C / w) == 0
+
+
 def printed_strobe_error(times, **changes):
     values = {
         "rate": 2.3, "drift": 0.0, "ripple": 0.0, "phase": 0.0, "radius": 2.5, "gravity": 9.8,

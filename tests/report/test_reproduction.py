@@ -31,6 +31,9 @@ def test_every_number_is_whole_in_the_width(width):
 def test_a_figure_the_paper_does_not_have_is_a_dash():
     row = Row("a.b", "something", None, 2.5, "m", "not in the paper", ".1f")
     text = rendered(Reproduction({}, (Section("Part", (row,)),)), 80)
-    assert ["something", "-", "2.5", "m"] == next(
-        line.split()[:4] for line in text.splitlines() if line.startswith("something")
-    )
+    assert next(line.split()[:4] for line in text.splitlines() if line.startswith("something")) == [
+        "something",
+        "-",
+        "2.5",
+        "m",
+    ]
