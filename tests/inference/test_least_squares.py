@@ -5,7 +5,9 @@ import numpy as np
 import pytest
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.least_squares import fit, reduce_block, solve
+from counterspin.inference.blocks import reduce_block
+from counterspin.inference.least_squares import solve
+from counterspin.inference.plain_fit import fit
 
 GRAVITY, RADIUS, SIGMA = 9.8066, 2.5, 0.01
 

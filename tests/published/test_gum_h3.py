@@ -7,7 +7,7 @@ measurement, annex H.3, table H.6 and clauses H.3.3 and H.3.4.
 import numpy as np
 import pytest
 
-from counterspin.inference.least_squares import fit
+from counterspin.inference.plain_fit import fit
 
 READING = np.array(
     [21.521, 22.012, 22.512, 23.003, 23.507, 23.999, 24.513, 25.002, 25.503, 26.010, 26.511]

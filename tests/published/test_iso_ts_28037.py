@@ -9,7 +9,7 @@ Laboratory of New Zealand, https://github.com/MSLNZ/GTC) keeps in its tests for 
 import numpy as np
 import pytest
 
-from counterspin.inference.least_squares import fit
+from counterspin.inference.plain_fit import fit
 
 DESIGN = np.column_stack([np.ones(6), np.arange(1.0, 7.0)])
 

@@ -8,7 +8,7 @@ relative error LRE = -log10(|computed - certified| / |certified|), the number of
 import numpy as np
 import pytest
 
-from counterspin.inference.least_squares import fit
+from counterspin.inference.plain_fit import fit
 
 
 def numbers(table):

@@ -2,7 +2,8 @@
 
 What stands in this room:
 
-- `least_squares`: blocks, priors and considered terms, solved by QR
+- `blocks`: what a record says about the shared unknowns, in a few rows
+- `least_squares`: blocks, priors and considered terms, solved by QR; `plain_fit`: one fit alone
 - `identifiability`: what the data cannot tell apart, by name
 - `diagnostics`: whether the model fits the records
 - `noise`, `riccati`: models of a record's noise, and whitening with them
@@ -12,7 +13,8 @@ What stands in this room:
   against the rate
 - `series`: one accelerometer's output in one run, with its columns and its whitening
 - `joint`: full records of all runs and accelerometers, solved together
-- `estimation`: the joint estimate step by step; `outliers`: samples that noise does not explain
+- `estimation`: the joint estimate step by step
+- `outliers`, `rotation`: samples that noise does not explain; how runs without angles turned
 - `budget`: where the uncertainty of a coefficient comes from; `left_out`: what is not in it
 
 Glossary

@@ -22,7 +22,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
-from counterspin.inference.least_squares import Array, Solution, triangle_of
+from counterspin.inference.blocks import triangle_of
+from counterspin.inference.least_squares import Solution
+from counterspin.physics.accelerometer import Array
 
 #: What stands for "no information": a factor of 1e12 below a column's own, far enough to exceed
 #: every credible limit and still well above rounding.

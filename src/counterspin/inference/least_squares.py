@@ -2,19 +2,14 @@
 
 Given the trajectory, the displacement error is linear in the coefficients, so that one solver
 serves everything: the two stages of the paper, the joint fit of full records, planning and
-Monte-Carlo studies. A record is first reduced to a small `Block` (its square-root information
-about the shared unknowns, Bierman 1977), in which the record's own start offset and start
-velocity are already projected out; then any set of blocks is solved together with what is known
-beforehand.
+Monte-Carlo studies. A record is first reduced to a small `Block`; here any set of blocks is solved
+together with what is known beforehand.
 
 No Gram matrix is ever formed. Householder QR has a backward error that is small column by column
 (Higham, Accuracy and Stability of Numerical Algorithms, 2nd ed., theorem 19.4), so that columns
 of very different size, such as t^2/2 beside cos wt, need no scaling before it.
 
-- `reduce_block`: a whitened record -> `Block`
-- `solve`: blocks + priors + considered terms -> `Solution`
-- `fit`: a plain one-block problem with a stated or an unstated sigma -> `Fit`
-- `triangle_of`: R of a QR factorisation
+- `solve`: blocks (`counterspin.inference.blocks`) + priors + considered terms -> `Solution`
 """
 
 from __future__ import annotations
@@ -29,116 +24,13 @@ import numpy.typing as npt
 from scipy.linalg import solve_triangular
 
 from counterspin.errors import NotIdentifiableError
-
-Array = npt.NDArray[np.float64]
-
-#: Rows that one QR takes at a time: a cache's worth, three times faster than all rows at once.
-_CHUNK: Final = 1024
+from counterspin.inference.blocks import Block, dependent, triangle_of
+from counterspin.physics.accelerometer import Array
 
 #: The numerical regularisation of an unknown without a prior, in units of its credible limit.
 #: At least a factor of 1e4 above what anybody believes, it moves no determined estimate by more
 #: than 1e-8 of its uncertainty, and it keeps every estimate finite.
 REGULARISATION: Final = 1e4
-
-
-@dataclass(frozen=True)
-class Block:
-    """What one record says about the shared unknowns, in rotated rows of unit variance.
-
-    ``target = factor @ unknowns + considered @ considered_values + noise``.
-
-    Attributes
-    ----------
-    factor
-        Upper trapezoidal, shape (k, p), k <= p + q.
-    target
-        Shape (k,).
-    considered
-        The columns of the considered terms in the same rows, shape (k, q).
-    rss
-        Sum of squares that neither unknowns, nor considered terms, nor nuisances can explain.
-    rows, nuisance
-        Number of observations and of the record's own unknowns that were projected out.
-    """
-
-    factor: Array
-    target: Array
-    considered: Array
-    rss: float
-    rows: int
-    nuisance: int
-
-
-def reduce_block(
-    design: npt.ArrayLike,
-    observations: npt.ArrayLike,
-    nuisance: npt.ArrayLike | None = None,
-    considered: npt.ArrayLike | None = None,
-) -> Block:
-    """Reduce one record to its square-root information about the shared unknowns.
-
-    One QR of [nuisance | design | considered | observations]; the rows that belong to the
-    nuisances are dropped, which is the exact projection.
-
-    Parameters
-    ----------
-    design
-        Columns of the unknowns, whitened (unit variance, uncorrelated), shape (n, p).
-    observations
-        Whitened observations, shape (n,).
-    nuisance
-        Columns of the record's own unknowns, whitened, shape (n, m); none by default.
-    considered
-        Columns of the considered terms, whitened, shape (n, q); none by default.
-
-    Returns
-    -------
-    Block
-
-    Raises
-    ------
-    ValueError
-        If the numbers of rows differ or a number is not finite.
-    NotIdentifiableError
-        If the nuisances cannot be told apart from each other.
-    """
-    y = np.asarray(observations, dtype=np.float64)
-    n = y.size
-    parts = [
-        np.empty((n, 0)) if part is None else np.asarray(part, dtype=np.float64)
-        for part in (nuisance, design, considered)
-    ]
-    if y.ndim != 1 or any(part.ndim != 2 or part.shape[0] != n for part in parts):
-        shapes = ", ".join(str(part.shape) for part in parts)
-        raise ValueError(
-            f"nuisance, design and considered need the {n} rows of the observations; "
-            f"their shapes are {shapes}"
-        )
-    m, p, q = (part.shape[1] for part in parts)
-
-    triangle = np.empty((0, m + p + q + 1))
-    for start in range(0, n, _CHUNK):
-        rows = slice(start, start + _CHUNK)
-        chunk = np.column_stack([part[rows] for part in parts] + [y[rows]])
-        triangle = triangle_of(np.vstack([triangle, chunk]))
-    if not np.isfinite(triangle).all():
-        raise ValueError("the columns or the observations hold numbers that are not finite")
-
-    own = triangle[:m, :m]
-    if _dependent(own).size:
-        raise NotIdentifiableError(
-            f"{n} samples cannot tell the {m} unknowns of the record itself (such as its start "
-            "offset and start velocity) apart; the record is too short"
-        )
-    kept = triangle[m : m + p + q]
-    return Block(
-        factor=kept[:, m : m + p],
-        target=kept[:, -1],
-        considered=kept[:, m + p : m + p + q],
-        rss=float(np.sum(triangle[m + p + q :, -1] ** 2)),
-        rows=n,
-        nuisance=m,
-    )
 
 
 @dataclass(frozen=True)
@@ -352,7 +244,7 @@ def solve(
     misfit = np.concatenate([block.target for block in blocks])
     misfit = misfit - considered @ c_mean - factor @ mean
     rotation, triangle = _factorise(stacked)
-    weak = _dependent(triangle)
+    weak = dependent(triangle)
     if bound is None and weak.size:
         which = int(free[weak[0]])
         raise NotIdentifiableError(
@@ -397,106 +289,6 @@ def solve(
     )
 
 
-@dataclass(frozen=True)
-class Fit:
-    """A plain least-squares fit.
-
-    Attributes
-    ----------
-    estimate
-        Shape (p,).
-    covariance
-        Shape (p, p).
-    residuals
-        observations - design @ estimate, in the units of the observations, shape (n,).
-    chi2
-        Weighted sum of squared residuals; with sigma from the residuals, plain sum of squares.
-    dof
-        n - p.
-    sigma
-        The standard deviation of one observation, as given or from the residuals; an array where
-        it was given as one.
-    sigma_from_residuals
-        Whether sigma was estimated, so that intervals need Student's t.
-    """
-
-    estimate: Array
-    covariance: Array
-    residuals: Array
-    chi2: float
-    dof: int
-    sigma: float | Array
-    sigma_from_residuals: bool
-
-    @property
-    def u(self) -> Array:
-        """The standard uncertainties, shape (p,)."""
-        return np.sqrt(np.diag(self.covariance))
-
-
-def fit(
-    design: npt.ArrayLike,
-    observations: npt.ArrayLike,
-    sigma: float | npt.ArrayLike | None = None,
-) -> Fit:
-    """Fit one set of observations by (weighted) least squares.
-
-    Parameters
-    ----------
-    design
-        Shape (n, p).
-    observations
-        Shape (n,).
-    sigma
-        Standard deviation of each observation, one number or shape (n,). None: the same unknown
-        one for all, estimated from the residuals, which the result says.
-
-    Returns
-    -------
-    Fit
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit or sigma is not positive.
-    NotIdentifiableError
-        If columns are linearly dependent, or sigma is asked of as many unknowns as observations.
-    """
-    columns = np.asarray(design, dtype=np.float64)
-    y = np.asarray(observations, dtype=np.float64)
-    given = None if sigma is None else np.asarray(sigma, dtype=np.float64)
-    weight = np.ones(()) if given is None else given
-    if weight.shape not in {(), y.shape} or not ((weight > 0) & np.isfinite(weight)).all():
-        raise ValueError("sigma must be positive: one number, or one for each observation")
-    solution = solve([reduce_block(columns / weight.reshape(-1, 1), y / weight)])
-    covariance, dof = solution.covariance_noise, y.size - columns.shape[1]
-    scale: float | Array
-    if given is None:
-        if dof < 1:
-            raise NotIdentifiableError(
-                f"{y.size} observations of {columns.shape[1]} unknowns leave nothing to estimate "
-                "sigma from; give sigma"
-            )
-        scale = math.sqrt(solution.chi2 / dof)
-        covariance = covariance * (solution.chi2 / dof)
-    else:
-        scale = float(given) if given.ndim == 0 else given
-    return Fit(
-        estimate=solution.estimate,
-        covariance=covariance,
-        residuals=y - columns @ solution.estimate,
-        chi2=solution.chi2,
-        dof=dof,
-        sigma=scale,
-        sigma_from_residuals=given is None,
-    )
-
-
-def triangle_of(matrix: Array) -> Array:
-    """Return R of the QR factorisation, shape (min(n, p), p); also of a stack of matrices."""
-    return np.asarray(np.linalg.qr(matrix, mode="r"))
-
-
 def _factorise(stacked: Array) -> tuple[Array, Array]:
     """QR with the heaviest rows first, which Householder needs when rows differ much in size."""
     norms = np.linalg.norm(stacked, axis=0)
@@ -506,14 +298,6 @@ def _factorise(stacked: Array) -> tuple[Array, Array]:
     rotation = np.empty_like(sorted_rotation)
     rotation[order] = sorted_rotation
     return rotation, triangle
-
-
-def _dependent(triangle: Array) -> npt.NDArray[np.intp]:
-    """Columns of a triangular factor that depend on those before them, to rounding."""
-    norms = np.linalg.norm(triangle, axis=0)
-    diagonal = np.zeros_like(norms)  # a column beyond the last row depends on the others
-    diagonal[: triangle.shape[0]] = np.abs(np.diagonal(triangle))
-    return np.flatnonzero(diagonal <= 4.0 * norms.size * np.finfo(np.float64).eps * norms)
 
 
 def _vector(name: str, given: npt.ArrayLike | None, size: int, default: float) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.least_squares import triangle_of
+from counterspin.inference.blocks import triangle_of
 from counterspin.inference.noise import Differences, solve_banded_factor
 
 Array = NDArray[np.float64]
