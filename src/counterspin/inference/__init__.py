@@ -15,6 +15,10 @@ What stands in this room:
 - `joint`: full records of all runs and accelerometers, solved together
 - `estimation`: the joint estimate step by step
 - `outliers`, `rotation`: samples that noise does not explain; how runs without angles turned
+- `setup`, `angle_functions`, `run_information`: what a run of a plan would tell, as a smooth
+  function of its rate and length
+- `design`: plans, what they may be and how good they are; `relaxation`, `polishing`, `optimal`:
+  the best one
 - `budget`: where the uncertainty of a coefficient comes from; `left_out`: what is not in it
 
 Glossary
