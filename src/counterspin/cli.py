@@ -182,6 +182,28 @@ def apply(
 
 
 @app.command
+def reproduce(*, json: JsonFile = None) -> None:
+    """Recompute the paper's figures beside what is printed, and say why they differ.
+
+    Parameters
+    ----------
+    json
+        Write all figures to this file too.
+    """
+    from json import dumps
+
+    from counterspin.campaign.output import write_text
+    from counterspin.report.reproduction import render_reproduction
+    from counterspin.report.text import report_console
+    from counterspin.reproduce import reproduce as run
+
+    reproduction = run()
+    if json is not None:
+        write_text(json, dumps(reproduction.to_dict(), indent=1) + "\n")
+    report_console().print(render_reproduction(reproduction))
+
+
+@app.command
 def demo(
     *,
     output: OutputDirectory = Path("counterspin-demo"),
