@@ -19,7 +19,7 @@ from counterspin.campaign.output import write_whole
 from counterspin.campaign.quantity import unit_factor
 from counterspin.campaign.record_files import ColumnFile, open_columns
 from counterspin.campaign.result import Result
-from counterspin.commands.apply import Correction, apply
+from counterspin.commands.apply import Correction, apply, instrument_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.physics.accelerometer import Array
 from counterspin.physics.inversion import NotInvertibleError
@@ -81,8 +81,8 @@ class CorrectedFile:
 def apply_file(
     result: Result,
     accelerometer: str,
-    source: Path,
-    output: Path,
+    source: Path | str,
+    output: Path | str,
     *,
     column: str | None = None,
     unit: str = "g",
@@ -124,11 +124,14 @@ def apply_file(
     CounterspinError
         If the output cannot be written.
     """
+    source, output = Path(source), Path(output)
     suffix = output.suffix.lower()
     if suffix not in _SEPARATORS:
         raise CampaignError(str(output), [f"must end in one of {', '.join(_SEPARATORS)}"])
     if output.exists() and source.exists() and output.samefile(source):
         raise CampaignError(str(output), ["is the input; a record is not overwritten"])
+    for name in (accelerometer, *(others or {})):
+        instrument_of(result, name)  # a wrong name is told before the file is searched for it
     table = open_columns(source, []).table()
     along = {"--pendulous": pendulous, "--output-axis": output_axis}
     used = [text for text in (*along.values(), *(others or {}).values()) if text in table.columns]
