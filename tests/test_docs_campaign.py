@@ -1,0 +1,86 @@
+"""The page on campaign.toml has every key that may be written, and no other."""
+
+import inspect
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from counterspin.campaign import settings
+from counterspin.campaign.quantity import UNITS
+from counterspin.physics.accelerometer import TERMS
+
+PAGE = (Path(__file__).parents[1] / "docs" / "campaign.md").read_text(encoding="utf-8")
+TABLES = re.findall(r"^<!-- keys: ([\w ]+) -->\n((?:\|.*\n)+)", PAGE, re.MULTILINE)
+MODELS = [(name, table) for names, table in TABLES for name in names.split()]
+#: The unit that makes the example of a column a valid one.
+CHANNEL_UNITS = {
+    "TimeChannel": "ms",
+    "AngleChannel": "deg",
+    "DisplacementChannel": "mm",
+    "VelocityChannel": "mm/s",
+    "ForceChannel": "mg",
+}
+
+every_table = pytest.mark.parametrize(("name", "table"), MODELS, ids=[name for name, _ in MODELS])
+
+
+def rows(table):
+    return [[cell.strip() for cell in line.strip("|").split(" | ")] for line in table.splitlines()]
+
+
+def keys_of(model):
+    return {field.alias or name: field for name, field in model.model_fields.items()}
+
+
+def test_every_section_has_its_table():
+    written = {
+        name
+        for name, value in vars(settings).items()
+        if inspect.isclass(value) and issubclass(value, settings.Section) and name[0] != "_"
+    }
+    # The axes are part of an accelerometer's keys.
+    assert {name for name, _ in MODELS} == written - {"Section", "AxesSettings"}
+
+
+@every_table
+def test_keys_are_those_of_the_code(name, table):
+    head, _, *body = rows(table)
+    assert head == ["key", "kind", "default", "example", "meaning"]
+    listed = [re.match(r"`(\w+)`", row[0])[1] for row in body]
+    expected = set(keys_of(getattr(settings, name)))
+    if any("and so on" in row[0] for row in body):
+        # One row stands for all terms.
+        listed = [key for key in listed if key not in TERMS]
+        expected -= set(TERMS)
+    assert len(listed) == len(set(listed))
+    assert set(listed) == expected
+
+
+@every_table
+def test_defaults_are_those_of_the_code(name, table):
+    fields = keys_of(getattr(settings, name))
+    for cells in rows(table)[2:]:
+        field = fields[re.match(r"`(\w+)`", cells[0])[1]]
+        assert (cells[2] == "required") == field.is_required(), cells[0]
+        if isinstance(field.default, int | float):
+            assert float(cells[2].split()[0]) == field.default, cells[0]
+
+
+@every_table
+def test_examples_are_valid(name, table):
+    text = "\n".join(cells[3].strip("`") for cells in rows(table)[2:])
+    given = tomllib.loads(text.replace("UNIT", CHANNEL_UNITS.get(name, "")))
+    model = getattr(settings, name)
+    model.model_validate(given, context={"gravity": 9.8066})
+    assert set(given) <= set(keys_of(model))
+
+
+def test_every_unit_is_listed():
+    listed = PAGE.partition("Units, with products")[2].partition("\n\n")[0]
+    assert set(re.findall(r"`(\w+)`", listed)) - {"g/Hz^0.5", "deg/h/g"} == set(UNITS)
+
+
+def test_every_record_format_is_listed():
+    assert all(ending in PAGE for ending in settings.RECORD_FORMATS)
