@@ -1,6 +1,6 @@
 """From ``campaign.toml`` to a `Campaign`: every key checked, all mistakes told at once.
 
-- `read_campaign`: the file
+- `read_campaign`: the file; `load_document`, `resolve_campaign`: its two steps
 - `Campaign` and its parts: see `counterspin.campaign.resolved`
 """
 
@@ -84,15 +84,37 @@ def read_campaign(path: Path | str) -> Campaign:
     """
     given = Path(path)
     file = given / DESCRIPTION_NAME if given.is_dir() else given
-    raw = _load(file)
+    raw = load_document(file)
     problems = Problems(raw)
-    campaign = _Reading(raw, file.absolute(), problems).campaign()
+    campaign = resolve_campaign(raw, file, problems)
     if campaign is None:
         raise CampaignError(str(file), problems.lines)
     return campaign
 
 
-def _load(file: Path) -> dict[str, Any]:
+def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> Campaign | None:
+    """Return the campaign that a document describes, or None with its mistakes noted.
+
+    Parameters
+    ----------
+    raw
+        The document, as TOML is read.
+    file
+        Where it stands, or will; records are beside it.
+    problems
+        Where mistakes are noted.
+    """
+    return _Reading(raw, file.absolute(), problems).campaign()
+
+
+def load_document(file: Path) -> dict[str, Any]:
+    """Return a TOML document.
+
+    Raises
+    ------
+    CampaignError
+        If the file is missing, cannot be read, is not UTF-8 or not TOML.
+    """
     try:
         # Editors on Windows put a byte-order mark before the text; TOML knows none.
         return tomllib.loads(file.read_text(encoding="utf-8-sig"))
@@ -296,10 +318,10 @@ class _Reading:
             if duration is not None and settings.revolutions is not None:
                 self.problems.add((*path, "duration"), "revolutions is given too; keep one")
             own_truth = None
+            turns = settings.revolutions or (default.revolutions if self.simulated else None)
+            if duration is None and turns is not None:
+                duration = turns * 2.0 * math.pi / abs(settings.rate)
             if self.simulated:
-                if duration is None:
-                    turns = settings.revolutions or default.revolutions
-                    duration = turns * 2.0 * math.pi / abs(settings.rate)
                 own_truth = resolve_run_truth(
                     settings.rate, truth, settings.truth or {}, (*path, "truth"), self.problems
                 )

@@ -148,9 +148,10 @@ class Run:
     attitude
         Where the platform's x, y, z axes point in east-north-up, as rows, shape (3, 3).
     duration
-        Length of the simulated record in s; None where nothing is to be simulated.
+        Length of the record in s, as planned or simulated; None where nothing says it.
     truth
-        How the simulated run really goes; None likewise. Calibration never looks at it.
+        How the simulated run really goes; None where nothing is to be simulated. Calibration never
+        looks at it.
     """
 
     name: str

@@ -162,7 +162,8 @@ def _prepare(series: Series, model: Model, scale_factor: float, estimate: Array 
     ignored = [model.considered[i].symbol for i in considered]
     terms = [symbol for symbol in (*symbols, *ignored) if symbol not in ROTATION]
     table = dict(zip(terms, series.columns(terms, scale_factor).T, strict=True))
-    table |= {symbol: _rotation_column(series, symbol) for symbol in symbols if symbol in ROTATION}
+    turned = [symbol for symbol in (*symbols, *ignored) if symbol in ROTATION]
+    table |= {symbol: _rotation_column(series, symbol) for symbol in turned}
     n = series.time.size
     design = np.column_stack([table[s] for s in symbols] or [np.empty((n, 0))])
     fixed = [table[symbol] for symbol in ignored]
