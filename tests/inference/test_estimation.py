@@ -304,3 +304,23 @@ def test_spikes_and_gaps_leave_k_ii_within_its_uncertainty(clean):
     assert false_alarms <= 4
     distance = np.sum(np.square(z), axis=0)
     assert (np.abs(distance - trials) < 4 * math.sqrt(2 * trials)).all()
+
+
+@pytest.mark.parametrize(
+    ("observable", "noise"),
+    [
+        ("displacement", Noise(1e-2, 2e-3)),
+        ("displacement", Noise(1e-3, 2e-3)),
+        ("velocity", Noise(1e-6, 3e-4)),
+        ("specific_force", Noise(0.0, 3e-4)),
+    ],
+)
+def test_an_accelerometer_s_walk_is_not_outlying(observable, noise):
+    rng = np.random.default_rng(21)
+    series = three_rates(TRUTH, per_revolution=64, observable=observable)
+    rejected = 0
+    for _ in range(4):
+        drawn = [noisy(one, noise, rng) for one in series]
+        found = estimate(drawn, MODEL, {"Qx": NoiseRequest(noise.white, noise.random_walk)})
+        rejected += sum(mask.sum() for mask in found.outliers)
+    assert rejected <= 2

@@ -16,7 +16,7 @@ from counterspin.inference.joint import JointFit
 from counterspin.physics.accelerometer import Array
 
 #: Lines below this share of u^2 say nothing.
-_NEGLIGIBLE: Final = 1e-9
+_NEGLIGIBLE: Final = 1e-12
 
 NOISE: Final = "noise"  #: kind of a line that stands for the records
 
