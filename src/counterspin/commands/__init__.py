@@ -3,7 +3,7 @@
 - `init`: a commented campaign description to start from
 - `simulate`: records of a campaign whose coefficients are known
 - `calibrate`: the main job, from a campaign folder to a `Result`
-- `two_stage`: its method of the paper
+- `two_stage`, `two_stage_findings`: its method of the paper; what its result must say beside
 - `joint`, `joint_parts`, `joint_checks`: its method of full records; the result's parts; its checks
 - `demo`: the paper's plan from simulation to result, by every method
 - `apply`, `apply_file`: corrects indicated specific force for a result; the same for a file

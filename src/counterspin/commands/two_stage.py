@@ -15,13 +15,13 @@ from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.campaign.result import (
     AccelerometerResult,
     Coefficient,
-    Confounded,
     Correlation,
     NoiseLine,
     ParabolaResult,
     Residual,
     described,
 )
+from counterspin.commands.two_stage_findings import confounded, left_out, unmodelled, warnings
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference import strobes as strobing
 from counterspin.inference.first_stage import Parabola, first_stage
@@ -29,8 +29,7 @@ from counterspin.inference.two_stage import DRIFT, RIPPLE, SecondStage, StrobedR
 from counterspin.physics.accelerometer import TERMS, term
 from counterspin.physics.as_printed import RippleModel
 
-#: Below this probability a misfit is no accident.
-_SUSPICIOUS: Final = 0.001
+_NOTHING: Final = (0.0, math.inf)  #: known of a term beforehand
 
 
 @dataclass(frozen=True)
@@ -106,34 +105,33 @@ def two_stage(
     runs = tuple(_strobed(run, accelerometer, sigma, walk) for run in observed)
     priors = _priors(campaign, accelerometer)
     scale_factor = priors.pop("K_I", (TERMS["K_I"].nominal, 0.0))
-    bias = priors.pop("K_F", (0.0, math.inf))
-    unknown = [s for s in _asked(campaign) if s not in (*priors, "K_II", "K_F", "K_I")]
+    bias = priors.pop("K_F", _NOTHING)
     second = second_stage(
         runs,
         accelerometer.mounting,
         model=options.model,
         scale_factor=scale_factor,
         bias=bias,
+        second_order=priors.pop("K_II", _NOTHING),
         fit_bias=options.fit_bias,
         nominal_angle=campaign.angle is None,
         ripple=options.ripple,
         considered=priors,
-        ignored=unknown,
+        ignored=unmodelled(campaign, accelerometer),
         weighted=options.weighted,
     )
-    coefficients = _coefficients(campaign, accelerometer, second, scale_factor, bias)
+    found = _unknowns(campaign, second, options)
+    coefficients = _coefficients(campaign, accelerometer, second, found)
     parabolas = [run.parabola for run in runs]
     result = AccelerometerResult(
         coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
         second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
-        correlation=_correlation(second),
-        confounded=[
-            Confounded(terms=[a, b], correlation=r, determined="both, weakly")
-            for a, b, r in second.near_collinear
-        ],
+        correlation=_correlation(second, coefficients),
+        confounded=confounded(second, found),
         residual=_residual(parabolas, walk),
         noise=_noise_lines(parabolas, walk),
-        warnings=_warnings(campaign, accelerometer, runs, second, options),
+        left_out=left_out(second) if options.model == "exact" else {},
+        warnings=warnings(campaign, accelerometer, runs, second, coefficients, options.model),
         **described(accelerometer, coefficients),
     )
     return TwoStageOutcome(
@@ -181,14 +179,10 @@ def _priors(campaign: Campaign, accelerometer: Accelerometer) -> dict[str, tuple
     return {symbol: (q.value, q.u) for symbol, q in known.items()}
 
 
-def _coefficients(
-    campaign: Campaign,
-    accelerometer: Accelerometer,
-    second: SecondStage,
-    scale_factor: tuple[float, float],
-    bias: tuple[float, float],
+def _unknowns(
+    campaign: Campaign, second: SecondStage, options: TwoStageOptions
 ) -> dict[str, Coefficient]:
-    """Return the unknowns, then the other terms of the model with what is known of them."""
+    """Return the estimates of the second stage, determined or not."""
     found = {}
     solution = second.solution
     for index, symbol in enumerate(second.symbols):
@@ -203,10 +197,11 @@ def _coefficients(
         )
         considered = math.hypot(considered, *_from_inputs(campaign, symbol, value))
         u = math.hypot(noise, prior, considered)
+        # What does not come from the residuals has no degrees of freedom to lose (GUM G.4.1).
+        dof = float(second.dof[index]) * (u / noise) ** 4 if noise > 0.0 else math.inf
         limit = campaign.model.limits.get(symbol, math.inf)
         known = float(solution.prior_sd[index])
-        dof = float(second.dof[index])
-        estimated = u < limit and not (math.isfinite(known) and u * u > 0.9 * known**2)
+        ratio = symbol == RIPPLE and options.ripple == "ratio"
         found[symbol] = Coefficient(
             value=value,
             u=u,
@@ -214,25 +209,36 @@ def _coefficients(
             u_prior=prior,
             u_considered=considered,
             dof=dof if math.isfinite(dof) else None,
-            unit=_unit(symbol),
-            estimated=estimated,
+            unit="1" if ratio else _unit(symbol),
+            estimated=u < limit and not (math.isfinite(known) and u * u > 0.9 * known**2),
         )
-        if not estimated:
-            found[symbol] = _known(symbol, bias if symbol == "K_F" else None)
-    for symbol in campaign.model.terms:
-        if symbol in TERMS and symbol not in found:
-            prior_of = accelerometer.priors.get(symbol)
-            known_of = (prior_of.value, prior_of.u) if prior_of else None
-            found[symbol] = _known(symbol, scale_factor if symbol == "K_I" else known_of)
     return found
 
 
-def _known(symbol: str, prior: tuple[float, float] | None) -> Coefficient:
+def _coefficients(
+    campaign: Campaign,
+    accelerometer: Accelerometer,
+    second: SecondStage,
+    unknowns: Mapping[str, Coefficient],
+) -> dict[str, Coefficient]:
+    """Return what is determined, then the other terms of the model with what is known of them."""
+    found = {}
+    for symbol, estimate in unknowns.items():
+        # Asked to tell it from a term that acts exactly alike, the records say nothing.
+        alone = not set(second.alike(symbol)) & set(campaign.model.terms)
+        found[symbol] = estimate if estimate.estimated and alone else _known(accelerometer, symbol)
+    for symbol in campaign.model.terms:
+        if symbol in TERMS and symbol not in found:
+            found[symbol] = _known(accelerometer, symbol)
+    return found
+
+
+def _known(accelerometer: Accelerometer, symbol: str) -> Coefficient:
     """Return a coefficient that the data do not determine: its prior, or nothing."""
-    known = prior is not None and math.isfinite(prior[1])
+    prior = accelerometer.priors.get(symbol)
     return Coefficient(
-        value=prior[0] if prior and known else None,
-        u=prior[1] if prior and known else None,
+        value=prior.value if prior else None,
+        u=prior.u if prior else None,
         unit=_unit(symbol),
         estimated=False,
     )
@@ -255,11 +261,16 @@ def _from_inputs(campaign: Campaign, symbol: str, value: float) -> tuple[float, 
     )
 
 
-def _correlation(second: SecondStage) -> Correlation:
-    covariance = second.solution.covariance
+def _correlation(
+    second: SecondStage, coefficients: Mapping[str, Coefficient]
+) -> Correlation | None:
+    chosen = [i for i, symbol in enumerate(second.symbols) if coefficients[symbol].estimated]
+    if not chosen:
+        return None
+    covariance = second.solution.covariance[np.ix_(chosen, chosen)]
     u = np.sqrt(np.diag(covariance))
     matrix = covariance / np.outer(u, u)
-    return Correlation(terms=list(second.symbols), matrix=matrix.tolist())
+    return Correlation(terms=[second.symbols[i] for i in chosen], matrix=matrix.tolist())
 
 
 def _residual(parabolas: Sequence[Parabola], walk: float) -> Residual:
@@ -302,55 +313,3 @@ def _parabola(parabola: Parabola) -> ParabolaResult:
         sigma_from_residuals=parabola.sigma_from_residuals,
         strobes=parabola.strobes.time.size,
     )
-
-
-def _warnings(
-    campaign: Campaign,
-    accelerometer: Accelerometer,
-    runs: Sequence[StrobedRun],
-    second: SecondStage,
-    options: TwoStageOptions,
-) -> list[str]:
-    warnings = []
-    if options.model == "as-printed":
-        warnings.append(
-            "The equations are used as printed: their K_II term is twice the exact one, so K_II "
-            "is half of what the accelerometer has. Use --model exact for a calibration."
-        )
-    _, u = second.estimate("K_II")
-    for symbol, effect in second.ignored.items():
-        limit = campaign.model.limits.get(symbol, term(symbol).limit)
-        shift = abs(float(effect[0])) * limit
-        if shift > u and options.model == "exact":
-            warnings.append(
-                f"{symbol} is neither estimated nor known beforehand; at its largest credible "
-                f"size, {limit:.3g} {term(symbol).unit}, it would move K_II by {shift:.2g} g/g^2, "
-                f"more than its uncertainty. Give it a prior, or use --method joint."
-            )
-    warnings += [
-        f"The columns of {a} and {b} are nearly collinear at these rates (correlation {r:.4f})."
-        for a, b, r in second.near_collinear
-    ]
-    warnings += _misfit_warning(runs, second)
-    lost = sum(run.parabola.strobes.lost for run in runs)
-    if lost:
-        warnings.append(f"{lost} strobes fell into gaps of the record and were left out.")
-    return [f"{accelerometer.name}: {warning}" for warning in warnings]
-
-
-def _misfit_warning(runs: Sequence[StrobedRun], second: SecondStage) -> list[str]:
-    from scipy.special import chdtrc
-
-    free = len(second.symbols) - int(np.sum(np.isfinite(second.solution.prior_sd)))
-    dof = len(runs) - free
-    if dof < 1 or second.solution.chi2 <= 0.0:
-        return []
-    probability = float(chdtrc(dof, second.solution.chi2))
-    if probability > _SUSPICIOUS:
-        return []
-    worst = runs[int(np.argmax(np.abs(second.misfit)))].name
-    return [
-        f"The runs do not agree with the model (chi-square {second.solution.chi2:.1f} with {dof} "
-        f"degrees of freedom, p = {probability:.1g}; {worst} is farthest off): a term is missing, "
-        "a prior is wrong, or the noise is larger than stated."
-    ]

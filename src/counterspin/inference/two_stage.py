@@ -18,7 +18,7 @@ Two observation models:
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -26,6 +26,7 @@ import numpy as np
 
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference import least_squares
+from counterspin.inference.blocks import reduce_block
 from counterspin.inference.first_stage import Parabola
 from counterspin.physics import as_printed, observation
 from counterspin.physics.accelerometer import Array, Mounting, term
@@ -39,6 +40,12 @@ _SAME_RATE: Final = 1e-3
 
 #: Largest credible sizes of the second unknowns: 1 % a second, 1 % of a usual rate.
 _SPINDLE_LIMIT: Final = 1e-2
+
+#: Terms whose effects agree this well over the runs are one.
+_ALIKE: Final = 1.0 - 1e-6
+
+#: An effect below this many sigma(b2), at the term's largest credible size, is nothing to name.
+_VISIBLE: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -71,25 +78,34 @@ class SecondStage:
     ----------
     symbols
         The unknowns: K_II first, then K_F (exact) and the spindle's second unknown, if any.
+    design
+        d(b2)/d(unknown), m/s^2 per unit, shape (runs, p).
+    gain
+        d(estimate)/d(b2), shape (p, runs).
+    sigma
+        sigma(b2) of each run, m/s^2, shape (runs,).
     solution
         Values, covariance by source and sensitivities in the order of `symbols`.
     considered
         The terms that were considered, in the order of the solution's considered columns.
     dof
-        Effective degrees of freedom of each unknown (Welch-Satterthwaite over the runs), shape
-        (p,); infinite where sigma is given.
+        Effective degrees of freedom of each unknown's noise part (Welch-Satterthwaite over the
+        runs), shape (p,); infinite where sigma is given.
     near_collinear
         Pairs of columns whose correlation in the data is beyond 0.95, with it.
     misfit
         Each run's b2 less the model's, in units of its standard uncertainty, shape (runs,).
     ignored
-        Term -> d(estimate)/d(coefficient), shape (p,): what one unit of a term that is neither
-        estimated nor considered would move each unknown by. Ripple makes a parabola of K_III.
+        Term -> d(b2)/d(coefficient), shape (runs,), of terms that are neither estimated nor
+        considered. Ripple makes a parabola of K_III, for example.
     weighted
         Whether the runs were weighted by 1/sigma(b2)^2.
     """
 
     symbols: tuple[str, ...]
+    design: Array
+    gain: Array
+    sigma: Array
     solution: least_squares.Solution
     considered: tuple[str, ...]
     dof: Array
@@ -103,6 +119,44 @@ class SecondStage:
         index = self.symbols.index(symbol)
         return float(self.solution.estimate[index]), float(self.solution.u[index])
 
+    def shift(self, symbol: str) -> Array:
+        """Return what one unit of an ignored term moves each unknown by, shape (p,).
+
+        Of a term that every run has anew, the runs' effects are combined as independent ones.
+        """
+        shifts = self.gain * self.ignored[symbol]
+        if term(symbol).per_run:
+            together: Array = np.linalg.norm(shifts, axis=1)
+            return together
+        return np.asarray(shifts.sum(axis=1))
+
+    def alike(self, symbol: str) -> dict[str, float]:
+        """Return the ignored terms that act on every run exactly as an unknown does.
+
+        The estimate of the unknown is then one of the sum of all of them.
+
+        Parameters
+        ----------
+        symbol
+            The unknown.
+
+        Returns
+        -------
+        dict
+            Term -> how much of the unknown one unit of it is like. Terms that cannot be seen at
+            their largest credible size are left out.
+        """
+        column = self.design[:, self.symbols.index(symbol)] / self.sigma
+        found = {}
+        for other, effect in self.ignored.items():
+            whitened = effect / self.sigma
+            size = float(np.linalg.norm(whitened))
+            along = float(column @ whitened)
+            seen = size * term(other).limit > _VISIBLE
+            if seen and abs(along) > _ALIKE * size * float(np.linalg.norm(column)):
+                found[other] = along / float(column @ column)
+        return found
+
 
 def second_stage(
     runs: Sequence[StrobedRun],
@@ -111,6 +165,7 @@ def second_stage(
     model: str = "exact",
     scale_factor: tuple[float, float] = (1.0, 0.0),
     bias: tuple[float, float] = (0.0, math.inf),
+    second_order: tuple[float, float] = (0.0, math.inf),
     fit_bias: bool = True,
     nominal_angle: bool = False,
     ripple: as_printed.RippleModel = "amplitude",
@@ -128,9 +183,9 @@ def second_stage(
         The accelerometer's axes in the level attitude.
     model
         ``exact`` or ``as-printed``.
-    scale_factor, bias
-        (value, standard uncertainty) of K_I in g/g and of K_F in g, known beforehand; an
-        infinite uncertainty means not known.
+    scale_factor, bias, second_order
+        (value, standard uncertainty) of K_I in g/g, K_F in g and K_II in g/g^2, known
+        beforehand; an infinite uncertainty means not known.
     fit_bias
         Whether K_F is estimated, with its prior (exact model only: the paper takes it as known).
     nominal_angle
@@ -143,7 +198,8 @@ def second_stage(
         Further terms (value, standard uncertainty): taken at their value, with their uncertainty
         carried into the result.
     ignored
-        Terms of which only the effect is wanted that they would have.
+        Terms of which only the effect is wanted that they would have; those that turn out to be
+        unknowns are passed over.
     weighted
         Weight the runs by sigma(b2), or not, as the paper does. Priors then count like runs of
         the mean sigma(b2).
@@ -155,11 +211,12 @@ def second_stage(
     Raises
     ------
     NotIdentifiableError
-        If there are fewer different rates than unknowns.
+        If there are fewer different rates than unknowns; both senses of one rate count once
+        where no unknown changes its sign with the sense.
     """
     exact = model == "exact"
     known = dict(considered or {})
-    unknowns: dict[str, tuple[float, float]] = {"K_II": (0.0, math.inf)}
+    unknowns: dict[str, tuple[float, float]] = {"K_II": second_order}
     if exact and fit_bias and bias[1] > 0.0:
         unknowns["K_F"] = bias
     else:
@@ -171,13 +228,15 @@ def second_stage(
     if spindle is not None:
         unknowns[spindle] = (0.0, math.inf)
     symbols = tuple(unknowns)
-    _check_rates(runs, unknowns)
+    _check_rates(runs, unknowns, odd={DRIFT, RIPPLE} if ripple == "amplitude" else {DRIFT})
 
     observed = _ObservationModel(runs, mounting, exact, scale_factor[0], ripple)
-    design = np.column_stack([observed.effect(symbol) for symbol in symbols])
+    ignored = [symbol for symbol in ignored if symbol not in symbols]
+    shown = observed.effects(list(dict.fromkeys([*symbols, *known, *ignored])))
+    design = np.column_stack([shown[symbol] for symbol in symbols])
     names, effects, means, spreads = [], [], [], []
     for symbol, (value, sd) in known.items():
-        effect = observed.effect(symbol)
+        effect = shown[symbol]
         # A term that every run has anew is as many independent sources as there are runs.
         each = np.diag(effect) if term(symbol).per_run else effect[:, None]
         effects.append(each)
@@ -191,7 +250,7 @@ def second_stage(
     sigma = np.where(sigma > 0.0, sigma, np.finfo(float).tiny ** 0.25)
     whitening = sigma if weighted else np.full_like(sigma, math.sqrt(np.mean(sigma**2)))
 
-    block = least_squares.reduce_block(
+    block = reduce_block(
         design / whitening[:, None], b2 / whitening, None, fixed / whitening[:, None]
     )
     solution = least_squares.solve(
@@ -210,12 +269,15 @@ def second_stage(
     predicted = design @ solution.estimate + fixed @ np.array(means)
     return SecondStage(
         symbols=symbols,
+        design=design,
+        gain=gain,
+        sigma=sigma,
         solution=solution,
         considered=tuple(names),
         dof=_effective_dof(gain, sigma, [run.parabola for run in runs]),
         near_collinear=_near_collinear(symbols, design / whitening[:, None]),
         misfit=(b2 - predicted) / sigma,
-        ignored={symbol: gain @ observed.effect(symbol) for symbol in ignored},
+        ignored={symbol: shown[symbol] for symbol in ignored},
         weighted=weighted,
     )
 
@@ -224,19 +286,33 @@ def _limit(symbol: str) -> float:
     return _SPINDLE_LIMIT if symbol.startswith("spindle.") else term(symbol).limit
 
 
-def _check_rates(runs: Sequence[StrobedRun], unknowns: Mapping[str, tuple[float, float]]) -> None:
+def _check_rates(
+    runs: Sequence[StrobedRun],
+    unknowns: Mapping[str, tuple[float, float]],
+    odd: Collection[str],
+) -> None:
+    """Refuse what cannot be solved; `odd` are the unknowns that change sign with the sense."""
     free = [symbol for symbol, (_, sd) in unknowns.items() if math.isinf(sd)]
-    rates: list[float] = []
-    for run in runs:
-        rate = run.trajectory.spindle.rate
-        if all(abs(rate - other) > _SAME_RATE * abs(other) for other in rates):
-            rates.append(rate)
-    if len(rates) < len(free):
-        raise NotIdentifiableError(
-            f"{len(free)} unknowns without a prior ({', '.join(free)}) need at least {len(free)} "
-            f"different rates; the campaign has {len(rates)}: add runs at other rates, or give "
-            "priors"
-        )
+    even = [symbol for symbol in free if symbol not in odd]
+    rates = [run.trajectory.spindle.rate for run in runs]
+    for needed, found, words in (
+        (even, _different([abs(rate) for rate in rates]), "rates, whatever their sense"),
+        (free, _different(rates), "rates"),
+    ):
+        if found < len(needed):
+            raise NotIdentifiableError(
+                f"{len(needed)} unknowns without a prior ({', '.join(needed)}) need at least "
+                f"{len(needed)} different {words}; the campaign has {found}: add runs at other "
+                "rates, or give priors"
+            )
+
+
+def _different(rates: Sequence[float]) -> int:
+    kept: list[float] = []
+    for rate in rates:
+        if all(abs(rate - other) > _SAME_RATE * abs(other) for other in kept):
+            kept.append(rate)
+    return len(kept)
 
 
 @dataclass(frozen=True)
@@ -249,27 +325,30 @@ class _ObservationModel:
     scale_factor: float
     ripple: as_printed.RippleModel
 
-    def effect(self, symbol: str) -> Array:
-        """Return d(b2)/d(coefficient), m/s^2 per unit, shape (runs,)."""
-        return self._exact(symbol) if self.exact else self._printed(symbol)
-
-    def _exact(self, symbol: str) -> Array:
-        if symbol == DRIFT:
+    def effects(self, symbols: Sequence[str]) -> dict[str, Array]:
+        """Return d(b2)/d(coefficient), m/s^2 per unit, shape (runs,), of every symbol."""
+        if not self.exact:
+            return {symbol: self._printed(symbol) for symbol in symbols}
+        terms = [symbol for symbol in symbols if symbol != DRIFT]
+        shown = np.array([self._exact(run, terms) for run in self.runs])
+        found = dict(zip(terms, shown.T, strict=True))
+        if DRIFT in symbols:
             rates = np.array([run.trajectory.spindle.rate for run in self.runs])
             radii = np.array([run.trajectory.radius for run in self.runs])
-            shown: Array = -0.5 * self.scale_factor * radii * rates
-            return shown
-        effect = np.empty(len(self.runs))
-        for index, run in enumerate(self.runs):
-            column = observation.columns(
-                run.trajectory,
-                self.mounting,
-                [symbol],
-                run.parabola.strobes.time,
-                attitude=run.attitude,
-                scale_factor=self.scale_factor,
-            )[:, 0]
-            effect[index] = run.parabola.gain[2] @ column
+            found[DRIFT] = -0.5 * self.scale_factor * radii * rates
+        return found
+
+    def _exact(self, run: StrobedRun, terms: Sequence[str]) -> Array:
+        """Return the first stage of each term's own column, shape (terms,)."""
+        columns = observation.columns(
+            run.trajectory,
+            self.mounting,
+            terms,
+            run.parabola.strobes.time,
+            attitude=run.attitude,
+            scale_factor=self.scale_factor,
+        )
+        effect: Array = run.parabola.gain[2] @ columns
         return effect
 
     def _printed(self, symbol: str) -> Array:
@@ -288,10 +367,13 @@ class _ObservationModel:
 def _gain(design: Array, unknowns: Mapping[str, tuple[float, float]]) -> Array:
     """Return d(estimate)/d(whitened b2), shape (p, runs), priors included."""
     sd = np.array([sd for _, sd in unknowns.values()])
-    scale = np.linalg.norm(design, axis=0)
-    with_priors = np.vstack([design, np.diag(1.0 / np.maximum(sd, 1e-300))])
-    inverse: Array = np.linalg.pinv(with_priors / scale) / scale[:, None]
-    return inverse[:, : design.shape[0]]
+    free = sd > 0.0  # what is known exactly does not move
+    scale = np.linalg.norm(design[:, free], axis=0)
+    with_priors = np.vstack([design[:, free], np.diag(1.0 / sd[free])])
+    gain = np.zeros(design.T.shape)
+    inverse = np.linalg.pinv(with_priors / scale) / scale[:, None]
+    gain[free] = inverse[:, : design.shape[0]]
+    return gain
 
 
 def _effective_dof(gain: Array, sigma: Array, parabolas: Sequence[Parabola]) -> Array:

@@ -111,7 +111,7 @@ def columns(
     axes = mounting.turned(attitude)
     panels = _Panels(trajectory, times)
     result = np.empty((times.size, len(rows)))
-    by_quadrature: list[tuple[int, Callable[[Array], Array]]] = []
+    by_quadrature: list[tuple[int, Callable[[Array, Array], Array]]] = []
     kinked = False
     for index, row in enumerate(rows):
         linear = _linear_in_force(row, axes)
@@ -126,7 +126,12 @@ def columns(
     if by_quadrature:
         functions = [function for _, function in by_quadrature]
         kink = (lambda t: trajectory.specific_force(t) @ axes.input_axis) if kinked else None
-        values = panels.integrate(lambda t: np.stack([f(t) for f in functions]), order, kink)
+
+        def integrands(t: Array) -> Array:
+            force = trajectory.specific_force(t)
+            return np.stack([function(t, force) for function in functions])
+
+        values = panels.integrate(integrands, order, kink)
         result[:, [index for index, _ in by_quadrature]] = values
     return result
 
@@ -230,20 +235,17 @@ def _integrand(
     axes: Mounting,
     attitude: Array,
     scale_factor: float,
-) -> Callable[[Array], Array]:
-    """Return the function of time, in m/s^2 per unit coefficient, that the term integrates."""
+) -> Callable[[Array, Array], Array]:
+    """Return what the term integrates, m/s^2 per unit, of time (n,) and specific force (n, 3)."""
     g = trajectory.site.gravity
     if isinstance(row, Term):
-        return lambda t: g * row.evaluate(axes.matrix @ trajectory.specific_force(t).T / g)
+        return lambda _, force: g * row.evaluate(axes.matrix @ force.T / g)
     # The gyros turn with the platform: their axes are rows of the attitude.
     arm = scale_factor * np.cross(attitude[row.axis], axes.input_axis)
     if row.force_axis is None:
-        return lambda t: t * (trajectory.specific_force(t) @ arm)
+        return lambda t, force: t * (force @ arm)
     force_axis = attitude[row.force_axis] / g
-    return lambda t: (
-        (trajectory.velocity_of_specific_force(t) @ force_axis)
-        * (trajectory.specific_force(t) @ arm)
-    )
+    return lambda t, force: (trajectory.velocity_of_specific_force(t) @ force_axis) * (force @ arm)
 
 
 def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravity: float) -> float:
