@@ -60,11 +60,13 @@ def _uncertain(unit: str) -> PlainValidator:
     return PlainValidator(lambda text, info: parse(text, unit, gravity=_gravity(info)))
 
 
-def _exact(unit: str) -> PlainValidator:
+def read_exactly(unit: str) -> PlainValidator:
+    """Return the validator of a quantity without uncertainty."""
     return PlainValidator(lambda text, info: exact(text, unit, gravity=_gravity(info)))
 
 
-def _positive(value: Any) -> Any:
+def positive(value: Any) -> Any:
+    """Return a number or quantity that is greater than zero."""
     if (value.value if isinstance(value, Quantity) else value) <= 0.0:
         raise ValueError("must be greater than zero")
     return value
@@ -136,8 +138,8 @@ def _date(value: object) -> str:
 Text = Annotated[str, Field(min_length=1)]
 Direction = Annotated[tuple[float, float, float], PlainValidator(read_direction)]
 Ratio = Annotated[float, PlainValidator(_ratio)]
-PositiveRatio = Annotated[Ratio, AfterValidator(_positive)]
-Seconds = Annotated[float, _exact("s"), AfterValidator(_positive)]
+PositiveRatio = Annotated[Ratio, AfterValidator(positive)]
+Seconds = Annotated[float, read_exactly("s"), AfterValidator(positive)]
 
 
 class Section(BaseModel):
@@ -176,14 +178,14 @@ class CampaignSettings(Section):
 class SiteSettings(Section):
     """[site]: where the centrifuge stands."""
 
-    gravity: Annotated[Quantity, _uncertain("m/s^2"), AfterValidator(_positive)]
+    gravity: Annotated[Quantity, _uncertain("m/s^2"), AfterValidator(positive)]
     latitude: Annotated[Quantity, _uncertain("rad"), AfterValidator(_latitude)]
 
 
 class CentrifugeSettings(Section):
     """[centrifuge]: its size."""
 
-    radius: Annotated[Quantity, _uncertain("m"), AfterValidator(_positive)]
+    radius: Annotated[Quantity, _uncertain("m"), AfterValidator(positive)]
 
 
 class _Channel(Section):
@@ -285,25 +287,25 @@ class ModelSettings(Section):
 class RippleSettings(Section):
     """One entry of ``ripple``: a fluctuation of the rate, by ratio w_n/w0 or by amplitude."""
 
-    harmonic: Annotated[int, AfterValidator(_positive)] = 1
+    harmonic: Annotated[int, AfterValidator(positive)] = 1
     ratio: Ratio | None = None
-    amplitude: Annotated[float, _exact("rad/s")] | None = None
-    phase: Annotated[float, _exact("rad")] = 0.0
+    amplitude: Annotated[float, read_exactly("rad/s")] | None = None
+    phase: Annotated[float, read_exactly("rad")] = 0.0
 
 
 class SpindleTruthSettings(Section):
     """[truth.spindle]: how the spindle really turns."""
 
-    drift: Annotated[float, _exact("1/s")] | None = None
+    drift: Annotated[float, read_exactly("1/s")] | None = None
     ripple: list[RippleSettings] | None = None
-    start_angle: Annotated[float, _exact("rad")] | None = None
+    start_angle: Annotated[float, read_exactly("rad")] | None = None
     rate_error: Annotated[Ratio, AfterValidator(_rate_error)] | None = None
 
 
 def _platform_kind(kind: str) -> type[Section]:
     rows = [row for row in PLATFORM_TERMS.values() if row.kind == kind]
     units = {row.symbol.rpartition(".")[2]: row.unit for row in rows}
-    return create_model(f"True_{kind}", __base__=Section, **_keys(units, _exact))
+    return create_model(f"True_{kind}", __base__=Section, **_keys(units, read_exactly))
 
 
 _KINDS: Final = {
@@ -328,20 +330,22 @@ RunTruthSettings = create_model(
 
 
 class _AccelerometerTruthKeys(Section):
-    start_offset: Annotated[float, _exact("m")] = 0.0
-    start_velocity: Annotated[float, _exact("m/s")] = 0.0
+    start_offset: Annotated[float, read_exactly("m")] = 0.0
+    start_velocity: Annotated[float, read_exactly("m/s")] = 0.0
 
 
 #: [truth.NAME]: the true coefficients of one accelerometer.
 AccelerometerTruthSettings = create_model(
-    "AccelerometerTruthSettings", __base__=_AccelerometerTruthKeys, **_keys(_TERM_UNITS, _exact)
+    "AccelerometerTruthSettings",
+    __base__=_AccelerometerTruthKeys,
+    **_keys(_TERM_UNITS, read_exactly),
 )
 
 
 class SimulationSettings(Section):
     """[simulation]: how `counterspin simulate` samples."""
 
-    sampling_rate: Annotated[float, _exact("Hz"), AfterValidator(_positive)] = 50.0
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = 50.0
     seed: Annotated[int, Field(ge=0)] = 1
     revolutions: PositiveRatio = 100.0
 
@@ -350,7 +354,7 @@ class RunSettings(Section):
     """[[runs]]: one run."""
 
     name: Text
-    rate: Annotated[float, _exact("rad/s"), AfterValidator(_rate)]
+    rate: Annotated[float, read_exactly("rad/s"), AfterValidator(_rate)]
     record: Annotated[Text, AfterValidator(_record)]
     attitude: Annotated[Any, PlainValidator(attitude_rows)] = Field(
         default_factory=lambda: attitude_rows("level")

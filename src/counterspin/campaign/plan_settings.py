@@ -1,0 +1,82 @@
+"""What may stand in ``PLAN.toml`` beside the sections that it shares with ``campaign.toml``.
+
+A plan has no [[runs]], which it makes, and may go without [records]; it has [limits] and [goal].
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import AfterValidator, Field, PlainValidator
+
+from counterspin.campaign.attitude import attitude_rows
+from counterspin.campaign.settings import (
+    PositiveRatio,
+    Seconds,
+    Section,
+    Text,
+    positive,
+    read_exactly,
+)
+
+
+def _not_negative(value: float) -> float:
+    if value < 0.0:
+        raise ValueError("must not be negative")
+    return value
+
+
+Rate = Annotated[float, read_exactly("rad/s"), AfterValidator(positive)]
+SpinUp = Annotated[float, read_exactly("rad/s^2"), AfterValidator(positive)]
+Duration = Annotated[float, read_exactly("s"), AfterValidator(_not_negative)]
+
+
+def _attitude(value: object) -> object:
+    attitude_rows(value)
+    return value
+
+
+class PlanDocument(Section):
+    """The sections that there may be; each is checked by its own model afterwards."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    campaign: dict[str, Any] = Field(default_factory=dict)
+    site: dict[str, Any]
+    centrifuge: dict[str, Any]
+    records: dict[str, Any] | None = None
+    accelerometers: dict[str, Any] = Field(min_length=1)
+    noise: dict[str, Any]
+    model: dict[str, Any] | None = None
+    truth: dict[str, Any] | None = None
+    limits: dict[str, Any]
+    goal: dict[str, Any]
+
+
+class LimitsSettings(Section):
+    """[limits]: what the machine and the laboratory allow."""
+
+    total_time: Seconds
+    highest_rate: Rate | None = None
+    lowest_rate: Rate | None = None
+    rates: Annotated[list[Rate], Field(min_length=1)] | None = None
+    specific_force: Annotated[float, read_exactly("g"), AfterValidator(positive)] | None = None
+    senses: Literal["one", "both"] = "one"
+    settling: Duration = 0.0
+    spin_up: SpinUp | None = None
+    spin_down: SpinUp | None = None
+    fewest_revolutions: PositiveRatio = 5.0
+    longest_run: Seconds | None = None
+    runs: Annotated[int, AfterValidator(positive)] = 8
+    attitudes: list[Annotated[Any, PlainValidator(_attitude)]] = Field(
+        default_factory=lambda: ["level"], min_length=1
+    )
+    attitude_change: Duration = 0.0
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = 50.0
+
+
+class GoalSettings(Section):
+    """[goal]: what the plan is for; names and sizes are settled in `plan_description`."""
+
+    minimise: list[Text] | dict[str, Any] | None = None
+    target: dict[str, Any] | None = None
+    criterion: Literal["sum", "determinant"] = "sum"
