@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from counterspin.reproduce import reproduce, simulate_strobes
-from counterspin.reproduce.plan import (
+from counterspin.reproduction import reproduce, simulate_strobes
+from counterspin.reproduction.plan import (
     DRIFT_RATE,
     GRAVITY,
     RADIUS,

@@ -13,6 +13,7 @@ The commands, as functions:
 - `calibrate`: from a campaign's folder to a `Result`; `TwoStageOptions` for the paper's method
 - `apply`: indicated specific force corrected for a `Result` (`Correction`); `apply_file`: of a file
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
+- `reproduce`: the paper's figures beside what they should be (`Reproduction`)
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
 - `read_campaign`: a description, checked (`Campaign`)
 
@@ -104,6 +105,8 @@ if TYPE_CHECKING:
     from counterspin.physics.spindle import Spindle as Spindle
     from counterspin.physics.spindle import fit_spindle as fit_spindle
     from counterspin.report.text import print_result as print_result
+    from counterspin.reproduction import Reproduction as Reproduction
+    from counterspin.reproduction import reproduce as reproduce
 
 #: Module -> what it offers here. The same again, for those who run the code and do not check it;
 #: a test holds the two together.
@@ -142,6 +145,7 @@ _OFFERED = {
     "physics.observation": ("columns", "reference"),
     "physics.spindle": ("Ripple", "Spindle", "fit_spindle"),
     "report.text": ("print_result",),
+    "reproduction": ("Reproduction", "reproduce"),
 }
 
 #: Names that are too short to stand without their module.

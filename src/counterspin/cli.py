@@ -195,7 +195,7 @@ def reproduce(*, json: JsonFile = None) -> None:
     from counterspin.campaign.output import write_text
     from counterspin.report.reproduction import render_reproduction
     from counterspin.report.text import report_console
-    from counterspin.reproduce import reproduce as run
+    from counterspin.reproduction import reproduce as run
 
     reproduction = run()
     if json is not None:

@@ -9,7 +9,7 @@ from counterspin import cli
 from counterspin.commands.demo import demo
 from counterspin.errors import CounterspinError
 from counterspin.report.demonstration import demonstration_figure, strobe_panels
-from counterspin.reproduce import plan
+from counterspin.reproduction import plan
 
 
 @pytest.fixture(scope="module")

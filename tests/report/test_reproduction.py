@@ -6,7 +6,7 @@ import pytest
 from rich.console import Console
 
 from counterspin.report.reproduction import render_reproduction
-from counterspin.reproduce import Reproduction, Row, Section, reproduce
+from counterspin.reproduction import Reproduction, Row, Section, reproduce
 
 
 def rendered(reproduction, width):

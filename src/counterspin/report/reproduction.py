@@ -9,7 +9,7 @@ import textwrap
 
 from counterspin.report.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.report.text import Report
-from counterspin.reproduce import Reproduction, Row, Section
+from counterspin.reproduction import Reproduction, Row, Section
 
 #: Characters of the first column; left to itself it would give most of its room to the reasons.
 _QUANTITY_WIDTH = 30

@@ -14,7 +14,7 @@ from counterspin.physics import as_printed
 from counterspin.physics.accelerometer import Array
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.reproduce.plan import (
+from counterspin.reproduction.plan import (
     DRIFT_RATE,
     GRAVITY,
     RADIUS,
@@ -26,7 +26,7 @@ from counterspin.reproduce.plan import (
     first_stage_of,
     simulate_strobes,
 )
-from counterspin.reproduce.result import Row
+from counterspin.reproduction.result import Row
 
 RATE: Final = RATES[-1]
 RIPPLE: Final = RIPPLE_RATIO * RATE  #: w_p, rad/s

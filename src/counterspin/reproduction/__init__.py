@@ -12,9 +12,9 @@ they owe nothing to either of the two observation models that they judge.
 
 from __future__ import annotations
 
-from counterspin.reproduce import equations, stages
-from counterspin.reproduce.plan import simulate_strobes, stated_inputs
-from counterspin.reproduce.result import Reproduction, Row, Section
+from counterspin.reproduction import equations, stages
+from counterspin.reproduction.plan import simulate_strobes, stated_inputs
+from counterspin.reproduction.result import Reproduction, Row, Section
 
 __all__ = ["Reproduction", "Row", "Section", "reproduce", "simulate_strobes"]
 

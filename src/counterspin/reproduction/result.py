@@ -1,4 +1,4 @@
-"""What `counterspin.reproduce` returns: rows of printed figure, our figure and the reason.
+"""What `counterspin.reproduction` returns: rows of printed figure, our figure and the reason.
 
 - `Row`, `Section`, `Reproduction`
 """

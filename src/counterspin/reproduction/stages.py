@@ -20,7 +20,7 @@ from counterspin.physics import as_printed
 from counterspin.physics.accelerometer import QX, Array
 from counterspin.physics.motion import Site
 from counterspin.physics.observation import parabola
-from counterspin.reproduce.plan import (
+from counterspin.reproduction.plan import (
     DRIFT_RATE,
     GRAVITY,
     PRINTED_SIGMA_B2,
@@ -33,7 +33,7 @@ from counterspin.reproduce.plan import (
     TABLE_1,
     simulate_runs,
 )
-from counterspin.reproduce.result import Row
+from counterspin.reproduction.result import Row
 
 KNOWN_SCALE_FACTOR: Final = (TABLE_1["K_I"], 0.0)  #: value, standard uncertainty
 KNOWN_BIAS: Final = (TABLE_1["K_F"], 0.0)
