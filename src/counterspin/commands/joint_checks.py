@@ -68,9 +68,13 @@ def jackknife(found: Estimate, name: str) -> list[Jackknife]:
             lines.append(Jackknife(run=run, value=None, shift=None, z=None))
             continue
         shift = float(without.estimate[index] - whole.estimate[index])
-        # The whole is the better estimate of the two, so that variances subtract (Hausman).
+        # The whole is the better estimate of the two, so that variances subtract (Hausman). What
+        # is considered moves both, and the shift by the difference.
         parts = [s.covariance_noise + s.covariance_prior for s in (without, whole)]
         spread = float(parts[0][index, index] - parts[1][index, index])
+        sensitivities = [s.sensitivity_considered[index] for s in (without, whole)]
+        moved = (sensitivities[0] - sensitivities[1]) * whole.considered_sd
+        spread = max(spread, 0.0) + float(moved @ moved)
         lines.append(
             Jackknife(
                 run=run,
@@ -86,7 +90,7 @@ def driving_runs(found: Estimate, name: str) -> list[str]:
     """Return a warning for each run without which K_II is another."""
     return [
         f"{name}: without {line.run} K_II moves by {line.shift:.2g} g/g^2, {abs(line.z):.1f} times "
-        "what noise explains: this run disagrees with the others."
+        "what its uncertainty explains: this run disagrees with the others."
         for line in jackknife(found, name)
         if line.z is not None and line.shift is not None and abs(line.z) > _DRIVES
     ]

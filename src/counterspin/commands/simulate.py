@@ -18,7 +18,7 @@ import polars as pl
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.output import write_whole
-from counterspin.campaign.resolved import Accelerometer, Campaign, Noise, Run
+from counterspin.campaign.resolved import Accelerometer, Campaign, Noise, Run, Truth
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.physics import observation, simulation
 from counterspin.physics.accelerometer import Array
@@ -36,7 +36,8 @@ def simulate(
 ) -> tuple[Path, ...]:
     """Write the records of every run, and the campaign's description beside them.
 
-    Each run draws from a random stream of its own, so that adding a run changes no other.
+    Each run draws from a random stream that its name and the seed determine, so that adding or
+    moving a run changes no other.
 
     Parameters
     ----------
@@ -67,31 +68,48 @@ def simulate(
             str(campaign.path),
             ["truth: missing; `simulate` needs [truth.NAME] tables with the true coefficients"],
         )
-    targets = [folder / run.record.name for run in campaign.runs]
-    unwritable = [target.name for target in targets if target.suffix.lower() not in WRITERS]
-    if unwritable:
-        raise CampaignError(
-            str(campaign.path),
-            [f"runs: {name} cannot be simulated; write .csv or .parquet" for name in unwritable],
-        )
-    in_the_way = [target for target in targets if target.exists() and not overwrite]
-    if in_the_way:
+    targets = _targets(campaign, folder)
+    description = folder / "campaign.toml"
+    own = description.exists() and description.samefile(campaign.path)
+    in_the_way = [path for path in (*targets, *([] if own else [description])) if path.exists()]
+    if in_the_way and not overwrite:
         raise CounterspinError(
             f"{in_the_way[0]} exists; simulate into another folder, or give --overwrite"
         )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CounterspinError(f"{folder}: cannot be made ({error.strerror})") from error
+    for place in (folder, *(target.parent for target in targets)):
+        try:
+            place.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise CounterspinError(f"{place}: cannot be made ({error.strerror})") from error
 
-    streams = np.random.SeedSequence(campaign.simulation.seed).spawn(len(campaign.runs))
-    for run, stream, target in zip(campaign.runs, streams, targets, strict=True):
+    for run, target in zip(campaign.runs, targets, strict=True):
+        stream = np.random.SeedSequence(campaign.simulation.seed, spawn_key=run.name.encode())
         frame = pl.DataFrame(simulate_run(campaign, run, np.random.default_rng(stream)))
         write = WRITERS[target.suffix.lower()]
         write_whole(target, partial(write, frame))
-    description = folder / "campaign.toml"
-    if not (description.exists() and description.samefile(campaign.path)):
+    if not own:
         write_whole(description, partial(shutil.copyfile, campaign.path))
+    return targets
+
+
+def _targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:
+    """Return where each record goes: the place that it has in the campaign's own folder."""
+    targets, problems = [], []
+    for index, run in enumerate(campaign.runs):
+        if run.record.suffix.lower() not in WRITERS:
+            problems.append(
+                f"runs[{index}].record: {run.record.name} cannot be simulated; "
+                "write .csv or .parquet"
+            )
+        elif ".." in run.record.parts or not run.record.is_relative_to(campaign.folder):
+            problems.append(
+                f"runs[{index}].record: {run.record} is not inside the campaign's folder, so that "
+                "a simulation has no place for it; name a file beside the description"
+            )
+        else:
+            targets.append(folder / run.record.relative_to(campaign.folder))
+    if problems:
+        raise CampaignError(str(campaign.path), problems)
     return tuple(targets)
 
 
@@ -142,11 +160,18 @@ def simulate_run(
             accelerometer.observable,
             attitude=run.attitude,
         )
-        signal = signal + truth.start_offset.get(name, 0.0)
-        signal = signal + truth.start_velocity.get(name, 0.0) * times
+        signal = signal + _start_error(truth, name, times, accelerometer.observable)
         signal = _measured(generator, times, signal, accelerometer, noise)
         columns[accelerometer.channel.column] = signal / accelerometer.channel.factor
     return columns
+
+
+def _start_error(truth: Truth, name: str, times: Array, observable: str) -> Array | float:
+    """Return what the system's error at the start leaves in its output: nothing in a force."""
+    offset, velocity = truth.start_offset.get(name, 0.0), truth.start_velocity.get(name, 0.0)
+    if observable == "displacement":
+        return offset + velocity * times
+    return velocity if observable == "velocity" else 0.0
 
 
 def _noisy(generator: np.random.Generator, values: Array, sigma: float | str) -> Array:
