@@ -13,7 +13,7 @@ READY := $(VENV)/.ready
 BENCH := $(VENV)/.bench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format bench lock clean
+.PHONY: help setup demo test lint format bench pictures lock clean
 
 help: ## Show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -38,6 +38,11 @@ format: $(READY) ## Format the code and mend what the linter can
 
 bench: $(READY) $(BENCH) ## Time the main jobs against their targets
 	@for script in benchmarks/*.py; do $(BIN)/python "$$script" || exit; done
+
+pictures: $(READY) ## Draw the pictures of the documentation again
+	$(BIN)/counterspin demo --output build/pictures
+	mkdir -p docs/images
+	cp build/pictures/displacement.svg docs/images/displacement.svg
 
 lock: ## Renew the pins: make lock UPGRADE=--upgrade
 	@$(require-python)

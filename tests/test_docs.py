@@ -1,0 +1,209 @@
+"""The pages do what they say: commands run, Python runs, campaigns are read, numbers agree.
+
+Each page is read from the top in an empty folder with records of the paper's plan in
+``my-campaign/``. Fenced blocks are taken by their language:
+
+- ``toml``: checked as a campaign; a fragment is checked in the place of the same keys of the
+  starter. ``<!-- file: PATH -->`` above it writes it there.
+- ``csv``: written to the file named above it.
+- ``bash``, ``sh``: lines that begin with ``counterspin`` are run and must succeed.
+- ``console``: the same after ``$ ``, and what follows must be what is printed; a line ``...``
+  stands for any lines.
+- ``python``: executed, one namespace a page.
+"""
+
+import re
+import shlex
+import shutil
+import tomllib
+from importlib.resources import files
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+import counterspin as cs
+from counterspin import cli
+
+ROOT = Path(__file__).parents[1]
+README = ROOT / "README.md"
+DOCS = sorted((ROOT / "docs").rglob("*.md"))
+BLOCK = re.compile(
+    r"(?:^<!-- file: (?P<file>\S+) -->\n)?^```(?P<language>\w+)\n(?P<text>.*?)^```$",
+    re.MULTILINE | re.DOTALL,
+)
+NUMBER = re.compile(r"(?<![\w.])-?\d+(?:\.\d+)?(?:e-?\d+)?")
+
+every_page = pytest.mark.parametrize(
+    "page", [README, *DOCS], ids=lambda path: path.relative_to(ROOT).as_posix()
+)
+
+
+@pytest.fixture(scope="session")
+def records(tmp_path_factory):
+    """Return a folder with records that a reader could have made: the paper's plan."""
+    return Path(cs.demo(tmp_path_factory.mktemp("records")).campaign.folder)
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch, records):
+    """Work in an empty folder, at a terminal of 80 columns, beside the records."""
+    (tmp_path / "my-campaign").mkdir()
+    for record in records.glob("*.csv"):
+        shutil.copy(record, tmp_path / "my-campaign")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    return tmp_path
+
+
+def blocks(page):
+    return list(BLOCK.finditer(page.read_text(encoding="utf-8")))
+
+
+def run(command, capsys):
+    """Run one command line of counterspin and return what it prints."""
+    words = shlex.split(command, comments=True)
+    assert words[0] == "counterspin"
+    capsys.readouterr()
+    status = cli.main(words[1:])
+    printed = capsys.readouterr()
+    assert status == 0, printed.err
+    return printed.out
+
+
+def assert_same_output(shown, printed):
+    """Compare what a page shows with what is printed: the words, and numbers to the last digit."""
+    shown, printed = (text.rstrip().splitlines() for text in (shown, printed))
+    parts = " \n".join(" ".join(line.split()) for line in shown).split("...")
+    text = " \n".join(" ".join(line.split()) for line in printed)
+    place = 0
+    for part in parts:
+        pattern = NUMBER.sub("\0", part.strip())
+        regular = re.escape(pattern).replace("\0", f"({NUMBER.pattern})").replace(r"\ \n", r" ?\n")
+        found = re.compile(regular).search(text, place)
+        assert found, f"not printed:\n{part}\nbut:\n{text}"
+        assert len(parts) > 1 or found.span() == (0, len(text)), text
+        for ours, theirs in zip(NUMBER.findall(part), found.groups(), strict=True):
+            digits = len(ours.partition("e")[0].partition(".")[2])
+            scale = float("1e" + (ours.partition("e")[2] or "0"))
+            assert abs(float(ours) - float(theirs)) <= 1.01 * 10.0**-digits * scale, part
+        place = found.end()
+
+
+def inline(value):
+    """Write a value as TOML on one line."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f'"{k}" = {inline(v)}' for k, v in value.items()) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(inline, value)) + "]"
+    if isinstance(value, bool):
+        return str(value).lower()
+    return repr(value) if isinstance(value, int | float) else f'"{value}"'
+
+
+def complete(fragment):
+    """Return a campaign in which a fragment's sections stand in the place of the starter's."""
+    starter = files("counterspin.campaign") / "starter.toml"
+    document = tomllib.loads(starter.read_text("utf-8"))
+    given = tomllib.loads(fragment)
+    for key, value in given.items():
+        table = isinstance(value, dict) and key not in {"noise", "model"}
+        document[key] = document.get(key, {}) | value if table else value
+    return "".join(f"{key} = {inline(value)}\n" for key, value in document.items())
+
+
+def use(block, namespace, capsys):
+    """Do what a block says."""
+    text = block["text"]
+    match block["language"]:
+        case "toml":
+            place = Path(block["file"] or "fragment.toml")
+            place.parent.mkdir(exist_ok=True)
+            whole = "schema =" in text
+            place.write_text(text if whole else complete(text), encoding="utf-8")
+            cs.read_campaign(place)
+        case "csv":
+            Path(block["file"]).write_text(text, encoding="utf-8")
+        case "bash" | "sh":
+            for line in text.splitlines():
+                if line.startswith("counterspin "):
+                    run(line, capsys)
+        case "console":
+            for command, shown in re.findall(r"^\$ (.*)\n((?:(?!\$ ).*\n)*)", text, re.MULTILINE):
+                assert_same_output(shown, run(command, capsys))
+        case "python":
+            exec(compile(text, "page", "exec"), namespace)
+        case "json":
+            cs.Result.model_validate_json(text)
+        case other:
+            assert other == "text", f"no rule for a block of {other}"
+
+
+@every_page
+def test_page_does_what_it_says(page, desk, capsys):
+    namespace = {}
+    for block in blocks(page):
+        use(block, namespace, capsys)
+
+
+@every_page
+def test_links_lead_somewhere(page):
+    text = page.read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#\s]+)(?:#[\w-]+)?\)", text):
+        if "://" not in target:
+            assert (page.parent / target).exists(), target
+
+
+def test_index_leads_to_every_page():
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"\]\(([\w-]+\.md)\)", index))
+    assert named == {page.name for page in DOCS} - {"index.md"}
+
+
+def test_readme_lists_every_command():
+    rows = re.findall(r"^\| `counterspin (\w+)", README.read_text(encoding="utf-8"), re.MULTILINE)
+    assert rows == sorted(rows, key=rows.index)
+    assert set(rows) == {name for name in cli.app if not name.startswith("-")}
+
+
+def test_picture_shows_what_the_demonstration_draws(records, tmp_path):
+    from counterspin.report.demonstration import demonstration_figure
+    from counterspin.report.figure import save
+
+    # Not byte for byte: matplotlib versions differ in the digits of a path.
+    save(demonstration_figure(cs.demo(records)), tmp_path / "now.svg")
+    now, kept = (
+        path.read_text(encoding="utf-8")
+        for path in (tmp_path / "now.svg", ROOT / "docs" / "images" / "displacement.svg")
+    )
+    labels = re.compile(r"<text [^>]*>([^<]*)</text>")
+    assert labels.findall(kept) == labels.findall(now)
+    assert kept.count("<use ") == pytest.approx(now.count("<use "), abs=5)
+    assert len(re.findall(r"<use ", kept)) > 300
+
+
+# The rules of this file
+
+
+def test_a_number_that_is_not_printed_would_be_found():
+    assert_same_output("K = 1.25 ± 0.02\n", "K  =  1.25 ± 0.02  \n")
+    assert_same_output("a\n...\nd 4\n", "a\nb\nc\nd 4\n")
+    for wrong in ("K = 1.27 ± 0.02", "K = 1.25 ± 0.02 m", "k = 1.25 ± 0.02", "K = 1.25"):
+        with pytest.raises(AssertionError):
+            assert_same_output(wrong, "K = 1.25 ± 0.02\n")
+
+
+def test_blocks_are_found_with_their_files():
+    text = "<!-- file: a.toml -->\n```toml\nx = 1\n```\n\n```python\ny = 2\n```\n"
+    first, second = BLOCK.finditer(text)
+    assert (first["file"], first["language"], first["text"]) == ("a.toml", "toml", "x = 1\n")
+    assert (second["file"], second["language"]) == (None, "python")
+
+
+def test_headings_are_not_skipped():
+    for page in [README, *DOCS]:
+        text = re.sub(r"^```.*?^```$", "", page.read_text("utf-8"), flags=re.M | re.DOTALL)
+        levels = [len(marks) for marks in re.findall(r"^(#+) ", text, re.MULTILINE)]
+        assert levels[0] == 1
+        assert levels.count(1) == 1
+        assert all(after <= before + 1 for before, after in pairwise(levels)), page

@@ -1,0 +1,41 @@
+"""The page on the result file has every key of the JSON, and no other."""
+
+import inspect
+import re
+from pathlib import Path
+
+import pytest
+
+from counterspin.campaign import result
+
+PAGE = (Path(__file__).parents[1] / "docs" / "result.md").read_text(encoding="utf-8")
+TABLES = dict(re.findall(r"^<!-- fields: (\w+) -->\n((?:\|.*\n)+)", PAGE, re.MULTILINE))
+
+
+def test_every_part_has_its_table():
+    parts = {
+        name
+        for name, value in vars(result).items()
+        if inspect.isclass(value) and issubclass(value, result.Part)
+    }
+    assert set(TABLES) == parts - {"Part"}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_keys_are_those_of_the_code(name):
+    fields = getattr(result, name).model_fields
+    listed = re.findall(r"^\| `(\w+)` \|", TABLES[name], re.MULTILINE)
+    assert listed == [field.alias or key for key, field in fields.items()]
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_units_that_are_fixed_are_those_of_the_code(name):
+    for key, field in getattr(result, name).model_fields.items():
+        if key.endswith("_unit"):
+            assert f"| `{key}` | text | `{field.default}` |" in TABLES[name]
+
+
+def test_links_inside_the_page_lead_to_headings():
+    headings = re.findall(r"^#+ (.*)$", PAGE, re.MULTILINE)
+    anchors = {re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}
+    assert set(re.findall(r"\]\(#([\w-]+)\)", PAGE)) <= anchors
