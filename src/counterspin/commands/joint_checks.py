@@ -134,9 +134,23 @@ def compare(
     own = (solution.covariance_noise + solution.covariance_prior)[index, index]
     second = outcome.second.solution
     theirs = (second.covariance_noise + second.covariance_prior)[0, 0]
+    # What the two-stage method considers and the joint one estimates is part of its own variance;
+    # what both consider moves them by the difference of their sensitivities.
+    both = 0.0
+    considered = _considered(found, index)
+    for source, effect, sd in zip(
+        outcome.second.considered,
+        second.sensitivity_considered[0],
+        second.considered_sd,
+        strict=True,
+    ):
+        if source in considered:
+            both += ((effect - considered[source]) * sd) ** 2
+        else:
+            theirs += (effect * sd) ** 2
     # Both rest on the same records, and the joint estimate is the better one: variances subtract
     # (Hausman). Where the two-stage method leaves more out it can seem better; then they add.
-    spread = math.sqrt(theirs - own if theirs > own else theirs + own)
+    spread = math.sqrt((theirs - own if theirs > own else theirs + own) + both)
     difference = other.value - float(solution.estimate[index])
     return Comparison(
         value=other.value,
@@ -165,4 +179,14 @@ def left_out(campaign: Campaign, found: Estimate, name: str) -> dict[str, LeftOu
             unit=term(symbol).unit,
         )
         for symbol, parts in effects.items()
+    }
+
+
+def _considered(found: Estimate, index: int) -> dict[str, float]:
+    """Return the sensitivities to considered terms, under the two-stage method's names."""
+    row = found.fit.solution.sensitivity_considered[index]
+    return {
+        f"{c.symbol} ({c.owner})" if term(c.symbol).per_run else c.symbol: float(effect)
+        for c, effect in zip(found.fit.model.considered, row, strict=False)
+        if effect != 0.0
     }
