@@ -36,8 +36,8 @@ def simulate(
 ) -> tuple[Path, ...]:
     """Write the records of every run, and the campaign's description beside them.
 
-    Each run draws from a random stream that its name and the seed determine, so that adding or
-    moving a run changes no other.
+    Each run draws from a random stream of its own, so that adding a run at the end, or changing
+    one, changes no other.
 
     Parameters
     ----------
@@ -82,8 +82,8 @@ def simulate(
         except OSError as error:
             raise CounterspinError(f"{place}: cannot be made ({error.strerror})") from error
 
-    for run, target in zip(campaign.runs, targets, strict=True):
-        stream = np.random.SeedSequence(campaign.simulation.seed, spawn_key=run.name.encode())
+    streams = np.random.SeedSequence(campaign.simulation.seed).spawn(len(campaign.runs))
+    for run, stream, target in zip(campaign.runs, streams, targets, strict=True):
         frame = pl.DataFrame(simulate_run(campaign, run, np.random.default_rng(stream)))
         write = WRITERS[target.suffix.lower()]
         write_whole(target, partial(write, frame))

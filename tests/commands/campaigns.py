@@ -1,0 +1,105 @@
+"""Small campaigns for the tests of commands, written and read back as a user would."""
+
+import re
+from pathlib import Path
+
+from counterspin.campaign.description import read_campaign
+
+SMALL = """
+schema = 1
+
+[site]
+gravity = "9.8066 m/s^2"
+latitude = "45.75 deg"
+
+[centrifuge]
+radius = "2.5 m"
+
+[records]
+time = { column = "time_s", unit = "s" }
+angle = { column = "angle_rad", unit = "rad" }
+
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+scale_factor = "1.002 g/g"
+displacement = { column = "east_m", unit = "m" }
+
+[accelerometers.Qy]
+input_axis = "north"
+pendulous_axis = "down"
+scale_factor = "0.999 g/g"
+displacement = { column = "north_m", unit = "m" }
+
+[noise]
+displacement = "0.01 m"
+
+[[runs]]
+name = "slow"
+rate = "0.25 rev/s"
+record = "slow.csv"
+
+[[runs]]
+name = "middle"
+rate = "0.5 rev/s"
+record = "middle.csv"
+
+[[runs]]
+name = "fast"
+rate = "1 rev/s"
+record = "fast.csv"
+
+[simulation]
+sampling_rate = "20 Hz"
+seed = 1
+revolutions = 20
+
+[truth.Qx]
+K_F = "0.005 g"
+K_I = "1.002 g/g"
+K_II = "2.7e-5 g/g^2"
+K_III = "3e-6 g/g^3"
+start_offset = "0.02 m"
+start_velocity = "-1e-3 m/s"
+
+[truth.Qy]
+K_F = "-0.003 g"
+K_I = "0.999 g/g"
+K_II = "-3.2e-5 g/g^2"
+
+[truth.spindle]
+drift = "1e-6 1/s"
+ripple = [{ harmonic = 1, ratio = 1e-5, phase = "30 deg" }]
+
+[truth.noise]
+displacement = "0.01 m"
+angle = "1e-6 rad"
+"""
+
+
+def changed(text: str, *pairs: tuple[str, str]) -> str:
+    """Return a description with pieces replaced, each of which must be there."""
+    for old, new in pairs:
+        assert old in text, old
+        text = text.replace(old, new)
+    return text
+
+
+def without(text: str, table: str) -> str:
+    """Return a description without one table."""
+    pattern = rf"(?ms)^\[{re.escape(table)}\]\n.*?(?=^\[|\Z)"
+    assert re.search(pattern, text)
+    return re.sub(pattern, "", text)
+
+
+def write(folder: Path, text: str, name: str = "campaign.toml") -> Path:
+    """Write a description and return its path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / name
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def campaign_of(folder: Path, text: str):
+    """Write and read a description."""
+    return read_campaign(write(folder, text))
