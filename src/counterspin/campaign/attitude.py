@@ -1,6 +1,7 @@
 """Directions and platform attitudes as they are written in a campaign.
 
 - `read_direction`: ``"east"``, ``"down"``, ... or three components
+- `attitude_words`: the other way, for reports
 - `attitude_rows`: ``"level"``, ``"90 deg about east"`` or ``{ x = "east", y = "up" }``
 """
 
@@ -95,6 +96,23 @@ def attitude_rows(value: object) -> Array:
         if agreement < 1.0 - 1e-6:
             raise ValueError("the axis z must be at right angles to x and y")
     return np.stack([x, y, z])
+
+
+def attitude_words(rows: Array) -> str:
+    """Return an attitude in words.
+
+    Parameters
+    ----------
+    rows
+        Where the platform's axes point, shape (3, 3).
+    """
+    if np.allclose(rows, np.eye(3)):
+        return "level"
+    words = []
+    for axis, row in zip("xyz", rows, strict=True):
+        near = [name for name, there in DIRECTIONS.items() if np.allclose(row, there)]
+        words.append(f"{axis} {near[0] if near else np.array2string(row, precision=4)}")
+    return ", ".join(words)
 
 
 def _turned(angle: float, axis: Array) -> Array:

@@ -9,7 +9,9 @@ Units are SI, coefficients in g-units of the stated gravity, as in the result of
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from pydantic import Field
 
 from counterspin.campaign.output import write_text
 from counterspin.campaign.result import SCHEMA, BudgetLine, Confounded, Part, Provenance
@@ -48,9 +50,10 @@ class PlannedAccelerometer(Part):
 
 
 class GoalResult(Part):
-    """What was sought, and how it was met; `efficiency` is the least u (or time) that any plan
+    """What was sought, and how it was met.
 
-    within the limits could have over this plan's.
+    `efficiency` is the least u (or, for a target, time) that any plan within the limits could
+    have, over this plan's.
     """
 
     kind: Literal["minimise", "target"]
@@ -113,7 +116,7 @@ class Curves(Part):
 class PlanResult(Part):
     """A plan, or the forecast of a campaign that exists (then without goal and limits)."""
 
-    schema_version: int = SCHEMA
+    schema_version: Annotated[int, Field(alias="schema")] = SCHEMA
     title: str
     gravity: float
     radius: float
@@ -123,12 +126,12 @@ class PlanResult(Part):
     accelerometers: dict[str, PlannedAccelerometer]
     platform: dict[str, Predicted]
     goal: GoalResult | None = None
-    others: list[OtherPlan] = []
-    limits: list[LimitResult] = []
-    requirements: list[Requirement] = []
+    others: list[OtherPlan] = Field(default_factory=list)
+    limits: list[LimitResult] = Field(default_factory=list)
+    requirements: list[Requirement] = Field(default_factory=list)
     requirements_for: str = ""
     curves: Curves | None = None
-    warnings: list[str] = []
+    warnings: list[str] = Field(default_factory=list)
     provenance: Provenance
 
 
@@ -140,5 +143,4 @@ def write_plan_result(result: PlanResult, path: Path) -> None:
     CounterspinError
         If the file cannot be written.
     """
-    text = result.model_dump_json(indent=1)
-    write_text(path, text.replace('"schema_version"', '"schema"', 1) + "\n")
+    write_text(path, result.model_dump_json(indent=1, by_alias=True) + "\n")
