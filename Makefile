@@ -40,6 +40,7 @@ bench: $(READY) $(BENCH) ## Time the main jobs against their targets
 	@for script in benchmarks/*.py; do $(BIN)/python "$$script" || exit; done
 
 pictures: $(READY) ## Draw the pictures of the documentation again
+	rm -rf build/pictures
 	$(BIN)/counterspin demo --output build/pictures
 	mkdir -p docs/images
 	cp build/pictures/displacement.svg docs/images/displacement.svg

@@ -70,7 +70,8 @@ def test_command_writes_what_it_says_and_may_be_repeated(tmp_path, monkeypatch, 
     assert written == {"campaign.toml", "run1.csv", "run2.csv", "run3.csv", "displacement.svg"}
     assert "Wrote campaign.toml, 3 records and displacement.svg to counterspin-demo." in first
     assert max(map(len, first.splitlines())) <= 80
-    assert re.search(r"^K_II +20 +20\.0\S+ ± \S+ +20\.0\S+ ± \S+ +10\.0\S+ ± ", first, re.M)
+    value = r"(19\.9|20\.0)\d+ ± \S+"
+    assert re.search(rf"^K_II +20 +{value} +{value} +(9\.9|10\.0)\d+ ± ", first, re.M)
     assert cli.main(["demo"]) == 0
     assert capsys.readouterr().out == first
 
@@ -82,7 +83,7 @@ def test_figure_as_png(tmp_path):
 
 def test_another_campaign_is_left_alone(tmp_path):
     (tmp_path / "campaign.toml").write_text("schema = 1\n")
-    with pytest.raises(CounterspinError, match="is another campaign; choose another folder"):
+    with pytest.raises(CounterspinError, match=r"is another campaign, .* choose another folder"):
         demo(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.toml"]
 

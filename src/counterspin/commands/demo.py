@@ -77,7 +77,7 @@ def demo(folder: Path | str = FOLDER) -> Demonstration:
     Raises
     ------
     CounterspinError
-        If the folder holds another campaign, or cannot be written.
+        If the folder holds another or an edited campaign, or cannot be written.
     """
     folder = Path(folder)
     _write_description(folder)
@@ -100,7 +100,8 @@ def _write_description(folder: Path) -> None:
     try:
         if target.exists() and target.read_text("utf-8", errors="replace") != text:
             raise CounterspinError(
-                f"{target} is another campaign; choose another folder with --output"
+                f"{target} is another campaign, or an earlier or edited one; remove it, or choose "
+                "another folder with --output"
             )
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
