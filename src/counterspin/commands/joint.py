@@ -84,10 +84,11 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         for index, unknown in enumerate(model.unknowns)
     } | _rotations(found, assessment)
     diagnostics = {name: residual_tests(found, name) for name in campaign.accelerometers}
+    not_modelled = left_out(campaign, found)
     accelerometers = {
         name: _accelerometer(
             campaign, observed, found, assessment, coefficients, name, diagnostics[name]
-        )
+        ).model_copy(update={"left_out": not_modelled[name]})
         for name in campaign.accelerometers
     }
     shared = {u: c for u, c in coefficients.items() if u.symbol not in TERMS}
@@ -148,7 +149,6 @@ def _accelerometer(
         budget=lines,
         jackknife=jackknife(found, name),
         two_stage=compare(campaign, observed, found, name),
-        left_out=left_out(campaign, found, name),
         warnings=[f"{name}: {finding}" for finding in diagnostics.findings]
         + driving_runs(found, name)
         + _undetermined(own, name),

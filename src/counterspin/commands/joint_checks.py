@@ -161,25 +161,36 @@ def compare(
     )
 
 
-def left_out(campaign: Campaign, found: Estimate, name: str) -> dict[str, LeftOut]:
-    """Return what each term that the model leaves out would move an accelerometer's K_II by.
+def left_out(campaign: Campaign, found: Estimate) -> dict[str, dict[str, LeftOut]]:
+    """Return by accelerometer what each term left out would move its K_II by.
 
     Of a term that every run has anew, the runs' effects are combined as independent ones.
     """
-    index = _k_ii(found, name)
-    terms = left_out_of(campaign, name)
-    if index is None or not terms:
-        return {}
-    effects: dict[str, list[float]] = {}
-    for other, effect in zip(terms, sensitivities(found.fit, terms)[index], strict=True):
-        effects.setdefault(other.symbol, []).append(float(effect))
-    return {
-        symbol: LeftOut(
-            sensitivity=parts[0] if len(parts) == 1 else math.hypot(*parts),
-            unit=term(symbol).unit,
-        )
-        for symbol, parts in effects.items()
+    terms = {
+        name: left_out_of(campaign, name)
+        for name in campaign.accelerometers
+        if _k_ii(found, name) is not None
     }
+    # Accelerometers share the platform's terms, and all of them one set of columns.
+    every = list(dict.fromkeys(other for own in terms.values() for other in own))
+    if not every:
+        return {name: {} for name in campaign.accelerometers}
+    moved = sensitivities(found.fit, every)
+    result: dict[str, dict[str, LeftOut]] = {}
+    for name in campaign.accelerometers:
+        index = _k_ii(found, name)
+        effects: dict[str, list[float]] = {}
+        for other in terms.get(name, ()):
+            effect = float(moved[index, every.index(other)])
+            effects.setdefault(other.symbol, []).append(effect)
+        result[name] = {
+            symbol: LeftOut(
+                sensitivity=parts[0] if len(parts) == 1 else math.hypot(*parts),
+                unit=term(symbol).unit,
+            )
+            for symbol, parts in effects.items()
+        }
+    return result
 
 
 def _considered(found: Estimate, index: int) -> dict[str, float]:
