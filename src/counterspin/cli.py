@@ -19,6 +19,7 @@ app = App(
     name="counterspin",
     help="Calibrate inertial accelerometers on precision centrifuges.",
     version=__version__,
+    help_format="plaintext",  # nothing there is Markdown, whose reader takes long to load
 )
 
 OutputDirectory = Annotated[Path, Parameter(name=["--output", "-o"])]
