@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -106,9 +107,9 @@ def two_stage(
     priors = _priors(campaign, accelerometer)
     scale_factor = priors.pop("K_I", (TERMS["K_I"].nominal, 0.0))
     bias = priors.pop("K_F", _NOTHING)
-    second = second_stage(
-        runs,
-        accelerometer.mounting,
+    resolve = partial(
+        second_stage,
+        mounting=accelerometer.mounting,
         model=options.model,
         scale_factor=scale_factor,
         bias=bias,
@@ -120,6 +121,11 @@ def two_stage(
         ignored=unmodelled(campaign, accelerometer),
         weighted=options.weighted,
     )
+    second = resolve(runs)
+    if DRIFT in second.symbols:
+        # K_II grows with the rate's fourth power, and so along a drift that is now known.
+        runs = tuple(_drifting(run, second.estimate(DRIFT)[0]) for run in runs)
+        second = resolve(runs)
     found = _unknowns(campaign, second, options)
     coefficients = _coefficients(campaign, accelerometer, second, found)
     parabolas = [run.parabola for run in runs]
@@ -137,6 +143,11 @@ def two_stage(
     return TwoStageOutcome(
         result, {run.name: _parabola(run.parabola) for run in runs}, runs, second
     )
+
+
+def _drifting(run: StrobedRun, drift: float) -> StrobedRun:
+    spindle = replace(run.trajectory.spindle, drift=drift)
+    return replace(run, trajectory=replace(run.trajectory, spindle=spindle))
 
 
 def _noise(campaign: Campaign, options: TwoStageOptions) -> tuple[float | None, float]:
