@@ -27,7 +27,7 @@ JsonFile = Annotated[Path | None, Parameter(name="--json")]
 
 
 @app.command
-def init(directory: Path) -> None:
+def init(directory: Path, /) -> None:
     """Write a commented example campaign to start from.
 
     Parameters
@@ -46,7 +46,7 @@ def init(directory: Path) -> None:
 
 
 @app.command
-def simulate(campaign: Path, *, output: OutputDirectory, overwrite: bool = False) -> None:
+def simulate(campaign: Path, /, *, output: OutputDirectory, overwrite: bool = False) -> None:
     """Make the records of a campaign whose coefficients are known.
 
     Parameters
@@ -67,6 +67,7 @@ def simulate(campaign: Path, *, output: OutputDirectory, overwrite: bool = False
 @app.command
 def calibrate(
     directory: Path,
+    /,
     *,
     method: Literal["joint", "two-stage"] = "joint",
     model: Literal["exact", "as-printed"] = "exact",
@@ -99,7 +100,7 @@ def calibrate(
     sigma
         Two-stage: the displacement noise that the campaign gives, or that of the residuals.
     budget
-        Joint: print where the uncertainty of each K_II comes from, line by line.
+        Joint: print where the uncertainty of each coefficient comes from, line by line.
     details
         Print all that was found: tests of each run, samples left out, correlations.
     """
@@ -127,6 +128,7 @@ def calibrate(
 def apply(
     result: Path,
     file: Path,
+    /,
     *,
     accelerometer: str,
     output: OutputDirectory,
@@ -180,6 +182,76 @@ def apply(
         force=force,
     )
     report_console().print(render_application(done))
+
+
+@app.command
+def plan(
+    file: Path | None = None,
+    *,
+    check: Path | None = None,
+    init: Path | None = None,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    json: JsonFile = None,
+    figures: Path | None = None,
+    sampling_rate: str | None = None,
+    revolutions: float | None = None,
+) -> None:
+    """Choose rates, lengths, senses and attitudes of the runs, and predict what they will tell.
+
+    Parameters
+    ----------
+    file
+        The plan: limits and goal.
+    check
+        In place of a plan: a campaign's folder, to predict what it will tell without its records.
+    init
+        In place of a plan: write a commented example to this file.
+    output
+        Folder for the planned campaign's campaign.toml, ready for recording and for `simulate`.
+    json
+        Write the result to this file too.
+    figures
+        Folder for figures: u against time, against the highest rate, and its sources.
+    sampling_rate
+        With --check: of the records, such as "50 Hz", where the campaign does not say it.
+    revolutions
+        With --check: of each run for which the campaign says no length.
+    """
+    from counterspin.campaign.plan_result import write_plan_result
+    from counterspin.campaign.settings import exact
+    from counterspin.commands.plan import check as forecast
+    from counterspin.commands.plan import plan as search
+    from counterspin.commands.plan import write_campaign, write_example
+    from counterspin.report.planning import render_plan
+    from counterspin.report.planning_figure import save_figures
+    from counterspin.report.text import report_console
+
+    if sum(given is not None for given in (file, check, init)) != 1:
+        raise CampaignError("plan", ["give a plan's file, or --check DIR, or --init FILE"])
+    if init is not None:
+        print(f"Wrote {write_example(init)}. Edit it, or try it:\n  counterspin plan {init}")
+        return
+    if check is not None:
+        if output is not None or figures is not None:
+            raise CampaignError("plan", ["--output and --figures need a plan, not --check"])
+        try:
+            rate = None if sampling_rate is None else exact(sampling_rate, "Hz")
+        except ValueError as error:
+            raise CampaignError("--sampling-rate", [str(error)]) from error
+        result = forecast(check, sampling_rate=rate, revolutions=revolutions)
+    else:
+        assert file is not None  # one of the three is
+        planned = search(file, curves=figures is not None)
+        result = planned.result
+    if json is not None:
+        write_plan_result(result, json)
+    report_console().print(render_plan(result))
+    if output is not None:
+        written = write_campaign(planned, output)
+        print(f"\nWrote {written}. Record its runs, or try them:")
+        print(f"  counterspin simulate {written} -o {output}/simulated")
+    if figures is not None:
+        print(f"\nWrote {', '.join(p.name for p in save_figures(result, figures))} to {figures}.")
 
 
 @app.command

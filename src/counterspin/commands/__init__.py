@@ -7,4 +7,7 @@
 - `joint`, `joint_parts`, `joint_checks`: its method of full records; the result's parts; its checks
 - `demo`: the paper's plan from simulation to result, by every method
 - `apply`, `apply_file`: corrects indicated specific force for a result; the same for a file
+- `plan`: which runs to make within given limits; what a campaign will tell before it is recorded
+- `plan_search`, `plan_determined`: its problem, solved; whether its goal can be had
+- `plan_parts`, `plan_curves`: its result's parts; its figures' curves
 """

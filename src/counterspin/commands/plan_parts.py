@@ -22,7 +22,7 @@ from counterspin.campaign.plan_result import (
 )
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.result import Confounded
-from counterspin.commands.joint_parts import budget_lines, coefficient
+from counterspin.commands.joint_parts import budget_lines, coefficient, unit_of
 from counterspin.inference.joint import INPUTS, ROTATION, TIMING, Considered, Model
 from counterspin.physics.accelerometer import TERMS, Array
 
@@ -143,7 +143,8 @@ def requirements_of(
     words = f"at the {name} expected"
     if expected[place] == 0.0:
         expected[place] = unknown.limit
-        words = f"should {name} be as large as is credible, {unknown.limit:.3g} from nominal"
+        unit = unit_of(unknown.symbol)
+        words = f"should {name} be as large as is credible, {unknown.limit:.3g} {unit}"
     rotation = tuple(
         Considered(run.name, symbol, (0.0, 1.0), 1.0)
         for run in campaign.runs

@@ -31,7 +31,8 @@ _METADATA: Final[Mapping[str, Mapping[str, str | None]]] = {
     ".pdf": {"Creator": "counterspin", "Producer": None, "CreationDate": None},
 }
 
-_SETTINGS: Final[dict[Any, Any]] = {
+#: Of every figure: the same data give the same file.
+SETTINGS: Final[dict[Any, Any]] = {
     "svg.hashsalt": "counterspin",
     "svg.fonttype": "none",
     "pdf.fonttype": 42,
@@ -46,8 +47,8 @@ _SETTINGS: Final[dict[Any, Any]] = {
 
 #: Okabe and Ito's colours that stand out on white, told apart by colour-blind readers; the
 #: markers say the same without colour.
-_COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
-_MARKERS: Final = ("o", "^", "s", "D", "v", "P")
+COLOURS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+MARKERS: Final = ("o", "^", "s", "D", "v", "P")
 
 
 @dataclass(frozen=True)
@@ -99,7 +100,7 @@ def displacement_figure(panels: Sequence[StrobePanel], *, title: str = "") -> Fi
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    with mpl.rc_context(_SETTINGS):
+    with mpl.rc_context(SETTINGS):
         figure = Figure(figsize=(7.0, 4.6 + 0.9 * len(panels)), layout="constrained")
         heights = [3.2, *(1.0 for _ in panels)]
         upper, *lower = figure.subplots(
@@ -108,8 +109,8 @@ def displacement_figure(panels: Sequence[StrobePanel], *, title: str = "") -> Fi
         if title:
             upper.set_title(title, loc="left", fontweight="bold")
         for index, (panel, axes) in enumerate(zip(panels, lower, strict=True)):
-            colour = _COLOURS[index % len(_COLOURS)]
-            marker = _MARKERS[index % len(_MARKERS)]
+            colour = COLOURS[index % len(COLOURS)]
+            marker = MARKERS[index % len(MARKERS)]
             _draw_error(upper, panel, colour, marker)
             _draw_residuals(axes, panel, colour, marker)
         upper.set_ylabel("displacement error / m")
@@ -142,7 +143,7 @@ def save(figure: Figure, path: Path) -> None:
         raise CounterspinError(
             f"{path}: a figure is written as {', '.join(_METADATA)}; choose one of these endings"
         )
-    with mpl.rc_context(_SETTINGS):
+    with mpl.rc_context(SETTINGS):
         write_whole(
             path,
             lambda part: figure.savefig(
