@@ -1,0 +1,51 @@
+"""The command line: words to calls, errors to one paragraph and a status."""
+
+import pytest
+
+from counterspin import cli
+
+COMMANDS = [name for name in cli.app if not name.startswith("-")]
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_explains_itself(command, capsys):
+    assert cli.main([command, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert shown.startswith(f"Usage: counterspin {command}")
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["calibrat"], 'Unknown command "calibrat". Did you mean "calibrate"?'),
+        (["calibrate"], "parameter DIRECTORY requires an argument"),
+        (["init"], "parameter DIRECTORY requires an argument"),
+        (["simulate"], "parameter CAMPAIGN requires an argument"),
+        (["simulate", "x"], "parameter --output requires an argument"),
+        (["apply", "r.json"], "parameter FILE requires an argument"),
+        (["calibrate", "x", "--method", "magic"], 'Invalid value "magic" for --method'),
+        (["demo", "--figure", "gif"], 'Choose from: "svg", "png", "pdf"'),
+        (["demo", "here"], "here"),
+    ],
+)
+def test_wrong_usage_is_told_in_two_lines(words, message, capsys):
+    assert cli.main(words) == 2
+    told = capsys.readouterr()
+    assert told.out == ""
+    assert message in told.err
+    assert told.err.startswith("counterspin: ")
+    assert told.err.endswith("\nTry counterspin --help.\n")
+    assert told.err.count("\n") == 2
+
+
+def test_campaign_that_is_not_there(tmp_path, capsys):
+    assert cli.main(["calibrate", str(tmp_path / "nowhere")]) == 2
+    assert "there is no such file; `counterspin init DIR` makes" in capsys.readouterr().err
+
+
+def test_work_that_fails(tmp_path, capsys):
+    assert cli.main(["init", str(tmp_path)]) == 0
+    assert cli.main(["init", str(tmp_path)]) == 1
+    assert "exists; edit it, or choose another folder" in capsys.readouterr().err
+    assert cli.main(["calibrate", str(tmp_path)]) == 1
+    assert "run1.csv: there is no such file" in capsys.readouterr().err
