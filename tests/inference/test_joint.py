@@ -406,6 +406,19 @@ def test_a_run_left_out_is_the_fit_without_its_records(paper):
     assert joint.leave_out(alone, "run1") is None
 
 
+def test_other_noise_of_one_accelerometer_is_the_fit_with_that_noise():
+    model = Model(tuple(u for name in SCALES for u in unknowns(("K_F", "K_I"), owner=name)))
+    truth = {s: TRUTH[s] for s in ("K_F", "K_I")}
+    series = [one for name in SCALES for one in three_rates(truth, accelerometer=name)]
+    prepared = joint.prepare(series, model, SCALES)
+    fit = joint.solve_joint(prepared, model, {"Qx": WHITE, "Qy": MIXED})
+    changed = joint.with_noise(fit, "Qy", WHITE)
+    direct = joint.solve_joint(prepared, model, {"Qx": WHITE, "Qy": WHITE})
+    assert changed.noise == direct.noise
+    np.testing.assert_array_equal(changed.solution.covariance, direct.solution.covariance)
+    assert not np.allclose(fit.solution.u[2:], direct.solution.u[2:], rtol=0.1)
+
+
 def test_residuals_are_what_was_drawn_less_what_the_fit_can_explain(paper):
     model, prepared = paper
     rng = np.random.default_rng(7)

@@ -251,8 +251,7 @@ def _effective_dof(fit: JointFit, components: Mapping[str, VarianceComponents]) 
     for name, component in components.items():
 
         def variances(noise: Noise, name: str = name) -> Array:
-            other = joint.solve_joint(fit.prepared, fit.model, {**fit.noise, name: noise})
-            return np.diag(other.solution.covariance)
+            return np.diag(joint.with_noise(fit, name, noise).solution.covariance)
 
         inverse += 1.0 / variance_components.effective_dof_of(variances, component)
     with np.errstate(divide="ignore"):

@@ -8,7 +8,7 @@ blocks, not from the records.
 
 - `Unknown`, `Considered`, `Model`: the problem, beside the series (`counterspin.inference.series`)
 - `prepare`: the columns, computed once
-- `solve_joint`, `JointFit`: the answer
+- `solve_joint`, `with_noise`, `JointFit`: the answer
 - `residuals`, `unexplained`, `leave_out`: checks of it
 """
 
@@ -280,6 +280,26 @@ def solve_joint(prepared: Sequence[Prepared], model: Model, noise: Mapping[str, 
     """
     blocks = tuple(_block(one, model, noise[one.series.accelerometer]) for one in prepared)
     return JointFit(model, _solve(blocks, model), tuple(prepared), blocks, noise)
+
+
+def with_noise(fit: JointFit, accelerometer: str, noise: Noise) -> JointFit:
+    """Return the fit with one accelerometer's noise changed; the others' records stay as reduced.
+
+    Parameters
+    ----------
+    fit
+        A solved problem.
+    accelerometer
+        Whose noise is another.
+    noise
+        What it is.
+    """
+    blocks = tuple(
+        _block(one, fit.model, noise) if one.series.accelerometer == accelerometer else block
+        for one, block in zip(fit.prepared, fit.blocks, strict=True)
+    )
+    changed = {**fit.noise, accelerometer: noise}
+    return JointFit(fit.model, _solve(blocks, fit.model), fit.prepared, blocks, changed)
 
 
 def _block(prepared: Prepared, model: Model, noise: Noise) -> Block:
