@@ -510,3 +510,8 @@ def test_reading_a_campaign_imports_nothing_heavy(tmp_path):
     )
     done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_a_record_given_for_a_campaign_is_named(tmp_path):
+    with pytest.raises(CampaignError, match=r"run1\.csv: a record, not a campaign; give the folder"):
+        read_campaign(tmp_path / "run1.csv")

@@ -28,6 +28,7 @@ from counterspin.campaign.resolved import (
 )
 from counterspin.campaign.settings import (
     OBSERVABLES,
+    RECORD_FORMATS,
     AccelerometerSettings,
     AxesSettings,
     CampaignSettings,
@@ -84,6 +85,10 @@ def read_campaign(path: Path | str) -> Campaign:
     """
     given = Path(path)
     file = given / DESCRIPTION_NAME if given.is_dir() else given
+    if file.suffix.lower() in RECORD_FORMATS:
+        raise CampaignError(
+            str(file), [f"a record, not a campaign; give the folder that holds {DESCRIPTION_NAME}"]
+        )
     raw = load_document(file)
     problems = Problems(raw)
     campaign = resolve_campaign(raw, file, problems)

@@ -31,6 +31,9 @@ from counterspin.report.numbers import (
     round_to_uncertainty,
 )
 
+#: Up to this many standard uncertainties two methods agree; good campaigns exceed it in 0.3 %.
+_AGREES: Final = 3.0
+
 #: Above this correlation, estimates are named as moving together.
 _STRONG: Final = 0.9
 
@@ -180,7 +183,9 @@ def _residual(found: AccelerometerResult) -> str:
     if residual.chi2 is not None and residual.dof > 0.0:
         text += f"; chi-square/dof {format_number(residual.chi2 / residual.dof, 4)}"
     if residual.lack_of_fit_p is not None:
-        text += f", probability of a worse fit {format_number(residual.lack_of_fit_p, 2)}"
+        # Noise that was estimated fits by its size; only the pattern of the residuals can tell.
+        what = "a worse fit" if residual.chi2 is not None else "a stranger pattern in them"
+        text += f", probability of {what} {format_number(residual.lack_of_fit_p, 2)}"
     return text + "."
 
 
@@ -192,15 +197,18 @@ def _noise(noise: dict[str, NoiseLine], gravity: float) -> str:
             # The campaign file, and every data sheet, says it in micro-g.
             scale = 1e6 / gravity
             value, u, unit = value * scale, None if u is None else u * scale, f"ug{unit[5:]}"
+        words = name.replace("_", " ")
+        if line.estimated and value == 0.0:
+            lines.append(f"{words} none (the records show none)")
+            continue
         how = "estimated from the residuals" if line.estimated else "as given"
-        text = format_estimate(value, u or None, unit)
-        lines.append(f"{name.replace('_', ' ')} {text} ({how})")
+        lines.append(f"{words} {format_estimate(value, u or None, unit)} ({how})")
     return f"Noise: {'; '.join(lines)}."
 
 
 def _comparison(found: Comparison, coefficient: Coefficient | None) -> str:
     unit, factor = field_unit(coefficient.unit if coefficient else "")
-    agree = "they agree" if abs(found.z) <= 2.0 else "they do not agree"
+    agree = "they agree" if abs(found.z) <= _AGREES else "they do not agree"
     value = format_estimate(found.value * factor, found.u * factor, unit)
     difference = format_estimate(found.difference * factor, found.u_difference * factor, unit)
     return (
