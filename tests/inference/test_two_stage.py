@@ -380,7 +380,10 @@ def test_exact_estimate_is_unbiased_and_its_interval_covers(drift, ratio, sigma,
     errors, claims, coverage = trials(runs, sigma, bias_sd=bias_sd)
     u = math.sqrt(np.mean(claims**2))
     assert np.std(errors) / u == pytest.approx(1.0, abs=4 / math.sqrt(2 * TRIALS))
-    assert abs(np.mean(errors)) < 4 * u / math.sqrt(TRIALS)
+    # Ripple makes a parabola of K_III: a tenth of u at 1e-5, which only many trials show.
+    left = second_stage(runs, QX, ignored=["K_III"], **KNOWN).shift("K_III")[0] * TRUTH["K_III"]
+    assert abs(left) < 0.15 * u
+    assert abs(np.mean(errors) - left) < 4 * u / math.sqrt(TRIALS)
     assert coverage == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / TRIALS))
 
 
