@@ -118,11 +118,11 @@ def read_plan(path: Path | str) -> Plan:
     ]
     campaign = resolve_campaign({**document, "runs": stand_ins}, file, problems)
     plan = None
-    if campaign is not None and settings is not None:
+    if campaign is not None:
         _check_noise(campaign, problems)
-        limits = _limits(settings, attitudes, campaign, problems)
+        limits = _limits(settings, attitudes, campaign, problems) if settings else None
         sought = _goal(goal, campaign, problems) if goal else None
-        if limits is not None and sought is not None:
+        if settings is not None and limits is not None and sought is not None:
             plan = Plan(
                 file.absolute(),
                 {**document, "truth": _expected(document, campaign)},

@@ -105,12 +105,36 @@ class Search:
         limits = self.relaxed(key)
         predictor = self._faster_sampling() if key == "sampling_rate" else self.predictor
         before = self._value(self.predictor, design)
-        if key in ("runs", "senses") or (key == "rate" and limits.settings):
-            found = self.best(limits, design)
-            after = before if found is None else found.value
-        else:
-            after = self._improved(predictor, limits, design)
+        after = min(
+            self._improved(predictor, limits, start) for start in self._starts(key, limits, design)
+        )
         return max(0.0, 1.0 - math.exp(after - before))
+
+    @staticmethod
+    def _starts(key: str, limits: Limits, design: Design) -> list[Design]:
+        """Return designs that make use of a relaxed limit, where better lengths alone do not."""
+        if key == "senses":
+            turned = tuple(
+                kind._replace(sense=-kind.sense) if index % 2 else kind
+                for index, kind in enumerate(design.types)
+            )
+            return [design, replace(design, types=turned)]
+        if key == "runs":
+            more = limits.runs - len(design.types)
+            kinds = dict(zip(design.types, range(len(design.types)), strict=True))
+            others = [
+                Design(
+                    (kind,) * more,
+                    np.repeat(design.rate[index], more),
+                    np.repeat(design.revolutions[index], more),
+                )
+                for kind, index in kinds.items()
+            ]
+            return [design, *(design.joined(other) for other in others)]
+        if key == "rate" and limits.settings:
+            rate = np.where(design.rate == max(limits.settings[:-1]), limits.rate[1], design.rate)
+            return [design, Design(design.types, rate, design.duration * rate / (2.0 * math.pi))]
+        return [design]
 
     def _value(self, predictor: Predictor, design: Design) -> float:
         if self.plan.goal.kind == "target":
@@ -195,8 +219,10 @@ class Search:
         """Return the design with durations and rates as they are written, still in the limits."""
         rate = np.array([self._rounded_rate(float(w)) for w in design.rate])
         fewest = self.limits.revolutions * 2.0 * math.pi / rate
-        # Down to the written digit, so that the total time is kept.
-        duration = np.floor(design.duration / _ROUNDED + 1e-6) * _ROUNDED
+        # To the written digit: down, so that the total time is kept, or up, so that a target is.
+        up = self.plan.goal.kind == "target"
+        digit = np.ceil if up else np.floor
+        duration = digit(design.duration / _ROUNDED + (-1e-6 if up else 1e-6)) * _ROUNDED
         duration = np.where(duration < fewest, np.maximum(design.duration, fewest), duration)
         duration = np.minimum(duration, self.limits.longest_run)
         rounded = Design(design.types, rate, duration * rate / (2.0 * math.pi))

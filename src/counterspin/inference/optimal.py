@@ -29,7 +29,8 @@ from counterspin.physics.accelerometer import Array
 #: A change of the plan that gains less than this part of u is none.
 _GAIN: Final = 2e-5
 _PASSES: Final = 3  #: of exchanges
-_STARTS: Final = 4  #: that are polished
+_STARTS: Final = 5  #: that are polished
+_SOME: Final = 0.02  #: of a run, that counts as some weight
 _ALIKE: Final = 1e-3  #: relative difference of runs that are one for the exchanges
 
 
@@ -141,7 +142,7 @@ def _whole(relaxed: Relaxed, limits: Limits) -> Iterator[Design]:
     """Yield starts: whole runs in place of the relaxation's weights."""
     groups: dict[tuple[RunType, int], list[int]] = {}
     for index, (kind, rate) in enumerate(zip(relaxed.types, relaxed.rate, strict=True)):
-        groups.setdefault((kind, round(30.0 * math.log(rate))), []).append(index)
+        groups.setdefault((kind, round(8.0 * math.log(rate))), []).append(index)
     weight = np.array([relaxed.weight[index].sum() for index in groups.values()])
     kinds = [kind for kind, _ in groups]
     rate = np.array(
@@ -153,11 +154,17 @@ def _whole(relaxed: Relaxed, limits: Limits) -> Iterator[Design]:
     total = float(weight.sum())
     totals = {min(limits.runs, max(1, n)) for n in (math.floor(total), math.ceil(total))}
     totals |= {limits.runs} if relaxed.price_run > 0.0 else set()
-    for count in sorted(totals, reverse=True):
-        runs = _share(weight, count)
+    shares = [_share(weight, count) for count in sorted(totals, reverse=True)]
+    # A group that gets parts of a run may be what tells terms apart: then it needs a whole one.
+    shares += [_at_least_one(weight, share) for share in shares]
+    for runs in shares:
+        count = int(runs.sum())
         chosen = np.repeat(np.arange(weight.size), runs)
         types = tuple(kinds[i] for i in chosen)
-        even = fitted_into(Design(types, rate[chosen], turns[chosen]), limits)
+        # As much time in each group as the relaxation spends there.
+        even = fitted_into(
+            Design(types, rate[chosen], (turns * weight / np.maximum(runs, 1))[chosen]), limits
+        )
         if even is None:
             continue
         yield even
@@ -185,6 +192,17 @@ def _share(weight: Array, count: int) -> npt.NDArray[np.int64]:
     rest = np.argsort(-(exact - whole), kind="stable")[: count - int(whole.sum())]
     whole[rest] += 1
     return whole
+
+
+def _at_least_one(weight: Array, runs: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return the runs with one for each group of some weight, taken from the largest groups."""
+    changed = runs.copy()
+    for index in np.flatnonzero((weight > _SOME) & (runs == 0)):
+        largest = int(np.argmax(changed))
+        if changed[largest] > 1:
+            changed[largest] -= 1
+            changed[index] = 1
+    return changed
 
 
 def _best_of(

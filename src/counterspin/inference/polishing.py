@@ -124,7 +124,7 @@ class _Variables:
             method="SLSQP",
             bounds=bounds,
             constraints={"type": "ineq", "fun": values, "jac": slopes},
-            options={"maxiter": 150, "ftol": 1e-8},
+            options={"maxiter": 100, "ftol": 1e-8},
         )
         return np.asarray(np.clip(found.x, low, high))
 

@@ -56,7 +56,8 @@ def _answer(result: PlanResult) -> Iterator[Block]:
             else result.platform[name]
         )
         parts.append(f"u({_spoken(name)}) = {_u(found)}")
-    time = f"{len(result.runs)} runs, {_time(result.total_time)}"
+    count = len(result.runs)
+    time = f"{count} run{'s' * (count > 1)}, {_time(result.total_time)}"
     yield Paragraph(f"{'; '.join(parts)}: {time}.", "answer")
     if goal is not None:
         yield Paragraph(_optimality(goal))
@@ -133,7 +134,8 @@ def _accelerometer(result: PlanResult, name: str, found: PlannedAccelerometer) -
         names = ", ".join(item.terms[:-1]) + " and " + item.terms[-1]
         how = "cannot be told apart" if abs(item.correlation) > 0.999 else "are hardly told apart"
         yield Paragraph(
-            f"{names} {how} in this plan; determined: {item.determined}. {_advice(result, item.terms)}"
+            f"{names} {how} in this plan; determined: {item.determined}. "
+            f"{_advice(result, item.terms)}"
         )
     sought = result.goal.sizes if result.goal else {_first(result): 1.0}
     for symbol, lines in found.budget.items():
