@@ -97,23 +97,26 @@ def optimise(
             f"not one run fits into {limits.total_time:.6g} s: the shortest takes "
             f"{limits.shortest:.6g} s with spin-up and settling"
         )
+    choices = [
+        (relax(relaxing or predictor, allowed, criterion), allowed) for allowed in _subsets(limits)
+    ]
+    choices.sort(key=lambda choice: choice[0].bound)
     best: tuple[float, Design] | None = None
-    bounds: list[tuple[float, Relaxed]] = []
-    for allowed in _subsets(limits):
-        relaxed = relax(relaxing or predictor, allowed, criterion)
-        bounds.append((relaxed.bound, relaxed))
+    for relaxed, allowed in choices:
         if best is not None and relaxed.bound > best[0] - _GAIN:
-            continue
+            break  # nor can those that follow be better
         starts = list(_whole(relaxed, allowed))
         if start is not None and set(start.types) <= set(allowed.types):
             starts = [start, *starts[:1]]
+        if not starts:
+            continue
         found = _best_of(predictor, allowed, criterion, starts)
         found = _exchange(predictor, allowed, criterion, found)
         if best is None or found[0] < best[0] - _GAIN:
             best = found
-    assert best is not None
-    bound, relaxed = min(bounds, key=lambda pair: pair[0])
-    return Optimum(_ordered(best[1]), best[0], min(bound, best[0]), relaxed)
+    assert best is not None  # the choices hold one attitude alone, into which a run fits
+    relaxed = choices[0][0]
+    return Optimum(_ordered(best[1]), best[0], min(relaxed.bound, best[0]), relaxed)
 
 
 def _subsets(limits: Limits) -> Iterator[Limits]:
@@ -140,14 +143,13 @@ def _subsets(limits: Limits) -> Iterator[Limits]:
 
 def _whole(relaxed: Relaxed, limits: Limits) -> Iterator[Design]:
     """Yield starts: whole runs in place of the relaxation's weights."""
-    groups: dict[tuple[RunType, int], list[int]] = {}
-    for index, (kind, rate) in enumerate(zip(relaxed.types, relaxed.rate, strict=True)):
-        groups.setdefault((kind, round(8.0 * math.log(rate))), []).append(index)
+    groups: dict[tuple[RunType, float], list[int]] = {}
+    for index, (kind, w) in enumerate(zip(relaxed.types, relaxed.rate, strict=True)):
+        near = float(w) if limits.settings else float(round(8.0 * math.log(w)))
+        groups.setdefault((kind, near), []).append(index)
     weight = np.array([relaxed.weight[index].sum() for index in groups.values()])
     kinds = [kind for kind, _ in groups]
-    rate = np.array(
-        [np.average(relaxed.rate[i], weights=relaxed.weight[i]) for i in groups.values()]
-    )
+    rate = np.array([relaxed.rate[i[np.argmax(relaxed.weight[i])]] for i in groups.values()])
     turns = np.array(
         [np.average(relaxed.revolutions[i], weights=relaxed.weight[i]) for i in groups.values()]
     )

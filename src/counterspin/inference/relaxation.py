@@ -38,9 +38,11 @@ Places = npt.NDArray[np.intp]
 _RATES: Final = 9  #: on the first grid, if any rate may be set
 _LENGTHS: Final = 12
 _REFINED: Final = 4  #: times that the grid is made finer about the runs that are in use
-_ROUNDS: Final = 40
+_ROUNDS: Final = 30
+#: Weights below this part of a run are none.
+_NONE: Final = 1e-5
 #: The relaxation is solved once no plan can be better by more than this part of u.
-_SOLVED: Final = 1e-4
+_SOLVED: Final = 3e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +114,7 @@ def relax(predictor: Predictor, limits: Limits, criterion: Criterion, fineness: 
     weight = solved.start()
     weight, solution = _solve(solved, weight)
     for level in range(1, _REFINED + 1):
-        used = np.flatnonzero(weight > 1e-6)
+        used = np.flatnonzero(weight > _NONE)
         finer = _finer(predictor, limits, grid, used, steps * 0.5**level)
         if not len(finer.types):
             break
@@ -120,7 +122,7 @@ def relax(predictor: Predictor, limits: Limits, criterion: Criterion, fineness: 
         solved = _Weights(predictor, criterion, grid, limits)
         weight = np.concatenate([weight, np.zeros(len(finer.types))])
         weight, solution = _solve(solved, weight)
-    kept = np.flatnonzero(weight > 1e-6)
+    kept = np.flatnonzero(weight > _NONE)
     value, bound, prices = solution
     return Relaxed(
         tuple(grid.types[i] for i in kept),
@@ -144,9 +146,12 @@ def _solve(
         bound = max(bound, value + float(phi @ weight) - float(phi @ best))
         if value - bound < _SOLVED:
             break
-        support = np.flatnonzero((weight > 1e-9) | (best > 1e-9))
-        weight = solved.improved(support, weight, best)
-        value, phi = solved.gain(weight)
+        support = np.flatnonzero((weight > _NONE) | (best > _NONE))
+        better = solved.improved(support, weight, best)
+        after, phi_after = solved.gain(better)
+        if after > value - 0.01 * _SOLVED:
+            break  # rounding is all that is left to gain
+        weight, value, phi = better, after, phi_after
     return weight, (value, bound, prices)
 
 
@@ -285,7 +290,7 @@ class _Weights:
                 ),
                 "jac": lambda _: np.vstack([-cost / self.total, np.full(count, -1.0 / self.runs)]),
             },
-            options={"maxiter": 60, "ftol": 1e-10},
+            options={"maxiter": 50, "ftol": 1e-8},
         )
         result = np.zeros_like(weight)
         result[support] = np.maximum(found.x, 0.0)
