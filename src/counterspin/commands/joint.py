@@ -13,6 +13,7 @@ from counterspin.campaign.result import AccelerometerResult, Coefficient, Confou
 from counterspin.commands.joint_checks import (
     compare,
     driving_runs,
+    hidden_walk,
     jackknife,
     left_out,
     residual_tests,
@@ -151,6 +152,7 @@ def _accelerometer(
         two_stage=compare(campaign, observed, found, name),
         warnings=[f"{name}: {finding}" for finding in diagnostics.findings]
         + driving_runs(found, name)
+        + hidden_walk(found, name)
         + _undetermined(own, name),
         **described(campaign.accelerometers[name], own),
     )

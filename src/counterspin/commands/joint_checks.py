@@ -4,6 +4,7 @@
 - `jackknife`, `driving_runs`
 - `compare`
 - `left_out`
+- `hidden_walk`
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ from counterspin.inference.diagnostics import Diagnostics, diagnose
 from counterspin.inference.estimation import Estimate
 from counterspin.inference.left_out import sensitivities
 from counterspin.physics.accelerometer import term
+
+#: Gain of 2 ln L from which a dropped component is spoken of: one chance in six without it.
+_HINT: Final = 1.0
 
 #: A run left out that moves K_II by more than this many standard uncertainties drives the result.
 _DRIVES: Final = 3.0
@@ -201,3 +205,25 @@ def _considered(found: Estimate, index: int) -> dict[str, float]:
         for c, effect in zip(found.fit.model.considered, row, strict=False)
         if effect != 0.0
     }
+
+
+def hidden_walk(found: Estimate, name: str) -> list[str]:
+    """Return a warning where accelerometer noise was dropped that the records do hint at.
+
+    Near the limit of what they can show, keeping a walk that is not there makes K_F worse, and
+    dropping one that is there makes its interval too short. Who knows the noise should state it.
+    """
+    components = found.components.get(name)
+    if components is None or "random_walk" not in components.dropped:
+        return []
+    tried = components.log_likelihoods
+    with_walk = max((v for k, v in tried.items() if "random_walk" in k), default=-math.inf)
+    without = max((v for k, v in tried.items() if "random_walk" not in k), default=math.inf)
+    gain = 2.0 * (with_walk - without)
+    if gain < _HINT:
+        return []
+    return [
+        f"{name}: the records hint at white noise of the accelerometer, not clearly enough to be "
+        f"kept (2 ln L gains {gain:.1f}; 2.7 would do). If it is there, the interval of K_F is too "
+        "short: state it in [noise] if it is known."
+    ]

@@ -22,7 +22,7 @@ from counterspin.inference.series import Series
 from counterspin.physics.accelerometer import Array
 
 #: Rows that are enough: sensitivities depend on the columns' shapes, not on the sampling.
-_ROWS: Final = 8192
+_ROWS: Final = 3072
 
 
 def sensitivities(fit: JointFit, terms: Sequence[Considered]) -> Array:
