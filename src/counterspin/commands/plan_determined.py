@@ -86,7 +86,14 @@ def assess_blocks(predictor: Predictor, blocks: Array) -> Assessment:
     p = predictor.p
     solution = least_squares.solve(
         [
-            Block(block[:, :p], np.zeros(p), block[:, p : p + predictor.common.size], 0.0, p, 0)
+            Block(
+                block[:, :p],
+                np.zeros(len(block)),
+                block[:, p : p + predictor.common.size],
+                rss=0.0,
+                rows=len(block),
+                nuisance=0,
+            )
             for block in blocks
         ],
         prior_sd=[unknown.prior[1] for unknown in shared],

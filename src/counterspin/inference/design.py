@@ -218,12 +218,19 @@ class Predictor:
         Returns
         -------
         Array
-            Shape (..., n, p, p + q); the last columns, of terms considered run by run, are zero
-            where an attitude has fewer of them than others.
+            Shape (..., n, b, p + q), b rows a run; the last columns, of terms considered by run,
+            are zero where an attitude has fewer of them than others.
         """
         shape = rate.shape
         widest = self.p + self.common.size + max(own.size for own in self.own.values())
-        result = np.zeros((*shape, self.p, widest))
+        if len(set(types)) == 1:
+            kind = types[0]
+            found = self.information.blocks(
+                kind.attitude, kind.sense, rate.ravel(), revolutions.ravel()
+            )
+            if found.shape[2] == widest:
+                return found.reshape(*shape, *found.shape[1:])
+        result = np.zeros((*shape, self.information.rows, widest))
         for kind in dict.fromkeys(types):
             which = [i for i, other in enumerate(types) if other == kind]
             w, n = rate[..., which], revolutions[..., which]

@@ -30,6 +30,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from counterspin.inference.blocks import triangle_of
 from counterspin.inference.design import Criterion, Limits, Predictor, RunType
 from counterspin.physics.accelerometer import Array
 
@@ -216,7 +217,7 @@ def _made(
     revolutions: Array,
 ) -> _Grid:
     cost = 2.0 * math.pi * revolutions / rate + limits.overhead(rate) if types else rate
-    root = predictor.blocks(types, rate, revolutions)[:, :, : predictor.p]
+    root = triangle_of(predictor.blocks(types, rate, revolutions)[:, :, : predictor.p])
     return _Grid(types, rate, revolutions, root, np.asarray(cost))
 
 

@@ -28,7 +28,6 @@ from numpy.polynomial import chebyshev
 
 from counterspin.inference import joint
 from counterspin.inference.angle_functions import functions, integration, prefix_factors
-from counterspin.inference.blocks import triangle_of
 from counterspin.inference.joint import Model
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.noise import Noise, make_whitener
@@ -105,9 +104,9 @@ class RunInformation:
         Returns
         -------
         Array
-            Rows of unit variance, shape (n, p, p + q): columns of the shared unknowns, then of the
-            shared considered terms, then of the run's own considered terms. The run's own
-            unknowns, start errors included, are projected out.
+            Rows of unit variance, shape (n, b, p + q), b = `rows`: columns of the shared unknowns,
+            then of the shared considered terms, then of the run's own considered terms. The run's
+            own unknowns, start errors included, are projected out.
         """
         setup = self.setup
         own, _ = setup.own(attitude)
@@ -117,18 +116,15 @@ class RunInformation:
         ):
             weights = self._in_rate(weight, rate)
             parts.append(self._scaled(instrument, rate, revolutions) @ weights)
-        rows = np.concatenate(parts, axis=1)
-        if own:
-            prior = np.zeros((len(own), rows.shape[2]))
-            prior[:, : len(own)] = np.diag(_weights_of_priors(setup.model, own))
-            rows = np.concatenate([rows, np.broadcast_to(prior, (len(rate), *prior.shape))], 1)
-        triangle = triangle_of(rows)
-        p = len(setup.shared)
-        block = triangle[:, len(own) : len(own) + p, len(own) :]
-        if block.shape[1] < p:
-            missing = np.zeros((len(rate), p - block.shape[1], block.shape[2]))
-            block = np.concatenate([block, missing], axis=1)
-        return np.asarray(block)
+        rows = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        for prior in _weights_of_priors(setup.model, own):
+            rows = _without_first(rows, float(prior))
+        return rows
+
+    @property
+    def rows(self) -> int:
+        """How many rows a run has in `blocks`."""
+        return sum(len(self._used(instrument.order)) for instrument in self.setup.instruments)
 
     # The functions of the angle
 
@@ -254,6 +250,19 @@ class RunInformation:
             prepared.considered,
             prepared.fixed * scale,
         )
+
+
+def _without_first(rows: Array, prior: float) -> Array:
+    """Project the first unknown out of rows, of which 1/u is known beforehand.
+
+    What is left of the information is Y' (1 - x x'/(prior^2 + x'x)) Y, and its root is Y less a
+    part of its component along x: exact, and no product is formed of which a root must be taken.
+    """
+    x, others = rows[:, :, :1], rows[:, :, 1:]
+    size = np.sum(x**2, axis=1, keepdims=True)
+    kept = prior / np.sqrt(prior**2 + size)
+    along = np.sum(x * others, axis=1, keepdims=True) / np.where(size > 0.0, size, 1.0)
+    return np.asarray(others - x * ((1.0 - kept) * along))
 
 
 def _key(instrument: Instrument) -> tuple[object, ...]:
