@@ -17,6 +17,7 @@ import numpy as np
 
 from counterspin.campaign.clock_faults import jump_words, rate_words
 from counterspin.campaign.record_report import Gap
+from counterspin.campaign.spikes import middle
 from counterspin.errors import RecordError
 
 #: Most gaps, and most rows of each kind of finding, that are listed; all are counted.
@@ -172,7 +173,7 @@ class Clock:
         if not math.isfinite(low + high):
             return None
         sample = advance[:: max(1, len(advance) // 512)]
-        usual = float(np.median(sample))
+        usual = middle(sample)
         tolerance = _tolerance(sample - usual, angle)
         if not (low >= usual - tolerance and high <= usual + tolerance):
             odd = np.flatnonzero(np.abs(advance - usual) > tolerance)
@@ -360,9 +361,7 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
     rounding = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
     apart = size[size > rounding]
     quantum = float(apart.min()) if len(apart) else 0.0
-    return (
-        _LIMIT * _MAD * float(np.median(size)) + 3 * quantum + rounding if len(size) else rounding
-    )
+    return _LIMIT * _MAD * middle(size) + 3 * quantum + rounding if len(size) else rounding
 
 
 def _wrap(angle: np.ndarray) -> np.ndarray:

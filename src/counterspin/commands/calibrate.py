@@ -71,16 +71,16 @@ def calibrate(
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
     files = [campaign.path, *(run.record for run in campaign.runs)]
-    # Checksums are taken beside the reading: both wait for the disk, neither for the other.
+    # Checksums are taken beside the reading and the fit, on a core that those leave idle.
     with ThreadPoolExecutor(1) as beside:
         checksums = beside.map(_checksum, files)
         observed = _observed(campaign, progress)
+        estimated = (
+            _jointly(campaign, observed)
+            if method == "joint"
+            else _in_two_stages(campaign, observed, options or TwoStageOptions())
+        )
         inputs = dict(zip((_name(campaign, file) for file in files), checksums, strict=True))
-    estimated = (
-        _jointly(campaign, observed)
-        if method == "joint"
-        else _in_two_stages(campaign, observed, options or TwoStageOptions())
-    )
     return Result(
         method=method,
         title=campaign.title,
