@@ -121,7 +121,9 @@ class Search:
             return [design, replace(design, types=turned)]
         if key == "runs":
             more = limits.runs - len(design.types)
-            kinds = dict(zip(design.types, range(len(design.types)), strict=True))
+            # More of each kind's shortest run: those are the ones there are many of.
+            longest_first = np.argsort(-design.duration, kind="stable")
+            kinds = {design.types[index]: index for index in longest_first}
             others = [
                 Design(
                     (kind,) * more,

@@ -125,8 +125,10 @@ def _draw(
         axes.set_xscale("log")
         axes.set_yscale("log")
         for axis in (axes.xaxis, axes.yaxis):
+            low, high = axis.get_view_interval()
             # A range of less than a decade needs ticks between the powers of ten.
-            axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0, 7.0)))
+            between = (2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0) if high < 10.0 * low else (2.0, 5.0)
+            axis.set_major_locator(LogLocator(subs=(1.0, *between)))
             axis.set_major_formatter(StrMethodFormatter("{x:g}"))
             axis.set_minor_formatter(NullFormatter())
         axes.set_xlabel(abscissa)
