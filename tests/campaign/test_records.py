@@ -148,6 +148,23 @@ def test_empty_and_damaged_files(tmp_path, name):
     refusal(path)
 
 
+def test_blank_lines_after_the_header_and_at_the_end(tmp_path):
+    text = lines(table())
+    text[1:1] = ["", ""]
+    record = read(write(tmp_path / "run.csv", [*text, ""]))
+    np.testing.assert_array_equal(record.time, table()[TIME])
+    text[500] = "10.0,x,1.0"
+    message = refusal(write(tmp_path / "run.csv", text))
+    assert "line 501: column 'angle_rad' holds the text 'x'" in message
+
+
+def test_datasets_without_any_space(tmp_path):
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        for name in table():
+            file[name] = h5py.Empty("f8")
+    assert f"'{TIME}' has the shape None; one column is needed" in refusal(tmp_path / "run.h5")
+
+
 def test_header_only(tmp_path):
     assert "no rows" in refusal(write(tmp_path / "run.csv", [f"{TIME},{ANGLE},{SIGNAL}"]))
     assert "no header" in refusal(write(tmp_path / "run.csv", ["# only this", ""]))
@@ -333,10 +350,15 @@ def test_an_outlying_angle_is_dropped(tmp_path, wrapped, size):
     np.testing.assert_allclose(record.angle, RATE * record.time, atol=1e-5)
 
 
+@pytest.mark.parametrize("noisy", [True, False])
+@pytest.mark.parametrize("size", [0.01, 0.5])
 @pytest.mark.parametrize("place", [100, 500, 990])
-def test_angle_that_jumps(tmp_path, place):
+def test_angle_that_jumps(tmp_path, place, size, noisy):
     columns = table()
-    columns[ANGLE][place:] += 0.01
+    if not noisy:
+        # In an angle without noise the jump is the smallest step that there is.
+        columns[ANGLE] = RATE * columns[TIME]
+    columns[ANGLE][place:] += size
     message = refusal(write(tmp_path / "run.csv", columns))
     assert f"line {place + 2}:" in message
     assert "angle jumps" in message
@@ -395,6 +417,15 @@ def test_gross_outliers_are_found(tmp_path, step):
     np.testing.assert_array_equal(np.flatnonzero(np.isnan(record.signals["Qx"])), places)
     assert record.report.outliers[SIGNAL] == 100
     assert [found.row for found in record.report.listed] == (places + 1).tolist()
+
+
+@pytest.mark.parametrize("filler", [-9.99e33, 9.969209968386869e36, 1e300])
+def test_a_filler_in_place_of_an_empty_cell(tmp_path, filler):
+    columns = table()
+    columns[SIGNAL][[5, 400, 401, 999]] = filler
+    record = read(write(tmp_path / "run.csv", columns))
+    assert record.report.outliers[SIGNAL] == 4
+    assert np.flatnonzero(np.isnan(record.signals["Qx"])).tolist() == [5, 400, 401, 999]
 
 
 @pytest.mark.parametrize("bias", [0.0, 1.0])
@@ -556,6 +587,8 @@ def test_a_unit_that_changes_on_the_way(tmp_path, factor, place, start):
     ("change", "words"),
     [
         (lambda s: 1e3 * s, "m and mm"),
+        (lambda s: 0.0 * s, "swings by 0 m"),
+        (lambda s: 0.2 * s, "make 2.5 m: check the column's unit, the radius and the input axis"),
         (lambda s: -s, "180 degrees"),
         (lambda s: np.roll(s, 25), "check the input axis"),
     ],

@@ -182,7 +182,7 @@ def against_reference(
             f"is turned by {turn:.0f} degrees against the input axis: "
             "check the input axis, its sign, and which column is which"
         )
-    near, off = _nearest_units(size)
+    near, off = _nearest_units(size) if size > 0.0 else ("", math.inf)
     if off < 0.05:
-        words += f"; the factor {size:.4g} is that between {near}: check the column's unit"
-    return words
+        return f"{words}; the factor {size:.4g} is that between {near}: check the column's unit"
+    return f"{words}: check the column's unit, the radius and the input axis"

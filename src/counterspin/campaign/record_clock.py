@@ -26,6 +26,10 @@ _TURN = 2 * math.pi
 _MAD = 1.4826
 #: Robust standard deviations that a step of the angle may stray from its neighbours.
 _LIMIT = 10.0
+#: Steps of the angle that stand off are taken for the encoder's own, whatever their size, if they
+#: are more than this part of all; otherwise up to this size, rad.
+_RARE = 0.01
+_FINE = 1e-3
 #: The part of the advance across a gap by which the rate may have changed meanwhile.
 _GAP_SLACK = 1e-3
 
@@ -361,6 +365,9 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
     rounding = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
     apart = size[size > rounding]
     quantum = float(apart.min()) if len(apart) else 0.0
+    if len(apart) <= max(4, _RARE * len(size)):
+        # An encoder's step shows again and again, a jump once: it must not excuse itself.
+        quantum = min(quantum, _FINE)
     return _LIMIT * _MAD * middle(size) + 3 * quantum + rounding if len(size) else rounding
 
 

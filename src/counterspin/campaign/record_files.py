@@ -127,7 +127,7 @@ class CsvFile(ColumnFile):
                 raise RecordError(f"{path}: two columns of the header are named '{name}'.")
 
     def _find_header(self) -> None:
-        number = 0
+        number = blank = 0
         with self.path.open("rb") as file:
             for raw in file:
                 number += 1
@@ -142,7 +142,12 @@ class CsvFile(ColumnFile):
                     break
             else:
                 raise RecordError(f"{self.path}: the file has no header line and no rows.")
-        self._header_line = number
+            for raw in file:
+                # Among the rows a blank line is a row of empty cells; here it stops the parser.
+                if raw.strip():
+                    break
+                blank += 1
+        self._before_rows = number + blank
         # The delimiter is the one that the header uses most; a lone column has none.
         self._separator = max(",;\t", key=line.count)
         cells = next(csv.reader([line], delimiter=self._separator))
@@ -168,7 +173,7 @@ class CsvFile(ColumnFile):
             self.path,
             separator=self._separator,
             has_header=False,  # read above: blanks around the names are no part of them
-            skip_lines=self._header_line,
+            skip_lines=self._before_rows,
             comment_prefix="#" if self._comments else None,
             schema=schema,
             encoding="utf8-lossy",
@@ -252,9 +257,9 @@ class CsvFile(ColumnFile):
         """Say on which line, as a text editor counts them, data row `row` stands."""
         # A comment takes a line and is no row; only a pass over the file tells where they are.
         with self.path.open("rb") as file:
-            body = islice(enumerate(file, start=1), self._header_line, None)
+            body = islice(enumerate(file, start=1), self._before_rows, None)
             data = (number for number, line in body if not line.startswith(b"#"))
-            number = next(islice(data, row, None), row + self._header_line + 1)
+            number = next(islice(data, row, None), row + self._before_rows + 1)
         return f"line {number}"
 
 
@@ -324,7 +329,8 @@ class ArraysFile(ColumnFile):
                 array = arrays[name]
                 if array.dtype.kind not in "fiu":
                     raise RecordError(f"{path}: '{name}' does not hold numbers.")
-                if array.size != max(array.shape, default=0):
+                # HDF5 has datasets without any space, whose shape is None.
+                if array.shape is None or array.size != max(array.shape, default=0):
                     raise RecordError(
                         f"{path}: '{name}' has the shape {array.shape}; one column is needed."
                     )

@@ -29,6 +29,8 @@ LIMIT = 6.0
 _SCREEN = 5.5
 #: A window may be this many times noisier than its surroundings before that counts against it.
 _NOISIER = 4.0
+#: Times the middle of a piece beyond which a sample is no measurement at all.
+_WILD = 1e9
 #: Relative unevenness of the steps that may be ignored.
 _EVEN = 1e-4
 #: How late a sample may be before moving it along the slope no longer serves: in steps, or, where
@@ -92,6 +94,13 @@ def find_spikes(
     suspect = broken | (peak > _SCREEN * scale)
     if not suspect.any():
         return np.empty(0, dtype=int)
+    # A filler such as 1e30 in place of an empty cell would drown its window by rounding alone.
+    usual = middle(np.abs(signal))
+    wild = np.abs(signal) > _WILD * usual
+    if usual > 0.0 and wild.any():
+        rest = np.where(wild if finite is None else wild | ~finite, np.nan, signal)
+        others = find_spikes(time, rest, rate, step, unevenness, weight)
+        return np.union1d(np.flatnonzero(wild if finite is None else wild & finite), others)
 
     def robust(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         index = starts[chosen, None] + np.arange(width)
