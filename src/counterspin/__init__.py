@@ -12,6 +12,8 @@ The commands, as functions:
 - `simulate`: records of a campaign whose coefficients are known
 - `calibrate`: from a campaign's folder to a `Result`; `TwoStageOptions` for the paper's method
 - `apply`: indicated specific force corrected for a `Result` (`Correction`); `apply_file`: of a file
+- `plan`: which runs to make for a goal (`Planned`)
+- `forecast`: what the calibration of a campaign will say (`Forecast`)
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
 - `reproduce`: the paper's figures beside what they should be (`Reproduction`)
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
@@ -64,6 +66,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from counterspin._version import __version__ as __version__
     from counterspin.campaign.description import read_campaign as read_campaign
+    from counterspin.campaign.forecast import Forecast as Forecast
+    from counterspin.campaign.forecast import forecast as forecast
     from counterspin.campaign.resolved import Campaign as Campaign
     from counterspin.campaign.result import Result as Result
     from counterspin.campaign.result import read_result as read_result
@@ -75,6 +79,8 @@ if TYPE_CHECKING:
     from counterspin.commands.demo import Demonstration as Demonstration
     from counterspin.commands.demo import demo as demo
     from counterspin.commands.init import init as init
+    from counterspin.commands.plan import Planned as Planned
+    from counterspin.commands.plan import plan as plan
     from counterspin.commands.simulate import simulate as simulate
     from counterspin.commands.two_stage import TwoStageOptions as TwoStageOptions
     from counterspin.errors import CampaignError as CampaignError
@@ -113,6 +119,7 @@ if TYPE_CHECKING:
 _OFFERED = {
     "_version": ("__version__",),
     "campaign.description": ("read_campaign",),
+    "campaign.forecast": ("Forecast", "forecast"),
     "campaign.resolved": ("Campaign",),
     "campaign.result": ("Result", "read_result", "write_result"),
     "commands.apply": ("Correction", "apply"),
@@ -120,6 +127,7 @@ _OFFERED = {
     "commands.calibrate": ("calibrate",),
     "commands.demo": ("Demonstration", "demo"),
     "commands.init": ("init",),
+    "commands.plan": ("Planned", "plan"),
     "commands.simulate": ("simulate",),
     "commands.two_stage": ("TwoStageOptions",),
     "errors": (
