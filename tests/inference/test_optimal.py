@@ -41,13 +41,20 @@ def predictor():
     return Predictor(RunInformation(make_setup(), (0.1 * FAST, 1.1 * FAST), (1.0, 800.0), (1, -1)))
 
 
-def considering():
-    """Return a set-up with a considered term of each run, one common to all, and an input."""
+def considering(*considered):
+    """Return a set-up in which some terms and an input are considered."""
     return make_setup(
         platform=("platform.drift.north",),
-        considered=("platform.tilt.north", "platform.g_sensitivity.zx"),
+        considered=considered,
         inputs={"centrifuge.radius": 1e-4},
     )
+
+
+SETUPS = {
+    "estimated": make_setup(),
+    "considered": considering("platform.tilt.north", "platform.g_sensitivity.zx"),
+    "considered, common to all runs": considering("platform.g_sensitivity.zx"),
+}
 
 
 # Predictions
@@ -84,7 +91,7 @@ def test_many_designs_at_once_are_as_one_by_one(predictor):
     [K_II, Criterion((1, 2), (1e-4, 1e-8)), Criterion((0, 2, 3), (1.0, 1.0, 1.0), "determinant")],
     ids=["one", "sum", "determinant"],
 )
-@pytest.mark.parametrize("setup", [make_setup(), considering()], ids=["estimated", "considered"])
+@pytest.mark.parametrize("setup", SETUPS.values(), ids=SETUPS)
 def test_derivatives_are_those_of_differences(setup, criterion):
     predictor = Predictor(RunInformation(setup, (1.0, 7.0), (5.0, 100.0), (1, -1)))
     design = Design(BOTH * 3, np.linspace(2.0, 6.0, 6), np.linspace(10.0, 40.0, 6))

@@ -275,7 +275,8 @@ class Predictor:
         q = self.common.size
         common = moments[..., :q].sum(axis=-3)
         own = np.moveaxis(moments[..., q:], -3, -2)
-        columns = np.concatenate([common, own.reshape(*lead, p, -1)], axis=-1)
+        own = own.reshape(*lead, p, own.shape[-2] * own.shape[-1])
+        columns = np.concatenate([common, own], axis=-1)
         spread: Array = -inner @ columns
         whole: Array = inner + spread @ np.swapaxes(spread, -1, -2)
         return whole, inner, spread
@@ -332,6 +333,6 @@ class Predictor:
         width = columns.shape[-1] - q
         weights = np.zeros((n, q + width, c.shape[1]))
         weights[:, :q] = s[:q]
-        weights[:, q:] = s[q:].reshape(n, width, -1)
+        weights[:, q:] = s[q:].reshape(n, width, c.shape[1])
         share -= 2.0 * np.sum(seen * (columns @ weights), axis=(-2, -1))
         return np.asarray(share)

@@ -154,7 +154,7 @@ def _advice(result: PlanResult, terms: list[str]) -> str:
     one_rate = max(map(abs, rates)) < 1.001 * min(map(abs, rates))
     if one_rate and len({len(row.factors) for row in own}) > 1:
         return "Other rates separate them."
-    if own and len({run.attitude for run in result.runs}) == 1:
+    if not platform and len({run.attitude for run in result.runs}) == 1:
         return "They need a second attitude, or knowledge of one of them beforehand."
     return "They need knowledge of one of them beforehand."
 
