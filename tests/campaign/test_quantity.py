@@ -149,3 +149,9 @@ def test_no_text_gets_past_as_anything_but_a_quantity_or_a_value_error(text):
 def test_importing_the_module_does_not_import_pint():
     code = "import sys, counterspin.campaign.quantity; sys.exit('pint' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("text", ["1e300 m", "-1e61 m", "2.5 ± 1e-300 m", "1e-64 km"])
+def test_sizes_beyond_all_measure(text):
+    with pytest.raises(ValueError, match="is beyond all measure; a length is wanted"):
+        parse(text, "m")

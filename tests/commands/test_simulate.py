@@ -275,3 +275,13 @@ def test_command_line(tmp_path, capsys):
     bad = write(tmp_path / "bad", without(SMALL, "truth.Qx").replace("20 Hz", "20 m"))
     assert main(["simulate", str(bad), "-o", str(tmp_path / "other")]) == 2
     assert "simulation.sampling_rate" in capsys.readouterr().err
+
+
+def test_more_rows_than_there_is_room_for(tmp_path):
+    text = changed(SMALL, ('rate = "0.5 rev/s"', 'rate = "1e-6 rad/s"'))
+    campaign = write(tmp_path, text)
+    with pytest.raises(CampaignError) as caught:
+        simulate(campaign, tmp_path / "records")
+    (problem,) = caught.value.problems
+    assert problem.startswith("runs[1]: 2.51e+09 rows are more than can be simulated")
+    assert not (tmp_path / "records").exists()

@@ -17,6 +17,9 @@ from counterspin.errors import CounterspinError
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file under a temporary name beside its place, then move it there.
 
+    A link keeps standing, and what it leads to is replaced; a device or a pipe such as
+    ``/dev/stdout`` is written to.
+
     Parameters
     ----------
     path
@@ -29,19 +32,26 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
     CounterspinError
         If the file cannot be written; nothing is left behind then.
     """
+    place = path.resolve()
+    stream = place.exists() and not (place.is_file() or place.is_dir())
     try:
-        handle, name = tempfile.mkstemp(suffix=path.suffix, prefix=".", dir=path.parent)
+        handle, name = tempfile.mkstemp(
+            suffix=path.suffix, prefix=".", dir=None if stream else place.parent
+        )
     except OSError as error:
         raise CounterspinError(_refusal(path, error)) from error
     os.close(handle)
     part = Path(name)
     try:
         write(part)
+        if stream:
+            place.write_bytes(part.read_bytes())
+            return
         # mkstemp makes files for the owner only; a result is an ordinary file.
         mask = os.umask(0)
         os.umask(mask)
         part.chmod(0o666 & ~mask)
-        part.replace(path)
+        part.replace(place)
     except OSError as error:
         raise CounterspinError(_refusal(path, error)) from error
     finally:

@@ -75,6 +75,10 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
     "rad/s/g": ("a gyro g-sensitivity", "deg/h/g, rad/s/g"),
 }
 
+#: Whatever a laboratory measures lies in between, in SI and g-units; the squares of sizes beyond
+#: leave what a computer can count with.
+_CREDIBLE: Final = (1e-60, 1e60)
+
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _QUANTITY = re.compile(rf"({_NUMBER})(?:\s*(?:±|\+/-|\+-)\s*({_NUMBER}))?(?:\s+|(?=[^\d.\s]))(.*)")
 _BARE = re.compile(rf"{_NUMBER}(?:\s*(?:±|\+/-|\+-)\s*{_NUMBER})?")
@@ -126,7 +130,7 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
     Raises
     ------
     ValueError
-        If the number is not one, not finite or without a unit; if the unit is unknown or of
+        If the number is not one, not finite, beyond all measure or without a unit; if the unit is unknown or of
         another dimension; if the uncertainty is negative.
     """
     kind, accepted = _advice(unit)
@@ -157,6 +161,8 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
         raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
     if u < 0.0:
         raise ValueError(f"{text!r} has a negative uncertainty")
+    if any(size and not _CREDIBLE[0] < size < _CREDIBLE[1] for size in (abs(value), u)):
+        raise ValueError(f"{text!r} is beyond all measure; {kind} is wanted ({accepted})")
     return Quantity(value, u, unit)
 
 

@@ -30,6 +30,9 @@ WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
     ".parquet": lambda frame, path: frame.write_parquet(path),
 }
 
+#: A run is made in memory, column by column, so that more rows than this would fill it.
+_MOST_ROWS: Final = 10**8
+
 
 def simulate(
     where: Path | str | Campaign, folder: Path | str, *, overwrite: bool = False
@@ -68,6 +71,7 @@ def simulate(
             str(campaign.path),
             ["truth: missing; `simulate` needs [truth.NAME] tables with the true coefficients"],
         )
+    _refuse_long_runs(campaign, campaign.simulation.sampling_rate)
     targets = _targets(campaign, folder)
     description = folder / "campaign.toml"
     own = description.exists() and description.samefile(campaign.path)
@@ -90,6 +94,18 @@ def simulate(
     if not own:
         write_whole(description, partial(shutil.copyfile, campaign.path))
     return targets
+
+
+def _refuse_long_runs(campaign: Campaign, sampling_rate: float) -> None:
+    problems = [
+        f"runs[{index}]: {run.duration * sampling_rate:.3g} rows are more than can be simulated "
+        f"at once ({_MOST_ROWS:.0e}); choose fewer revolutions, a shorter duration or a lower "
+        "simulation.sampling_rate"
+        for index, run in enumerate(campaign.runs)
+        if run.duration is not None and run.duration * sampling_rate > _MOST_ROWS
+    ]
+    if problems:
+        raise CampaignError(str(campaign.path), problems)
 
 
 def _targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:
