@@ -41,10 +41,10 @@ def test_a_pipe_is_written_to_and_not_replaced(tmp_path):
 
 
 def test_a_full_disk_is_told(tmp_path):
-    with pytest.raises(CounterspinError, match="full.json: cannot be written"):
-        link = tmp_path / "full.json"
-        link.symlink_to("/dev/full")
-        write_text(link, "x")
+    full = tmp_path / "full.json"
+    full.symlink_to("/dev/full")
+    with pytest.raises(CounterspinError, match=r"full\.json: cannot be written"):
+        write_text(full, "x")
 
 
 def test_a_folder_in_the_way_and_one_that_is_missing(tmp_path):

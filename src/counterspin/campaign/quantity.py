@@ -130,8 +130,8 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
     Raises
     ------
     ValueError
-        If the number is not one, not finite, beyond all measure or without a unit; if the unit is unknown or of
-        another dimension; if the uncertainty is negative.
+        If the number is not one, not finite, beyond all measure or without a unit; if the unit is
+        unknown or of another dimension; if the uncertainty is negative.
     """
     kind, accepted = _advice(unit)
     if not isinstance(text, str):
