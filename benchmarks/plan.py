@@ -14,18 +14,18 @@ import os
 # The command line does the same: for matrices this small, more threads cost more than they bring.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import math  # noqa: E402
-import tempfile  # noqa: E402
-import time  # noqa: E402
-from pathlib import Path  # noqa: E402
+import math
+import tempfile
+import time
+from pathlib import Path
 
-import numpy as np  # noqa: E402
-from process import COUNTERSPIN, interleaved  # noqa: E402
-from table import Table, script  # noqa: E402
+import numpy as np
 
-from counterspin.campaign.plan_description import read_plan  # noqa: E402
-from counterspin.commands.plan import write_example  # noqa: E402
-from counterspin.commands.plan_search import Search  # noqa: E402
+from counterspin.campaign.plan_description import read_plan
+from counterspin.commands.plan import write_example
+from counterspin.commands.plan_search import Search
+from process import COUNTERSPIN, interleaved
+from table import Table, script
 
 RUNS = 8
 BATCH = 100
