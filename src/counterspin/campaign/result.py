@@ -12,7 +12,8 @@ else is SI unless its unit stands beside it.
 from __future__ import annotations
 
 import json
-from collections.abc import Collection
+import math
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -21,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from counterspin.campaign.output import write_text
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import RecordError
+from counterspin.physics.accelerometer import TERMS
 
 SCHEMA: Final = 1  #: version of the JSON
 
@@ -302,7 +304,7 @@ def read_result(path: Path | str) -> Result:
     """
     path = Path(path)
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
+        document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_not_a_number)
     except OSError as error:
         raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
     except ValueError as error:
@@ -317,8 +319,31 @@ def read_result(path: Path | str) -> Result:
             f"{SCHEMA}); update counterspin"
         )
     try:
-        return Result.model_validate(document)
+        result = Result.model_validate(document)
     except ValidationError as error:
         first = error.errors()[0]
-        where = ".".join(str(key) for key in first["loc"])
-        raise RecordError(f"{path}: not a result file: {where}: {first['msg']}") from error
+        where = "".join(f"{key}: " for key in first["loc"])
+        raise RecordError(f"{path}: not a result file: {where}{first['msg']}") from error
+    for fault in _faults(result):
+        raise RecordError(f"{path}: a damaged result: {fault}")
+    return result
+
+
+def _not_a_number(word: str) -> None:
+    raise ValueError(f"{word} is not a number that JSON knows")
+
+
+def _faults(result: Result) -> Iterator[str]:
+    """Yield what would be applied wrongly, though each part looks like one."""
+    for name, found in result.accelerometers.items():
+        if not found.coefficients:
+            yield f"{name} has no coefficients"
+        for symbol, c in {**found.known, **found.coefficients}.items():
+            if symbol in TERMS and c.unit != TERMS[symbol].unit:
+                yield f"{symbol} of {name} is in {c.unit}, not in {TERMS[symbol].unit}"
+            if not (math.isfinite(c.value or 0.0) and 0.0 <= (c.u or 0.0) < math.inf):
+                yield f"{symbol} of {name} is {c.value} ± {c.u}"
+        if found.correlation:
+            size = len(found.correlation.terms)
+            if [len(row) for row in found.correlation.matrix] != [size] * size:
+                yield f"the correlation matrix of {name} is not one of {size} terms"

@@ -1,0 +1,59 @@
+"""A result file read back: what is damaged is refused, and not applied."""
+
+import json
+
+import pytest
+
+from counterspin.campaign.result import read_result
+from counterspin.errors import RecordError
+
+K_II = {"value": 2e-5, "u": 1e-9, "unit": "g/g^2", "estimated": True}
+RESULT = {
+    "schema": 1,
+    "method": "joint",
+    "model": "exact",
+    "accelerometers": {
+        "Qx": {
+            "coefficients": {"K_II": K_II},
+            "correlation": {"terms": ["K_II"], "matrix": [[1.0]]},
+            "residual": {"rms": 0.01, "unit": "m", "dof": 100.0},
+        }
+    },
+    "runs": {},
+    "inputs": {"gravity": 9.8, "latitude": 0.7, "radius": 2.5},
+    "provenance": {"version": "0", "inputs": {}},
+}
+
+
+def stored(folder, document):
+    path = folder / "result.json"
+    path.write_text(document if isinstance(document, str) else json.dumps(document))
+    return path
+
+
+def test_a_whole_result(tmp_path):
+    found = read_result(stored(tmp_path, RESULT)).accelerometers["Qx"]
+    assert found.coefficients["K_II"].value == 2e-5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"g/g^2"', '"ug/g^2"', "damaged result: K_II of Qx is in ug/g^2, not in g/g^2"),
+        ('"u": 1e-09', '"u": -1.0', "damaged result: K_II of Qx is 2e-05 ± -1.0"),
+        ('"value": 2e-05', '"value": 1e999', "damaged result: K_II of Qx is inf ± 1e-09"),
+        ('"value": 2e-05', '"value": NaN', "a damaged one (NaN is not a number that JSON knows)"),
+        (json.dumps({"K_II": K_II}), "{}", "damaged result: Qx has no coefficients"),
+        ('["K_II"]', '["K_II", "K_F"]', "the correlation matrix of Qx is not one of 2 terms"),
+        ('"method": "joint", ', "", "not a result file: method: Field required"),
+        (json.dumps(RESULT), "[]", "not a result file: Input should be"),
+    ],
+)
+def test_damage_is_told(tmp_path, old, new, words):
+    text = json.dumps(RESULT)
+    assert old in text
+    path = stored(tmp_path, text.replace(old, new))
+    with pytest.raises(RecordError) as caught:
+        read_result(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert words in str(caught.value)
