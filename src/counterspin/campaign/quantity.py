@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -251,8 +252,16 @@ def _evaluate(written: str) -> tuple[float, Mapping[str, float]]:
 @lru_cache(maxsize=1)
 def _registry() -> Any:
     """Make the registry of the units in `UNITS` and no others."""
-    # Imported here: pint costs more to import than everything else in this room together.
-    import pint
+    # Imported here: pint costs more to import than everything else in this room together. Where
+    # dask is installed pint would import all of that too, for arrays that there are none of here.
+    hide_dask = "dask" not in sys.modules
+    if hide_dask:
+        sys.modules["dask"] = None  # type: ignore[assignment]  # what "not installed" looks like
+    try:
+        import pint
+    finally:
+        if hide_dask:
+            del sys.modules["dask"]
 
     registry: Any = pint.UnitRegistry(None)
     for name, (factor, base) in UNITS.items():
