@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 import re
+import shutil
 
 import numpy as np
 import polars as pl
@@ -12,8 +13,11 @@ from scipy.special import stdtrit
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.result import read_result, write_result
+from counterspin.cli import main
 from counterspin.commands.calibrate import calibrate
 from counterspin.commands.simulate import simulate
+from counterspin.commands.two_stage import TwoStageOptions
+from counterspin.errors import CampaignError
 
 BASE = """
 schema = 1
@@ -492,3 +496,24 @@ def test_three_attitudes_tell_the_squares_apart(tmp_path):
         c = found.accelerometers["Qx"].coefficients[symbol]
         assert c.estimated
         assert c.u < 3e-7
+
+
+def test_many_outliers_are_left_out_with_a_warning(campaign, result, tmp_path):
+    assert not any("outliers" in warning for warning in result.warnings)
+    folder = tmp_path / "stepped"
+    shutil.copytree(campaign, folder)
+    record = pl.read_csv(folder / "run2.csv")
+    wild = pl.when(pl.int_range(pl.len()) % 10 == 0).then(5.0).otherwise(0.0)
+    record.with_columns(pl.col("east_m") + wild).write_csv(folder / "run2.csv")
+    (warning,) = (w for w in calibrate(folder).warnings if "outliers" in w)
+    assert warning.startswith("run2: 81 samples of 1602 ")
+    assert re.match(r"run2: \d+ samples of \d+ were left out as outliers; ", warning)
+
+
+def test_a_method_that_is_none_and_options_of_the_other(campaign):
+    with pytest.raises(CampaignError, match="'jiont' is not joint or two-stage"):
+        calibrate(campaign, method="jiont")
+    # As printed returns half of K_II: asked for, it must not be passed over in silence.
+    with pytest.raises(CampaignError, match="say --method two-stage"):
+        calibrate(campaign, options=TwoStageOptions(model="as-printed"))
+    assert main(["calibrate", str(campaign), "--model", "as-printed"]) == 2

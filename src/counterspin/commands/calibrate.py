@@ -9,7 +9,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 from counterspin._version import __version__
 from counterspin.campaign.description import read_campaign
@@ -26,9 +26,13 @@ from counterspin.campaign.result import (
 )
 from counterspin.commands.joint import joint
 from counterspin.commands.two_stage import TwoStageOptions, two_stage
+from counterspin.errors import CampaignError
 from counterspin.inference.joint import ROTATION
 
 Method = Literal["joint", "two-stage"]
+
+#: More outliers than this part of a run's samples are worth a warning.
+_MANY_OUTLIERS: Final = 0.05
 
 #: Bytes hashed at once.
 _HASH_CHUNK: Final = 1 << 22
@@ -63,12 +67,14 @@ def calibrate(
     Raises
     ------
     CampaignError
-        If the campaign file is missing or wrong.
+        If the campaign file is missing or wrong, the method is unknown, or the joint method is
+        given options of the other.
     RecordError
         If a record cannot be used.
     NotIdentifiableError
         If the records cannot determine the unknowns.
     """
+    _refuse_mixed(method, options)
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
     files = [campaign.path, *(run.record for run in campaign.runs)]
     # Checksums are taken beside the reading and the fit, on a core that those leave idle.
@@ -81,6 +87,7 @@ def calibrate(
             else _in_two_stages(campaign, observed, options or TwoStageOptions())
         )
         inputs = dict(zip((_name(campaign, file) for file in files), checksums, strict=True))
+    estimated["warnings"] += _many_outliers(estimated["runs"], len(campaign.accelerometers))
     return Result(
         method=method,
         title=campaign.title,
@@ -93,6 +100,21 @@ def calibrate(
         provenance=Provenance(version=__version__, inputs=inputs),
         **estimated,
     )
+
+
+def _refuse_mixed(method: str, options: TwoStageOptions | None) -> None:
+    """Refuse what would be passed over in silence: half of K_II is at stake."""
+    if method not in get_args(Method):
+        known = " or ".join(get_args(Method))
+        raise CampaignError("calibrate", [f"method: {method!r} is not {known}"])
+    if method == "joint" and options not in (None, TwoStageOptions()):
+        raise CampaignError(
+            "calibrate",
+            [
+                "the joint method has no model to choose, no sigma, bias, ripple or weights of "
+                "its own; with these options say --method two-stage"
+            ],
+        )
 
 
 def _jointly(campaign: Campaign, observed: Sequence[ObservedRun]) -> dict[str, Any]:
@@ -233,6 +255,16 @@ def run_result(
         terms=own,
         fit=dict(fit or {}),
     )
+
+
+def _many_outliers(runs: Mapping[str, RunResult], accelerometers: int) -> list[str]:
+    return [
+        f"{name}: {run.counts['outliers']} samples of {run.counts['rows'] * accelerometers} were "
+        "left out as outliers; what remains is only as good as the reason for it. Look at the "
+        "record."
+        for name, run in runs.items()
+        if run.counts["outliers"] > _MANY_OUTLIERS * run.counts["rows"] * accelerometers
+    ]
 
 
 def campaign_warnings(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
