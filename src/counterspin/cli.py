@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 from cyclopts import App, CycloptsError, Parameter
 
 from counterspin._version import __version__
+from counterspin.cli_study import study
 from counterspin.errors import CampaignError, CounterspinError
 
 app = App(
@@ -24,6 +25,9 @@ app = App(
 
 OutputDirectory = Annotated[Path, Parameter(name=["--output", "-o"])]
 JsonFile = Annotated[Path | None, Parameter(name="--json")]
+
+
+app.command(study)
 
 
 @app.command

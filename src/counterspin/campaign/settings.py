@@ -162,6 +162,7 @@ class DocumentSettings(Section):
     runs: list[Any] = Field(min_length=1)
     simulation: dict[str, Any] | None = None
     truth: dict[str, Any] | None = None
+    study: dict[str, Any] | None = None
 
 
 class CampaignSettings(Section):

@@ -3,7 +3,7 @@
 What stands in this room:
 
 - `blocks`: what a record says about the shared unknowns, in a few rows
-- `least_squares`: blocks, priors and considered terms, solved by QR; `plain_fit`: one fit alone
+- `least_squares`, `plain_fit`: blocks, priors and considered terms, solved by QR; one fit alone
 - `identifiability`: what the data cannot tell apart, by name
 - `diagnostics`: whether the model fits the records
 - `noise`, `riccati`: models of a record's noise, and whitening with them
@@ -17,9 +17,14 @@ What stands in this room:
 - `outliers`, `rotation`: samples that noise does not explain; how runs without angles turned
 - `setup`, `angle_functions`, `run_information`: what a run of a plan would tell, as a smooth
   function of its rate and length
-- `design`: plans, what they may be and how good they are; `relaxation`, `polishing`, `optimal`:
-  the best one
-- `budget`: where the uncertainty of a coefficient comes from; `left_out`: what is not in it
+- `design`: plans, what they may be and how good they are
+- `relaxation`, `polishing`, `optimal`: the best plan, and what no plan can better
+- `study_draws`, `study_tally`: what varies in a Monte-Carlo study; what its trials amount to
+- `study_strobes`, `study_surrogate`: what errors add to a strobed run, by quadrature and as a
+  polynomial
+- `study_two_stage`, `study_joint`, `study_full`: trials by sufficient statistics, by whole records
+- `study_validity`, `study_choice`, `study_engine`: where shortcuts hold, which is taken, batches
+- `budget`, `left_out`: where the uncertainty of a coefficient comes from; what is not in it
 
 Glossary
 --------

@@ -1,6 +1,7 @@
 """A sign of life on the terminal while records are read; nothing where there is no terminal.
 
 - `progress`: a bar that appears only if the work takes longer than a moment
+- `trial_progress`: the same for a study's trials, with their rate and the time left
 """
 
 from __future__ import annotations
@@ -86,3 +87,38 @@ class _Bar:
     def close(self) -> None:
         if self.shown is not None:
             self.shown.stop()
+
+
+@contextmanager
+def trial_progress() -> Iterator[Callable[[int, int], None] | None]:
+    """Show how many trials are done, how many a second, and the time left, on standard error.
+
+    Yields
+    ------
+    Callable or None
+        To be called with (trials done, trials in all); None where there is no terminal.
+    """
+    if not sys.stderr.isatty():
+        yield None
+        return
+    from rich import progress as rich
+    from rich.console import Console
+
+    bar = rich.Progress(
+        rich.TextColumn("Trials"),
+        rich.BarColumn(),
+        rich.MofNCompleteColumn(),
+        rich.TextColumn("{task.fields[rate]}"),
+        rich.TimeRemainingColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task("Trials", total=None, rate="")
+
+        def advance(done: int, total: int) -> None:
+            speed = bar.tasks[0].speed
+            rate = f"{speed:.3g}/s" if speed else ""
+            bar.update(task, completed=done, total=total, rate=rate)
+
+        yield advance
