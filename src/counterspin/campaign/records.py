@@ -19,6 +19,7 @@ from typing import Literal
 
 import numpy as np
 
+from counterspin.campaign.column_file import ColumnFile, Columns
 from counterspin.campaign.record_amplitude import (
     Waves,
     against_reference,
@@ -27,7 +28,7 @@ from counterspin.campaign.record_amplitude import (
     waves,
 )
 from counterspin.campaign.record_clock import LISTED, Clock
-from counterspin.campaign.record_files import ColumnFile, Columns, open_columns
+from counterspin.campaign.record_files import open_columns
 from counterspin.campaign.record_report import Gap, Outlier, RecordReport
 from counterspin.campaign.reduction import (
     Blocks,

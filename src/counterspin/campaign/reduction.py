@@ -16,7 +16,7 @@ from itertools import chain
 
 import numpy as np
 
-from counterspin.campaign.record_files import Columns
+from counterspin.campaign.column_file import Columns
 from counterspin.campaign.spikes import find_spikes
 
 #: A block covers at most this part of a revolution: the means then lose nothing of K_II.

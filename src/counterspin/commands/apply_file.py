@@ -15,9 +15,10 @@ from typing import Final
 import numpy as np
 import polars as pl
 
+from counterspin.campaign.column_file import ColumnFile
 from counterspin.campaign.output import write_whole
 from counterspin.campaign.quantity import unit_factor
-from counterspin.campaign.record_files import ColumnFile, open_columns
+from counterspin.campaign.record_files import open_columns
 from counterspin.campaign.result import Result
 from counterspin.commands.apply import Correction, apply, instrument_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
