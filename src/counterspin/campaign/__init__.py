@@ -11,8 +11,8 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `description`: `read_campaign`, from the file to the resolved campaign
 - `records`: `read_record`, from a run's file to samples or block means, checked and cleaned
 - `column_file`, `record_csv`, `record_files`: the files themselves, whatever their format
-- `record_clock`, `clock_faults`, `spikes`, `reduction`, `record_amplitude`: the steps of reading, in
-  the order in which a record passes them
+- `record_clock`, `clock_faults`, `spikes`, `reduction`, `record_amplitude`: the steps of reading,
+  in the order in which a record passes them
 - `record_report`: what was found on the way
 - `observed`: records brought together with the rotation they were taken on
 - `problem`: the joint fit's unknowns, priors and noise, as a campaign asks for them
