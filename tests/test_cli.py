@@ -1,5 +1,8 @@
 """The command line: words to calls, errors to one paragraph and a status."""
 
+import errno
+import shlex
+
 import pytest
 
 from counterspin import cli
@@ -49,3 +52,28 @@ def test_work_that_fails(tmp_path, capsys):
     assert "exists; edit it, or choose another folder" in capsys.readouterr().err
     assert cli.main(["calibrate", str(tmp_path)]) == 1
     assert "run1.csv: there is no such file" in capsys.readouterr().err
+
+
+def test_advice_can_be_typed_as_it_stands(tmp_path, capsys):
+    folder = tmp_path / "with blanks"
+    assert cli.main(["init", str(folder)]) == 0
+    advice = capsys.readouterr().out.splitlines()[1:]
+    for line in advice:
+        assert cli.main([*shlex.split(line)[1:]]) == 0
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), "there is no space left"),
+        (MemoryError(), "there is not enough memory"),
+        (OSError(errno.EIO, "worn out"), "internal error (OSError: [Errno 5] worn out)"),
+    ],
+)
+def test_what_is_no_fault_of_the_program(error, words, monkeypatch, capsys):
+    def fail():
+        raise error
+
+    monkeypatch.setattr("counterspin.reproduction.reproduce", fail)
+    assert cli.main(["reproduce"]) == 1
+    assert words in capsys.readouterr().err

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import sys
+from errno import ENOSPC
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -44,8 +45,8 @@ def init(directory: Path, /) -> None:
     written = run(directory)
     print(
         f"Wrote {written}. Edit it, or try it:\n"
-        f"  counterspin simulate {written} -o {directory}/simulated\n"
-        f"  counterspin calibrate {directory}/simulated"
+        f"  counterspin simulate {_word(written)} -o {_word(directory / 'simulated')}\n"
+        f"  counterspin calibrate {_word(directory / 'simulated')}"
     )
 
 
@@ -72,7 +73,7 @@ def simulate(campaign: Path, /, *, output: OutputDirectory, overwrite: bool = Fa
 def calibrate(
     directory: Path,
     /,
-    *,
+    *more: Path,
     method: Literal["joint", "two-stage"] = "joint",
     model: Literal["exact", "as-printed"] = "exact",
     json: JsonFile = None,
@@ -82,6 +83,8 @@ def calibrate(
     sigma: Literal["given", "residuals"] = "given",
     budget: bool = False,
     details: bool = False,
+    workers: int = 1,
+    cluster: str | None = None,
 ) -> None:
     """Determine the accelerometers' coefficients from a campaign's records.
 
@@ -89,6 +92,8 @@ def calibrate(
     ----------
     directory
         The campaign's folder, or its campaign.toml.
+    more
+        Further campaigns: a summary of all is printed, and a failing one stops no other.
     method
         All samples in one weighted fit, or the paper's two stages.
     model
@@ -107,6 +112,10 @@ def calibrate(
         Joint: print where the uncertainty of each coefficient comes from, line by line.
     details
         Print all that was found: tests of each run, samples left out, correlations.
+    workers
+        Several campaigns: processes.
+    cluster
+        Several campaigns: address of a Dask scheduler, whose workers see the same folders.
     """
     from counterspin.campaign.result import write_result
     from counterspin.commands.calibrate import calibrate as run
@@ -121,11 +130,17 @@ def calibrate(
         fit_bias=fit_bias,
         from_residuals=sigma == "residuals",
     )
+    if more:
+        from counterspin.cli_study import calibrate_several
+
+        calibrate_several((directory, *more), json, method, options, workers, cluster)
+        return
     with progress() as advance:
         result = run(directory, method=method, options=options, progress=advance)
-    if json is not None:
-        write_result(result, json)
     print_result(result, report_console(), budget=budget, details=details)
+    if json is not None:
+        # Last: a file that cannot be written must not cost the report as well.
+        write_result(result, json)
 
 
 @app.command
@@ -306,7 +321,26 @@ def demo(
     report_console().print(render_demonstration(shown))
     print(
         f"\nWrote campaign.toml, {len(shown.records)} records and {drawn.name} to {output}. Next:\n"
-        f"  counterspin calibrate {output}"
+        f"  counterspin calibrate {_word(output)}"
+    )
+
+
+def _word(path: Path) -> str:
+    """Return a path as it may be typed into a shell, blanks and all."""
+    from shlex import quote
+
+    return quote(str(path))
+
+
+def _unforeseen(error: Exception) -> str:
+    """Return in words what nothing before has caught: mostly, but not always, our own fault."""
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for this"
+    if isinstance(error, OSError) and error.errno == ENOSPC:
+        return "the output cannot be written: there is no space left"
+    return (
+        f"internal error ({type(error).__name__}: {error}). This is a fault of counterspin, not "
+        "of your files: please report it, with the output that COUNTERSPIN_DEBUG=1 gives."
     )
 
 
@@ -332,12 +366,7 @@ def main(arguments: list[str] | None = None) -> int:
         # Never a traceback for a user; with this variable set, one for whoever mends it.
         if os.environ.get("COUNTERSPIN_DEBUG"):
             raise
-        print(
-            f"counterspin: internal error ({type(error).__name__}: {error}). This is a fault of "
-            "counterspin, not of your files: please report it, with the output that "
-            "COUNTERSPIN_DEBUG=1 gives.",
-            file=sys.stderr,
-        )
+        print(f"counterspin: {_unforeseen(error)}", file=sys.stderr)
         return 1
     return 0
 
