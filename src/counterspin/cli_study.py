@@ -1,14 +1,20 @@
-"""The command line of `counterspin study`: words to calls, nothing else.
+"""The command line of work for many cores: words to calls, nothing else.
 
 - `study`: the command, which `counterspin.cli` offers
+- `calibrate_several`: `counterspin calibrate` with several campaigns
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
+
+from counterspin.errors import CounterspinError
+
+if TYPE_CHECKING:
+    from counterspin.commands.two_stage import TwoStageOptions
 
 
 def study(
@@ -79,3 +85,28 @@ def study(
     report_console().print(render_study(result))
     if not result.complete:
         raise KeyboardInterrupt
+
+
+def calibrate_several(
+    directories: tuple[Path, ...],
+    json: Path | None,
+    method: Literal["joint", "two-stage"],
+    options: TwoStageOptions,
+    workers: int,
+    cluster: str | None,
+) -> None:
+    """Calibrate campaigns one by one, print a summary, and raise if any failed."""
+    from counterspin.campaign.output import write_text
+    from counterspin.commands.batch import calibrate_many, to_json
+    from counterspin.report.batch import render_batch
+    from counterspin.report.text import report_console
+
+    outcomes = calibrate_many(
+        directories, method=method, options=options, workers=workers, cluster=cluster
+    )
+    if json is not None:
+        write_text(json, to_json(outcomes))
+    report_console().print(render_batch(outcomes))
+    failed = sum(one.result is None for one in outcomes)
+    if failed:
+        raise CounterspinError(f"{failed} of {len(outcomes)} campaigns could not be calibrated")

@@ -10,6 +10,7 @@
 - `plan`: which runs to make within given limits; what a campaign will tell before it is recorded
 - `plan_search`, `plan_determined`: its problem, solved; whether its goal can be had
 - `plan_parts`, `plan_curves`: its result's parts; its figures' curves
+- `batch`: many campaigns, one failure stopping no other
 - `study`, `study_setup`, `study_work`, `study_result`: many trials of a campaign and its analyses;
   what its engine needs; who does the work; the result
 """

@@ -6,6 +6,7 @@ handed out again, and counts once.
 
 - `Ledger`: which batches are done, and what they gave; kept on disk for `--resume`
 - `run_batches`: do what is not done yet
+- `executor_of`: processes, or a cluster's workers
 """
 
 from __future__ import annotations
@@ -287,7 +288,7 @@ def _together(
     while not ledger.done.all():
         before = int(ledger.done.sum())
         try:
-            with _executor(workers, cluster) as (executor, count):
+            with executor_of(workers, cluster) as (executor, count):
                 _hand_out(executor, _AHEAD * count, packed, ledger, size, note)
         except BrokenProcessPool as error:
             # A worker was killed, or ran out of memory. What it had in hand is handed out again.
@@ -328,7 +329,8 @@ def _leave_interrupts() -> None:
 
 
 @contextmanager
-def _executor(workers: int, cluster: str | None) -> Iterator[tuple[Executor, int]]:
+def executor_of(workers: int, cluster: str | None) -> Iterator[tuple[Executor, int]]:
+    """Yield who does the work, processes here or a cluster's workers, and how many they are."""
     if cluster is not None:
         with _on_cluster(cluster) as found:
             yield found
