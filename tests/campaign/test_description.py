@@ -181,6 +181,7 @@ EXACT_PATHS = [
     ('"45 deg"', '"91 deg"', "site.latitude: a latitude lies between -90 deg and 90 deg"),
     ('"9.8 ± 1e-5 m/s^2"', "9.8", 'site.gravity: a number without its unit; write "9.8 m/s^2"'),
     ('"9.8 ± 1e-5 m/s^2"', '"-9.8 m/s^2"', "site.gravity: must be greater than zero"),
+    ('"9.8 ± 1e-5 m/s^2"', '"980 m/s^2"', "site.gravity: 980 m/s^2 is no gravity on Earth"),
     ('"2.5 ± 1e-5 m"', '"0 m"', "centrifuge.radius: must be greater than zero"),
     ('"2.5 ± 1e-5 m"', '"-2.5 m"', "centrifuge.radius: must be greater than zero"),
     ('"2.5 ± 1e-5 m"', '"2.5"', "centrifuge.radius: '2.5' has no unit; a length is wanted"),

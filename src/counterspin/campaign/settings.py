@@ -40,6 +40,9 @@ RECORD_FORMATS: Final = {
 #: What an accelerometer's record may hold -> its SI unit.
 OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
 
+#: The gravity of every laboratory lies between, m/s^2: all g-units rest on it, unseen.
+_GRAVITIES: Final = (9.0, 11.0)
+
 #: Written in [noise] where a component is to be estimated from the residuals.
 ESTIMATE: Final = "estimate"
 
@@ -69,6 +72,16 @@ def positive(value: Any) -> Any:
     """Return a number or quantity that is greater than zero."""
     if (value.value if isinstance(value, Quantity) else value) <= 0.0:
         raise ValueError("must be greater than zero")
+    return value
+
+
+def _of_earth(value: Quantity) -> Quantity:
+    positive(value)
+    if not _GRAVITIES[0] < value.value < _GRAVITIES[1]:
+        raise ValueError(
+            f"{value.value:.6g} m/s^2 is no gravity on Earth, which is about 9.8 m/s^2; "
+            "check the number and its unit"
+        )
     return value
 
 
@@ -179,7 +192,7 @@ class CampaignSettings(Section):
 class SiteSettings(Section):
     """[site]: where the centrifuge stands."""
 
-    gravity: Annotated[Quantity, _uncertain("m/s^2"), AfterValidator(positive)]
+    gravity: Annotated[Quantity, _uncertain("m/s^2"), AfterValidator(_of_earth)]
     latitude: Annotated[Quantity, _uncertain("rad"), AfterValidator(_latitude)]
 
 
