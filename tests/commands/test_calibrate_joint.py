@@ -17,7 +17,7 @@ from counterspin.cli import main
 from counterspin.commands.calibrate import calibrate
 from counterspin.commands.simulate import simulate
 from counterspin.commands.two_stage import TwoStageOptions
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, ConvergenceError
 
 BASE = """
 schema = 1
@@ -517,3 +517,14 @@ def test_a_method_that_is_none_and_options_of_the_other(campaign):
     with pytest.raises(CampaignError, match="say --method two-stage"):
         calibrate(campaign, options=TwoStageOptions(model="as-printed"))
     assert main(["calibrate", str(campaign), "--model", "as-printed"]) == 2
+
+
+def test_a_clock_that_jumps_by_whole_revolutions_is_told_by_its_run(campaign, tmp_path):
+    folder = tmp_path / "jumped"
+    shutil.copytree(campaign, folder)
+    record = pl.read_csv(folder / "run2.csv")
+    # 10 s are five revolutions, so that the angle does not witness against the clock.
+    late = pl.when(pl.int_range(pl.len()) >= 300).then(10.0).otherwise(0.0)
+    record.with_columns(pl.col("time_s") + late).write_csv(folder / "run2.csv")
+    with pytest.raises(ConvergenceError, match=r"run2 \(Q[xy]\).*: outliers were still found"):
+        calibrate(folder)

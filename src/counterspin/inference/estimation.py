@@ -168,10 +168,15 @@ def _reject(
         )
         for mask, new in zip(outliers, found, strict=True):
             mask[np.flatnonzero(np.logical_not(mask))[new]] = True
+    where = " and ".join(
+        f"{one.series.run} ({one.series.accelerometer})"
+        for one, mask in zip(prepared, found, strict=True)
+        if mask.any()
+    )
     raise ConvergenceError(
-        "outliers were still found after "
-        f"{_ROUNDS} rounds of leaving them out: the residuals are not noise around a smooth curve; "
-        "look at the record, or add the missing terms to the model"
+        f"{where}: outliers were still found after {_ROUNDS} rounds of leaving them out: the "
+        "residuals are not noise around a smooth curve; look at the record, for a clock or a "
+        "displacement that jumps, or add the missing terms to the model"
     )
 
 
