@@ -30,6 +30,9 @@ Z_BINS: Final = 60
 #: Bins of a quantity against which the bias is shown.
 DRIVER_BINS: Final = 10
 
+#: Entries of the table of Student's t over 1/dof.
+_STEPS: Final = 4000
+
 _MOMENTS: Final = 5  # n, mean and squares of the error, sums of truth and u
 _COVERED: Final = slice(_MOMENTS, _MOMENTS + len(LEVELS))
 _HISTOGRAM: Final = slice(_MOMENTS + len(LEVELS), _MOMENTS + len(LEVELS) + Z_BINS + 2)
@@ -119,16 +122,20 @@ class Tally:
 def _quantiles(level: float) -> tuple[Array, Array]:
     from scipy.special import stdtrit
 
-    inverse = np.linspace(0.0, 1.0, 4001)
+    inverse = np.arange(_STEPS + 1) / _STEPS
     with np.errstate(divide="ignore"):
         dof = np.where(inverse > 0.0, 1.0 / np.maximum(inverse, 1e-12), 1e12)
-    return inverse, np.asarray(stdtrit(dof, 0.5 * (1.0 + level)))
+    quantile: Array = np.asarray(stdtrit(dof, 0.5 * (1.0 + level)), dtype=np.float64)
+    return quantile, np.append(np.diff(quantile), 0.0)
 
 
 def coverage_factor(dof: Array, level: float) -> Array:
     """Return Student's t for a two-sided level, any number of degrees of freedom from 1 up."""
-    inverse, quantile = _quantiles(level)
-    return np.interp(1.0 / np.maximum(dof, 1.0), inverse, quantile)
+    quantile, slope = _quantiles(level)
+    # The table is even, so that no search is needed.
+    place = _STEPS / np.maximum(dof, 1.0)
+    index = place.astype(np.intp)
+    return np.asarray(quantile[index] + (place - index) * slope[index])
 
 
 @dataclass(frozen=True)
