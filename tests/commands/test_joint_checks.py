@@ -2,9 +2,10 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from counterspin.commands.joint_checks import hidden_walk
+from counterspin.commands.joint_checks import hidden_walk, unseen_ripple
 
 
 def found(gain: float, dropped: tuple[str, ...] = ("random_walk",)) -> SimpleNamespace:
@@ -28,3 +29,35 @@ def test_a_hint_of_a_walk_is_a_warning():
 def test_kept_or_given_noise_is_no_hint():
     assert hidden_walk(found(1.8, dropped=()), "Qx") == []
     assert hidden_walk(found(1.8), "Qy") == []
+
+
+def seen(noise: float) -> tuple[SimpleNamespace, list[SimpleNamespace], SimpleNamespace]:
+    """A campaign of specific force at 10 g whose encoder has this noise in rad."""
+    campaign = SimpleNamespace(
+        accelerometers={"Qx": SimpleNamespace(observable="specific_force")},
+        radius=SimpleNamespace(value=2.5),
+        gravity=SimpleNamespace(value=9.8),
+    )
+    rotation = SimpleNamespace(rms=noise, residuals=np.zeros(5000))
+    runs = [SimpleNamespace(run=SimpleNamespace(rate=2 * np.pi), rotation=rotation)]
+    unknown = SimpleNamespace(owner="Qx", symbol="K_II")
+    fit = SimpleNamespace(
+        model=SimpleNamespace(unknowns=[unknown]), solution=SimpleNamespace(u=np.array([2e-9]))
+    )
+    return campaign, runs, SimpleNamespace(fit=fit)
+
+
+def test_a_ripple_that_a_noisy_encoder_hides_is_a_warning():
+    campaign, runs, fitted = seen(1e-5)
+    (warning,) = unseen_ripple(campaign, runs, fitted, "Qx")
+    # 1e-5 rad over 5000 samples hides 4.6 x 2e-7 of the rate, which at 10 g is 9e-8 g/g^2.
+    assert "below 9e-07 of the rate" in warning
+    assert "by 9e-08 g/g^2" in warning
+
+
+def test_a_quiet_encoder_or_displacement_hides_no_ripple():
+    campaign, runs, fitted = seen(1e-8)
+    assert unseen_ripple(campaign, runs, fitted, "Qx") == []
+    campaign, runs, fitted = seen(1e-5)
+    campaign.accelerometers["Qx"].observable = "displacement"
+    assert unseen_ripple(campaign, runs, fitted, "Qx") == []

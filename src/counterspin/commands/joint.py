@@ -18,6 +18,7 @@ from counterspin.commands.joint_checks import (
     left_out,
     residual_tests,
     run_fits,
+    unseen_ripple,
 )
 from counterspin.commands.joint_parts import (
     budget_lines,
@@ -153,6 +154,7 @@ def _accelerometer(
         warnings=[f"{name}: {finding}" for finding in diagnostics.findings]
         + driving_runs(found, name)
         + hidden_walk(found, name)
+        + unseen_ripple(campaign, observed, found, name)
         + _undetermined(own, name),
         **described(campaign.accelerometers[name], own),
     )

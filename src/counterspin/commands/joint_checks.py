@@ -4,7 +4,7 @@
 - `jackknife`, `driving_runs`
 - `compare`
 - `left_out`
-- `hidden_walk`
+- `hidden_walk`, `unseen_ripple`
 """
 
 from __future__ import annotations
@@ -226,4 +226,33 @@ def hidden_walk(found: Estimate, name: str) -> list[str]:
         f"{name}: the records hint at white noise of the accelerometer, not clearly enough to be "
         f"kept (2 ln L gains {gain:.1f}; 2.7 would do). If it is there, the interval of K_F is too "
         "short: state it in [noise] if it is known."
+    ]
+
+
+def unseen_ripple(
+    campaign: Campaign, observed: Sequence[ObservedRun], found: Estimate, name: str
+) -> list[str]:
+    """Return a warning where a ripple that the encoder cannot show would move K_II.
+
+    A ripple shakes the platform along the tangent with R w^2 times its ratio. In displacement
+    that leaves nothing behind; in velocity or specific force it stands where K_II does, and the
+    rotation is taken as the fit of the recorded angle has it.
+    """
+    index = _k_ii(found, name)
+    if index is None or campaign.accelerometers[name].observable == "displacement":
+        return []
+    fastest = max(observed, key=lambda run: abs(run.run.rate))
+    if fastest.rotation is None:
+        return []
+    samples = fastest.rotation.residuals.size
+    ratio = fastest.rotation.rms * math.sqrt(2.0 / samples) * math.sqrt(2.0 * math.log(8 * samples))
+    force = campaign.radius.value * fastest.run.rate**2 / campaign.gravity.value
+    shift, u = ratio / force, float(found.fit.solution.u[index])
+    if shift < 0.5 * u:
+        return []
+    return [
+        f"{name}: a ripple below {ratio:.1g} of the rate does not show in the recorded angle, and "
+        f"in this observable it could move K_II by {shift:.1g} g/g^2, against an uncertainty of "
+        f"{u:.1g} g/g^2 that does not hold it. Calibrate with displacement, or record the angle "
+        "with less noise."
     ]
