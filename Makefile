@@ -36,8 +36,8 @@ format: $(READY) ## Format the code and mend what the linter can
 	$(BIN)/python -m ruff check --fix .
 	$(BIN)/python -m ruff format .
 
-bench: $(READY) $(BENCH) ## Time the main jobs against their targets
-	@for script in benchmarks/*.py; do $(BIN)/python "$$script" || exit; done
+bench: $(READY) $(BENCH) ## Time the main jobs; make bench FULL=--full for the sizes of the targets
+	$(BIN)/python benchmarks $(FULL)
 
 pictures: $(READY) ## Draw the pictures of the documentation again
 	rm -rf build/pictures

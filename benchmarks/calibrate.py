@@ -1,0 +1,97 @@
+"""A campaign of long records, whole process: against reading it, and against a peer.
+
+    python benchmarks/calibrate.py          # 1e6 rows of CSV, 1e7 of Parquet
+    python benchmarks/calibrate.py --full   # 1e7 rows of CSV, 1e8 of Parquet
+
+Four things happen to the same files, each in a fresh process, in turn: polars sums their columns;
+counterspin reads, checks and reduces them, and identifies the rotation; `counterspin calibrate`
+does all that it does (that, checksums, joint fit, comparison with the two-stage method, report);
+the peer does what a laboratory's script would.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tempfile
+from pathlib import Path
+
+from process import COUNTERSPIN, PYTHON, interleaved, measure
+from table import Cell, Table, script
+
+TRUTH_K_II = 2e-5
+
+READ = """
+import sys, polars as pl
+scan = pl.scan_csv if sys.argv[2] == ".csv" else pl.scan_parquet
+files = [f"{sys.argv[1]}/run{n}{sys.argv[2]}" for n in range(3)]
+scan(files).select(pl.all().sum()).collect(engine="streaming")
+"""
+
+REDUCE = """
+import sys
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.observed import observe
+for run in observe(read_campaign(sys.argv[1])):
+    pass
+"""
+
+
+def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
+    """Measure both formats."""
+    sizes = {".csv": 1e7, ".parquet": 1e8} if full else {".csv": 1e6, ".parquet": 1e7}
+    found = [_column(suffix, int(size), repeats or 5) for suffix, size in sizes.items()]
+    remark = (
+        "Time, angle and displacement of 400 s at each of three rates, 0.01 m of noise. Whole "
+        "processes, files in the system's cache, each the fastest of the repetitions, which take "
+        "turns; the peer once. It is `benchmarks/peer.py`, a script of NumPy and pandas. Targets: calibrate "
+        "in at most twice what polars takes, and below 1000 MB."
+    )
+    columns = ["", *(f"{size:.0e} rows, {suffix[1:]}" for suffix, size in sizes.items())]
+    rows = [[label, *(column[label] for column in found)] for label in found[0]]
+    return [Table("Long records", remark, columns, rows)]
+
+
+def _column(suffix: str, size: int, repeats: int) -> dict[str, Cell]:
+    here = Path(__file__).parent
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        # In a process of its own, so that this one stays small: see `process`.
+        make = [*PYTHON, str(here / "make_campaign.py"), name, str(size), suffix]
+        subprocess.run(make, check=True)
+        megabytes = sum(file.stat().st_size for file in folder.glob(f"*{suffix}")) / 1e6
+        result = folder / "result.json"
+        found = interleaved(
+            {
+                "read": [*PYTHON, "-c", READ, name, suffix],
+                "reduce": [*PYTHON, "-c", REDUCE, name],
+                "ours": [*COUNTERSPIN, "calibrate", name, "--json", str(result)],
+            },
+            repeats,
+        )
+        # By itself: what it leaves of memory and cache would slow down whoever comes next.
+        peer = measure([*PYTHON, str(here / "peer.py"), name, suffix], 1)
+        k_ii = json.loads(result.read_text("utf-8"))["accelerometers"]["Qx"]["coefficients"]["K_II"]
+    read, ours = found["read"], found["ours"]
+    their = json.loads(peer.output)
+    return {
+        "three files (MB)": megabytes,
+        "polars reads and sums (s)": read.fastest,
+        "counterspin reads and reduces (s)": found["reduce"].fastest,
+        "counterspin calibrate (s)": ours.fastest,
+        "peer (s)": peer.fastest,
+        "calibrate / polars": ours.fastest / read.fastest,
+        "calibrate / polars, processor time": ours.cpu / read.cpu,
+        "reads and reduces / polars": found["reduce"].fastest / read.fastest,
+        "peer / calibrate": peer.fastest / ours.fastest,
+        "calibrate, peak memory (MB)": ours.peak,
+        "peer, peak memory (MB)": peer.peak,
+        "calibrate: u of K_II (g/g²)": k_ii["u"],
+        "calibrate: error of K_II / u": (k_ii["value"] - TRUTH_K_II) / k_ii["u"],
+        "peer: u of K_II (g/g²)": their["u"],
+        "peer: error of K_II / u": (their["K_II"] - TRUTH_K_II) / their["u"],
+    }
+
+
+if __name__ == "__main__":
+    script(__doc__.splitlines()[0], tables)

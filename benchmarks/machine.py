@@ -1,0 +1,78 @@
+"""The machine's own limits, to hold the other figures against.
+
+python benchmarks/machine.py
+"""
+
+from __future__ import annotations
+
+import os
+import platform
+from pathlib import Path
+
+from process import PYTHON, interleaved
+from table import Table, script
+
+TRIAD = """
+import time, numpy as np
+n = 20_000_000
+a, b, c = np.zeros(n), np.ones(n), np.ones(n)
+best = 1e9
+for _ in range(5):
+    begin = time.perf_counter()
+    np.multiply(c, 3.0, out=a)
+    np.add(a, b, out=a)
+    best = min(best, time.perf_counter() - begin)
+print(5 * 8 * n / best / 1e9)  # two arrays pass in the product, three in the sum
+"""
+
+NORMALS = """
+import time, numpy as np
+generator, n, best = np.random.default_rng(1), 10_000_000, 1e9
+out = np.empty(n)
+for _ in range(3):
+    begin = time.perf_counter()
+    generator.standard_normal(n, out=out)
+    best = min(best, time.perf_counter() - begin)
+print(n / best / 1e6)
+"""
+
+CHECKSUM = """
+import hashlib, time
+data, best = bytes(1 << 26), 1e9
+for _ in range(5):
+    begin = time.perf_counter()
+    hashlib.sha256(data).digest()
+    best = min(best, time.perf_counter() - begin)
+print(len(data) / best / 1e9)
+"""
+
+
+def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
+    """Measure memory, random numbers and checksums, each in a process of its own."""
+    del full
+    limits = {
+        "memory, NumPy triad a = b + 3 c, one core (GB/s)": TRIAD,
+        "standard normals, one core (million/s)": NORMALS,
+        "SHA-256, one core (GB/s)": CHECKSUM,
+    }
+    commands = {name: [*PYTHON, "-c", code] for name, code in limits.items()}
+    found = interleaved(commands, repeats or 1)
+    rows = [[name, float(measured.output)] for name, measured in found.items()]
+    return [Table("The machine's own limits", _machine(), ["limit", "measured"], rows)]
+
+
+def _machine() -> str:
+    name = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        models = [line for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        name = models[0].partition(":")[2].strip() if models else name
+    return (
+        f"{name}, {os.cpu_count()} cores, Python {platform.python_version()}, "
+        f"{platform.system()}; load {os.getloadavg()[0]:.1f} when the benchmarks began. "
+        "Each the best of several passes."
+    )
+
+
+if __name__ == "__main__":
+    script(__doc__.splitlines()[0], tables)

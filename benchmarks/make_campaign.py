@@ -1,0 +1,106 @@
+"""Makes a campaign of long records: three rates, 400 s each, one accelerometer, known truth.
+
+    python benchmarks/make_campaign.py FOLDER ROWS .parquet
+
+At constant rate the displacement has a closed form (docs/physics.md), so that these records owe
+nothing to the package that they test. They are written a part at a time.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+GRAVITY, EARTH_UP = 9.8066, 7.292115e-5 * math.sin(math.radians(45.75))
+RADIUS, DURATION = 2.5, 400.0
+RATES = (math.pi / 2, math.pi, 2 * math.pi)
+TRUTH = {"K_F": 0.0050312, "K_I": 1.0019732, "K_II": 2e-5, "K_III": 3e-6}
+COLUMNS = ("time_s", "angle_rad", "east_m")
+NOISE = 0.01  # m, a sample
+ANGLE_NOISE = 1e-6  # rad
+PART = 1_000_000  # rows
+
+DESCRIPTION = """
+schema = 1
+[campaign]
+title = "Long records"
+[site]
+gravity = "9.8066 m/s^2"
+latitude = "45.75 deg"
+[centrifuge]
+radius = "2.5 m"
+[records]
+time = { column = "time_s", unit = "s" }
+angle = { column = "angle_rad", unit = "rad" }
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+bias = "0.00503 ± 2e-6 g"
+scale_factor = "1.00197 ± 5e-6 g/g"
+displacement = { column = "east_m", unit = "m" }
+[noise]
+displacement = "0.01 m"
+[model]
+terms = ["K_F", "K_I", "K_II", "K_III"]
+"""
+
+RUN = """
+[[runs]]
+name = "{name}"
+rate = "{rate!r} rad/s"
+record = "{name}{suffix}"
+"""
+
+
+def displacement(t: np.ndarray, rate: float) -> np.ndarray:
+    """Return what the system records along east, m, without noise: Eq. 7 integrated twice."""
+    # The centripetal and the Coriolis acceleration both point inward.
+    force = (RADIUS * rate**2 + 2 * EARTH_UP * RADIUS * rate) / GRAVITY
+    one = 0.5 * t**2
+    first, second, third = ((1 - np.cos(n * rate * t)) / (n * rate) ** 2 for n in (1, 2, 3))
+    error = (
+        TRUTH["K_F"] * one
+        - (TRUTH["K_I"] - 1) * force * first
+        + TRUTH["K_II"] * force**2 * 0.5 * (one + second)
+        - TRUTH["K_III"] * force**3 * 0.25 * (3 * first + third)
+    )
+    return RADIUS * np.cos(rate * t) + GRAVITY * error
+
+
+def write_campaign(folder: Path, rows: int, suffix: str) -> None:
+    """Write the description and three records of `rows` rows in all."""
+    folder.mkdir(parents=True, exist_ok=True)
+    runs = [RUN.format(name=f"run{n}", rate=rate, suffix=suffix) for n, rate in enumerate(RATES)]
+    (folder / "campaign.toml").write_text(DESCRIPTION + "".join(runs), encoding="utf-8")
+    for n, rate in enumerate(RATES):
+        write_record(folder / f"run{n}{suffix}", rate, rows // len(RATES), seed=n)
+
+
+def write_record(path: Path, rate: float, rows: int, seed: int) -> None:
+    """Write one record; its file type follows from the name."""
+    generator = np.random.default_rng(seed)
+    parts = []
+    for start in range(0, rows, PART):
+        time = np.arange(start, min(start + PART, rows)) * (DURATION / rows)
+        angle = rate * time + ANGLE_NOISE * generator.standard_normal(time.size)
+        east = displacement(time, rate) + NOISE * generator.standard_normal(time.size)
+        frame = pl.DataFrame(dict(zip(COLUMNS, (time, angle, east), strict=True)))
+        if path.suffix == ".csv":
+            with path.open("ab") as file:
+                # Nanoseconds, nanoradians, nanometres.
+                frame.write_csv(file, float_precision=9, include_header=start == 0)
+        else:
+            parts.append(path.with_name(f"{path.stem}-{start}.parquet"))
+            frame.write_parquet(parts[-1])
+    if parts:
+        pl.scan_parquet(parts).sink_parquet(path)
+        for part in parts:
+            part.unlink()
+
+
+if __name__ == "__main__":
+    write_campaign(Path(sys.argv[1]), int(float(sys.argv[2])), sys.argv[3])

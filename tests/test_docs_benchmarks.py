@@ -1,0 +1,31 @@
+"""The figures of docs/benchmarks.md are those of the run that is kept."""
+
+import json
+import runpy
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+
+@pytest.fixture(scope="module")
+def table():
+    return runpy.run_path(str(ROOT / "benchmarks" / "table.py"))
+
+
+def test_the_page_shows_the_results_that_are_kept(table):
+    page = (ROOT / "docs" / "benchmarks.md").read_text("utf-8")
+    kept = table["load"](ROOT / "benchmarks")
+    assert table["insert"](kept, page) == page
+    assert (ROOT / "benchmarks" / "results.md").read_text("utf-8") == table["render"](kept)
+
+
+def test_the_results_are_of_a_full_run():
+    tables = json.loads((ROOT / "benchmarks" / "results.json").read_text("utf-8"))
+    assert ["", "1e+07 rows, csv", "1e+08 rows, parquet"] in [table["columns"] for table in tables]
+
+
+def test_numbers_show_three_digits(table):
+    shown = table["render"]([table["Table"]("T", "R", ["a", "b"], [["x", 1.23456], [2, None]])])
+    assert shown == "## T\n\nR\n\n| a | b |\n|---|---:|\n| x | 1.23 |\n| 2 | – |\n"
