@@ -44,8 +44,8 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     remark = (
         "Time, angle and displacement of 400 s at each of three rates, 0.01 m of noise. Whole "
         "processes, files in the system's cache, each the fastest of the repetitions, which take "
-        "turns; the peer once. It is `benchmarks/peer.py`, a script of NumPy and pandas. Targets: calibrate "
-        "in at most twice what polars takes, and below 1000 MB."
+        "turns; the peer once. It is `benchmarks/peer.py`, a script of NumPy and pandas. Targets: "
+        "calibrate in at most twice what polars takes, and below 1000 MB."
     )
     columns = ["", *(f"{size:.0e} rows, {suffix[1:]}" for suffix, size in sizes.items())]
     rows = [[label, *(column[label] for column in found)] for label in found[0]]
