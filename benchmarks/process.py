@@ -26,7 +26,8 @@ _PEAK_UNIT = 1e-6 if sys.platform == "darwin" else 1e-3
 COUNTERSPIN = [str(Path(sys.executable).with_name("counterspin"))]
 PYTHON = [sys.executable]
 
-#: As a user has it: modules are compiled once, not every time.
+#: As a user has it: modules are compiled once, not every time. Taken before any benchmark sets its
+#: own threads.
 _ENVIRONMENT = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
 
 
