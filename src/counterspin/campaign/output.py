@@ -2,6 +2,7 @@
 
 - `write_whole`: one file
 - `write_text`: one file of text
+- `make_folder`: where they go
 """
 
 from __future__ import annotations
@@ -12,6 +13,14 @@ from collections.abc import Callable
 from pathlib import Path
 
 from counterspin.errors import CounterspinError
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder, and those above it, where it is not there; CounterspinError if it cannot."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CounterspinError(f"{folder}: cannot be made ({error.strerror})") from error
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:

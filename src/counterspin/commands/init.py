@@ -6,7 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 
 from counterspin.campaign.description import DESCRIPTION_NAME
-from counterspin.campaign.output import write_text
+from counterspin.campaign.output import make_folder, write_text
 from counterspin.errors import CounterspinError
 
 
@@ -32,9 +32,6 @@ def init(folder: Path | str) -> Path:
     target = folder / DESCRIPTION_NAME
     if target.exists():
         raise CounterspinError(f"{target} exists; edit it, or choose another folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CounterspinError(f"{folder}: cannot be made ({error.strerror})") from error
+    make_folder(folder)
     write_text(target, (files("counterspin.campaign") / "starter.toml").read_text("utf-8"))
     return target

@@ -18,7 +18,7 @@ from counterspin._version import __version__
 from counterspin.campaign.attitude import attitude_words
 from counterspin.campaign.description import DESCRIPTION_NAME, read_campaign
 from counterspin.campaign.forecast import Forecast, forecast
-from counterspin.campaign.output import write_text
+from counterspin.campaign.output import make_folder, write_text
 from counterspin.campaign.plan_description import read_plan
 from counterspin.campaign.plan_result import (
     GoalResult,
@@ -192,10 +192,7 @@ def write_campaign(planned: Planned, folder: Path) -> Path:
     target = folder / DESCRIPTION_NAME
     if target.exists():
         raise CounterspinError(f"{target} exists; choose another folder")
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CounterspinError(f"{folder}: cannot be made ({error.strerror})") from error
+    make_folder(folder)
     write_text(target, planned.document)
     return target
 

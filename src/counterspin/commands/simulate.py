@@ -17,7 +17,7 @@ import numpy as np
 import polars as pl
 
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.output import write_whole
+from counterspin.campaign.output import make_folder, write_whole
 from counterspin.campaign.resolved import Accelerometer, Campaign, Noise, Run, Truth
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.physics import observation, simulation
@@ -81,10 +81,7 @@ def simulate(
             f"{in_the_way[0]} exists; simulate into another folder, or give --overwrite"
         )
     for place in (folder, *(target.parent for target in targets)):
-        try:
-            place.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise CounterspinError(f"{place}: cannot be made ({error.strerror})") from error
+        make_folder(place)
 
     streams = np.random.SeedSequence(campaign.simulation.seed).spawn(len(campaign.runs))
     for run, stream, target in zip(campaign.runs, streams, targets, strict=True):

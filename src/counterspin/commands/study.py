@@ -15,7 +15,7 @@ import numpy as np
 import polars as pl
 
 from counterspin._version import __version__
-from counterspin.campaign.output import write_text, write_whole
+from counterspin.campaign.output import make_folder, write_text, write_whole
 from counterspin.campaign.study import StudyDescription, read_study
 from counterspin.commands.study_result import (
     AnalysisResult,
@@ -120,10 +120,7 @@ def _folder(output: Path | str | None) -> Path | None:
     if output is None:
         return None
     folder = Path(output)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CounterspinError(f"{folder}: cannot be made ({error.strerror})") from error
+    make_folder(folder)
     return folder
 
 

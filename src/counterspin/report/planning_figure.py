@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from counterspin.campaign.output import make_folder
 from counterspin.campaign.plan_result import Curve, Curves, PlanResult
-from counterspin.errors import CounterspinError
 from counterspin.report.figure import COLOURS, MARKERS, SETTINGS, save
 from counterspin.report.numbers import field_unit
 
@@ -63,10 +63,7 @@ def save_figures(result: PlanResult, folder: Path) -> tuple[Path, ...]:
     CounterspinError
         If they cannot be written.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CounterspinError(f"{folder}: cannot be made ({error.strerror})") from error
+    make_folder(folder)
     paths = tuple(folder / name for name in FIGURES)
     for path, draw in zip(paths, (time_figure, rate_figure, source_figure), strict=True):
         save(draw(result), path)
