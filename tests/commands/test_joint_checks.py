@@ -5,7 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from counterspin.campaign.result import Coefficient
+from counterspin.commands.joint import shared_warnings
 from counterspin.commands.joint_checks import hidden_walk, unseen_ripple
+from counterspin.inference.joint import Unknown
+from counterspin.physics.accelerometer import DEGREE_PER_HOUR
 
 
 def found(gain: float, dropped: tuple[str, ...] = ("random_walk",)) -> SimpleNamespace:
@@ -61,3 +65,14 @@ def test_a_quiet_encoder_or_displacement_hides_no_ripple():
     campaign, runs, fitted = seen(1e-5)
     campaign.accelerometers["Qx"].observable = "displacement"
     assert unseen_ripple(campaign, runs, fitted, "Qx") == []
+
+
+@pytest.mark.parametrize(
+    ("drift", "longest", "warned"),
+    [(0.3, 400.0, True), (0.1, 400.0, False), (0.3, 100.0, False), (0.1, 800.0, True)],
+)
+def test_a_drift_is_large_for_the_length_of_the_runs(drift, longest, warned):
+    # g d^2 T^4/24 reaches 0.01 m at 0.2 deg/h over 400 s, and at 0.05 deg/h over 800 s.
+    unknown = Unknown("", "platform.drift.north", (0.0, np.inf), 1e-4)
+    found = Coefficient(value=-drift * DEGREE_PER_HOUR, u=1e-12, unit="rad/s", estimated=True)
+    assert bool(shared_warnings({unknown: found}, longest)) == warned

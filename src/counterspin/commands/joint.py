@@ -96,7 +96,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
     shared = {u: c for u, c in coefficients.items() if u.symbol not in TERMS}
     outliers: dict[str, int] = {run.run.name: 0 for run in observed}
     for one, mask in zip(series, found.outliers, strict=True):
-        outliers[one.run] += int(mask.sum())
+        outliers[one.run] += int(one.count[mask].sum())
     return JointOutcome(
         accelerometers=accelerometers,
         platform={u.symbol: c for u, c in shared.items() if not u.owner},
@@ -107,7 +107,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         fits={run.run.name: run_fits(diagnostics, run.run.name) for run in observed},
         outliers=outliers,
         confounded=tuple(confounded_platform(assessment)),
-        warnings=tuple(_warnings(coefficients)),
+        warnings=tuple(shared_warnings(coefficients, max(float(one.time[-1]) for one in series))),
         estimate=found,
     )
 
@@ -142,6 +142,7 @@ def _accelerometer(
         if unknown.owner == name and c.estimated
         for symbol in (unknown.symbol,)
     }
+    runs_left_out = jackknife(found, name)
     return AccelerometerResult(
         coefficients=own,
         correlation=correlation(found, coefficients, name),
@@ -149,10 +150,10 @@ def _accelerometer(
         residual=residual(campaign, found, name, diagnostics),
         noise=noise_lines(campaign, found, name),
         budget=lines,
-        jackknife=jackknife(found, name),
+        jackknife=runs_left_out,
         two_stage=compare(campaign, observed, found, name),
         warnings=[f"{name}: {finding}" for finding in diagnostics.findings]
-        + driving_runs(found, name)
+        + driving_runs(runs_left_out, name)
         + hidden_walk(found, name)
         + unseen_ripple(campaign, observed, found, name)
         + _undetermined(own, name),
@@ -168,7 +169,8 @@ def _undetermined(own: Mapping[str, Coefficient], name: str) -> list[str]:
     ]
 
 
-def _warnings(coefficients: Mapping[Unknown, Coefficient]) -> list[str]:
+def shared_warnings(coefficients: Mapping[Unknown, Coefficient], longest: float) -> list[str]:
+    """Return what is to be said of the unknowns that all share; `longest` run in s."""
     warnings = []
     for unknown, c in coefficients.items():
         if unknown.symbol in TERMS:
@@ -180,9 +182,10 @@ def _warnings(coefficients: Mapping[Unknown, Coefficient]) -> list[str]:
             )
         if unknown.symbol.startswith("platform.drift") and c.value is not None:
             rate = abs(c.value) / DEGREE_PER_HOUR
-            if rate * 400.0**2 > _LARGE_DRIFT:
+            if rate * longest**2 > _LARGE_DRIFT:
                 warnings.append(
-                    f"{unknown.symbol} is {rate:.2f} deg/h: beyond about 0.2 deg/h the platform's "
-                    "attitude is no longer a first-order matter in runs of 400 s."
+                    f"{unknown.symbol} is {rate:.2f} deg/h: in runs of {longest:.0f} s the "
+                    f"platform's attitude is a first-order matter up to about "
+                    f"{_LARGE_DRIFT / longest**2:.2g} deg/h only."
                 )
     return warnings

@@ -90,12 +90,12 @@ def jackknife(found: Estimate, name: str) -> list[Jackknife]:
     return lines
 
 
-def driving_runs(found: Estimate, name: str) -> list[str]:
-    """Return a warning for each run without which K_II is another."""
+def driving_runs(lines: Sequence[Jackknife], name: str) -> list[str]:
+    """Return a warning for each run without which K_II is another, from its `jackknife`."""
     return [
         f"{name}: without {line.run} K_II moves by {line.shift:.2g} g/g^2, {abs(line.z):.1f} times "
         "what its uncertainty explains: this run disagrees with the others."
-        for line in jackknife(found, name)
+        for line in lines
         if line.z is not None and line.shift is not None and abs(line.z) > _DRIVES
     ]
 
