@@ -398,6 +398,11 @@ def test_missing_file(tmp_path, capsys):
     assert "there is no such file" in capsys.readouterr().err
 
 
+def test_a_missing_plan_is_told_where_to_get_one(tmp_path):
+    with pytest.raises(CampaignError, match="counterspin plan --init FILE"):
+        read_plan(tmp_path / "nope.toml")
+
+
 def test_target_that_no_plan_reaches(starter):
     file = starter((GOAL, 'target = { K_II = "1e-8 g/g^2" }'))
     with pytest.raises(CounterspinError) as raised:

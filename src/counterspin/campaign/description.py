@@ -112,8 +112,10 @@ def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> 
     return _Reading(raw, file.absolute(), problems).campaign()
 
 
-def load_document(file: Path) -> dict[str, Any]:
-    """Return a TOML document.
+def load_document(
+    file: Path, advice: str = "`counterspin init DIR` makes a campaign to start from"
+) -> dict[str, Any]:
+    """Return a TOML document; `advice` is for a file that is not there.
 
     Raises
     ------
@@ -124,7 +126,7 @@ def load_document(file: Path) -> dict[str, Any]:
         # Editors on Windows put a byte-order mark before the text; TOML knows none.
         return tomllib.loads(file.read_text(encoding="utf-8-sig"))
     except FileNotFoundError:
-        problem = "there is no such file; `counterspin init DIR` makes a campaign to start from"
+        problem = f"there is no such file; {advice}"
     except UnicodeDecodeError:
         problem = "is not UTF-8 text; save it as UTF-8 (the sign ± needs it; +/- serves as well)"
     except OSError as error:
