@@ -6,31 +6,32 @@ from pathlib import Path
 
 import pytest
 
-from counterspin.campaign import result
+from counterspin.campaign import result, result_parts
 
 PAGE = (Path(__file__).parents[1] / "docs" / "result.md").read_text(encoding="utf-8")
+PARTS = {
+    name: value
+    for name, value in (vars(result_parts) | {"Result": result.Result}).items()
+    if inspect.isclass(value) and issubclass(value, result_parts.Part)
+}
 TABLES = dict(re.findall(r"^<!-- fields: (\w+) -->\n((?:\|.*\n)+)", PAGE, re.MULTILINE))
 
 
 def test_every_part_has_its_table():
-    parts = {
-        name
-        for name, value in vars(result).items()
-        if inspect.isclass(value) and issubclass(value, result.Part)
-    }
+    parts = {name for name, value in PARTS.items()}
     assert set(TABLES) == parts - {"Part"}
 
 
 @pytest.mark.parametrize("name", TABLES)
 def test_keys_are_those_of_the_code(name):
-    fields = getattr(result, name).model_fields
+    fields = PARTS[name].model_fields
     listed = re.findall(r"^\| `(\w+)` \|", TABLES[name], re.MULTILINE)
     assert listed == [field.alias or key for key, field in fields.items()]
 
 
 @pytest.mark.parametrize("name", TABLES)
 def test_units_that_are_fixed_are_those_of_the_code(name):
-    for key, field in getattr(result, name).model_fields.items():
+    for key, field in PARTS[name].model_fields.items():
         if key.endswith("_unit"):
             assert f"| `{key}` | text | `{field.default}` |" in TABLES[name]
 

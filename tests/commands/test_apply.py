@@ -12,7 +12,8 @@ import pytest
 
 import counterspin as cs
 from counterspin import cli
-from counterspin.campaign.result import (
+from counterspin.campaign.result import Result, described
+from counterspin.campaign.result_parts import (
     AccelerometerResult,
     BudgetLine,
     Coefficient,
@@ -20,9 +21,7 @@ from counterspin.campaign.result import (
     Inputs,
     Provenance,
     Residual,
-    Result,
     RunResult,
-    described,
 )
 from counterspin.commands.apply import apply, instrument_of
 from counterspin.commands.apply_file import apply_file, parse_others

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from counterspin.campaign.result import Coefficient
+from counterspin.campaign.result_parts import Coefficient
 from counterspin.commands.joint import shared_warnings
 from counterspin.commands.joint_checks import hidden_walk, unseen_ripple
 from counterspin.inference.joint import Unknown

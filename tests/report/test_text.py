@@ -9,7 +9,8 @@ import sys
 import pytest
 from rich.console import Console
 
-from counterspin.campaign.result import (
+from counterspin.campaign.result import Result
+from counterspin.campaign.result_parts import (
     AccelerometerResult,
     BudgetLine,
     Coefficient,
@@ -22,7 +23,6 @@ from counterspin.campaign.result import (
     ParabolaResult,
     Provenance,
     Residual,
-    Result,
     RippleResult,
     RunResult,
 )

@@ -16,7 +16,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `record_report`: what was found on the way
 - `observed`: records brought together with the rotation they were taken on
 - `problem`: the joint fit's unknowns, priors and noise, as a campaign asks for them
-- `result`: what a calibration found, its JSON
+- `result`: what a calibration found, its JSON; `result_parts`: what it is made of
 - `forecast`: what a calibration will say, before there are records
 - `plan_settings`, `plan_description`: what may stand in ``PLAN.toml``; `read_plan`
 - `plan_result`: what planning found, its JSON; `toml_text`: the campaign it writes

@@ -14,7 +14,8 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from counterspin.campaign.output import write_text
-from counterspin.campaign.result import SCHEMA, BudgetLine, Confounded, Part, Provenance
+from counterspin.campaign.result import SCHEMA
+from counterspin.campaign.result_parts import BudgetLine, Confounded, Part, Provenance
 
 
 class PlannedRun(Part):

@@ -4,7 +4,7 @@ The JSON is a contract with users' own programs: keys keep their names and meani
 `SCHEMA`, new keys may be added. Coefficients are in g-units of the stated gravity; everything
 else is SI unless its unit stands beside it.
 
-- `Result` and its parts
+- `Result`; its parts are in `counterspin.campaign.result_parts`
 - `described`: what a result repeats of an accelerometer's description
 - `write_result`, `read_result`
 """
@@ -15,231 +15,25 @@ import json
 import math
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
 from counterspin.campaign.output import write_text
 from counterspin.campaign.resolved import Accelerometer
+from counterspin.campaign.result_parts import (
+    AccelerometerResult,
+    Coefficient,
+    Confounded,
+    Inputs,
+    Part,
+    Provenance,
+    RunResult,
+)
 from counterspin.errors import RecordError
 from counterspin.physics.accelerometer import TERMS
 
 SCHEMA: Final = 1  #: version of the JSON
-
-
-class Part(BaseModel):
-    """A part of the result; unknown keys are kept out so that a slip is seen at once."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")
-
-
-class Coefficient(Part):
-    """One coefficient and where its uncertainty comes from.
-
-    Attributes
-    ----------
-    value, u
-        Estimate and combined standard uncertainty; None if the data do not determine the
-        coefficient and nothing is known beforehand. If not `estimated`, the prior.
-    u_noise, u_prior, u_considered
-        Parts of `u` from the records' noise, from priors of estimated terms, and from considered
-        terms and uncertain inputs; u^2 is the sum of their squares.
-    dof
-        Effective degrees of freedom; None is infinite. Intervals use Student's t.
-    unit
-        g-units, or SI for platform terms.
-    estimated
-        Whether the data determine it.
-    """
-
-    value: float | None
-    u: float | None
-    u_noise: float | None = None
-    u_prior: float | None = None
-    u_considered: float | None = None
-    dof: float | None = None
-    unit: str
-    estimated: bool
-
-
-class Correlation(Part):
-    """Correlation matrix of the estimated coefficients, rows in the order of `terms`."""
-
-    terms: list[str]
-    matrix: list[list[float]]
-
-
-class Confounded(Part):
-    """Terms that the data cannot tell apart, or hardly, and the combination they do determine.
-
-    `correlation` is that of the data alone, priors left aside.
-    """
-
-    terms: list[str]
-    correlation: float
-    determined: str
-    value: float | None = None
-    u: float | None = None
-
-
-class Residual(Part):
-    """Size of the residuals and how well the model fits.
-
-    `chi2` and `lack_of_fit_p` need a noise that was given; they are None where it was estimated
-    from these residuals.
-    """
-
-    rms: float
-    unit: str
-    dof: float
-    chi2: float | None = None
-    lack_of_fit_p: float | None = None
-
-
-class BudgetLine(Part):
-    """One source of uncertainty: contribution = |sensitivity| x u; share of u^2.
-
-    For noise the sensitivity is None: it is a different one for every sample.
-    """
-
-    source: str
-    u: float | None
-    unit: str
-    sensitivity: float | None
-    contribution: float
-    share: float
-
-
-class NoiseLine(Part):
-    """One noise component: its size, whether it was estimated, and its uncertainty then."""
-
-    value: float
-    u: float | None = None
-    unit: str
-    estimated: bool
-
-
-class Jackknife(Part):
-    """K_II with one run left out; `z` is its shift over the shift's standard uncertainty."""
-
-    run: str
-    value: float | None
-    shift: float | None
-    z: float | None
-
-
-class Comparison(Part):
-    """K_II by the two-stage method beside the joint fit; `z` is the difference over its u."""
-
-    value: float
-    u: float
-    difference: float
-    u_difference: float
-    z: float
-
-
-class LeftOut(Part):
-    """A term that the model leaves out: what one unit of it would move K_II by, in g/g^2."""
-
-    sensitivity: float
-    unit: str
-
-
-class AccelerometerResult(Part):
-    """All that was found out about one accelerometer.
-
-    Attributes
-    ----------
-    coefficients
-        The terms that the campaign asked for.
-    known
-        Further terms of which something is known beforehand, as the campaign states it; the fit
-        has taken their values away.
-    axes
-        Where the input, pendulous and output axes point, as rows, in east-north-up while the
-        platform is level.
-    observable
-        What was recorded: ``displacement``, ``velocity`` or ``specific_force``.
-    """
-
-    coefficients: dict[str, Coefficient]
-    known: dict[str, Coefficient] = {}
-    axes: list[tuple[float, float, float]] | None = None
-    observable: str | None = None
-    correlation: Correlation | None
-    confounded: list[Confounded] = []
-    residual: Residual
-    noise: dict[str, NoiseLine] = {}
-    budget: dict[str, list[BudgetLine]] = {}
-    second_unknown: dict[str, Coefficient] = {}
-    jackknife: list[Jackknife] = []
-    two_stage: Comparison | None = None
-    left_out: dict[str, LeftOut] = {}
-    warnings: list[str] = []
-
-
-class RippleResult(Part):
-    """One ripple of the rate; amplitude in rad/s, phase in rad."""
-
-    harmonic: int
-    amplitude: float
-    u_amplitude: float
-    phase: float
-    u_phase: float | None
-
-
-class ParabolaResult(Part):
-    """First stage of the two-stage method: b0 (m), b1 (m/s), b2 (m/s^2) of one accelerometer."""
-
-    b0: float
-    b1: float
-    b2: float
-    u_b2: float
-    sigma: float
-    sigma_from_residuals: bool
-    strobes: int
-
-
-class RunResult(Part):
-    """What one run showed: its rotation, its samples, its own terms.
-
-    `rejected` counts every sample, of any accelerometer, that was recorded but not used: repeated
-    rows, empty cells and outliers; `counts` says how many of each.
-    """
-
-    rate: float
-    u_rate: float | None = None
-    rate_unit: Literal["rad/s"] = "rad/s"
-    drift: float
-    u_drift: float | None = None
-    drift_unit: Literal["1/s"] = "1/s"
-    ripples: list[RippleResult] = []
-    angle_rms: float | None = None
-    samples: int
-    rejected: int
-    counts: dict[str, int] = {}
-    notes: list[str] = []
-    terms: dict[str, Coefficient] = {}
-    parabolas: dict[str, ParabolaResult] = {}
-    fit: dict[str, dict[str, float | str | None]] = {}
-
-
-class Inputs(Part):
-    """What the result depends on beside the records."""
-
-    gravity: float
-    gravity_unit: Literal["m/s^2"] = "m/s^2"
-    latitude: float
-    latitude_unit: Literal["rad"] = "rad"
-    radius: float
-    radius_unit: Literal["m"] = "m"
-
-
-class Provenance(Part):
-    """Program version and SHA-256 of every input file."""
-
-    version: str
-    inputs: dict[str, str]
 
 
 class Result(Part):
@@ -250,12 +44,12 @@ class Result(Part):
     model: str
     title: str = ""
     accelerometers: dict[str, AccelerometerResult]
-    platform: dict[str, Coefficient] = {}
-    confounded: list[Confounded] = []
+    platform: dict[str, Coefficient] = Field(default={})
+    confounded: list[Confounded] = Field(default=[])
     runs: dict[str, RunResult]
     inputs: Inputs
-    details: dict[str, str] = {}
-    warnings: list[str] = []
+    details: dict[str, str] = Field(default={})
+    warnings: list[str] = Field(default=[])
     provenance: Provenance
 
     def to_json(self) -> str:
@@ -276,9 +70,10 @@ def described(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str,
     Returns
     -------
     dict
-        `known`, `axes` and `observable` of `AccelerometerResult`.
+        `serial_number`, `known`, `axes` and `observable` of `AccelerometerResult`.
     """
     return {
+        "serial_number": accelerometer.serial_number,
         "known": {
             symbol: Coefficient(value=prior.value, u=prior.u, unit=prior.unit, estimated=False)
             for symbol, prior in accelerometer.priors.items()

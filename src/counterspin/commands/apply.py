@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.campaign.quantity import parse, unit_factor
-from counterspin.campaign.result import AccelerometerResult, Coefficient, Result
+from counterspin.campaign.result import Result
+from counterspin.campaign.result_parts import AccelerometerResult, Coefficient
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import TERMS, Array, Mounting
 from counterspin.physics.correction import Instrument, Known, correct, missing_axes

@@ -15,12 +15,12 @@ from counterspin._version import __version__
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.observed import ObservedRun, observe
 from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.result import (
+from counterspin.campaign.result import Result
+from counterspin.campaign.result_parts import (
     Coefficient,
     Inputs,
     ParabolaResult,
     Provenance,
-    Result,
     RippleResult,
     RunResult,
 )

@@ -16,7 +16,7 @@ from counterspin.campaign.description import DESCRIPTION_NAME, read_campaign
 from counterspin.campaign.observed import observe
 from counterspin.campaign.output import write_text
 from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.result import AccelerometerResult
+from counterspin.campaign.result_parts import AccelerometerResult
 from counterspin.commands.joint import joint
 from counterspin.commands.simulate import simulate
 from counterspin.commands.two_stage import TwoStageOptions, TwoStageOutcome, two_stage

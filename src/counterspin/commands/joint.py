@@ -9,7 +9,8 @@ from typing import Final
 from counterspin.campaign.observed import ObservedRun
 from counterspin.campaign.problem import model_of, noise_of, series_of
 from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.result import AccelerometerResult, Coefficient, Confounded, described
+from counterspin.campaign.result import described
+from counterspin.campaign.result_parts import AccelerometerResult, Coefficient, Confounded
 from counterspin.commands.joint_checks import (
     compare,
     driving_runs,

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.result import (
+from counterspin.campaign.result_parts import (
     BudgetLine,
     Coefficient,
     Confounded,

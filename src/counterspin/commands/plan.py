@@ -28,7 +28,7 @@ from counterspin.campaign.plan_result import (
     Requirement,
 )
 from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.result import Provenance
+from counterspin.campaign.result_parts import Provenance
 from counterspin.campaign.toml_text import write_document
 from counterspin.commands.plan_curves import curves_of
 from counterspin.commands.plan_determined import require_determined, unreachable

@@ -21,7 +21,7 @@ from counterspin.campaign.plan_result import (
     Requirement,
 )
 from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.result import Confounded
+from counterspin.campaign.result_parts import Confounded
 from counterspin.commands.joint_parts import budget_lines, coefficient, unit_of
 from counterspin.inference.joint import INPUTS, ROTATION, TIMING, Considered, Model
 from counterspin.physics.accelerometer import TERMS, Array

@@ -13,14 +13,14 @@ import numpy as np
 from counterspin.campaign.observed import ObservedRun
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import Accelerometer, Campaign
-from counterspin.campaign.result import (
+from counterspin.campaign.result import described
+from counterspin.campaign.result_parts import (
     AccelerometerResult,
     Coefficient,
     Correlation,
     NoiseLine,
     ParabolaResult,
     Residual,
-    described,
 )
 from counterspin.commands.two_stage_findings import confounded, left_out, unmodelled, warnings
 from counterspin.errors import NotIdentifiableError

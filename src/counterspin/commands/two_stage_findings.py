@@ -14,7 +14,7 @@ import numpy as np
 
 from counterspin.campaign.problem import left_out_of
 from counterspin.campaign.resolved import Accelerometer, Campaign
-from counterspin.campaign.result import Coefficient, Confounded, LeftOut
+from counterspin.campaign.result_parts import Coefficient, Confounded, LeftOut
 from counterspin.inference.identifiability import assess
 from counterspin.inference.two_stage import SecondStage, StrobedRun
 from counterspin.physics.accelerometer import TERMS, term

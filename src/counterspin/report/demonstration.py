@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from counterspin.campaign.result import AccelerometerResult
+from counterspin.campaign.result_parts import AccelerometerResult
 from counterspin.commands.demo import Demonstration
 from counterspin.inference.two_stage import StrobedRun
 from counterspin.physics.accelerometer import term

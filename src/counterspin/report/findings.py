@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from counterspin.campaign.result import (
+from counterspin.campaign.result_parts import (
     AccelerometerResult,
     BudgetLine,
     Coefficient,

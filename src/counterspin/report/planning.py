@@ -17,7 +17,7 @@ from counterspin.campaign.plan_result import (
     Predicted,
     Requirement,
 )
-from counterspin.campaign.result import BudgetLine
+from counterspin.campaign.result_parts import BudgetLine
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 from counterspin.report.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.report.numbers import NOT_DETERMINED, field_unit, format_number, format_share

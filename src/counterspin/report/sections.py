@@ -9,7 +9,8 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
-from counterspin.campaign.result import Coefficient, Result, RunResult
+from counterspin.campaign.result import Result
+from counterspin.campaign.result_parts import Coefficient, RunResult
 from counterspin.report.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.report.findings import (
     accelerometer_blocks,
