@@ -1,6 +1,10 @@
-"""What a report is made of: plain blocks of words and cells, however they are set.
+"""What a report is made of: plain blocks of words, cells and curves, however they are set.
 
-- `Block`: `Heading`, `Paragraph` or `Table` of `Column` and rows
+A face draws those that it can: the terminal and Markdown leave pictures out, whose numbers stand
+in tables beside them.
+
+- `Block`: `Heading`, `Paragraph`, `Table` of `Column` and rows, or a `Picture`
+- `Picture`: `Plot` of `Series`, `Bars` or `HeatMap`
 """
 
 from __future__ import annotations
@@ -8,14 +12,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Style = Literal["plain", "answer", "warning", "quiet"]
+Style = Literal["plain", "answer", "warning", "quiet", "equation", "command"]
 
 
 @dataclass(frozen=True)
 class Heading:
-    """A heading."""
+    """A heading; level 1 is the report's own, 2 a chapter's, 3 what is in it."""
 
     text: str
+    level: Literal[1, 2, 3] = 2
 
 
 @dataclass(frozen=True)
@@ -44,4 +49,84 @@ class Table:
     quiet: frozenset[int] = frozenset()
 
 
-Block = Heading | Paragraph | Table
+@dataclass(frozen=True)
+class Series:
+    """One line, row of points or band of a plot.
+
+    Attributes
+    ----------
+    label
+        What it is; empty: not in the legend.
+    x, y
+        Of equal length; None in y is a gap.
+    low, high
+        A band about a line, or error bars at points; both or neither.
+    kind
+        How it is drawn.
+    stands_out
+        Drawn in the colour of warnings.
+    """
+
+    label: str
+    x: tuple[float, ...]
+    y: tuple[float | None, ...]
+    low: tuple[float | None, ...] | None = None
+    high: tuple[float | None, ...] | None = None
+    kind: Literal["line", "points", "band"] = "line"
+    stands_out: bool = False
+
+
+@dataclass(frozen=True)
+class Plot:
+    """Curves over a common axis.
+
+    Attributes
+    ----------
+    title
+        What is shown; also what is read to those who do not see it.
+    x_label, y_label
+        With units.
+    series
+        What is drawn, the first below the others.
+    levels
+        Heights of horizontal lines for comparison.
+    x_names
+        Names in place of numbers at x = 0, 1, 2...; empty: numbers.
+    log_x, log_y
+        Logarithmic axes.
+    zoom
+        Worth a closer look: many points over a long axis.
+    """
+
+    title: str
+    x_label: str
+    y_label: str
+    series: tuple[Series, ...]
+    levels: tuple[float, ...] = ()
+    x_names: tuple[str, ...] = ()
+    log_x: bool = False
+    log_y: bool = False
+    zoom: bool = False
+
+
+@dataclass(frozen=True)
+class Bars:
+    """Horizontal bars, the first on top; `texts` stand at their ends."""
+
+    title: str
+    labels: tuple[str, ...]
+    values: tuple[float, ...]
+    texts: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class HeatMap:
+    """A square matrix of numbers from -1 to 1 between things with names."""
+
+    title: str
+    labels: tuple[str, ...]
+    values: tuple[tuple[float, ...], ...]
+
+
+Picture = Plot | Bars | HeatMap
+Block = Heading | Paragraph | Table | Picture

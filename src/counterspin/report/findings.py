@@ -270,7 +270,7 @@ def budget_blocks(name: str, found: AccelerometerResult) -> Iterator[Block]:
     for symbol, lines in found.budget.items():
         coefficient = found.coefficients.get(symbol)
         unit, factor = field_unit(coefficient.unit if coefficient else "")
-        yield Heading(f"Uncertainty budget of {symbol}, {name}")
+        yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
         total = math.sqrt(sum(line.contribution**2 for line in lines))
         rows = [_budget_row(line, factor) for line in lines]
         rows.append(("combined", "", "", format_number(total * factor, 2), ""))

@@ -33,7 +33,7 @@ def render_plan(result: PlanResult) -> Report:
 
 def plan_blocks(result: PlanResult) -> list[Block]:
     """Return a plan or a forecast as blocks, the answer first."""
-    blocks: list[Block] = [Heading(result.title), *_answer(result)]
+    blocks: list[Block] = [Heading(result.title, 1), *_answer(result)]
     blocks += [Paragraph(f"Warning: {text}", "warning") for text in result.warnings]
     blocks += _runs(result)
     for name, accelerometer in result.accelerometers.items():

@@ -58,7 +58,7 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
 
 
 def _answer(result: Result) -> Iterator[Block]:
-    yield Heading(result.title or "Calibration")
+    yield Heading(result.title or "Calibration", 1)
     for name, accelerometer in result.accelerometers.items():
         if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
             yield _answer_line(f"K_II of {name}", coefficient)

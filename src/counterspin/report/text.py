@@ -19,7 +19,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from counterspin.campaign.result import Result
-from counterspin.report.blocks import Block, Heading, Paragraph, Style, Table
+from counterspin.report.blocks import Block, Heading, Paragraph, Picture, Style, Table
 from counterspin.report.numbers import speakable
 from counterspin.report.sections import sections
 
@@ -34,6 +34,8 @@ _STYLES: Final[dict[Style, str]] = {
     "answer": "bold green",
     "warning": "yellow",
     "quiet": "dim",
+    "equation": "italic",
+    "command": "cyan",
 }
 
 
@@ -82,10 +84,13 @@ def render(result: Result, *, budget: bool = False, details: bool = False) -> Re
 
 
 class Report:
-    """Blocks of a report as rich prints them, in the width and characters of its console."""
+    """Blocks of a report as rich prints them, in the width and characters of its console.
+
+    Pictures are left out; what they show stands in the tables.
+    """
 
     def __init__(self, blocks: list[Block]) -> None:
-        self.blocks = blocks
+        self.blocks = [block for block in blocks if not isinstance(block, Picture)]
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield each block; called by rich."""
@@ -94,7 +99,7 @@ class Report:
             if before is not None and _stand_apart(before, block):
                 yield ""
             match block:
-                case Heading(text):
+                case Heading(text, _):
                     yield Text(speakable(text, options.encoding), "bold")
                 case Paragraph(text, style):
                     yield Text(speakable(text, options.encoding), _STYLES[style], overflow="fold")
