@@ -2,6 +2,7 @@
 
 import math
 import re
+from decimal import Decimal
 
 import pytest
 from hypothesis import assume, example, given
@@ -82,12 +83,13 @@ COMPACT = re.compile(r"(-?[\d.]+)\(([\d.]+)\)(?:e(-?\d+))?")
 
 def step_of(u):
     """Return the size of the second digit of u, not above 1/9.95 of u: 0.0996 counts as 0.10."""
-    return 10.0 ** (math.floor(math.log10(float(f"{u:.1e}")) + 1e-9) - 1)
+    return 10.0 ** (math.floor(math.log10(float(f"{Decimal(repr(u)):.1e}")) + 1e-9) - 1)
 
 
 @given(values, magnitudes)
 @example(9.949999e-7, 9.949999e-7)
 @example(1.0, 0.995)
+@example(1.5, 9.95)
 def test_text_reads_back_to_the_value_within_rounding(value, u):
     assume(abs(value) / u < 1e13)
     match = ESTIMATE.fullmatch(format_estimate(value, u))
