@@ -16,11 +16,16 @@ class Gap:
 
 @dataclass(frozen=True)
 class Outlier:
-    """A sample that was left out: its column, data row (from 1) and time in the file's clock, s."""
+    """A sample that was left out.
+
+    Its column, data row (from 1), time in the file's clock (s) and value (SI); NaN where the file
+    says too little of it.
+    """
 
     column: str
     row: int
     time: float
+    value: float
 
 
 @dataclass(frozen=True)

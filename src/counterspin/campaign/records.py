@@ -244,16 +244,22 @@ class _Reading:
         )
         for place, found in enumerate(outliers):
             rows = found if accepted.rows is None else accepted.rows[found]
-            self._note_outliers(place, rows + self._rows, accepted.time[found])
+            self._note_outliers(
+                place, rows + self._rows, accepted.time[found], signals[place][found]
+            )
         return blocks
 
-    def _note_outliers(self, place: int, rows: np.ndarray, times: np.ndarray) -> None:
+    def _note_outliers(
+        self, place: int, rows: np.ndarray, times: np.ndarray, values: np.ndarray
+    ) -> None:
         room = LISTED - self._outliers[place]
         self._outliers[place] += len(rows)
-        name = self._signals[place].name
+        name, factor = self._signals[place].name, self._signals[place].factor
         start = self.start_time * self._specs[0].factor
-        for row, time in zip(rows[: max(room, 0)], times, strict=False):
-            self._listed.append(Outlier(name, int(row) + 1, float(time) + start))
+        for row, time, value in zip(rows[: max(room, 0)], times, values, strict=False):
+            self._listed.append(
+                Outlier(name, int(row) + 1, float(time) + start, float(value) * factor)
+            )
 
     def _refuse_empty(self) -> None:
         found = self._clock.found
@@ -373,7 +379,7 @@ class _Reading:
         if self._has_angle:
             name = self._specs[1].name
             outliers = {name: found.angle_outliers, **outliers}
-            listed += [Outlier(name, row + 1, float("nan")) for row in found.outlier_rows]
+            listed += [Outlier(name, row + 1, np.nan, np.nan) for row in found.outlier_rows]
         start = self.start_time * self._specs[0].factor
         return RecordReport(
             path=self._file.path,

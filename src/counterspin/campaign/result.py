@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Final
@@ -35,6 +36,9 @@ from counterspin.physics.accelerometer import TERMS
 
 SCHEMA: Final = 1  #: version of the JSON
 
+#: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
+_NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
+
 
 class Result(Part):
     """A calibration's result; see the parts."""
@@ -54,7 +58,9 @@ class Result(Part):
 
     def to_json(self) -> str:
         """Return the JSON text, with a newline at the end; NaN and infinity become null."""
-        return self.model_dump_json(by_alias=True, indent=1) + "\n"
+        text = self.model_dump_json(by_alias=True, indent=1)
+        # A list of numbers is one line, however many they are.
+        return _NUMBERS.sub(lambda found: re.sub(r"\s+", " ", found[0]), text) + "\n"
 
 
 def described(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str, Any]:

@@ -30,6 +30,7 @@ from counterspin.commands.joint_parts import (
     noise_lines,
     residual,
 )
+from counterspin.commands.joint_traces import traces
 from counterspin.inference.diagnostics import Diagnostics
 from counterspin.inference.estimation import Estimate, estimate
 from counterspin.inference.identifiability import Assessment, assess
@@ -91,7 +92,12 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
     accelerometers = {
         name: _accelerometer(
             campaign, observed, found, assessment, coefficients, name, diagnostics[name]
-        ).model_copy(update={"left_out": not_modelled[name]})
+        ).model_copy(
+            update={
+                "left_out": not_modelled[name],
+                "traces": traces(observed, series, found, name),
+            }
+        )
         for name in campaign.accelerometers
     }
     shared = {u: c for u, c in coefficients.items() if u.symbol not in TERMS}

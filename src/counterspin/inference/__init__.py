@@ -14,6 +14,7 @@ What stands in this room:
 - `series`: one accelerometer's output in one run, with its columns and its whitening
 - `joint`: full records of all runs and accelerometers, solved together
 - `estimation`: the joint estimate step by step
+- `thinning`: residuals for pictures
 - `outliers`, `rotation`: samples that noise does not explain; how runs without angles turned
 - `setup`, `angle_functions`, `run_information`: what a run of a plan would tell, as a smooth
   function of its rate and length

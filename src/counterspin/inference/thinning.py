@@ -1,0 +1,115 @@
+"""Residuals thinned for pictures: few points that show what many would.
+
+- `stretches`: over time, the smallest and the largest of each stretch
+- `over_revolution`: over the spindle's angle
+- `smoothed_spectrum`: of whitened residuals
+- `normal_quantiles`: whitened residuals in order, beside a normal distribution
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from counterspin.physics.accelerometer import Array
+
+_TURN: Final = 2.0 * math.pi
+
+
+def stretches(time: Array, values: Array, count: int) -> tuple[Array, Array, Array]:
+    """Return middle times, smallest and largest values of at most `count` stretches of samples.
+
+    The stretches hold equally many samples, so that a gap in the record stays one, and no sample
+    however far out is lost.
+
+    Parameters
+    ----------
+    time, values
+        Shape (n,), n >= 1, in the order of time.
+    count
+        At least 1.
+    """
+    first = np.unique(np.arange(count) * time.size // count)
+    last = np.append(first[1:], time.size) - 1
+    return (
+        0.5 * (time[first] + time[last]),
+        np.minimum.reduceat(values, first),
+        np.maximum.reduceat(values, first),
+    )
+
+
+def over_revolution(angle: Array, values: Array, parts: int) -> tuple[Array, Array, Array]:
+    """Return smallest, mean and largest values in equal parts of a revolution, shape (parts,).
+
+    Parameters
+    ----------
+    angle
+        Of the spindle, rad, any revolution, shape (n,).
+    values
+        Shape (n,).
+    parts
+        How many; one without a sample has NaN.
+    """
+    place = np.minimum((np.mod(angle, _TURN) * (parts / _TURN)).astype(np.intp), parts - 1)
+    count = np.bincount(place, minlength=parts)
+    low, high = np.full(parts, np.inf), np.full(parts, -np.inf)
+    np.minimum.at(low, place, values)
+    np.maximum.at(high, place, values)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(place, values, minlength=parts) / count
+    empty = count == 0
+    low[empty], high[empty] = np.nan, np.nan
+    return low, mean, high
+
+
+def smoothed_spectrum(whitened: Array, interval: float, count: int) -> tuple[Array, Array]:
+    """Return frequencies (Hz) and mean power in at most `count` bands; 1 is white noise.
+
+    The periodogram |sum x exp(-i w t)|^2 / n, whose expectation is 1 for independent residuals of
+    unit variance, averaged over bands that are equally wide on a logarithmic scale.
+
+    Parameters
+    ----------
+    whitened
+        In the order of time, shape (n,), n >= 3; taken as evenly spaced.
+    interval
+        Between them, s.
+    count
+        At least 1.
+    """
+    n = whitened.size
+    lines = (n - 1) // 2
+    power = np.abs(np.fft.rfft(whitened)[1 : lines + 1]) ** 2 / n
+    edges = np.unique(np.geomspace(1.0, lines + 1.0, count + 1).astype(np.intp))
+    first, width = edges[:-1], np.diff(edges)
+    frequency = (first + 0.5 * (width - 1)) / (n * interval)
+    return frequency, np.add.reduceat(power[: edges[-1] - 1], first - 1) / width
+
+
+def normal_quantiles(whitened: Array, count: int) -> tuple[Array, Array]:
+    """Return at most `count` ordered residuals beside the normal scores that belong to them.
+
+    Blom's scores, those of ranks (i - 3/8) / (n + 1/4); the ranks are chosen evenly along them,
+    so that the tails are whole where the middle is thinned.
+
+    Parameters
+    ----------
+    whitened
+        Shape (n,), n >= 1.
+    count
+        At least 2.
+
+    Returns
+    -------
+    normal, found
+        Shape (m,), m <= count.
+    """
+    from scipy.special import ndtr, ndtri
+
+    n = whitened.size
+    end = float(ndtri(0.625 / (n + 0.25)))
+    wanted = ndtr(np.linspace(end, -end, min(count, n))) * (n + 0.25) + 0.375
+    ranks = np.unique(np.clip(np.rint(wanted), 1, n).astype(np.intp))
+    return ndtri((ranks - 0.375) / (n + 0.25)), np.sort(whitened)[ranks - 1]
