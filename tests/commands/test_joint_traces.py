@@ -3,8 +3,8 @@
 import numpy as np
 import polars as pl
 import pytest
-
 from campaigns import SMALL, changed, write
+
 from counterspin.campaign.result import read_result, write_result
 from counterspin.commands.calibrate import calibrate
 from counterspin.commands.simulate import simulate
@@ -65,7 +65,7 @@ def test_traces_have_the_size_of_the_residuals(results):
 
 
 def test_outliers_are_left_out_and_shown_where_they_were(results):
-    clean, spoilt, times = results
+    _clean, spoilt, times = results
     shown = dict(spoilt.accelerometers["Qx"].traces["slow"].left_out)
     for (time, residual), (expected, by) in zip(shown.items(), times.items(), strict=True):
         assert time == pytest.approx(expected, rel=1e-5)
