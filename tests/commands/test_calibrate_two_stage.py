@@ -3,6 +3,7 @@
 import json
 import math
 import os
+from dataclasses import fields
 
 import polars as pl
 import pytest
@@ -374,3 +375,20 @@ def test_truth_is_not_looked_at(tmp_path):
     write(folder, text)
     bare = calibrate(folder, method="two-stage")
     assert bare.accelerometers == with_truth.accelerometers
+
+
+@pytest.mark.parametrize("key", [field.name for field in fields(TwoStageOptions)])
+def test_options_in_words_are_those_that_the_command_line_takes(key, tmp_path, monkeypatch):
+    """Typed again, they are the same options."""
+    other = {"model": "as-printed", "ripple": "ratio"}
+    changed_one = getattr(TwoStageOptions(), key)
+    value = other[key] if key in other else not changed_one
+    options = TwoStageOptions(**{key: value})
+    seen = []
+    monkeypatch.setattr(
+        "counterspin.commands.calibrate.calibrate",
+        lambda _where, *, options, **_: seen.append(options) or 1 / 0,
+    )
+    main(["calibrate", str(tmp_path), "--method=two-stage", *options.words()])
+    assert seen == [options]
+    assert not TwoStageOptions().words()

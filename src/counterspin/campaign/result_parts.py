@@ -319,7 +319,18 @@ class Inputs(Part):
 
 
 class Provenance(Part):
-    """Program version and SHA-256 of every input file."""
+    """What made the result: program, options and inputs.
+
+    Attributes
+    ----------
+    version
+        Of counterspin.
+    inputs
+        By file, its SHA-256.
+    options
+        Of the command, as they are typed, where they are not the defaults.
+    """
 
     version: str
     inputs: dict[str, str]
+    options: list[str] = []

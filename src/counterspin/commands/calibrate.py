@@ -97,7 +97,13 @@ def calibrate(
             radius=campaign.radius.value,
         ),
         details=dict(campaign.details),
-        provenance=Provenance(version=__version__, inputs=inputs),
+        provenance=Provenance(
+            version=__version__,
+            inputs=inputs,
+            options=[]
+            if method == "joint"
+            else ["--method=two-stage", *(options or TwoStageOptions()).words()],
+        ),
         **estimated,
     )
 

@@ -57,6 +57,18 @@ class TwoStageOptions:
     fit_bias: bool = True
     from_residuals: bool = False
 
+    def words(self) -> list[str]:
+        """Return the options as they are typed, where they are not the defaults."""
+        usual = TwoStageOptions()
+        typed = {
+            "model": f"--model={self.model}",
+            "weighted": "--no-weighted",
+            "ripple": f"--ripple={self.ripple}",
+            "fit_bias": "--no-fit-bias",
+            "from_residuals": "--sigma=residuals",
+        }
+        return [text for key, text in typed.items() if getattr(self, key) != getattr(usual, key)]
+
 
 @dataclass(frozen=True)
 class TwoStageOutcome:
