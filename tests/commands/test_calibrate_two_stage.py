@@ -381,9 +381,7 @@ def test_truth_is_not_looked_at(tmp_path):
 def test_options_in_words_are_those_that_the_command_line_takes(key, tmp_path, monkeypatch):
     """Typed again, they are the same options."""
     other = {"model": "as-printed", "ripple": "ratio"}
-    changed_one = getattr(TwoStageOptions(), key)
-    value = other[key] if key in other else not changed_one
-    options = TwoStageOptions(**{key: value})
+    options = TwoStageOptions(**{key: other.get(key, not getattr(TwoStageOptions(), key))})
     seen = []
     monkeypatch.setattr(
         "counterspin.commands.calibrate.calibrate",

@@ -3,6 +3,7 @@
 - `accelerometer_blocks`: coefficients, what cannot be told apart, fit, noise, checks
 - `budget_blocks`: where the uncertainty of its coefficients comes from
 - `coefficient_table`, `in_field_units`: coefficients of any kind
+- `noticed_if_left_out`: terms outside the model that would matter
 """
 
 from __future__ import annotations
@@ -149,21 +150,31 @@ def _confounded(found: Confounded) -> str:
     return f"{text} = {format_estimate(found.value * factor, u, unit)}."
 
 
-def _left_out(found: AccelerometerResult) -> str:
-    """Say what the terms would do that the model leaves out, where it would be noticed."""
+def noticed_if_left_out(found: AccelerometerResult) -> dict[str, str]:
+    """Return the terms that the model leaves out and whose one unit K_II would show.
+
+    By symbol, in words what that unit would do; one unit is 1 ug/g^2, 1 arcsec, 1 deg/h and so on.
+    """
     k_ii = found.coefficients.get("K_II")
     if k_ii is None or k_ii.u is None:
-        return ""
-    noticed = []
+        return {}
+    noticed = {}
     for symbol, term_left_out in found.left_out.items():
         unit, factor = field_unit(term_left_out.unit)
         shift = abs(term_left_out.sensitivity) / factor
         if shift > 0.5 * k_ii.u:
             shown, to_shown = field_unit(k_ii.unit)
-            noticed.append(f"1 {unit} of {symbol} by {format_number(shift * to_shown, 2)} {shown}")
+            words = f"1 {unit} of {symbol} by {format_number(shift * to_shown, 2)} {shown}"
+            noticed[symbol] = words
+    return noticed
+
+
+def _left_out(found: AccelerometerResult) -> str:
+    noticed = noticed_if_left_out(found)
     if not noticed:
         return ""
-    return "Not in the model, and so not in u: K_II would move with " + "; ".join(noticed) + "."
+    terms = "; ".join(noticed.values())
+    return f"Not in the model, and so not in u: K_II would move with {terms}."
 
 
 def _correlation(r: float) -> str:

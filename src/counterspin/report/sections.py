@@ -1,6 +1,7 @@
 """What a report of a result says, in order: the answer first, then what it rests on.
 
 - `sections`: a result as blocks
+- `answer_blocks`, `platform_blocks`, `run_blocks`: parts of it
 """
 
 from __future__ import annotations
@@ -42,13 +43,13 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
     details
         Whether strong correlations, run counts, input files and their checksums are written.
     """
-    blocks: list[Block] = [*_answer(result)]
+    blocks: list[Block] = [*answer_blocks(result)]
     for name, accelerometer in result.accelerometers.items():
         blocks += accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=details)
         if budget:
             blocks += budget_blocks(name, accelerometer)
-    blocks += _platform(result)
-    blocks += _runs(result.runs)
+    blocks += platform_blocks(result)
+    blocks += run_blocks(result.runs, details=details)
     if details:
         blocks += _details(result)
     return blocks
@@ -57,11 +58,20 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
 # The answer
 
 
-def _answer(result: Result) -> Iterator[Block]:
+def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
+    """Yield title, K_II of each accelerometer, warnings about the whole and conventions.
+
+    Parameters
+    ----------
+    result
+        The result.
+    in_g
+        Whether K_II is given in g/g^2 beside ug/g^2.
+    """
     yield Heading(result.title or "Calibration", 1)
     for name, accelerometer in result.accelerometers.items():
         if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
-            yield _answer_line(f"K_II of {name}", coefficient)
+            yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g)
     for warning in result.warnings:
         yield Paragraph(f"Warning: {warning}", "warning")
     known = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
@@ -77,7 +87,7 @@ def _answer(result: Result) -> Iterator[Block]:
     )
 
 
-def _answer_line(name: str, coefficient: Coefficient) -> Paragraph:
+def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool) -> Paragraph:
     value, u, unit = in_field_units(coefficient)
     if not coefficient.estimated or value is None or u is None:
         prior = (
@@ -85,6 +95,8 @@ def _answer_line(name: str, coefficient: Coefficient) -> Paragraph:
         )
         return Paragraph(f"{name}: {NOT_DETERMINED} by these records{prior}", "warning")
     text = f"{name} = {format_estimate(value, u, unit)}"
+    if in_g:
+        text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
     if u > 0.0:
         half = _coverage_factor(coefficient.dof) * u
         interval = format_interval(value, u, half)
@@ -104,7 +116,8 @@ def _coverage_factor(dof: float | None) -> float:
 # Platform and runs
 
 
-def _platform(result: Result) -> Iterator[Block]:
+def platform_blocks(result: Result) -> Iterator[Block]:
+    """Yield a table of the platform's terms, those of single runs among them, if there are any."""
     terms = dict(result.platform)
     for name, run in result.runs.items():
         terms |= {f"{symbol} ({name})": found for symbol, found in run.terms.items()}
@@ -114,7 +127,8 @@ def _platform(result: Result) -> Iterator[Block]:
         yield Table(table.columns[1:], tuple(row[1:] for row in table.rows), table.quiet)
 
 
-def _runs(runs: dict[str, RunResult]) -> Iterator[Block]:
+def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
+    """Yield what the runs showed: rotation, samples, fits; with `details`, counts of each kind."""
     yield Heading("Runs")
     yield Table(
         columns=(
@@ -146,6 +160,19 @@ def _runs(runs: dict[str, RunResult]) -> Iterator[Block]:
     for name, run in runs.items():
         for note in run.notes:
             yield Paragraph(note if note.startswith(name) else f"{name}: {note}")
+    if details:
+        yield from _counts(runs)
+
+
+def _counts(runs: dict[str, RunResult]) -> Iterator[Block]:
+    for name, run in runs.items():
+        counts = ", ".join(f"{key.replace('_', ' ')} {count}" for key, count in run.counts.items())
+        if counts:
+            yield Paragraph(f"{name}: {counts}.")
+        if run.angle_rms is not None:
+            unit, factor = field_unit("rad")
+            rms = format_number(run.angle_rms * factor)
+            yield Paragraph(f"{name}: recorded angle less its model, rms {rms} {unit}.")
 
 
 def _ripples(run: RunResult) -> str:
@@ -212,14 +239,6 @@ def _plain(value: float | str | None) -> str:
 
 def _details(result: Result) -> Iterator[Block]:
     yield Heading("Details")
-    for name, run in result.runs.items():
-        counts = ", ".join(f"{key.replace('_', ' ')} {count}" for key, count in run.counts.items())
-        if counts:
-            yield Paragraph(f"{name}: {counts}.")
-        if run.angle_rms is not None:
-            unit, factor = field_unit("rad")
-            rms = format_number(run.angle_rms * factor)
-            yield Paragraph(f"{name}: recorded angle less its model, rms {rms} {unit}.")
     inputs = result.inputs
     latitude = format_number(math.degrees(inputs.latitude), 8)
     yield Paragraph(f"Radius {inputs.radius:.10g} m, latitude {latitude} deg.")
