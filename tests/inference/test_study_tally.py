@@ -43,6 +43,17 @@ def test_batches_put_together_are_the_trials_at_once():
     assert bias[0] == pytest.approx(error[low].mean(), rel=1e-12)
 
 
+def test_coverage_with_degrees_of_freedom_of_each_trial():
+    rng = np.random.default_rng(6)
+    z, dof = 3.0 * rng.standard_normal(20_000), rng.uniform(3.0, 60.0, 20_000)
+    kept = Tally(()).count(z, np.zeros_like(z), np.ones_like(z), dof, [])
+    found = summarise(Tally(()), kept[None])
+    for level, share in zip(LEVELS, found.covered, strict=True):
+        direct = np.mean(np.abs(z) <= stats.t.ppf(0.5 + level / 2, dof))
+        # The table's error of 1e-5 may move a trial or two across.
+        assert share == pytest.approx(direct, abs=3.0 / z.size)
+
+
 @pytest.mark.parametrize("dof", [3.0, 20.0, 291.0, np.inf])
 @pytest.mark.parametrize("level", LEVELS)
 def test_coverage_factor_is_student_s(dof, level):

@@ -72,7 +72,7 @@ class Varying:
     per_run: bool = False
 
     def draw(self, generator: np.random.Generator, runs: int, trials: int) -> Array:
-        """Return values, shape (runs, trials), or (1, trials) where the runs share them."""
+        """Return values, shape (runs, trials), with 1 in place of what has them in common."""
         rows = runs if self.per_run else 1
         if self.kind == "normal":
             drawn: Array = generator.standard_normal((rows, trials))
@@ -84,7 +84,7 @@ class Varying:
             drawn *= self.second - self.first
             drawn += self.first
             return drawn
-        return np.full((rows, trials), self.first)
+        return np.full((1, 1), self.first)
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -98,18 +98,24 @@ class Varying:
 class Draws:
     """The truth of a batch of n trials in r runs.
 
+    Where the runs or the trials have a value in common, their axis has length 1: what does not
+    vary costs nothing.
+
     Attributes
     ----------
+    trials
+        How many there are.
     values
-        (owner, symbol) -> values, shape (r, n) or (1, n): accelerometer terms in g-units,
-        platform terms in SI.
+        (owner, symbol) -> values, shape (r or 1, n or 1): accelerometer terms in g-units, platform
+        terms in SI.
     drift, ripple_cos, ripple_sin
         Of each run: C in 1/s, and the first harmonic's (w_1/w0) cos phi and (w_1/w0) sin phi,
-        shape (r, n) or (1, n).
+        shape (r or 1, n or 1).
     radius, white
-        m, shape (n,).
+        m, shape (n,) or (1,).
     """
 
+    trials: int
     values: Mapping[tuple[str, str], Array]
     drift: Array
     ripple_cos: Array
@@ -117,28 +123,27 @@ class Draws:
     radius: Array
     white: Array
 
-    @property
-    def trials(self) -> int:
-        """How many trials there are."""
-        return self.radius.size
-
     def take(self, trial: int) -> Draws:
         """Return one of the trials by itself."""
-        one = slice(trial, trial + 1)
+        return self.part(trial, trial + 1)
+
+    def part(self, start: int, stop: int) -> Draws:
+        """Return some of the trials by themselves."""
+
+        def some(values: Array) -> Array:
+            return values if values.shape[-1] == 1 else values[..., start:stop]
+
         return Draws(
-            {key: value[:, one] for key, value in self.values.items()},
-            self.drift[:, one],
-            self.ripple_cos[:, one],
-            self.ripple_sin[:, one],
-            self.radius[one],
-            self.white[one],
+            stop - start,
+            {key: some(value) for key, value in self.values.items()},
+            *map(some, (self.drift, self.ripple_cos, self.ripple_sin, self.radius, self.white)),
         )
 
     def of(self, owner: str, symbol: str) -> Array:
         """Return a coefficient as one number a trial, shape (n,): the mean over the runs."""
         value = self.values[owner, symbol]
         mean: Array = value[0] if value.shape[0] == 1 else value.mean(axis=0)
-        return mean
+        return np.broadcast_to(mean, self.trials)
 
     def spindle(self, base: Spindle, run: int) -> Spindle:
         """Return the true motion of one run in the first of the trials."""
@@ -177,36 +182,28 @@ class Truth:
     def draw(self, generator: np.random.Generator, trials: int) -> Draws:
         """Draw the truth of some trials, quantity after quantity in the study's order."""
         runs = len(self.spindles)
-        values = {
-            key: np.broadcast_to(value[:, None], (value.size, trials))
-            for key, value in self.fixed.items()
-        }
-        drift = np.array([[s.drift] for s in self.spindles]) * np.ones(trials)
-        ratio, phase = (np.array(part)[:, None] * np.ones(trials) for part in self._first())
-        rippling = False
-        radius, white = np.full(trials, self.radius), np.full(trials, self.white)
+        values = {key: value[:, None] for key, value in self.fixed.items()}
+        drift = np.array([[s.drift] for s in self.spindles])
+        ratio, phase = (np.array(part)[:, None] for part in self._first())
+        radius, white = np.array([self.radius]), np.array([self.white])
         for one in self.varying:
             drawn = one.draw(generator, runs, trials)
             if one.symbol == DRIFT:
                 drift = drawn
             elif one.symbol == RIPPLE_RATIO:
-                ratio, rippling = drawn, True
+                ratio = drawn
             elif one.symbol == RIPPLE_AMPLITUDE:
-                rates = np.array([[spindle.rate] for spindle in self.spindles])
-                ratio, rippling = drawn / rates, True
+                ratio = drawn / np.array([[spindle.rate] for spindle in self.spindles])
             elif one.symbol == RIPPLE_PHASE:
-                phase, rippling = drawn, True
+                phase = drawn
             elif one.symbol == RADIUS:
                 radius = drawn[0]
             elif one.symbol == WHITE:
                 white = np.abs(drawn[0])
             else:
                 values[one.owner, one.symbol] = drawn
-        if not rippling:
-            ratio, phase = ratio[:, :1], phase[:, :1]
-        cos = np.broadcast_to(ratio * np.cos(phase), (max(len(ratio), len(phase)), trials))
-        sin = np.broadcast_to(ratio * np.sin(phase), cos.shape)
-        return Draws(values, drift, cos, sin, radius, white)
+        cos, sin = ratio * np.cos(phase), ratio * np.sin(phase)
+        return Draws(trials, values, drift, cos, sin, radius, white)
 
     def _first(self) -> tuple[list[float], list[float]]:
         """Return ratio and phase of every run's first harmonic."""

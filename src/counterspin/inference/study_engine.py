@@ -28,7 +28,7 @@ from counterspin.inference.study_two_stage import TwoStageEngine
 from counterspin.physics.accelerometer import Array
 
 #: Trials of a batch: what fits a cache, and for slow engines what takes a fraction of a second.
-_BATCH: Final = {"constant": 16384, "surrogate": 2048, "exact": 128, "full": 8}
+_BATCH: Final = {"constant": 16384, "surrogate": 4096, "exact": 128, "full": 8}
 
 
 @dataclass(frozen=True)
@@ -145,7 +145,7 @@ class StudyEngine:
         for part in self.parts:
             noise = stream(self.seed, number, NOISE_STREAM + part.noise)
             # An engine that is one by one slow does no trial that does not count.
-            few = _first_of(draws, trials) if part.kind == "full" else draws
+            few = draws.part(0, trials) if part.kind == "full" else draws
             if isinstance(part.engine, TwoStageEngine):
                 (found,) = part.engine.trials(few, noise)
             else:
@@ -158,18 +158,6 @@ class StudyEngine:
                 if keep:
                     values.append(np.stack([truth, estimate, np.broadcast_to(u, truth.shape)]))
         return Batch(np.array(sums), np.array(values) if keep else None)
-
-
-def _first_of(draws: Draws, trials: int) -> Draws:
-    """Return the first of some trials."""
-    return Draws(
-        {key: value[:, :trials] for key, value in draws.values.items()},
-        draws.drift[:, :trials],
-        draws.ripple_cos[:, :trials],
-        draws.ripple_sin[:, :trials],
-        draws.radius[:trials],
-        draws.white[:trials],
-    )
 
 
 def _truth(draws: Draws, one: Reported) -> Array:

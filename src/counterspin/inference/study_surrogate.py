@@ -16,6 +16,7 @@ import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -189,15 +190,22 @@ def _monomials(scaled: Sequence[Array] | Array, powers: Sequence[tuple[int, ...]
     """Return all monomials, shape (monomials, n), each by one product of an earlier one."""
     n = scaled[0].size if len(scaled) else 1
     basis = np.empty((len(powers), n))
-    place = {power: index for index, power in enumerate(powers)}
-    for power in sorted(powers, key=sum):
-        lead = next((i for i, p in enumerate(power) if p), None)
-        if lead is None:
-            basis[place[power]] = 1.0
-            continue
-        lower = tuple(p - (i == lead) for i, p in enumerate(power))
-        np.multiply(basis[place[lower]], scaled[lead], out=basis[place[power]])
+    basis[0] = 1.0
+    for index, lower, factor in _products(tuple(powers)):
+        np.multiply(basis[lower], scaled[factor], out=basis[index])
     return basis
+
+
+@lru_cache(maxsize=16)
+def _products(powers: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, int, int], ...]:
+    """Return for each monomial beside the first its place, an earlier one's, and the factor."""
+    place = {power: index for index, power in enumerate(powers)}
+    found = []
+    for power in sorted(powers, key=sum)[1:]:
+        lead = next(i for i, p in enumerate(power) if p)
+        lower = tuple(p - (i == lead) for i, p in enumerate(power))
+        found.append((place[power], place[lower], lead))
+    return tuple(found)
 
 
 def _exact(

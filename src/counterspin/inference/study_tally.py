@@ -100,9 +100,15 @@ class Tally:
         kept[4] = u.sum()
         z = error / u
         size = np.abs(z)
-        one = bool((dof == dof.flat[0]).all())
+        # Between the least and the greatest factor lie a few trials only.
+        extremes = np.array([dof.max(), dof.min()])
         for place, level in enumerate(LEVELS, _COVERED.start):
-            kept[place] = np.count_nonzero(size <= coverage_factor(dof[:1] if one else dof, level))
+            low, high = coverage_factor(extremes, level)
+            kept[place] = np.count_nonzero(size <= low)
+            if low < high:
+                open_ = np.flatnonzero((size > low) & (size <= high))
+                factor = coverage_factor(dof[open_], level)
+                kept[place] += np.count_nonzero(size[open_] <= factor)
         scaled = (z + Z_EDGE) * (Z_BINS / (2.0 * Z_EDGE)) + 1.0
         bins = np.clip(scaled, 0.0, Z_BINS + 1.0).astype(np.intp)
         kept[_HISTOGRAM] = np.bincount(bins, minlength=Z_BINS + 2)

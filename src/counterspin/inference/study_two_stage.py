@@ -12,7 +12,7 @@ batch at once. One reading is taken at each strobe, as the paper's plan has it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -124,18 +124,17 @@ class TwoStageEngine:
         """
         n, runs = draws.trials, len(self.motions)
         seen = [self._effects(draws, run) for run in range(runs)]
+        assumed = _stacked([part for _, part, _ in seen], 1)  # (q, runs, n or 1)
+        sizes = _stacked([size for _, _, size in seen], 0)  # sigma/u(b2)
         b2 = generator.standard_normal((runs, n))
-        factor = np.stack([np.broadcast_to(size, n) for _, _, size in seen])  # sigma/u(b2)
-        b2 *= draws.white / factor
-        for run, (true, _, _) in enumerate(seen):
-            b2[run] += self._shift(draws, run, true)
-        variance: Array | None = None
+        b2 *= draws.white / sizes
+        b2 += _stacked([self._shift(draws, run, true) for run, (true, _, _) in enumerate(seen)], 0)
+        variance = np.ones((1, 1))
         if any(one.sigma is None for one in self.analyses):
-            dof = np.array([motion.angles.size - 3.0 for motion in self.motions])[:, None]
-            variance = 2.0 * generator.standard_gamma(np.broadcast_to(dof / 2.0, (runs, n)))
-            variance *= draws.white**2 / dof
-        assumed = np.stack([part for _, part, _ in seen], axis=1)  # (q, runs, n or 1)
-        sizes = np.stack([size for _, _, size in seen])
+            # The residuals of each run in one number; dof of them.
+            dof = [motion.angles.size - 3.0 for motion in self.motions]
+            variance = np.stack([generator.standard_gamma(0.5 * one, n) for one in dof])
+            variance *= 2.0 * draws.white**2 / np.array(dof)[:, None]
         return tuple(self._analyse(one, b2, assumed, sizes, variance) for one in self.analyses)
 
     def _effects(self, draws: Draws, run: int) -> tuple[Array, Array, Array]:
@@ -153,6 +152,7 @@ class TwoStageEngine:
             return surrogate(small)
         n = draws.trials
         everywhere = [np.broadcast_to(part, n) for part in small]
+        inside = np.broadcast_to(inside, n)
         true, assumed, size = (
             np.array(np.broadcast_to(part, (*part.shape[:-1], n))) for part in surrogate(everywhere)
         )
@@ -163,64 +163,64 @@ class TwoStageEngine:
 
     def _by_quadrature(self, run: int, small: list[Array]) -> tuple[Array, Array, Array]:
         motion = self.motions[run]
-        drift, cos, sin, radius = (np.broadcast_to(p, small[3].shape) for p in small)
+        drift, cos, sin, radius = np.broadcast_arrays(*small)
         true, _ = effects(motion, self.symbols, drift, cos, sin, radius)
         at = np.full(radius.shape, self.radius)
         assumed, size = effects(motion, self.symbols, drift, cos, sin, at)
         return true, assumed, size
 
     def _shift(self, draws: Draws, run: int, effect: Array) -> Array:
-        """Return what the true errors add to a run's b2, shape (n,)."""
+        """Return what the true errors add to a run's b2, shape (n or 1,)."""
         scale = draws.values.get((self.owner, "K_I"), np.ones((1, 1)))
         k_i = scale[min(run, scale.shape[0] - 1)]
-        total = np.zeros(draws.trials)
+        total = np.zeros(1)
         for owner, symbol in self.true:
             value = draws.values[owner, symbol]
             size = value[min(run, value.shape[0] - 1)]
             row = term(symbol)
             size = size * k_i if isinstance(row, PlatformTerm) else size - row.nominal
-            total += size * effect[self.symbols.index(symbol)]
+            total = total + size * effect[self.symbols.index(symbol)]
         return total
 
     def _analyse(
-        self, analysis: TwoStage, b2: Array, assumed: Array, sizes: Array, variance: Array | None
+        self, analysis: TwoStage, b2: Array, assumed: Array, sizes: Array, variance: Array
     ) -> Trials:
-        """Apply the second stage of one analysis to all trials."""
-        sigma: float | Array = analysis.sigma or 0.0
-        if analysis.sigma is None and variance is not None:
-            sigma = np.sqrt(variance)
-        sigma_b2 = sigma / sizes
+        """Apply the second stage of one analysis to all trials.
+
+        With columns x_r, weights w_r and a prior P the inverse information is
+        C = (sum_r w_r x_r x_r' + P)^-1, and the gain, d(estimate)/d(b2), is C x_r w_r.
+        """
+        sampled = analysis.sigma is None
+        noise = (variance if analysis.sigma is None else analysis.sigma**2) / sizes**2
+        weight = 1.0 / (noise if analysis.weighted else np.mean(noise, axis=0, keepdims=True))
         design = np.stack([self._column(analysis, s, assumed) for s in analysis.unknowns])
         fixed = {s: self._column(analysis, s, assumed) for s in analysis.known}
-        whitening = sigma_b2 if analysis.weighted else np.sqrt(np.mean(sigma_b2**2, axis=0))
         mean = np.array([m for m, _ in analysis.unknowns.values()])
         sd = np.array([s for _, s in analysis.unknowns.values()])
         limits = [_limit(symbol) for symbol in analysis.unknowns]
         held = np.where(np.isinf(sd), REGULARISATION * np.array(limits), sd)
-        gain, inverse = _gain(design, whitening, held)
-        left = b2.copy()
+        inverse = _inverse(_information(design, weight, held))
+        gain = sum(inverse[:, q, None] * design[q] for q in range(len(mean))) * weight
+        explained = np.einsum("p,prn->rn", mean, design)
         for symbol, (value, _) in analysis.known.items():
-            left -= (value - term(symbol).nominal) * fixed[symbol]
-        left -= np.einsum("p,prn->rn", mean, design)
-        if gain.shape[-1] == 1:
-            estimate = gain[:, :, 0] @ left
-        else:
-            estimate = np.einsum("prn,rn->pn", gain, left)
+            explained = explained + (value - term(symbol).nominal) * fixed[symbol]
+        estimate = _over_runs(gain, b2 - explained)
         estimate += mean[:, None]
-        noise = np.sum((gain * sigma_b2) ** 2, axis=1)
-        total = noise + np.einsum("pqn,q->pn", inverse**2, 1.0 / held**2)
+        parts = gain**2 * noise
+        scatter = np.sum(parts, axis=1)
+        total = scatter + np.einsum("pqn,q->pn", inverse**2, 1.0 / held**2)
         for symbol, (_, spread) in analysis.known.items():
-            moved = gain * fixed[symbol]
-            per_run = term(symbol).per_run
-            whole = np.sum(moved**2, axis=1) if per_run else np.sum(moved, axis=1) ** 2
-            total = total + spread**2 * whole
+            if spread == 0.0:
+                continue
+            if term(symbol).per_run:
+                total = total + spread**2 * np.sum((gain * fixed[symbol]) ** 2, axis=1)
+            else:
+                total = total + (spread * _over_runs(gain, fixed[symbol])) ** 2
         total = total + self._inputs(analysis, estimate)
         dof = np.full((1, 1), math.inf)
-        if analysis.sigma is None:
+        if sampled:
             counts = np.array([motion.angles.size - 3.0 for motion in self.motions])
-            parts = (gain * sigma_b2) ** 2
-            dof = noise**2 / np.sum(parts**2 / counts[:, None], axis=1)
-            dof = dof * (total / noise) ** 2
+            dof = total**2 / _over_runs(parts**2, 1.0 / counts[:, None])  # Satterthwaite
         u = np.sqrt(total)
         return Trials(
             estimate,
@@ -262,28 +262,35 @@ def _limit(symbol: str) -> float:
     return _RIPPLE_LIMIT if symbol == RIPPLE else term(symbol).limit
 
 
-def _gain(design: Array, whitening: Array, held: Array) -> tuple[Array, Array]:
-    """Return d(estimate)/d(b2) (p, r, n) and the inverse information (p, p, n), many at once.
+def _stacked(parts: Sequence[Array], axis: int) -> Array:
+    """Return the runs' arrays as one; their last axis is n, or 1 where nothing varies."""
+    n = max(part.shape[-1] for part in parts)
+    return np.stack([np.broadcast_to(part, (*part.shape[:-1], n)) for part in parts], axis=axis)
 
-    The columns are scaled to unit length before their products are formed: with the two or three
-    unknowns of a second stage, at rates that differ, that loses nothing.
-    """
-    white = design / whitening
-    length = np.sqrt(np.sum(white**2, axis=1) + 1.0 / held[:, None] ** 2)
-    unit = white / length[:, None]
-    p = design.shape[0]
-    information = np.einsum("prn,qrn->pqn", unit, unit)
-    information[np.arange(p), np.arange(p)] += 1.0 / (held[:, None] * length) ** 2
-    inverse = _inverse(information)
-    gain = np.einsum("pqn,qrn->prn", inverse, unit) / length[:, None] / whitening
-    return gain, inverse / length[:, None] / length[None]
+
+def _over_runs(each: Array, values: Array) -> Array:
+    """Return the sums over the runs of each (p, r, n or 1) times values (r, n or 1), (p, n)."""
+    if each.shape[-1] == 1:
+        return np.asarray(each[:, :, 0] @ values)
+    return np.asarray(np.einsum("prn,rn->pn", each, values))
+
+
+def _information(design: Array, weight: Array, held: Array) -> Array:
+    """Return the information on the unknowns, (p, p, n): weighted products and priors."""
+    p, runs, _ = design.shape
+    products = (design[:, None] * design).reshape(p * p, runs, -1)
+    found = _over_runs(products, np.broadcast_to(weight, (runs, weight.shape[-1])))
+    found[:: p + 1] += 1.0 / held[:, None] ** 2
+    return found.reshape(p, p, -1)
 
 
 def _inverse(matrices: Array) -> Array:
-    """Return the inverses of many symmetric matrices, shape (p, p, n)."""
-    if matrices.shape[0] != 2 or matrices.shape[-1] == 1:
-        inverse: Array = np.asarray(np.linalg.inv(np.moveaxis(matrices, -1, 0)), dtype=np.float64)
-        return np.moveaxis(inverse, 0, -1)
-    # Written out for the usual two unknowns, this is many times faster than one by one.
+    """Return the inverses of many symmetric matrices, shape (p, p, n).
+
+    A second stage has one unknown or two, and written out they are many times faster than one by
+    one. The scale of the unknowns does not matter to it: it is a factor of each product.
+    """
+    if matrices.shape[0] == 1:
+        return np.asarray(1.0 / matrices)
     (a, b), (_, c) = matrices
     return np.asarray(np.array([[c, -b], [-b, a]]) / (a * c - b * b))
