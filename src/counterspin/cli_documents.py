@@ -1,5 +1,6 @@
 """The command line of what is made from results: words to calls, nothing else.
 
+- `report`: a result as HTML, PDF, Markdown or in the terminal
 - `history`: results of one instrument over time
 """
 
@@ -11,6 +12,50 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from counterspin.errors import CampaignError, CounterspinError
+
+
+def report(
+    source: Path,
+    /,
+    *,
+    output: Annotated[Path | None, Parameter(name=["--output", "-o"])] = None,
+    identifier: str | None = None,
+    date: str | None = None,
+) -> None:
+    """Write the full report of a result: answer, checks, budget, residuals, origin.
+
+    Parameters
+    ----------
+    source
+        Result file, or a campaign's folder, which is calibrated first.
+    output
+        The report: .html, .pdf or .md; without it, the report is printed.
+    identifier
+        What it is known by; else it follows from the result.
+    date
+        When it was made, such as 2026-03-01; else SOURCE_DATE_EPOCH or now.
+    """
+    from counterspin.campaign.result import read_result
+    from counterspin.report.document import document
+    from counterspin.report.publishing import check_format, issue_date, write_report
+    from counterspin.report.text import Report, report_console
+
+    issued = issue_date(date)
+    if output is not None:
+        check_format(output)
+    if source.suffix.lower() == ".json":
+        found = read_result(source)
+    else:
+        from counterspin.commands.calibrate import calibrate
+        from counterspin.report.progress import progress
+
+        with progress() as advance:
+            found = calibrate(source, progress=advance)
+    if output is None:
+        report_console().print(Report(document(found)))
+        return
+    write_report(found, output, identifier=identifier, issued=issued)
+    print(f"Wrote {output}.")
 
 
 def history(

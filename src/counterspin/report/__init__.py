@@ -7,4 +7,17 @@ A result arrives complete from the rooms below, and a report is a pure function 
   said once, and angles, drifts and rates in the units of the field (arcsec, deg/h, rad/s).
 - Uncertainties are standard ones (k = 1) unless a coverage is named.
 - What is missing is shown as missing, with its reason; a warning stands beside what it is about.
+
+What stands in this room:
+
+- `numbers`: the one place where a number becomes text
+- `blocks`: what a report is made of, before anybody sets it
+- `sections`, `findings`: a result as blocks, for the terminal
+- `document`, `verdict`, `pictures`, `method`: the same in full, for paper and screen
+- `publishing`: the full report as a file
+- `text`: blocks in the terminal
+- `figure`, `study_figures`, `planning_figure`: figures for files
+- `demonstration`, `reproduction`, `planning`, `study`, `batch`, `application`: what the other
+  commands found
+- `progress`: a sign of life while work goes on
 """
