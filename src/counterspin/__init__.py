@@ -17,6 +17,7 @@ The commands, as functions:
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
 - `reproduce`: the paper's figures beside what they should be (`Reproduction`)
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
+- `write_report`: its full report as HTML, PDF or Markdown
 - `read_campaign`: a description, checked (`Campaign`)
 
 The physics, from the ground up:
@@ -110,6 +111,7 @@ if TYPE_CHECKING:
     from counterspin.physics.spindle import Ripple as Ripple
     from counterspin.physics.spindle import Spindle as Spindle
     from counterspin.physics.spindle import fit_spindle as fit_spindle
+    from counterspin.report.publishing import write_report as write_report
     from counterspin.report.text import print_result as print_result
     from counterspin.reproduction import Reproduction as Reproduction
     from counterspin.reproduction import reproduce as reproduce
@@ -152,6 +154,7 @@ _OFFERED = {
     "physics.motion": ("Site", "Trajectory"),
     "physics.observation": ("columns", "reference"),
     "physics.spindle": ("Ripple", "Spindle", "fit_spindle"),
+    "report.publishing": ("write_report",),
     "report.text": ("print_result",),
     "reproduction": ("Reproduction", "reproduce"),
 }
