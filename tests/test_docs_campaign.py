@@ -7,12 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from counterspin.campaign import settings
+from counterspin.campaign import settings, specification
 from counterspin.campaign.quantity import UNITS
 from counterspin.physics.accelerometer import TERMS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "campaign.md").read_text(encoding="utf-8")
 TABLES = re.findall(r"^<!-- keys: ([\w ]+) -->\n((?:\|.*\n)+)", PAGE, re.MULTILINE)
+SECTIONS = {
+    name: value
+    for name, value in (vars(settings) | vars(specification)).items()
+    if inspect.isclass(value) and issubclass(value, settings.Section) and name[0] != "_"
+}
 MODELS = [(name, table) for names, table in TABLES for name in names.split()]
 #: The unit that makes the example of a column a valid one.
 CHANNEL_UNITS = {
@@ -35,13 +40,8 @@ def keys_of(model):
 
 
 def test_every_section_has_its_table():
-    written = {
-        name
-        for name, value in vars(settings).items()
-        if inspect.isclass(value) and issubclass(value, settings.Section) and name[0] != "_"
-    }
     # The axes are part of an accelerometer's keys.
-    assert {name for name, _ in MODELS} == written - {"Section", "AxesSettings"}
+    assert {name for name, _ in MODELS} == set(SECTIONS) - {"Section", "AxesSettings"}
 
 
 @every_table
@@ -49,7 +49,7 @@ def test_keys_are_those_of_the_code(name, table):
     head, _, *body = rows(table)
     assert head == ["key", "kind", "default", "example", "meaning"]
     listed = [re.match(r"`(\w+)`", row[0])[1] for row in body]
-    expected = set(keys_of(getattr(settings, name)))
+    expected = set(keys_of(SECTIONS[name]))
     if any("and so on" in row[0] for row in body):
         # One row stands for all terms.
         listed = [key for key in listed if key not in TERMS]
@@ -60,7 +60,7 @@ def test_keys_are_those_of_the_code(name, table):
 
 @every_table
 def test_defaults_are_those_of_the_code(name, table):
-    fields = keys_of(getattr(settings, name))
+    fields = keys_of(SECTIONS[name])
     for cells in rows(table)[2:]:
         field = fields[re.match(r"`(\w+)`", cells[0])[1]]
         assert (cells[2] == "required") == field.is_required(), cells[0]
@@ -72,7 +72,7 @@ def test_defaults_are_those_of_the_code(name, table):
 def test_examples_are_valid(name, table):
     text = "\n".join(cells[3].strip("`") for cells in rows(table)[2:])
     given = tomllib.loads(text.replace("UNIT", CHANNEL_UNITS.get(name, "")))
-    model = getattr(settings, name)
+    model = SECTIONS[name]
     model.model_validate(given, context={"gravity": 9.8066})
     assert set(given) <= set(keys_of(model))
 

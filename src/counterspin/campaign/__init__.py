@@ -7,6 +7,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `checking`: mistakes, collected and told in the user's words
 - `terms`: which error terms a campaign asks for, and their priors
 - `truth`: what a simulated campaign is made of; calibration never looks at it
+- `specification`: limits that coefficients shall lie between, and the rule to judge it by
 - `resolved`: the campaign as the calculation sees it, in SI
 - `description`: `read_campaign`, from the file to the resolved campaign
 - `records`: `read_record`, from a run's file to samples or block means, checked and cleaned

@@ -41,6 +41,7 @@ from counterspin.campaign.settings import (
     SimulationSettings,
     SiteSettings,
 )
+from counterspin.campaign.specification import Specifications, resolve_specifications
 from counterspin.campaign.terms import DEFAULT_TERMS, resolve_model
 from counterspin.campaign.truth import TRUTH_TABLES, resolve_run_truth, resolve_simulation
 from counterspin.errors import CampaignError
@@ -190,6 +191,7 @@ class _Reading:
                 settings, mountings, attitudes, given, problems=problems, gravity=gravity
             )
         simulation = self._simulation(noise) if self.simulated else None
+        specifications = self._specifications()
         if problems.lines:
             return None
         # No problem noted: every section is there.
@@ -231,6 +233,7 @@ class _Reading:
             runs=tuple(runs),
             simulation=simulation,
             details=info.model_dump(exclude={"title"}, exclude_none=True),
+            specifications=specifications,
         )
 
     def _channel(self, settings: Any, si_unit: str) -> Channel:
@@ -358,6 +361,16 @@ class _Reading:
             self._table("truth"),
             self.raw_accelerometers,
             noise,
+            problems=self.problems,
+            gravity=self.gravity,
+        )
+
+    def _specifications(self) -> Specifications | None:
+        if not isinstance(self.raw.get("specification"), dict):
+            return None
+        return resolve_specifications(
+            self.raw["specification"],
+            self.raw_accelerometers,
             problems=self.problems,
             gravity=self.gravity,
         )

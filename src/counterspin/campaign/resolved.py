@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.specification import Specifications
 from counterspin.physics.accelerometer import Array, Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.spindle import Spindle
@@ -235,6 +236,8 @@ class Campaign:
     details
         What else [campaign] says (`serial_number`, `date`, `laboratory`, `operator`,
         `comment`), only what is there.
+    specifications
+        What the coefficients shall meet; None if the file states nothing.
     """
 
     title: str
@@ -253,3 +256,4 @@ class Campaign:
     runs: tuple[Run, ...]
     simulation: Simulation | None
     details: Mapping[str, str]
+    specifications: Specifications | None = None

@@ -148,13 +148,18 @@ class Conformity(Part):
     rule
         Decision rule: ``simple``, ``guarded`` or ``probability``.
     guard_band
-        Width in `unit` by which the acceptance limits lie inside the tolerance limits.
+        Width in `unit` by which the acceptance limits lie inside the tolerance limits; None
+        without an estimate.
+    needed
+        Probability that the rule asks for; None where it asks for none.
     verdict
         What the rule says.
     probability
         That the coefficient conforms, given the estimate and its uncertainty.
     risk
         Probability that the verdict is wrong; None if it is undecided.
+    reason
+        Why it is undecided; None if it is not.
     """
 
     specification: str
@@ -162,10 +167,12 @@ class Conformity(Part):
     high: float | None
     unit: str
     rule: Literal["simple", "guarded", "probability"]
-    guard_band: float
+    guard_band: float | None
+    needed: float | None = None
     verdict: Literal["pass", "fail", "undecided"]
     probability: float | None
     risk: float | None
+    reason: str | None = None
 
 
 class Fold(Part):

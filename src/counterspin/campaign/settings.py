@@ -172,6 +172,7 @@ class DocumentSettings(Section):
     accelerometers: dict[str, Any] = Field(min_length=1)
     noise: dict[str, Any] | None = None
     model: dict[str, Any] | None = None
+    specification: dict[str, Any] | None = None
     runs: list[Any] = Field(min_length=1)
     simulation: dict[str, Any] | None = None
     truth: dict[str, Any] | None = None

@@ -24,6 +24,7 @@ from counterspin.campaign.result_parts import (
     RippleResult,
     RunResult,
 )
+from counterspin.commands.conformity import with_conformity
 from counterspin.commands.joint import joint
 from counterspin.commands.two_stage import TwoStageOptions, two_stage
 from counterspin.errors import CampaignError
@@ -88,7 +89,7 @@ def calibrate(
         )
         inputs = dict(zip((_name(campaign, file) for file in files), checksums, strict=True))
     estimated["warnings"] += _many_outliers(estimated["runs"], len(campaign.accelerometers))
-    return Result(
+    result = Result(
         method=method,
         title=campaign.title,
         inputs=Inputs(
@@ -106,6 +107,9 @@ def calibrate(
         ),
         **estimated,
     )
+    if campaign.specifications is None:
+        return result
+    return with_conformity(result, campaign.specifications)
 
 
 def _refuse_mixed(method: str, options: TwoStageOptions | None) -> None:

@@ -25,6 +25,7 @@ What stands in this room:
   polynomial
 - `study_two_stage`, `study_joint`, `study_full`: trials by sufficient statistics, by whole records
 - `study_validity`, `study_choice`, `study_engine`: where shortcuts hold, which is taken, batches
+- `conformity`: whether a quantity meets a specification, and the risk of being wrong
 - `budget`, `left_out`: where the uncertainty of a coefficient comes from; what is not in it
 
 Glossary

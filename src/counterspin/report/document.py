@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator
 from counterspin.campaign.result import Result
 from counterspin.campaign.result_parts import AccelerometerResult
 from counterspin.report.blocks import Block, Heading, Paragraph, Picture
+from counterspin.report.conformity import conformity_blocks
 from counterspin.report.findings import accelerometer_blocks, budget_blocks
 from counterspin.report.method import model_blocks, origin_blocks
 from counterspin.report.pictures import (
@@ -36,6 +37,7 @@ def document(result: Result) -> list[Block]:
     return [
         *answer_blocks(result, in_g=True),
         *_verdicts(result),
+        *conformity_blocks(result),
         *_chapters(result),
         *platform_blocks(result),
         *run_blocks(result.runs, details=True),

@@ -7,6 +7,7 @@ to the same decimal place. What has no uncertainty keeps as many digits as it is
 - `format_compact`: ``2.70445(37)e-5``, for tables
 - `format_interval`: ``2.7037 to 2.7052``
 - `format_number`, `format_share`: a number without uncertainty; a part of a whole
+- `format_probability`: a probability, honest at both ends
 - `round_to_uncertainty`, `Rounded`: the rounding itself
 - `field_unit`: from SI to arcsec, deg/h and the like
 - `speakable`: the same text for a stream that cannot write ±
@@ -209,6 +210,15 @@ def format_share(share: float) -> str:
     if 0.0 < percent < 0.05:
         return "< 0.1 %"
     return f"{percent:.1f} %" if percent < 9.95 else f"{percent:.0f} %"
+
+
+def format_probability(probability: float) -> str:
+    """Write a probability in per cent; what would round to never or always is said to be near."""
+    if probability < 0.0005:
+        return "< 0.1 %"
+    if probability > 0.9995:
+        return "> 99.9 %"
+    return f"{100.0 * probability:.1f} %"
 
 
 def speakable(text: str, encoding: str) -> str:

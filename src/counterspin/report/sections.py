@@ -13,6 +13,7 @@ from typing import Final
 from counterspin.campaign.result import Result
 from counterspin.campaign.result_parts import Coefficient, RunResult
 from counterspin.report.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.report.conformity import conformity_blocks
 from counterspin.report.findings import (
     accelerometer_blocks,
     budget_blocks,
@@ -43,7 +44,7 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
     details
         Whether strong correlations, run counts, input files and their checksums are written.
     """
-    blocks: list[Block] = [*answer_blocks(result)]
+    blocks: list[Block] = [*answer_blocks(result), *conformity_blocks(result)]
     for name, accelerometer in result.accelerometers.items():
         blocks += accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=details)
         if budget:

@@ -1,0 +1,261 @@
+"""[specification]: between which limits coefficients shall lie, and by which rule that is judged.
+
+The table stands in ``campaign.toml`` or, for a certificate, in the laboratory's own file.
+
+- `parse_specification`: ``"abs <= 5e-5 g/g^2"`` to a `Specification`
+- `resolve_specifications`: the table to `Specifications`, every mistake noted by its key
+- `DecisionRule`: by which pass, fail and undecided are told apart
+- `SpecificationSettings`: the keys of the table that are no terms
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Final, get_args
+
+from pydantic import AfterValidator, PlainValidator
+
+from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.quantity import parse
+from counterspin.campaign.settings import Section, exact
+from counterspin.inference.conformity import Rule
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+
+_FORMS: Final = '"abs <= A UNIT", "<= A UNIT", ">= A UNIT", "A to B UNIT" or "V ± T UNIT"'
+
+_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_RANGE = re.compile(rf"({_NUMBER})\s+to\s+({_NUMBER})\s*(\S.*)")
+_BOUND = re.compile(r"(abs\s*)?(<=|>=)\s*(.*)")
+_TOLERANCE = re.compile(r"±|\+/-|\+-")
+
+
+@dataclass(frozen=True)
+class Specification:
+    """Tolerance limits of a coefficient.
+
+    Attributes
+    ----------
+    text
+        As it was written.
+    low, high
+        In `unit`, low < high; None where there is no such limit, never both.
+    unit
+        That of the coefficient.
+    """
+
+    text: str
+    low: float | None
+    high: float | None
+    unit: str
+
+
+@dataclass(frozen=True)
+class DecisionRule:
+    """By which rule conformity is decided; see `counterspin.inference.conformity.judge`.
+
+    Attributes
+    ----------
+    name
+        ``simple``, ``guarded`` or ``probability``.
+    guard_factor
+        Guard band over expanded uncertainty; of the guarded rule.
+    needed
+        Probability that must be reached; of the rule by probability.
+    """
+
+    name: Rule
+    guard_factor: float
+    needed: float
+
+
+@dataclass(frozen=True)
+class Specifications:
+    """All specifications of a campaign or certificate.
+
+    Attributes
+    ----------
+    rule
+        The decision rule of all.
+    terms
+        Accelerometer -> term symbol -> its specification.
+    """
+
+    rule: DecisionRule
+    terms: Mapping[str, Mapping[str, Specification]]
+
+
+def _rule(value: object) -> object:
+    known = get_args(Rule)
+    if value not in known:
+        raise ValueError(f"must be {', '.join(map(repr, known[:-1]))} or {known[-1]!r}")
+    return value
+
+
+def _number(value: object) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError("must be a number")
+    return float(value)
+
+
+def _factor(value: float) -> float:
+    if value < 0.0:
+        raise ValueError("must not be negative: the guard band lies inside the tolerance limits")
+    return value
+
+
+def _probability(value: float) -> float:
+    if not 0.5 < value < 1.0:
+        raise ValueError("must lie between 0.5 and 1")
+    return value
+
+
+class SpecificationSettings(Section):
+    """The keys of [specification] that say how it is judged; all others are terms."""
+
+    decision_rule: Annotated[str, PlainValidator(_rule)] = "guarded"
+    guard_factor: Annotated[float, PlainValidator(_number), AfterValidator(_factor)] = 1.0
+    conformance_probability: Annotated[
+        float, PlainValidator(_number), AfterValidator(_probability)
+    ] = 0.95
+
+
+#: Key of the table -> the rule that it belongs to.
+_OF_RULE: Final = {"guard_factor": "guarded", "conformance_probability": "probability"}
+
+
+def parse_specification(text: object, unit: str, *, gravity: float | None = None) -> Specification:
+    """Read tolerance limits.
+
+    Parameters
+    ----------
+    text
+        ``"abs <= A UNIT"`` (from -A to A), ``"<= A UNIT"``, ``">= A UNIT"``, ``"A to B UNIT"`` or
+        ``"V ± T UNIT"`` (from V - T to V + T; T is a tolerance, no uncertainty).
+    unit
+        The coefficient's, in which the limits are returned.
+    gravity
+        The site's, m/s^2, as in `counterspin.campaign.quantity.parse`.
+
+    Raises
+    ------
+    ValueError
+        If it is none of these, or a quantity in it is wrong, or it leaves nothing that conforms.
+    """
+    if not isinstance(text, str):
+        raise ValueError(f"must be text, such as {_FORMS}")
+    clean = " ".join(text.replace("−", "-").replace("≤", "<=").replace("≥", ">=").split())
+    low: float | None
+    high: float | None
+    if match := _BOUND.fullmatch(clean):
+        limit = exact(match[3], unit, gravity)
+        if match[1]:
+            if match[2] == ">=":
+                raise ValueError(f'{text!r}: a size can only be limited from above, "abs <= A"')
+            if limit <= 0.0:
+                raise ValueError(f"{text!r}: a size must be allowed to be greater than zero")
+            low, high = -limit, limit
+        else:
+            low, high = (None, limit) if match[2] == "<=" else (limit, None)
+    elif match := _RANGE.fullmatch(clean):
+        low, high = (exact(f"{end} {match[3]}", unit, gravity) for end in (match[1], match[2]))
+        if not low < high:
+            raise ValueError(f"{text!r}: the first limit must be below the second")
+    elif _TOLERANCE.search(clean):
+        middle = parse(clean, unit, gravity=gravity)
+        if middle.u <= 0.0:
+            raise ValueError(f"{text!r}: the tolerance must be greater than zero")
+        low, high = middle.value - middle.u, middle.value + middle.u
+    else:
+        raise ValueError(f"{text!r} is no specification; write {_FORMS}")
+    return Specification(clean, low, high, unit)
+
+
+def resolve_specifications(
+    raw: Mapping[str, Any],
+    accelerometers: Collection[str],
+    *,
+    problems: Problems,
+    gravity: float | None,
+    path: Path = ("specification",),
+) -> Specifications | None:
+    """Return what the table [specification] says, or None with its mistakes noted.
+
+    Parameters
+    ----------
+    raw
+        The table. A key that is a term holds for all accelerometers; a table in it, named as an
+        accelerometer, holds terms for that one, which go before those for all.
+    accelerometers
+        The names that there are.
+    problems
+        Where mistakes are noted.
+    gravity
+        The site's, m/s^2.
+    path
+        Where the table stands.
+    """
+    before = len(problems.lines)
+    keys = SpecificationSettings.model_fields
+    settings = problems.check(
+        SpecificationSettings, {key: raw[key] for key in raw if key in keys}, path
+    )
+    if settings is not None:
+        for key, rule in _OF_RULE.items():
+            if key in raw and settings.decision_rule != rule:
+                problems.add(
+                    (*path, key),
+                    f"belongs to the decision rule {rule!r}, not to {settings.decision_rule!r}",
+                )
+    tables = {key: value for key, value in raw.items() if isinstance(value, Mapping)}
+    common = {key: raw[key] for key in raw if key not in keys and key not in tables}
+    shared = _terms(common, path, [*keys, *TERMS, *accelerometers], problems, gravity)
+    own = {}
+    for name in [key for key in tables if key not in keys]:
+        if name not in accelerometers:
+            problems.add(
+                (*path, name), f'no accelerometer is called "{name}"' + _hint(name, accelerometers)
+            )
+        own[name] = _terms(tables[name], (*path, name), list(TERMS), problems, gravity)
+    if not shared and not any(own.values()) and len(problems.lines) == before:
+        problems.add(path, f"names no term; write for example K_II = {_FORMS.split(',')[0]}")
+    if settings is None or len(problems.lines) > before:
+        return None
+    return Specifications(
+        rule=DecisionRule(
+            settings.decision_rule,  # type: ignore[arg-type]  # checked by its validator
+            settings.guard_factor,
+            settings.conformance_probability,
+        ),
+        terms={name: {**shared, **own.get(name, {})} for name in accelerometers},
+    )
+
+
+def _terms(
+    raw: Mapping[str, Any],
+    path: Path,
+    known: list[str],
+    problems: Problems,
+    gravity: float | None,
+) -> dict[str, Specification]:
+    found = {}
+    for symbol, text in raw.items():
+        if symbol not in TERMS:
+            if symbol in PLATFORM_TERMS or symbol.split(".")[0] == "platform":
+                message = "belongs to the platform; only an accelerometer's terms are specified"
+            else:
+                message = f'no term is called "{symbol}"' + did_you_mean(symbol, known)
+            problems.add((*path, symbol), message)
+            continue
+        specification = problems.attempt(
+            (*path, symbol), parse_specification, text, TERMS[symbol].unit, gravity=gravity
+        )
+        if specification is not None:
+            found[symbol] = specification
+    return found
+
+
+def _hint(name: str, accelerometers: Collection[str]) -> str:
+    return did_you_mean(name, accelerometers) if accelerometers else ""

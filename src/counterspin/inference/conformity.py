@@ -1,0 +1,203 @@
+"""Whether a quantity conforms, given its estimate and how uncertain that is (JCGM 106:2012).
+
+What is known of the quantity is a normal distribution about the estimate, or Student's t where the
+uncertainty has few degrees of freedom (JCGM 101:2008, 6.4.9). No knowledge of other items is used.
+
+- `conformance_probability`, `nonconformance_probability`: of one item (JCGM 106 clause 7)
+- `expanded_uncertainty`: half of a coverage interval
+- `acceptance_limits`: the tolerance limits, moved inwards by the guard band (clause 8)
+- `judge`, `Judgement`: pass, fail or undecided by a decision rule, and the risk of being wrong
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final, Literal
+
+Rule = Literal["simple", "guarded", "probability"]
+Verdict = Literal["pass", "fail", "undecided"]
+
+#: Coverage probability of the expanded uncertainty that is the unit of a guard band.
+COVERAGE: Final = 0.95
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What a decision rule says of one item.
+
+    Attributes
+    ----------
+    verdict
+        Pass, fail or undecided.
+    guard_band
+        How far the acceptance limits lie inside the tolerance limits; 0 without guard bands.
+    probability
+        That the item conforms.
+    risk
+        That the verdict is wrong: the specific consumer's risk of a pass, the specific producer's
+        risk of a fail; None if undecided.
+    """
+
+    verdict: Verdict
+    guard_band: float
+    probability: float
+    risk: float | None
+
+
+def conformance_probability(
+    value: float, u: float, dof: float | None, low: float | None, high: float | None
+) -> float:
+    """Return the probability that the quantity lies between its tolerance limits.
+
+    Parameters
+    ----------
+    value, u
+        Estimate and standard uncertainty, u >= 0; with u = 0 the value is exact.
+    dof
+        Degrees of freedom of u; None is infinite.
+    low, high
+        Tolerance limits in the unit of `value`, low < high; None where there is none.
+
+    Returns
+    -------
+    float
+        JCGM 106:2012, clause 7: G((high - y)/u) - G((low - y)/u), G being the distribution of
+        the standardised quantity. A probability near 0 keeps its digits; one near 1 has them in
+        `nonconformance_probability`.
+
+    Raises
+    ------
+    ValueError
+        If there is no limit, the limits are not in order, or u or dof is not possible.
+    """
+    below, above = _standardised(value, u, dof, low, high)
+    if below > 0.0:
+        # Both limits on one side: the difference of the small tails.
+        return _distribution(-below, dof) - _distribution(-above, dof)
+    return _distribution(above, dof) - _distribution(below, dof)
+
+
+def nonconformance_probability(
+    value: float, u: float, dof: float | None, low: float | None, high: float | None
+) -> float:
+    """Return the probability that the quantity lies outside; see `conformance_probability`.
+
+    The sum of two tails, so that a small one keeps its digits.
+    """
+    below, above = _standardised(value, u, dof, low, high)
+    return _distribution(below, dof) + _distribution(-above, dof)
+
+
+def expanded_uncertainty(u: float, dof: float | None, coverage: float = COVERAGE) -> float:
+    """Return half the width of the coverage interval: Student's factor times u (GUM G.3)."""
+    from scipy.special import ndtri, stdtrit
+
+    tail = 0.5 * (1.0 + coverage)
+    return float(ndtri(tail) if dof is None else stdtrit(dof, tail)) * u
+
+
+def acceptance_limits(
+    low: float | None, high: float | None, guard_band: float
+) -> tuple[float | None, float | None]:
+    """Return the tolerance limits moved inwards by the guard band (JCGM 106:2012, clause 8.3).
+
+    The lower is above the upper where the guard bands leave nothing between them: then nothing
+    can be accepted.
+    """
+    return (
+        None if low is None else low + guard_band,
+        None if high is None else high - guard_band,
+    )
+
+
+def judge(
+    value: float,
+    u: float,
+    dof: float | None,
+    low: float | None,
+    high: float | None,
+    *,
+    rule: Rule,
+    guard_factor: float = 1.0,
+    needed: float = 0.95,
+) -> Judgement:
+    """Judge one item by a decision rule.
+
+    Parameters
+    ----------
+    value, u, dof, low, high
+        As for `conformance_probability`.
+    rule
+        ``simple``: by the estimate alone (clause 8.2). ``guarded``: pass inside the acceptance
+        limits, fail where the estimate is outside the tolerance limits by more than the guard
+        band, undecided between (clause 8.3; ILAC-G8:09/2019 with w = U). ``probability``: pass
+        where the conformance probability is at least `needed`, fail where that of the contrary is.
+    guard_factor
+        Guard band over expanded uncertainty, w = guard_factor x U, U of 95 % coverage.
+    needed
+        Probability that ``probability`` asks for, above 0.5.
+
+    Returns
+    -------
+    Judgement
+
+    Raises
+    ------
+    ValueError
+        As `conformance_probability`, or if `guard_factor` or `needed` is not possible.
+    """
+    if not 0.0 <= guard_factor < math.inf:
+        raise ValueError(f"a guard factor is a number from 0 on; got {guard_factor}")
+    if not 0.5 < needed < 1.0:
+        raise ValueError(f"the probability needed lies between 0.5 and 1; got {needed}")
+    inside = conformance_probability(value, u, dof, low, high)
+    outside = nonconformance_probability(value, u, dof, low, high)
+    guard_band = guard_factor * expanded_uncertainty(u, dof) if rule == "guarded" else 0.0
+    verdict: Verdict
+    if rule == "probability":
+        verdict = "pass" if inside >= needed else "fail" if outside >= needed else "undecided"
+    elif _between(value, *acceptance_limits(low, high, guard_band)):
+        verdict = "pass"
+    elif not _between(value, *acceptance_limits(low, high, -guard_band)):
+        verdict = "fail"
+    else:
+        verdict = "undecided"
+    risk = {"pass": outside, "fail": inside, "undecided": None}[verdict]
+    return Judgement(verdict, guard_band, inside, risk)
+
+
+def _between(value: float, low: float | None, high: float | None) -> bool:
+    return (low is None or value >= low) and (high is None or value <= high)
+
+
+def _standardised(
+    value: float, u: float, dof: float | None, low: float | None, high: float | None
+) -> tuple[float, float]:
+    """Return the tolerance limits in standard uncertainties from the estimate."""
+    if low is None and high is None:
+        raise ValueError("a specification needs a tolerance limit")
+    if low is not None and high is not None and not low < high:
+        raise ValueError(f"the lower limit {low} is not below the upper one {high}")
+    if not (math.isfinite(value) and 0.0 <= u < math.inf):
+        raise ValueError(f"{value} ± {u} is no estimate")
+    if dof is not None and not dof > 0.0:
+        raise ValueError(f"degrees of freedom are positive; got {dof}")
+    if u == 0.0:
+        # Exact: at a limit it conforms.
+        return (
+            -math.inf if low is None or value >= low else math.inf,
+            math.inf if high is None or value <= high else -math.inf,
+        )
+    return (
+        -math.inf if low is None else (low - value) / u,
+        math.inf if high is None else (high - value) / u,
+    )
+
+
+def _distribution(x: float, dof: float | None) -> float:
+    from scipy.special import ndtr, stdtr
+
+    if math.isinf(x):
+        return 1.0 if x > 0.0 else 0.0
+    return float(ndtr(x) if dof is None or math.isinf(dof) else stdtr(dof, x))

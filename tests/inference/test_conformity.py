@@ -1,0 +1,241 @@
+"""Conformance probability, acceptance limits and the three decision rules."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import integrate, stats
+
+from counterspin.inference.conformity import (
+    acceptance_limits,
+    conformance_probability,
+    expanded_uncertainty,
+    judge,
+    nonconformance_probability,
+)
+
+RULES = ("simple", "guarded", "probability")
+
+values = st.floats(-50.0, 50.0)
+spreads = st.floats(0.01, 30.0)
+freedoms = st.one_of(st.none(), st.floats(1.0, 1e4))
+
+
+@st.composite
+def limits(draw):
+    low, width = draw(values), draw(st.floats(0.01, 50.0))
+    return draw(st.sampled_from([(low, None), (None, low), (low, low + width)]))
+
+
+# The probability
+
+
+# JCGM 106:2012, worked examples of clause 7: breakdown voltage of a Zener diode (upper limit),
+# bursting strength of a container (lower limit), viscosity of SAE 40 motor oil (both); as printed,
+# two digits.
+@pytest.mark.parametrize(
+    ("value", "u", "low", "high", "printed"),
+    [
+        (-5.47, 0.05, None, -5.40, 0.92),
+        (509.7, 8.6, 490.0, None, 0.99),
+        (13.6, 1.8, 12.5, 16.3, 0.66),
+    ],
+    ids=["diode", "container", "oil"],
+)
+def test_worked_examples_of_jcgm_106(value, u, low, high, printed):
+    assert conformance_probability(value, u, None, low, high) == pytest.approx(printed, abs=0.005)
+
+
+# With one and two degrees of freedom Student's distribution is elementary.
+def test_one_degree_of_freedom_is_the_arctangent():
+    exact = (math.atan(2.0) + math.atan(0.5)) / math.pi
+    assert conformance_probability(1.0, 2.0, 1.0, 0.0, 5.0) == pytest.approx(exact, rel=1e-13)
+
+
+def test_two_degrees_of_freedom_are_a_root():
+    exact = 0.5 + 1.5 / (2.0 * math.sqrt(2.0 + 1.5**2))
+    assert conformance_probability(0.0, 2.0, 2.0, None, 3.0) == pytest.approx(exact, rel=1e-13)
+
+
+def test_probability_is_the_area_under_the_density():
+    area, _ = integrate.quad(stats.t(7.5, loc=1.2, scale=0.4).pdf, 0.7, 1.5, epsabs=1e-12)
+    assert conformance_probability(1.2, 0.4, 7.5, 0.7, 1.5) == pytest.approx(area, abs=1e-11)
+
+
+def test_small_tails_keep_their_digits():
+    # erfc(x/sqrt(2))/2 by mpmath with 30 digits.
+    tail = {10.0: 7.619853024160527e-24, 11.0: 1.910659574498669e-28}
+    assert nonconformance_probability(0.0, 1.0, None, None, 10.0) == pytest.approx(tail[10.0])
+    inside = conformance_probability(0.0, 1.0, None, 10.0, 11.0)
+    assert inside == pytest.approx(tail[10.0] - tail[11.0], rel=1e-12)
+    mirrored = conformance_probability(0.0, 1.0, None, -11.0, -10.0)
+    assert mirrored == pytest.approx(inside, rel=1e-12)
+
+
+@given(values, spreads, freedoms, limits())
+def test_inside_and_outside_are_all(value, u, dof, between):
+    inside = conformance_probability(value, u, dof, *between)
+    outside = nonconformance_probability(value, u, dof, *between)
+    assert inside + outside == pytest.approx(1.0, abs=1e-12)
+    assert 0.0 <= inside <= 1.0
+    assert 0.0 <= outside <= 1.0 + 1e-15
+
+
+@given(values, spreads, freedoms, limits(), st.floats(0.1, 10.0), values)
+def test_units_and_origin_do_not_matter(value, u, dof, between, scale, shift):
+    moved = [None if limit is None else scale * limit + shift for limit in between]
+    assert conformance_probability(scale * value + shift, scale * u, dof, *moved) == pytest.approx(
+        conformance_probability(value, u, dof, *between), abs=1e-9
+    )
+
+
+def test_an_exact_value_conforms_or_not():
+    assert conformance_probability(2.0, 0.0, None, 1.0, 2.0) == 1.0
+    assert conformance_probability(2.1, 0.0, None, 1.0, 2.0) == 0.0
+    assert nonconformance_probability(0.9, 0.0, 3.0, 1.0, None) == 1.0
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "dof", "low", "high"),
+    [
+        (0.0, 1.0, None, None, None),
+        (0.0, 1.0, None, 2.0, 1.0),
+        (0.0, 1.0, None, 1.0, 1.0),
+        (0.0, -1.0, None, None, 1.0),
+        (math.nan, 1.0, None, None, 1.0),
+        (0.0, math.inf, None, None, 1.0),
+        (0.0, 1.0, 0.0, None, 1.0),
+    ],
+)
+def test_what_is_no_estimate_or_no_limit_is_refused(value, u, dof, low, high):
+    with pytest.raises(ValueError, match=r"limit|estimate|degrees"):
+        conformance_probability(value, u, dof, low, high)
+
+
+# The guard band
+
+
+def test_expanded_uncertainty_uses_student_s_factor():
+    # t of 97.5 % with 1 and 2 degrees of freedom in closed form, and the normal's 1.96.
+    assert expanded_uncertainty(2.0, 1.0) == pytest.approx(2.0 * math.tan(0.475 * math.pi))
+    assert expanded_uncertainty(1.0, 2.0) == pytest.approx(0.95 * math.sqrt(2.0 / (1.0 - 0.95**2)))
+    assert expanded_uncertainty(1.0, None) == pytest.approx(1.959963984540054)
+
+
+def test_acceptance_limits_lie_inside():
+    assert acceptance_limits(1.0, 4.0, 0.5) == (1.5, 3.5)
+    assert acceptance_limits(None, 4.0, 0.5) == (None, 3.5)
+    assert acceptance_limits(1.0, None, 0.5) == (1.5, None)
+
+
+@given(spreads, freedoms, limits(), st.floats(0.0, 3.0))
+def test_guard_band_bounds_the_risk(u, dof, between, factor):
+    """At an acceptance limit the risk is that of the tail beyond w, twice at most."""
+    w = factor * expanded_uncertainty(u, dof)
+    low, high = acceptance_limits(*between, w)
+    if low is not None and high is not None and low >= high:
+        return
+    value = high if high is not None else low
+    assert value is not None
+    judged = judge(value, u, dof, *between, rule="guarded", guard_factor=factor)
+    assert judged.verdict == "pass"
+    tail = float(stats.norm.sf(w / u) if dof is None else stats.t.sf(w / u, dof))
+    assert judged.risk is not None
+    # The limits are rounded, which moves w by an ulp of them.
+    assert tail * (1 - 1e-9) - 1e-12 <= judged.risk <= 2.0 * tail * (1 + 1e-9) + 1e-12
+
+
+def test_w_equal_to_u_gives_two_and_a_half_per_cent():
+    for dof in (None, 4.0):
+        w = expanded_uncertainty(1.0, dof)
+        judged = judge(10.0 - w, 1.0, dof, None, 10.0, rule="guarded")
+        assert judged.guard_band == w
+        assert judged.risk == pytest.approx(0.025, rel=1e-9)
+
+
+# The rules
+
+
+@pytest.mark.parametrize(
+    ("value", "simple", "guarded", "probability"),
+    [
+        (0.0, "pass", "pass", "pass"),
+        (8.0, "pass", "pass", "pass"),  # 2 u inside
+        (8.2, "pass", "undecided", "pass"),  # 1.8 u inside: 96.4 %
+        (8.5, "pass", "undecided", "undecided"),  # 1.5 u: 93.3 %
+        (10.0, "pass", "undecided", "undecided"),
+        (10.1, "fail", "undecided", "undecided"),
+        (11.7, "fail", "undecided", "fail"),
+        (12.1, "fail", "fail", "fail"),
+        (-12.1, "fail", "fail", "fail"),
+        (-11.9, "fail", "undecided", "fail"),
+        (-8.0, "pass", "pass", "pass"),
+    ],
+)
+def test_verdicts_across_a_limit(value, simple, guarded, probability):
+    wanted = dict(zip(RULES, (simple, guarded, probability), strict=True))
+    found = {rule: judge(value, 1.0, None, -10.0, 10.0, rule=rule).verdict for rule in RULES}
+    assert found == wanted
+
+
+def test_guard_bands_may_leave_nothing_to_accept():
+    for value in np.linspace(-3.0, 3.0, 61):
+        assert judge(value, 1.0, None, -1.0, 1.0, rule="guarded").verdict != "pass"
+
+
+@given(values, spreads, freedoms, limits(), st.sampled_from(RULES), st.floats(0.51, 0.999))
+def test_risk_is_the_probability_of_the_contrary(value, u, dof, between, rule, needed):
+    judged = judge(value, u, dof, *between, rule=rule, needed=needed)
+    contrary = {"pass": 1.0 - judged.probability, "fail": judged.probability}
+    if judged.verdict == "undecided":
+        assert judged.risk is None
+    else:
+        assert judged.risk == pytest.approx(contrary[judged.verdict], abs=1e-12)
+    if rule == "probability" and judged.risk is not None:
+        assert judged.risk <= 1.0 - needed + 1e-12
+    if rule == "simple":
+        assert judged.verdict != "undecided"
+
+
+@given(values, spreads, freedoms, limits(), st.floats(0.0, 2.0))
+def test_a_wider_guard_band_never_turns_a_pass_into_a_fail(value, u, dof, between, factor):
+    narrow, wide = (
+        judge(value, u, dof, *between, rule="guarded", guard_factor=f).verdict
+        for f in (factor, factor + 0.5)
+    )
+    assert (narrow, wide) in {
+        ("pass", "pass"),
+        ("pass", "undecided"),
+        ("fail", "fail"),
+        ("fail", "undecided"),
+        ("undecided", "undecided"),
+    }
+
+
+def test_no_guard_band_is_simple_acceptance():
+    for value in (-1.1, -1.0, 0.0, 1.0, 1.1):
+        bare = judge(value, 0.3, 5.0, -1.0, 1.0, rule="guarded", guard_factor=0.0)
+        assert bare == judge(value, 0.3, 5.0, -1.0, 1.0, rule="simple")
+
+
+def test_risk_is_how_often_the_verdict_is_wrong():
+    """Given the estimate, the value is drawn from what is known of it (JCGM 106, clause 7)."""
+    rng = np.random.default_rng(106)
+    n = 200_000
+    for dof in (None, 3.0):
+        noise = rng.standard_normal(n) if dof is None else rng.standard_t(dof, n)
+        for value in (0.4, 1.8, 2.5):
+            judged = judge(value, 1.0, dof, 0.0, 2.0, rule="simple")
+            truth = value + noise
+            conforms = (truth >= 0.0) & (truth <= 2.0)
+            wrong = float(np.mean(~conforms if judged.verdict == "pass" else conforms))
+            spread = math.sqrt(judged.risk * (1.0 - judged.risk) / n)
+            assert abs(wrong - judged.risk) < 4.5 * spread
+
+
+@pytest.mark.parametrize("wrong", [{"guard_factor": -0.1}, {"needed": 0.5}, {"needed": 1.0}])
+def test_a_rule_that_is_none_is_refused(wrong):
+    with pytest.raises(ValueError, match="got"):
+        judge(0.0, 1.0, None, None, 1.0, rule="guarded", **wrong)
