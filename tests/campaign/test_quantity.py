@@ -1,6 +1,4 @@
 import math
-import subprocess
-import sys
 
 import pytest
 from hypothesis import given
@@ -44,6 +42,11 @@ FINITE = st.builds(math.copysign, UNCERTAINTY, st.sampled_from([1.0, -1.0]))
         ("300 ppm", "1", 3e-4, 0.0),
         ("0.5 1", "1", 0.5, 0.0),
         ("9.8066 m s^-2", "m/s^2", 9.8066, 0.0),
+        ("9.8066 m/(s s)", "m/s^2", 9.8066, 0.0),
+        ("9.8066 m/((s) (s)) * s/s", "m/s^2", 9.8066, 0.0),
+        ("9.8066 1/(s^2/m)", "m/s^2", 9.8066, 0.0),
+        ("9.8066 1/(s/(m/s))", "m/s^2", 9.8066, 0.0),
+        ("9.8066 m^0.5 m^0.5/s/s", "m/s^2", 9.8066, 0.0),
     ],
 )
 def test_reads_what_people_write(text, unit, value, u):
@@ -96,6 +99,14 @@ def test_without_gravity_g_and_si_stay_apart():
         ("1 s", "m", "'s' is not a unit of length; use m, mm, um, km"),
         ("1 1/s", "rad/s", "'1/s' is not a unit of angular rate; use rad/s, deg/s"),
         ("1 rad/s", "1/s", "not a unit of relative drift"),
+        ("2.5 m ± 1 mm", "m", r'stands at the end: write "2.5 ± 0.001 m"$'),
+        ("2.5 m +/- 0.001", "m", r'write "2.5 ± 0.001 m"$'),
+        ("1.0019 g/g ± 5 ppm", "g/g", r'write "1.0019 ± 5e-06 g/g"$'),
+        ("2.5 m ± 1 s", "m", r'write "VALUE ± U UNIT"$'),
+        ("1 m1", "m", "'m1' is not a unit"),
+        ("1 m)", "m", "'m\\)' is not a unit: a factor or a bracket is missing"),
+        ("1 1/(s", "1/s", "a factor or a bracket is missing"),
+        ("1 m^-99 km^99 km^99", "m", "is not a unit of length"),
         ("1 Hz", "rad/s", "'Hz' is ambiguous for an angular rate: write rev/s"),
         ("1 Hz", "1/s", "'Hz' is a frequency; a relative drift is wanted"),
         ("1 g/g^2", "g/g^3", "not a unit of third-order coefficient"),
@@ -144,11 +155,6 @@ def test_no_text_gets_past_as_anything_but_a_quantity_or_a_value_error(text):
     except ValueError:
         return
     assert math.isfinite(quantity.value)
-
-
-def test_importing_the_module_does_not_import_pint():
-    code = "import sys, counterspin.campaign.quantity; sys.exit('pint' in sys.modules)"
-    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 @pytest.mark.parametrize("text", ["1e300 m", "-1e61 m", "2.5 ± 1e-300 m", "1e-64 km"])

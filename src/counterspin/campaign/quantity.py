@@ -17,14 +17,16 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final
+from typing import Final
+
+#: The dimensions.
+BASES: Final = ("[length]", "[time]", "[angle]", "[gravity]")
 
 #: Every unit that may be written, as (what it is multiplied with, in which earlier unit).
-#: The base units stand in brackets.
+#: A base unit's dimension stands in brackets.
 UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "m": (1.0, "[length]"),
     "s": (1.0, "[time]"),
@@ -81,11 +83,16 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
 _CREDIBLE: Final = (1e-60, 1e60)
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_QUANTITY = re.compile(rf"({_NUMBER})(?:\s*(?:±|\+/-|\+-)\s*({_NUMBER}))?(?:\s+|(?=[^\d.\s]))(.*)")
-_BARE = re.compile(rf"{_NUMBER}(?:\s*(?:±|\+/-|\+-)\s*{_NUMBER})?")
+_SIGN = r"\s*(?:±|\+/-|\+-)\s*"
+_QUANTITY = re.compile(rf"({_NUMBER})(?:{_SIGN}({_NUMBER}))?(?:\s+|(?=[^\d.\s]))(.*)")
+_BARE = re.compile(rf"{_NUMBER}(?:{_SIGN}{_NUMBER})?")
+# After a value: its unit, and an uncertainty with or without its own.
+_UNIT_TWICE = re.compile(rf"([^±]*?){_SIGN}({_NUMBER})\s*([^±]*)")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)\b", re.IGNORECASE)
-# One factor: a name or the 1 of "1/s", perhaps with a power. Nothing else reaches the evaluation.
-_FACTOR = re.compile(r"\s*(?:([A-Za-z]+)(?:\^([+-]?\d{1,2}(?:\.\d{1,3})?))?|(1)|([*/()]))\s*")
+# A name, perhaps with a power, the 1 of "1/s", or what joins them. Nothing else is evaluated.
+_FACTOR = re.compile(
+    r"\s*(?:([A-Za-z]+)(?:\^([+-]?\d{1,2}(?:\.\d{1,3})?))?|(?<![A-Za-z0-9])(1)|([*/()]))\s*"
+)
 
 
 @dataclass(frozen=True)
@@ -155,6 +162,9 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
             f'{text!r} is not a quantity; write "VALUE UNIT" or "VALUE ± U UNIT" '
             f"({kind}: {accepted})"
         )
+    twice = _UNIT_TWICE.fullmatch(match[3])
+    if match[2] is None and twice is not None:
+        raise ValueError(f"{text!r} {_unit_once(match[1], twice, gravity)}")
     factor = unit_factor(match[3], unit, gravity=gravity)
     value = float(match[1]) * factor
     u = float(match[2] or 0.0) * factor
@@ -203,10 +213,7 @@ def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> floa
     factor, dimension = _evaluate(written)
     wanted_factor, wanted_dimension = _evaluate(wanted)
     factor /= wanted_factor
-    surplus = {
-        base: dimension.get(base, 0.0) - wanted_dimension.get(base, 0.0)
-        for base in ("[length]", "[time]", "[angle]", "[gravity]")
-    }
+    surplus = {base: dimension[base] - wanted_dimension[base] for base in BASES}
     # What is left over may be a power of (m/s^2)/g, which the site's gravity resolves.
     power = surplus["[length]"]
     of_gravity = {"[length]": power, "[time]": -2.0 * power, "[gravity]": -power, "[angle]": 0.0}
@@ -215,6 +222,17 @@ def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> floa
     if power != 0.0 and gravity is not None:
         factor *= gravity**-power
     return factor
+
+
+def _unit_once(value: str, twice: re.Match[str], gravity: float | None) -> str:
+    """Say how ``VALUE UNIT ± U UNIT`` is written with one unit."""
+    unit, u, unit_of_u = twice.groups()
+    try:
+        same = float(u) * unit_factor(unit_of_u or unit, unit, gravity=gravity)
+        example = f'"{value} ± {same:.12g} {unit}"'
+    except ValueError:
+        example = '"VALUE ± U UNIT"'
+    return f"has a unit before its ±; the one unit stands at the end: write {example}"
 
 
 def _advice(wanted: str) -> tuple[str, str]:
@@ -238,35 +256,47 @@ def _names(written: str, kind: str, accepted: str) -> set[str]:
 
 @lru_cache(maxsize=256)
 def _evaluate(written: str) -> tuple[float, Mapping[str, float]]:
-    """Return factor to base units and dimension of a checked unit expression."""
-    registry = _registry()
+    """Return factor to base units and dimension of an expression that `_names` has checked.
+
+    What stands side by side is multiplied, as if a * stood between.
+    """
+    factor, dimension = 1.0, dict.fromkeys(BASES, 0.0)
+    senses = [1.0]  # of the brackets that are open: -1 for what is divided by
+    sense, wanting = 1.0, bool(written.strip())
+    for name, power, _, mark in _FACTOR.findall(written):
+        if mark == "(":
+            senses.append(senses[-1] * sense)
+        elif (mark and wanting) or (mark == ")" and len(senses) == 1):
+            raise _incomplete(written)
+        elif mark == ")":
+            senses.pop()
+        elif name:
+            exponent = senses[-1] * sense * float(power or 1.0)
+            size, bases = _unit(name)
+            factor *= _power(size, exponent)
+            for base, of_base in bases.items():
+                dimension[base] += of_base * exponent
+        sense, wanting = -1.0 if mark == "/" else 1.0, mark in ("(", "*", "/")
+    if wanting or len(senses) > 1:
+        raise _incomplete(written)
+    return factor, dimension
+
+
+def _power(size: float, exponent: float) -> float:
     try:
-        unit = registry.parse_units(written)
-        factor, _ = registry.get_base_units(unit)
-    except Exception as error:
-        # Pint raises half a dozen types here, AssertionError and TokenError among them.
-        raise ValueError(f"{written!r} is not a unit: a factor or a bracket is missing") from error
-    return float(factor), {base: float(power) for base, power in unit.dimensionality.items()}
+        return float(size**exponent)
+    except OverflowError:
+        return math.inf
 
 
-@lru_cache(maxsize=1)
-def _registry() -> Any:
-    """Make the registry of the units in `UNITS` and no others."""
-    # Imported here: pint costs more to import than everything else in this room together. Where
-    # dask is installed pint would import all of that too, for arrays that there are none of here.
-    hide_dask = "dask" not in sys.modules
-    if hide_dask:
-        sys.modules["dask"] = None  # type: ignore[assignment]  # what "not installed" looks like
-    try:
-        import pint
-    finally:
-        if hide_dask:
-            del sys.modules["dask"]
+def _unit(name: str) -> tuple[float, Mapping[str, float]]:
+    """Return factor to base units and dimension of a unit of `UNITS`."""
+    factor, base = UNITS[name]
+    if base in BASES:
+        return factor, {base: 1.0}
+    of_base, dimension = _evaluate(base)
+    return factor * of_base, dimension
 
-    registry: Any = pint.UnitRegistry(None)
-    for name, (factor, base) in UNITS.items():
-        # Bases are defined by their dimension alone; a factor before it would be refused.
-        registry.define(
-            f"{name} = {base}" if base.startswith("[") else f"{name} = {factor!r} {base}".strip()
-        )
-    return registry
+
+def _incomplete(written: str) -> ValueError:
+    return ValueError(f"{written!r} is not a unit: a factor or a bracket is missing")
