@@ -14,7 +14,7 @@ from typing import Annotated, Literal
 from cyclopts import App, CycloptsError, Parameter
 
 from counterspin._version import __version__
-from counterspin.cli_documents import history, report
+from counterspin.cli_documents import certificate, history, report
 from counterspin.cli_study import study
 from counterspin.errors import CampaignError, CounterspinError
 
@@ -31,6 +31,7 @@ JsonFile = Annotated[Path | None, Parameter(name="--json")]
 
 app.command(study)
 app.command(report)
+app.command(certificate)
 app.command(history)
 
 

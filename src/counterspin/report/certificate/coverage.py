@@ -1,0 +1,38 @@
+"""How wide an interval or a region is that covers the truth in 95 of 100 cases.
+
+- `coverage_factor`: of one quantity, by Student's t (GUM G.3)
+- `region_factor`: of several together, by chi-square (JCGM 102 6.5), or by Fisher's F where the
+  scale of the covariance is itself estimated
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from counterspin.inference.conformity import COVERAGE, expanded_uncertainty
+
+#: Factors are stated to so many places and used as stated, so that U/k is the standard
+#: uncertainty to the last digit; the coverage changes by less than 1e-5.
+_PLACES: Final = 4
+
+
+def coverage_factor(dof: float | None) -> float:
+    """Return k of the interval value ± k u for degrees of freedom, None being infinite."""
+    return round(expanded_uncertainty(1.0, dof, COVERAGE), _PLACES)
+
+
+def region_factor(size: int, dof: float | None) -> float:
+    """Return k of the region d' V^-1 d <= k^2 of so many quantities with covariance V.
+
+    Parameters
+    ----------
+    size
+        How many quantities.
+    dof
+        Degrees of freedom of the common scale of V; None is infinite.
+    """
+    from scipy.special import chdtri, fdtri
+
+    squared = chdtri(size, 1.0 - COVERAGE) if dof is None else size * fdtri(size, dof, COVERAGE)
+    return round(math.sqrt(float(squared)), _PLACES)

@@ -1,0 +1,97 @@
+"""From the units of a result to SI, and how D-SI writes them (SI brochure, 9th edition).
+
+A coefficient in g/g^n multiplies a_I^n where forces are counted in the site's own g. Counted in
+m/s^2 it is the same number times g^(1-n): K_II in g/g^2 becomes K_II/g in (m/s^2)/(m/s^2)^2,
+which is s^2/m.
+
+- `SiUnit`: powers of radian, metre and second; products; the D-SI text
+- `si_unit`: the unit of a result as an `SiUnit` and a power of g
+- `to_si`, `from_si`: numbers
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from typing import Final
+
+_FACTOR: Final = re.compile(r"(1|rad|m|s|g|Hz)(?:\^(\d))?")
+
+#: What one of a unit is in powers of radian, metre, second, and g.
+_POWERS: Final = {
+    "1": (0, 0, 0, 0),
+    "rad": (1, 0, 0, 0),
+    "m": (0, 1, 0, 0),
+    "s": (0, 0, 1, 0),
+    "Hz": (0, 0, -1, 0),
+    "g": (0, 1, -2, 1),
+}
+
+
+@dataclass(frozen=True)
+class SiUnit:
+    """A product of powers of the radian, the metre and the second."""
+
+    radian: int = 0
+    metre: int = 0
+    second: int = 0
+
+    def __mul__(self, other: SiUnit) -> SiUnit:
+        """Return the unit of a product."""
+        return SiUnit(
+            self.radian + other.radian, self.metre + other.metre, self.second + other.second
+        )
+
+    @property
+    def text(self) -> str:
+        r"""As D-SI writes it: ``\metre\tothe{-1}\second\tothe{2}``; ``\one`` for a number."""
+        powers = (("radian", self.radian), ("metre", self.metre), ("second", self.second))
+        parts = (
+            rf"\{name}" + ("" if power == 1 else rf"\tothe{{{power}}}")
+            for name, power in powers
+            if power
+        )
+        return "".join(parts) or r"\one"
+
+    @property
+    def words(self) -> str:
+        """As people write it: ``m^-1 s^2``; ``1`` for a number."""
+        powers = (("rad", self.radian), ("m", self.metre), ("s", self.second))
+        parts = (name + ("" if power == 1 else f"^{power}") for name, power in powers if power)
+        return " ".join(parts) or "1"
+
+
+def si_unit(unit: str) -> tuple[SiUnit, int]:
+    """Return a unit in SI and the power of g (m/s^2) that leads there.
+
+    Parameters
+    ----------
+    unit
+        As it stands in a result: ``g/g^2``, ``rad/s/g``, ``m``.
+
+    Raises
+    ------
+    ValueError
+        If it is no quotient of rad, m, s and g.
+    """
+    powers = [0, 0, 0, 0]
+    for place, factor in enumerate(unit.split("/")):
+        match = _FACTOR.fullmatch(factor)
+        if match is None:
+            raise ValueError(f"{unit!r} is not a unit that a certificate knows")
+        exponent = int(match[2] or 1) * (1 if place == 0 else -1)
+        powers = [
+            total + exponent * one for total, one in zip(powers, _POWERS[match[1]], strict=True)
+        ]
+    radian, metre, second, gravity = powers
+    return SiUnit(radian, metre, second), gravity
+
+
+def to_si(value: float, unit: str, gravity: float) -> float:
+    """Return a number in SI; gravity in m/s^2 is the g of the unit."""
+    return value * gravity ** si_unit(unit)[1]
+
+
+def from_si(value: float, unit: str, gravity: float) -> float:
+    """Return a number in the unit of a result from one in SI; the inverse of `to_si`."""
+    return value / gravity ** si_unit(unit)[1]
