@@ -1,10 +1,11 @@
 """A result file read back: what is damaged is refused, and not applied."""
 
 import json
+from pathlib import Path
 
 import pytest
 
-from counterspin.campaign.result import read_result
+from counterspin.campaign.result import SCHEMA, read_result
 from counterspin.errors import RecordError
 
 K_II = {"value": 2e-5, "u": 1e-9, "unit": "g/g^2", "estimated": True}
@@ -57,3 +58,48 @@ def test_damage_is_told(tmp_path, old, new, words):
         read_result(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert words in str(caught.value)
+
+
+# Results of earlier versions
+
+FROZEN = sorted((Path(__file__).parents[1] / "frozen").glob("schema-*.json"))
+
+
+def test_every_schema_has_its_frozen_examples():
+    assert {int(path.name.split("-")[1]) for path in FROZEN} == set(range(1, SCHEMA + 1))
+
+
+def kept(old, new):
+    """Return whether a document still says all that an older one says."""
+    if isinstance(old, dict):
+        return all(key in new and kept(value, new[key]) for key, value in old.items())
+    if isinstance(old, list):
+        return len(old) == len(new) and all(map(kept, old, new))
+    return old == new
+
+
+@pytest.mark.parametrize("path", FROZEN, ids=lambda path: path.stem)
+def test_results_of_earlier_versions_are_read_whole(path):
+    old = json.loads(path.read_text(encoding="utf-8"))
+    read = read_result(path)
+    assert kept(old, json.loads(read.to_json()))
+    for name, found in read.accelerometers.items():
+        stated = old["accelerometers"][name]["coefficients"]["K_II"]
+        assert (found.coefficients["K_II"].value, found.coefficients["K_II"].u) == (
+            stated["value"],
+            stated["u"],
+        )
+    # What they did not know of is absent, not invented.
+    assert all(not found.conformity for found in read.accelerometers.values())
+
+
+def test_a_lost_number_would_be_noticed():
+    assert kept({"a": [1.0, {"b": 2}]}, {"a": [1.0, {"b": 2, "new": 3}]})
+    assert not kept({"a": [1.0]}, {"a": [1.1]})
+    assert not kept({"a": 1}, {"b": 1})
+
+
+def test_a_newer_schema_is_named(tmp_path):
+    path = stored(tmp_path, RESULT | {"schema": SCHEMA + 1})
+    with pytest.raises(RecordError, match=r"written by a newer counterspin \(schema"):
+        read_result(path)

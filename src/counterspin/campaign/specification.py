@@ -26,6 +26,8 @@ from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 
 _FORMS: Final = '"abs <= A UNIT", "<= A UNIT", ">= A UNIT", "A to B UNIT" or "V ± T UNIT"'
 
+_OF_PLATFORM: Final = "belongs to the platform; only an accelerometer's terms are specified"
+
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _RANGE = re.compile(rf"({_NUMBER})\s+to\s+({_NUMBER})\s*(\S.*)")
 _BOUND = re.compile(r"(abs\s*)?(<=|>=)\s*(.*)")
@@ -214,6 +216,9 @@ def resolve_specifications(
     shared = _terms(common, path, [*keys, *TERMS, *accelerometers], problems, gravity)
     own = {}
     for name in [key for key in tables if key not in keys]:
+        if name == "platform" and name not in accelerometers:
+            problems.add((*path, name), _OF_PLATFORM)
+            continue
         if name not in accelerometers:
             problems.add(
                 (*path, name), f'no accelerometer is called "{name}"' + _hint(name, accelerometers)
@@ -244,7 +249,7 @@ def _terms(
     for symbol, text in raw.items():
         if symbol not in TERMS:
             if symbol in PLATFORM_TERMS or symbol.split(".")[0] == "platform":
-                message = "belongs to the platform; only an accelerometer's terms are specified"
+                message = _OF_PLATFORM
             else:
                 message = f'no term is called "{symbol}"' + did_you_mean(symbol, known)
             problems.add((*path, symbol), message)

@@ -22,8 +22,8 @@ from counterspin.report.numbers import (
 _COLUMNS = (
     Column("Accelerometer"),
     Column("Term"),
-    Column("Estimate"),
-    Column("Specification"),
+    Column("Estimate", wraps=True),
+    Column("Specification", wraps=True),
     Column("Verdict"),
     Column("Conforms with", "right", wraps=True),
     Column("Risk", "right"),
