@@ -19,7 +19,8 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field, PlainValidator
 
-from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.checking import Path as KeyPath
+from counterspin.campaign.checking import Problems, did_you_mean, key_path
 from counterspin.campaign.description import load_document
 from counterspin.campaign.output import write_text
 from counterspin.campaign.quantity import Quantity, parse
@@ -218,7 +219,7 @@ def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Prob
     chosen = settings.get("accelerometers")
     if chosen == []:
         problems.add(("certificate", "accelerometers"), "must have at least one entry")
-    places: list[tuple[tuple[str | int, ...], object]] = [
+    places: list[tuple[KeyPath, object]] = [
         *(
             (("certificate", "accelerometers", place), name)
             for place, name in enumerate(chosen if isinstance(chosen, list) else ())
@@ -254,27 +255,31 @@ def example_keys(lab: Lab) -> list[str]:
     """Return the keys that still say what the example says, where that can hardly be true."""
     import tomllib
 
-    example = tomllib.loads(_example())
-    ours = lab.model_dump()
-    return [key for key, words in _leaves(example) if "xample" in words and _at(ours, key) == words]
+    ours = lab.model_dump(exclude={"conditions"})
+    return [
+        key_path(path)
+        for path, words in _leaves(tomllib.loads(_example()), ())
+        if "xample" in words.lower() and _at(ours, path) == words
+    ]
 
 
 def _example() -> str:
     return (files("counterspin.report.certificate") / "starter.toml").read_text("utf-8")
 
 
-def _leaves(table: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str]]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{path}{key}.")
-        elif isinstance(value, list):
-            for place, one in enumerate(value):
-                yield from _leaves(one, f"{path}{key}.{place}.")
-        elif isinstance(value, str):
-            yield f"{path}{key}", " ".join(value.split())
+def _leaves(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
+    """Yield all text in a document with its place."""
+    if isinstance(value, str):
+        yield path, " ".join(value.split())
+    elif isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _leaves(inner, (*path, key))
+    elif isinstance(value, list):
+        for place, inner in enumerate(value):
+            yield from _leaves(inner, (*path, place))
 
 
-def _at(table: Any, key: str) -> Any:
-    for part in key.split("."):
-        table = table[int(part)] if isinstance(table, list) else table[part]
-    return table
+def _at(value: Any, path: KeyPath) -> Any:
+    for part in path:
+        value = value[part]
+    return value
