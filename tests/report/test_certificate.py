@@ -140,7 +140,14 @@ def test_everything_reads_back_to_the_same_numbers(tmp_path):
 
 
 def test_the_region_takes_the_fewest_degrees_of_freedom(tmp_path):
-    made = document(tmp_path, result())  # of K_F infinite, of K_II 50
+    given = result(
+        coefficients={
+            "K_F": coefficient(0.005, 1e-6, "g", dof=200.0),
+            "K_I": coefficient(1.0, 1e-6, "g/g"),
+            "K_II": coefficient(2.7e-5, 1e-9, "g/g^2", dof=50.0),
+        }
+    )
+    made = document(tmp_path, given)  # correlated are K_F and K_II
     region = "//si:ellipsoidalRegionMUXMLList"
     k = float(find(made, f"{region}/si:coverageFactorXMLList")[0].text)
     assert k == region_factor(2, 50.0)
