@@ -4,7 +4,7 @@ from base64 import b64decode
 
 import numpy as np
 import pytest
-from certificates import document, find
+from certificates import ISSUE, document, find
 from results import coefficient, result
 
 from counterspin.campaign.quantity import unit_factor
@@ -12,6 +12,7 @@ from counterspin.campaign.result import read_result
 from counterspin.campaign.result_parts import Conformity
 from counterspin.errors import RecordError
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.report.certificate.administrative import Issue
 from counterspin.report.certificate.build import check_certifiable
 from counterspin.report.certificate.coverage import coverage_factor, region_factor
 from counterspin.report.certificate.elements import clean, factor, number
@@ -202,6 +203,12 @@ def test_administrative_data_are_those_of_the_laboratory(tmp_path):
     assert signs == ["true", "false"]
     temperature = find(made, "//dcc:influenceCondition[@refType='basic_temperature']//si:real")[0]
     assert [e.text for e in temperature[:2]] == ["20.5", r"\degreecelsius"]
+
+
+def test_an_identifier_with_a_stroke_makes_no_folder(tmp_path):
+    made = document(tmp_path, result(), issue=Issue("2026/1 a", ISSUE.date))
+    assert find(made, "//dcc:uniqueIdentifier")[0].text == "2026/1 a"
+    assert find(made, "/*/dcc:document/dcc:fileName")[0].text == "2026_1_a.pdf"
 
 
 def test_no_condition_is_made_up(tmp_path):

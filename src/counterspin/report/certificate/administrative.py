@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -33,6 +34,10 @@ class Issue:
     identifier: str
     date: datetime.datetime
     signed: bool = False
+
+    def file_name(self, ending: str) -> str:
+        """Return the identifier as a file's name, where a stroke would be taken for a folder."""
+        return re.sub(r"[^\w.-]+", "_", self.identifier) + ending
 
 
 def administrative_data(

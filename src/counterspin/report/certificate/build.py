@@ -65,7 +65,7 @@ def certificate(
         if report is None
         else attached(
             "document",
-            f"{issue.identifier}.pdf",
+            issue.file_name(".pdf"),
             "application/pdf",
             report,
             "The same for people to read.",

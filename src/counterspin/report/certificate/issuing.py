@@ -147,7 +147,7 @@ def _report(
     if attach is not None:
         attachments.append(
             Attachment(
-                name=f"{issue.identifier}.xml",
+                name=issue.file_name(".xml"),
                 data=attach,
                 media_type="application/xml",
                 description="Digital Calibration Certificate (DCC)",

@@ -78,7 +78,11 @@ def _conditions(lab: Lab, result: Result) -> Iterator[Element]:
             for name, run in result.runs.items()
         ),
     )
-    platform = {symbol: c for symbol, c in result.platform.items() if wording.is_determined(c)}
+    platform = {
+        symbol: c
+        for symbol, c in result.platform.items()
+        if symbol in PLATFORM_TERMS and wording.is_determined(c)
+    }
     if platform:
         yield _condition(
             "Platform, as estimated with the coefficients",
