@@ -469,6 +469,40 @@ def test_other_observables_show_the_same_truth(tmp_path, key, unit, noise):
         assert found.accelerometers[name].two_stage is None
 
 
+def test_a_ripple_that_a_noisy_encoder_hides_is_in_the_budget(tmp_path):
+    """Taken as it was found, the rotation would put K_II fifteen of its u and more off."""
+    text = changed(
+        BASE,
+        (
+            'displacement = { column = "east_m", unit = "m" }',
+            'specific_force = { column = "east", unit = "m/s^2" }',
+        ),
+        (
+            'displacement = { column = "north_m", unit = "m" }',
+            'specific_force = { column = "north", unit = "m/s^2" }',
+        ),
+        ('displacement = "0.01 m"', 'specific_force = "1e-5 m/s^2"'),
+        ('angle = "1e-6 rad"', 'angle = "1e-5 rad"'),
+        ("ratio = 5e-7", "ratio = 1e-6"),
+    )
+    found = calibrate(simulated(tmp_path, text))
+    assert found.runs["run3"].ripples == []
+    assert_true(found)
+    for one in found.accelerometers.values():
+        assert set(one.coefficients) == {"K_F", "K_I", "K_II", "K_III"}
+        assert not any("encoder" in symbol for symbol in one.correlation.terms)
+        for symbol, lines in one.budget.items():
+            squares = math.fsum(line.contribution**2 for line in lines)
+            assert squares == pytest.approx(one.coefficients[symbol].u ** 2, rel=1e-10)
+        lines = {line.source: line for line in one.budget["K_II"]}
+        ripple = lines["run3.ripple1 (encoder)"]
+        assert ripple.unit == "rad/s"
+        assert ripple.u == pytest.approx(2 * math.pi * 1e-5 * math.sqrt(2 / 401), rel=0.2)
+        assert lines["run3.angle (encoder)"].unit == "rad"
+    assert not any("ripple" in w for w in found.accelerometers["Qx"].warnings)
+    assert all(not run.terms for run in found.runs.values())
+
+
 def test_three_attitudes_tell_the_squares_apart(tmp_path):
     attitudes = {"p": "level", "o": "90 deg about east", "i": "-90 deg about north"}
     runs = "".join(

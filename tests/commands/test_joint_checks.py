@@ -35,44 +35,51 @@ def test_kept_or_given_noise_is_no_hint():
     assert hidden_walk(found(1.8), "Qy") == []
 
 
-def seen(noise: float) -> tuple[SimpleNamespace, list[SimpleNamespace], SimpleNamespace]:
-    """A campaign of specific force at 10 g whose encoder has this noise in rad."""
+def seen(observable: str, angle: object | None) -> tuple[SimpleNamespace, SimpleNamespace]:
+    """A campaign at 10 g, and its K_II."""
     campaign = SimpleNamespace(
-        accelerometers={"Qx": SimpleNamespace(observable="specific_force")},
+        accelerometers={"Qx": SimpleNamespace(observable=observable)},
+        angle=angle,
         radius=SimpleNamespace(value=2.5),
         gravity=SimpleNamespace(value=9.8),
+        runs=[SimpleNamespace(rate=rate) for rate in (np.pi, -2 * np.pi)],
     )
-    rotation = SimpleNamespace(rms=noise, residuals=np.zeros(5000))
-    runs = [SimpleNamespace(run=SimpleNamespace(rate=2 * np.pi), rotation=rotation)]
     unknown = SimpleNamespace(owner="Qx", symbol="K_II")
     fit = SimpleNamespace(
         model=SimpleNamespace(unknowns=[unknown]), solution=SimpleNamespace(u=np.array([2e-9]))
     )
-    return campaign, runs, SimpleNamespace(fit=fit)
+    return campaign, SimpleNamespace(fit=fit)
 
 
-def test_a_ripple_that_a_noisy_encoder_hides_is_a_warning():
-    campaign, runs, fitted = seen(1e-5)
-    (warning,) = unseen_ripple(campaign, runs, fitted, "Qx")
-    # 1e-5 rad over 5000 samples hides 4.6 x 2e-7 of the rate, which at 10 g is 9e-8 g/g^2.
-    assert "below 9e-07 of the rate" in warning
-    assert "by 9e-08 g/g^2" in warning
-
-
-def test_a_quiet_encoder_or_displacement_hides_no_ripple():
-    campaign, runs, fitted = seen(1e-8)
-    assert unseen_ripple(campaign, runs, fitted, "Qx") == []
-    campaign, runs, fitted = seen(1e-5)
-    campaign.accelerometers["Qx"].observable = "displacement"
-    assert unseen_ripple(campaign, runs, fitted, "Qx") == []
+def test_a_ripple_that_nobody_recorded_is_a_warning():
+    (warning,) = unseen_ripple(*seen("specific_force", None), "Qx")
+    # At 10 g a ripple of 1e-8 of the rate is 1e-9 g/g^2.
+    assert "a ripple of 1e-08 of the rate" in warning
 
 
 @pytest.mark.parametrize(
-    ("drift", "longest", "warned"),
-    [(0.3, 400.0, True), (0.1, 400.0, False), (0.3, 100.0, False), (0.1, 800.0, True)],
+    ("observable", "angle"), [("specific_force", object()), ("displacement", None)]
 )
-def test_a_drift_is_large_for_the_length_of_the_runs(drift, longest, warned):
+def test_a_recorded_angle_or_displacement_need_no_warning(observable, angle):
+    assert unseen_ripple(*seen(observable, angle), "Qx") == []
+
+
+@pytest.mark.parametrize(
+    ("drift", "u", "longest", "words"),
+    [
+        (0.3, 1e-6, 400.0, "is 0.3 deg/h"),
+        (0.1, 1e-6, 400.0, ""),
+        (0.1, 0.04, 400.0, ""),
+        (0.1, 0.06, 400.0, "may reach 0.22 deg/h"),
+        (0.3, 1e-6, 100.0, ""),
+        (0.1, 1e-6, 800.0, "is 0.1 deg/h"),
+    ],
+)
+def test_a_drift_is_large_for_the_length_of_the_runs(drift, u, longest, words):
     # g d^2 T^4/24 reaches 0.01 m at 0.2 deg/h over 400 s, and at 0.05 deg/h over 800 s.
     unknown = Unknown("", "platform.drift.north", (0.0, np.inf), 1e-4)
-    found = Coefficient(value=-drift * DEGREE_PER_HOUR, u=1e-12, unit="rad/s", estimated=True)
-    assert bool(shared_warnings({unknown: found}, longest)) == warned
+    value, u = -drift * DEGREE_PER_HOUR, u * DEGREE_PER_HOUR
+    found = Coefficient(value=value, u=u, unit="rad/s", estimated=True)
+    warnings = shared_warnings({unknown: found}, longest)
+    assert len(warnings) == bool(words)
+    assert all(words in warning for warning in warnings)

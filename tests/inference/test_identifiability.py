@@ -348,6 +348,26 @@ class TestRules:
         with pytest.raises(ValueError, match="1 symbols for 2 unknowns"):
             assess(solve([block], limits=[1.0, 1.0]), ["a"])
 
+    def test_unknowns_that_are_not_named_are_projected_out_with_their_priors(self):
+        rng = np.random.default_rng(22)
+        design = rng.normal(size=(60, 5))
+        design[:, 1] = design[:, 0] + 1e-3 * rng.normal(size=60)  # two alike
+        limits, prior_sd = np.full(5, 10.0), [np.inf, np.inf, np.inf, 0.05, 0.2]
+        y = rng.normal(size=60)
+        whole = solve([reduce_block(design, y)], prior_sd=prior_sd, limits=limits)
+        seen = assess(whole, ["a", "b", "c"])
+        # The same with the two as part of the noise.
+        covariance = np.eye(60) + design[:, 3:] @ np.diag([0.05**2, 0.2**2]) @ design[:, 3:].T
+        white = np.linalg.inv(np.linalg.cholesky(covariance))
+        block = reduce_block(white @ design[:, :3], white @ y)
+        alone = assess(solve([block], limits=limits[:3]), ["a", "b", "c"])
+        np.testing.assert_allclose(seen.u, alone.u, rtol=1e-9)
+        assert seen.determined == alone.determined
+        (one,), (other,) = seen.confounded, alone.confounded
+        assert one.terms == other.terms == ("a", "b")
+        assert one.correlation == pytest.approx(other.correlation, rel=1e-9)
+        assert (one.value, one.u) == pytest.approx((other.value, other.u), rel=1e-9)
+
     def test_monte_carlo_of_a_combination(self):
         # The value of K_F + K_PP scatters by its u although neither term is determined.
         rng = np.random.default_rng(21)

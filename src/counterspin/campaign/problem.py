@@ -52,6 +52,7 @@ def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Seri
                     error=signal.error[keep],
                     in_g=accelerometer.channel.unit.endswith("g"),
                     jitter=_jitter(campaign, run.run, accelerometer),
+                    angle_error=run.rotation.error if run.rotation else None,
                 )
             )
     return tuple(found)

@@ -162,10 +162,23 @@ def _accelerometer(
         warnings=[f"{name}: {finding}" for finding in diagnostics.findings]
         + driving_runs(runs_left_out, name)
         + hidden_walk(found, name)
-        + unseen_ripple(campaign, observed, found, name)
+        + unseen_ripple(campaign, found, name)
         + _undetermined(own, name),
         **described(campaign.accelerometers[name], own),
     )
+
+
+def _large_drift(symbol: str, drift: Coefficient, longest: float) -> list[str]:
+    """Return a warning where a drift is, or with its uncertainty may be, too large."""
+    rate, u = (abs(x or 0.0) / DEGREE_PER_HOUR for x in (drift.value, drift.u))
+    limit = _LARGE_DRIFT / longest**2
+    if rate + 2.0 * u <= limit:
+        return []
+    is_ = f"is {rate:.2g} deg/h" if rate > limit else f"may reach {rate + 2.0 * u:.2g} deg/h"
+    return [
+        f"{symbol} {is_} (u {u:.1g} deg/h): in runs of {longest:.0f} s the platform's attitude is "
+        f"a first-order matter up to about {limit:.2g} deg/h only."
+    ]
 
 
 def _undetermined(own: Mapping[str, Coefficient], name: str) -> list[str]:
@@ -188,11 +201,5 @@ def shared_warnings(coefficients: Mapping[Unknown, Coefficient], longest: float)
                 "beforehand."
             )
         if unknown.symbol.startswith("platform.drift") and c.value is not None:
-            rate = abs(c.value) / DEGREE_PER_HOUR
-            if rate * longest**2 > _LARGE_DRIFT:
-                warnings.append(
-                    f"{unknown.symbol} is {rate:.2f} deg/h: in runs of {longest:.0f} s the "
-                    f"platform's attitude is a first-order matter up to about "
-                    f"{_LARGE_DRIFT / longest**2:.2g} deg/h only."
-                )
+            warnings += _large_drift(unknown.symbol, c, longest)
     return warnings

@@ -19,6 +19,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.result_parts import Comparison, Jackknife, LeftOut
 from counterspin.commands.two_stage import TwoStageOptions, two_stage
 from counterspin.errors import NotIdentifiableError, RecordError
+from counterspin.inference import encoder
 from counterspin.inference import joint as fitting
 from counterspin.inference.diagnostics import Diagnostics, diagnose
 from counterspin.inference.estimation import Estimate
@@ -203,7 +204,7 @@ def _considered(found: Estimate, index: int) -> dict[str, float]:
     return {
         f"{c.symbol} ({c.owner})" if term(c.symbol).per_run else c.symbol: float(effect)
         for c, effect in zip(found.fit.model.considered, row, strict=False)
-        if effect != 0.0
+        if effect != 0.0 and c.symbol not in encoder.SYMBOLS
     }
 
 
@@ -229,30 +230,23 @@ def hidden_walk(found: Estimate, name: str) -> list[str]:
     ]
 
 
-def unseen_ripple(
-    campaign: Campaign, observed: Sequence[ObservedRun], found: Estimate, name: str
-) -> list[str]:
-    """Return a warning where a ripple that the encoder cannot show would move K_II.
+def unseen_ripple(campaign: Campaign, found: Estimate, name: str) -> list[str]:
+    """Return a warning where a ripple would move K_II and no angle was recorded to show it.
 
     A ripple shakes the platform along the tangent with R w^2 times its ratio. In displacement
-    that leaves nothing behind; in velocity or specific force it stands where K_II does, and the
-    rotation is taken as the fit of the recorded angle has it.
+    that leaves nothing behind; in velocity or specific force it stands where K_II does. Where the
+    angle is recorded, what its noise hides is in the uncertainty.
     """
     index = _k_ii(found, name)
     if index is None or campaign.accelerometers[name].observable == "displacement":
         return []
-    fastest = max(observed, key=lambda run: abs(run.run.rate))
-    if fastest.rotation is None:
+    if campaign.angle is not None:
         return []
-    samples = fastest.rotation.residuals.size
-    ratio = fastest.rotation.rms * math.sqrt(2.0 / samples) * math.sqrt(2.0 * math.log(8 * samples))
-    force = campaign.radius.value * fastest.run.rate**2 / campaign.gravity.value
-    shift, u = ratio / force, float(found.fit.solution.u[index])
-    if shift < 0.5 * u:
-        return []
+    fastest = max(abs(run.rate) for run in campaign.runs)
+    force = campaign.radius.value * fastest**2 / campaign.gravity.value
+    u = float(found.fit.solution.u[index])
     return [
-        f"{name}: a ripple below {ratio:.1g} of the rate does not show in the recorded angle, and "
-        f"in this observable it could move K_II by {shift:.1g} g/g^2, against an uncertainty of "
-        f"{u:.1g} g/g^2 that does not hold it. Calibrate with displacement, or record the angle "
-        "with less noise."
+        f"{name}: without a recorded angle no ripple of the rate is known, and in this observable "
+        f"a ripple of {0.5 * u * force:.1g} of the rate moves K_II by about half of its "
+        "uncertainty, which does not hold it. Record the angle, or calibrate with displacement."
     ]

@@ -21,7 +21,7 @@ from counterspin.campaign.result_parts import (
     Residual,
 )
 from counterspin.inference import joint as fitting
-from counterspin.inference.budget import budget
+from counterspin.inference.budget import ENCODER, NOISE, Line, budget
 from counterspin.inference.diagnostics import Diagnostics
 from counterspin.inference.estimation import Estimate
 from counterspin.inference.identifiability import Assessment
@@ -35,6 +35,7 @@ _UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True)) | {
     "site.latitude": "rad",
     TIMING: "s",
 }
+_ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}  # a ripple: rad/s
 _OBSERVED_UNITS: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
 
 
@@ -81,16 +82,24 @@ def budget_lines(found: Estimate, index: int, name: str) -> list[BudgetLine]:
     return [
         BudgetLine(
             source=f"noise of {line.source}"
-            if line.kind == "noise"
+            if line.kind == NOISE
             else f"{line.source.removeprefix(name + '.')} ({line.kind})",
             u=line.u,
-            unit="" if line.kind == "noise" else unit_of(_symbol(found, line.source)),
+            unit=_unit_of_line(found, line),
             sensitivity=line.sensitivity,
             contribution=line.contribution,
             share=line.share,
         )
         for line in budget(found.fit, index)
     ]
+
+
+def _unit_of_line(found: Estimate, line: Line) -> str:
+    if line.kind == NOISE:
+        return ""
+    if line.kind == ENCODER:
+        return _ENCODER_UNITS.get(line.source.split(".")[-1], "rad/s")
+    return unit_of(_symbol(found, line.source))
 
 
 def _symbol(found: Estimate, source: str) -> str:

@@ -12,6 +12,8 @@ What stands in this room:
 - `first_stage`, `two_stage`: the paper's method, a parabola a run and then its curvature
   against the rate
 - `series`: one accelerometer's output in one run, with its columns and its whitening
+- `model`, `inputs`: what a joint fit estimates and considers; what uncertain inputs change
+- `encoder`: what the encoder's noise leaves open of each run's rotation
 - `joint`: full records of all runs and accelerometers, solved together
 - `estimation`: the joint estimate step by step
 - `thinning`: residuals for pictures
@@ -26,6 +28,7 @@ What stands in this room:
 - `study_two_stage`, `study_joint`, `study_full`: trials by sufficient statistics, by whole records
 - `study_validity`, `study_choice`, `study_engine`: where shortcuts hold, which is taken, batches
 - `conformity`: whether a quantity meets a specification, and the risk of being wrong
+- `consistency`: whether repeated measurements agree, and whether what they measure drifts
 - `budget`, `left_out`: where the uncertainty of a coefficient comes from; what is not in it
 
 Glossary

@@ -1,7 +1,8 @@
 """The uncertainty budget: where the uncertainty of a coefficient comes from, line by line.
 
 - `budget`: one line for the records' noise of each accelerometer, one for each prior, each
-  considered term and each uncertain input; the squares of the contributions add up to u^2
+  considered term, each uncertain input and each part of a run's recorded rotation; the squares of
+  the contributions add up to u^2
 """
 
 from __future__ import annotations
@@ -12,13 +13,16 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.inference.joint import JointFit
+from counterspin.inference import encoder
+from counterspin.inference.joint import JointFit, Unknown
+from counterspin.inference.least_squares import Combination
 from counterspin.physics.accelerometer import Array
 
 #: Lines below this share of u^2 say nothing.
 _NEGLIGIBLE: Final = 1e-12
 
 NOISE: Final = "noise"  #: kind of a line that stands for the records
+ENCODER: Final = "encoder"  #: kind of a line that stands for a run's recorded angle
 
 
 @dataclass(frozen=True)
@@ -28,13 +32,15 @@ class Line:
     Attributes
     ----------
     source
-        Name of the unknown, considered term or input; for noise the accelerometer's.
+        Name of the unknown, considered term or input; for noise the accelerometer's; for the
+        encoder the run's and ``angle``, ``rate``, ``drift`` or ``ripple1`` ...
     kind
-        ``noise``, ``prior``, ``considered`` or ``input``.
+        ``noise``, ``prior``, ``considered``, ``input`` or ``encoder``.
     u
         Standard uncertainty of the source, in its own unit; None for noise.
     sensitivity
-        d(coefficient)/d(source); None for noise, which has one for every sample.
+        d(coefficient)/d(source); None for noise, which has one for every sample. Of a ripple, whose
+        sine and cosine are one line, its size.
     contribution
         |sensitivity| x u, in the coefficient's unit.
     share
@@ -68,23 +74,49 @@ def budget(fit: JointFit, index: int) -> tuple[Line, ...]:
         for name, share in _noise_by_accelerometer(fit, parts.noise_rows).items()
     ]
     for j, unknown in enumerate(model.unknowns):
-        if math.isfinite(unknown.prior[1]):
+        if math.isfinite(unknown.prior[1]) and unknown.symbol not in encoder.SYMBOLS:
             sensitivity = float(solution.sensitivity_prior[index, j])
             lines.append(
                 Line(unknown.name, "prior", unknown.prior[1], sensitivity, abs(parts.prior[j]), 0.0)
             )
     inputs = model.inputs or {}
     sizes = [*(other.prior[1] for other in model.considered), *inputs.values()]
+    encoded = {other.name for other in model.considered if other.symbol in encoder.SYMBOLS}
     for k, (name, u) in enumerate(zip(model.considered_names, sizes, strict=True)):
+        if name in encoded:
+            continue
         kind = "input" if name in inputs else "considered"
         sensitivity = float(solution.sensitivity_considered[index, k])
         lines.append(Line(name, kind, u, sensitivity, abs(float(parts.considered[k])), 0.0))
+    lines += _encoder_lines(fit, parts)
     total = sum(line.contribution**2 for line in lines)
     if total == 0.0:
         return ()
     lines = [replace(line, share=line.contribution**2 / total) for line in lines]
     kept = [line for line in lines if line.share > _NEGLIGIBLE]
     return tuple(sorted(kept, key=lambda line: -line.contribution))
+
+
+def _encoder_lines(fit: JointFit, parts: Combination) -> list[Line]:
+    """Join the terms of each part of each run's rotation, estimated or considered."""
+    signed: dict[tuple[str, str], list[float]] = {}
+    terms: list[tuple[Unknown, float]] = [
+        *zip(fit.model.unknowns, parts.prior, strict=True),
+        *zip(fit.model.considered, parts.considered, strict=False),
+    ]
+    for other, contribution in terms:
+        if other.symbol in encoder.SYMBOLS:
+            place = other.owner, encoder.part_of(other.symbol)
+            signed.setdefault(place, []).append(float(contribution))
+    errors = {one.series.run: one.series.angle_error for one in fit.prepared}
+    lines = []
+    for (run, part), contributions in signed.items():
+        error = errors[run]
+        u = error.u[part] if error else 0.0
+        size = math.hypot(*contributions) if len(contributions) > 1 else contributions[0]
+        sensitivity = size / u if u else 0.0
+        lines.append(Line(f"{run}.{part}", ENCODER, u, sensitivity, abs(size), 0.0))
+    return lines
 
 
 def _noise_by_accelerometer(fit: JointFit, rows: Array) -> dict[str, float]:

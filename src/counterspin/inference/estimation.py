@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.errors import ConvergenceError
-from counterspin.inference import joint, variance_components
+from counterspin.inference import encoder, joint, variance_components
 from counterspin.inference.joint import ROTATION, JointFit, Model, Prepared
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.noise import Noise
@@ -120,14 +120,28 @@ def estimate(
 
     noise, components = _noise(prepared, plain, requests)
     fit = joint.solve_joint(prepared, plain, noise)
-    scale_factors = _scale_factors(series, plain, fit)
+    kept = [one.series for one in prepared]
     before = _scale_factors(series, plain, None)
+    whole = encoder.with_encoder(plain, kept, noise)
+    if whole is not plain:
+        # What the encoder has not shown is in the residuals until then.
+        prepared = joint.prepare(kept, whole, before, _padded(fit, whole))
+        noise, components = _noise(prepared, whole, requests)
+        fit = joint.solve_joint(prepared, whole, noise)
+    scale_factors = _scale_factors(series, plain, fit)
     moved = any(abs(scale_factors[a] - before[a]) > _SCALE_SETTLED for a in before)
     if model.inputs or moved:
-        kept = [one.series for one in prepared]
-        prepared = joint.prepare(kept, model, scale_factors, fit.solution.estimate)
-        fit = joint.solve_joint(prepared, model, noise)
+        whole = replace(whole, inputs=model.inputs)
+        prepared = joint.prepare(kept, whole, scale_factors, fit.solution.estimate)
+        fit = joint.solve_joint(prepared, whole, noise)
     return Estimate(fit, components, _effective_dof(fit, components), tuple(outliers))
+
+
+def _padded(fit: JointFit, model: Model) -> Array:
+    """Return the fit's estimate, zero for the unknowns that the model has beyond it."""
+    found = np.zeros(len(model.unknowns))
+    found[: fit.solution.estimate.size] = fit.solution.estimate
+    return found
 
 
 def _scale_factors(

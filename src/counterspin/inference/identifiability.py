@@ -105,7 +105,7 @@ def assess(
     solution
         Solved with limits, the largest credible sizes.
     symbols
-        The names of the p unknowns.
+        The names of the first p unknowns. Further ones must have priors; nothing is said of them.
     nominal
         What must be added to the estimates to get the coefficients named (1 for K_I where its
         unknown is K_I - 1), shape (p,); zeros by default. It enters the values of combinations.
@@ -128,26 +128,23 @@ def assess(
     """
     if solution.limits is None:
         raise ValueError("assess needs a solution that was solved with limits")
-    if len(symbols) != solution.estimate.size:
-        raise ValueError(f"{len(symbols)} symbols for {solution.estimate.size} unknowns")
-    offset = np.zeros(len(symbols)) if nominal is None else np.asarray(nominal, dtype=np.float64)
-    free = np.flatnonzero(solution.prior_sd > 0)
-    problem = _Problem(
-        solution.information[:, free], 1.0 / solution.prior_sd[free], solution.limits[free]
-    )
+    p = len(symbols)
+    if p > solution.estimate.size or np.isinf(solution.prior_sd[p:]).any():
+        size = solution.estimate.size
+        raise ValueError(f"{p} symbols for {size} unknowns: those without one need a prior")
+    offset = np.zeros(p) if nominal is None else np.asarray(nominal, dtype=np.float64)
+    limits, prior_sd = solution.limits[:p], solution.prior_sd[:p]
+    free = np.flatnonzero(prior_sd > 0)
+    problem = _Problem(_of_first(solution, p)[:, free], 1.0 / prior_sd[free], limits[free])
     root = problem.root()
 
-    variance = np.diag(solution.covariance_considered).copy()
+    variance = np.diag(solution.covariance_considered)[:p].copy()
     variance[free] += np.sum(root**2, axis=1)
-    determined = (
-        (solution.prior_sd > 0)
-        & (variance < solution.limits**2)
-        & (variance <= _PRIOR_LEFT * solution.prior_sd**2)
-    )
+    determined = (prior_sd > 0) & (variance < limits**2) & (variance <= _PRIOR_LEFT * prior_sd**2)
 
     def describe(weights: Array) -> Confounded:
         """Put a combination of the free unknowns into words."""
-        full = np.zeros(len(symbols))
+        full = np.zeros(solution.estimate.size)
         full[free] = weights
         part = np.abs(weights) * problem.limits
         # An undetermined term always has its partner named.
@@ -161,8 +158,8 @@ def assess(
             terms=names,
             correlation=problem.correlation(terms),
             determined=_write(names, full[free[terms]], slack),
-            weights=full,
-            value=combined.value + float(full @ offset),
+            weights=full[:p],
+            value=combined.value + float(full[:p] @ offset),
             u=combined.u,
         )
 
@@ -189,6 +186,17 @@ def assess(
         u=np.sqrt(variance),
         confounded=tuple(confounded),
     )
+
+
+def _of_first(solution: Solution, p: int) -> Array:
+    """Return the information about the first unknowns, the others projected out with priors."""
+    others = solution.information[:, p:]
+    count = others.shape[1]
+    if count == 0:
+        return solution.information
+    rows = np.column_stack([others, solution.information[:, :p]])
+    known = np.column_stack([np.diag(1.0 / solution.prior_sd[p:]), np.zeros((count, p))])
+    return triangle_of(np.vstack([rows, known]))[count:, count:]
 
 
 class _Problem:

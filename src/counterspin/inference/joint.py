@@ -6,7 +6,9 @@ are solved together with the priors and the considered terms. Whatever is asked 
 noise level, a run left out, one more considered input) starts from the prepared columns or the
 blocks, not from the records.
 
-- `Unknown`, `Considered`, `Model`: the problem, beside the series (`counterspin.inference.series`)
+The problem is a `Model` (`counterspin.inference.model`) beside the series
+(`counterspin.inference.series`).
+
 - `prepare`: the columns, computed once
 - `solve_joint`, `with_noise`, `JointFit`: the answer
 - `residuals`, `unexplained`, `leave_out`: checks of it
@@ -14,101 +16,37 @@ blocks, not from the records.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference import least_squares
+from counterspin.inference import encoder, least_squares
 from counterspin.inference.blocks import Block, reduce_block
+from counterspin.inference.inputs import INPUTS, TIMING, input_column, rotation_column
 from counterspin.inference.least_squares import Solution
+from counterspin.inference.model import ROTATION, Considered, Model, Unknown
 from counterspin.inference.noise import Noise
 from counterspin.inference.series import Series
-from counterspin.physics.accelerometer import TERMS, Array, term
-from counterspin.physics.motion import Trajectory
+from counterspin.physics.accelerometer import TERMS, Array
 
-#: Rotation of a run as unknowns, where no angle is recorded: rad, rad/s, 1/s.
-ROTATION: Final = ("spindle.start_angle", "spindle.rate", "spindle.drift")
-
-#: Uncertain inputs: how each changes the trajectory, and the relative step of its derivative.
-_STEP: Final = 1e-5
-INPUTS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
-    "centrifuge.radius": lambda motion, step: replace(motion, radius=motion.radius + step),
-    "site.gravity": lambda motion, step: replace(
-        motion, site=replace(motion.site, gravity=motion.site.gravity + step)
-    ),
-    "site.latitude": lambda motion, step: replace(
-        motion, site=replace(motion.site, latitude=motion.site.latitude + step)
-    ),
-}
-TIMING: Final = "records.timing_offset"  #: s, by which an angle is sampled after its output
-
-
-@dataclass(frozen=True)
-class Unknown:
-    """One unknown of the joint fit.
-
-    Attributes
-    ----------
-    owner
-        The accelerometer's name, the run's name, or empty for what all share.
-    symbol
-        A term of the table, or one of `ROTATION`.
-    prior
-        (value, standard uncertainty) of the coefficient; infinite: nothing known.
-    limit
-        Largest credible size.
-    """
-
-    owner: str
-    symbol: str
-    prior: tuple[float, float]
-    limit: float
-
-    @property
-    def nominal(self) -> float:
-        """What the coefficient is in a perfect system."""
-        return 0.0 if self.symbol in ROTATION else term(self.symbol).nominal
-
-    @property
-    def name(self) -> str:
-        """Owner and symbol in one word."""
-        return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
-
-    def concerns(self, series: Series) -> bool:
-        """Return whether the unknown can show in a series."""
-        if self.symbol in TERMS:
-            return self.owner == series.accelerometer
-        return self.owner in ("", series.run)
-
-
-@dataclass(frozen=True)
-class Considered(Unknown):
-    """A term that is not estimated: its prior's value is taken, its uncertainty carried."""
-
-
-@dataclass(frozen=True)
-class Model:
-    """What is estimated, what is considered, and which inputs are uncertain.
-
-    Attributes
-    ----------
-    unknowns, considered
-        In the order of the solution's rows and considered columns.
-    inputs
-        Input (a key of `INPUTS`, or `TIMING`) -> standard uncertainty, SI; considered too.
-    """
-
-    unknowns: tuple[Unknown, ...]
-    considered: tuple[Considered, ...] = ()
-    inputs: Mapping[str, float] | None = None
-
-    @property
-    def considered_names(self) -> tuple[str, ...]:
-        """Names of the solution's considered columns."""
-        return (*(c.name for c in self.considered), *(self.inputs or ()))
+__all__ = [
+    "INPUTS",
+    "ROTATION",
+    "TIMING",
+    "Considered",
+    "JointFit",
+    "Model",
+    "Prepared",
+    "Unknown",
+    "leave_out",
+    "prepare",
+    "residuals",
+    "solve_joint",
+    "unexplained",
+    "with_noise",
+]
 
 
 @dataclass(frozen=True)
@@ -160,18 +98,21 @@ def _prepare(series: Series, model: Model, scale_factor: float, estimate: Array 
     considered = tuple(i for i, other in enumerate(model.considered) if other.concerns(series))
     symbols = [model.unknowns[i].symbol for i in unknowns]
     ignored = [model.considered[i].symbol for i in considered]
-    terms = [symbol for symbol in (*symbols, *ignored) if symbol not in ROTATION]
-    table = dict(zip(terms, series.columns(terms, scale_factor).T, strict=True))
     turned = [symbol for symbol in (*symbols, *ignored) if symbol in ROTATION]
-    table |= {symbol: _rotation_column(series, symbol) for symbol in turned}
+    encoded = [symbol for symbol in (*symbols, *ignored) if symbol in encoder.SYMBOLS]
+    terms = [symbol for symbol in (*symbols, *ignored) if symbol not in (*turned, *encoded)]
+    table = dict(zip(terms, series.columns(terms, scale_factor).T, strict=True))
+    table |= {symbol: rotation_column(series, symbol) for symbol in turned}
+    values = np.zeros(len(symbols)) if estimate is None else estimate[list(unknowns)]
+    known = {s: v for s, v in zip(symbols, values, strict=True) if s in terms}
+    own = {"K_I": scale_factor - 1.0} | {s: v for s, v in known.items() if s in TERMS}
+    table |= dict(zip(encoded, encoder.columns(series, encoded, own).T, strict=True))
     n = series.time.size
     design = np.column_stack([table[s] for s in symbols] or [np.empty((n, 0))])
     fixed = [table[symbol] for symbol in ignored]
     first_input = len(model.considered)
-    values = np.zeros(len(symbols)) if estimate is None else estimate[list(unknowns)]
-    known = {s: v for s, v in zip(symbols, values, strict=True) if s not in ROTATION}
     for name in model.inputs or ():
-        fixed.append(_input_column(series, name, scale_factor, known, table))
+        fixed.append(input_column(series, name, scale_factor, known, table))
     inputs = tuple(range(first_input, first_input + len(model.inputs or ())))
     return Prepared(
         series,
@@ -180,58 +121,6 @@ def _prepare(series: Series, model: Model, scale_factor: float, estimate: Array 
         considered + inputs,
         np.column_stack(fixed or [np.empty((n, 0))]),
     )
-
-
-def _rotation_column(series: Series, symbol: str) -> Array:
-    """Return d(reference)/d(a parameter of the rotation), by central differences."""
-    spindle = series.trajectory.spindle
-    duration = float(series.time[-1])
-    name, step = {
-        "spindle.start_angle": ("start_angle", _STEP),
-        "spindle.rate": ("rate", _STEP / duration),
-        "spindle.drift": ("drift", _STEP / (abs(spindle.rate) * duration**2)),
-    }[symbol]
-    ahead, behind = (
-        series.reference(
-            replace(
-                series.trajectory,
-                spindle=replace(spindle, **{name: getattr(spindle, name) + change}),
-            )
-        )
-        for change in (step, -step)
-    )
-    return (ahead - behind) / (2.0 * step)
-
-
-def _input_column(
-    series: Series,
-    name: str,
-    scale_factor: float,
-    known: Mapping[str, float],
-    table: Mapping[str, Array],
-) -> Array:
-    """Return d(recorded output)/d(input) at the estimate, by a forward difference."""
-    base = series.reference()
-    if name == TIMING:
-        step = _STEP / abs(series.trajectory.spindle.rate)
-        # Angles that were taken later were reached later: the spindle was behind by that time.
-        return (series.reference(later=-step) - base) / step
-    size = {
-        "centrifuge.radius": series.trajectory.radius,
-        "site.gravity": series.trajectory.site.gravity,
-        "site.latitude": 1.0,
-    }[name]
-    step = _STEP * size
-    moved = INPUTS[name](series.trajectory, step)
-    symbols = list(known)
-    errors = np.array([known[symbol] for symbol in symbols])
-    before = np.column_stack([table[s] for s in symbols] or [np.empty((base.size, 0))]) @ errors
-    after = series.columns(symbols, scale_factor, moved) @ errors
-    change: Array = (series.reference(moved) + after - base - before) / step
-    if name == "site.gravity" and series.in_g:
-        # A record in g was turned into m/s^2 with the gravity assumed.
-        change = change - (base + series.error) / series.trajectory.site.gravity
-    return change
 
 
 @dataclass(frozen=True)

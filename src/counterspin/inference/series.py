@@ -15,6 +15,7 @@ import numpy.typing as npt
 from counterspin.inference.noise import Noise, Whitener, make_whitener
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import Array, Mounting
+from counterspin.physics.angle_error import AngleError
 from counterspin.physics.motion import Trajectory
 
 
@@ -40,6 +41,8 @@ class Series:
     jitter
         White noise of each sample, in the error's unit, that comes from noise of the time stamps;
         it is added to the accelerometer's own.
+    angle_error
+        How far the run may have turned otherwise than `trajectory` says; None where nobody knows.
     """
 
     accelerometer: str
@@ -55,6 +58,7 @@ class Series:
     error: Array
     in_g: bool = False
     jitter: float = 0.0
+    angle_error: AngleError | None = None
 
     @property
     def block_spacing(self) -> Array:

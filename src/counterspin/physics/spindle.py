@@ -11,19 +11,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.errors import ConvergenceError, NotIdentifiableError
+from counterspin.physics.angle_error import HARMONICS, AngleError, slow_part, triangular_root
 
 Array = npt.NDArray[np.float64]
 
 TURN: Final = 2.0 * math.pi  #: rad
 
 MAX_HARMONICS: Final = 8  #: highest ripple harmonic that `fit_spindle` tries by itself
+_PART: Final = 512  # rows that one QR takes at a time: a cache's worth
 
 
 @dataclass(frozen=True)
@@ -139,6 +141,9 @@ class SpindleFit:
         Degrees of freedom of the residuals.
     residuals
         Recorded minus modelled angle, rad, shape (n,).
+    error
+        How far the true angle may be from the model, in the harmonics that can reach a coefficient
+        too, supported or not.
     """
 
     spindle: Spindle
@@ -149,6 +154,7 @@ class SpindleFit:
     rms: float
     dof: int
     residuals: Array
+    error: AngleError
 
 
 def fit_spindle(
@@ -194,18 +200,21 @@ def fit_spindle(
     theta = np.unwrap(angle) if wrapped else angle
     root_weight = np.ones_like(time) if weights is None else np.sqrt(weights / np.mean(weights))
     if harmonics is not None:
-        return _fit(time, theta, root_weight, nominal_rate, range(1, harmonics + 1))
+        return _fit(time, theta, root_weight, nominal_rate, range(1, harmonics + 1))[0]
     # No more harmonics than the samples of a revolution can tell apart.
     spacing = float(np.median(np.diff(time))) if time.size > 1 else 0.0
     resolvable = int(math.pi / abs(nominal_rate * spacing)) - 1 if spacing else 0
     highest = min(MAX_HARMONICS, resolvable, (time.size - 8) // 2)
-    everything = _fit(time, theta, root_weight, nominal_rate, range(1, highest + 1))
+    everything, whole = _fit(time, theta, root_weight, nominal_rate, range(1, highest + 1))
     kept = [
         ripple.harmonic
         for ripple, u_ripple in zip(everything.spindle.ripples, everything.u_ripples, strict=True)
         if _supported(ripple, u_ripple, time.size)
     ]
-    return _fit(time, theta, root_weight, everything.spindle.rate, kept)
+    fit, part = _fit(time, theta, root_weight, everything.spindle.rate, kept)
+    # What the criterion has left out may be there all the same, as far as its noise allows.
+    open_ = sorted({*kept, *range(1, min(HARMONICS, highest) + 1)})
+    return replace(fit, error=_angle_error(time, open_, whole, part))
 
 
 def _supported(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> bool:
@@ -219,9 +228,45 @@ def _supported(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> b
     return ripple.amplitude**2 > 2.0 * math.log(samples * MAX_HARMONICS) * u_ripple[0] ** 2
 
 
+@dataclass(frozen=True)
+class _Coefficients:
+    """What a fit found of 1, t/span, (t/span)^2 and cos, sin of each harmonic; rad."""
+
+    rate: float
+    harmonics: Sequence[int]
+    value: Array  # (m,)
+    factor: Array  # (m, m), factor @ factor.T is their covariance
+
+
+def _angle_error(
+    time: Array, harmonics: Sequence[int], whole: _Coefficients, part: _Coefficients
+) -> AngleError:
+    """Return how far the true angle may be from that of `part`, by what `whole` says of it."""
+    start, span = float(np.min(time)), float(np.ptp(time))
+    rows = [slow_part(whole.factor[:3], part.rate, start, span)]
+    apart = [slow_part((whole.value[:3] - part.value[:3])[:, None], part.rate, start, span)[:, 0]]
+    for n in harmonics:
+        size = abs(n * part.rate)
+        place = 3 + 2 * list(whole.harmonics).index(n)
+        found = whole.value[place : place + 2]
+        if n in part.harmonics:
+            taken = 3 + 2 * list(part.harmonics).index(n)
+            found = found - part.value[taken : taken + 2]
+        rows.append(size * whole.factor[place : place + 2])
+        apart.append(size * found)
+    return AngleError(
+        rate=part.rate,
+        start=start,
+        span=span,
+        harmonics=tuple(harmonics),
+        deviation=np.concatenate(apart),
+        root=triangular_root(np.concatenate(rows)),
+    )
+
+
 def _fit(
     time: Array, theta: Array, root_weight: Array, start_rate: float, harmonics: Sequence[int]
-) -> SpindleFit:
+) -> tuple[SpindleFit, _Coefficients]:
     count = len(harmonics)
     n, unknowns = time.size, 3 + 2 * count
     if n <= unknowns:
@@ -232,42 +277,45 @@ def _fit(
     span = float(np.ptp(time))
     scaled = time / span  # keeps the columns of one size
     # Residuals from the nominal rotation keep the digits that the full angle would take.
-    target = (theta - start_rate * time) * root_weight
+    target = theta - start_rate * time
     w0 = start_rate
     for _ in range(20):
-        columns = [np.ones(n), scaled, scaled**2]
-        for harmonic in harmonics:
-            columns += [np.cos(harmonic * w0 * time), np.sin(harmonic * w0 * time)]
-        design = np.stack(columns, -1) * root_weight[:, None]
-        q, r = np.linalg.qr(design)
+        columns = [np.ones(n), scaled, scaled**2, *_waves(w0 * time, harmonics)]
+        weighted = np.stack([*columns, target], -1)
+        weighted *= root_weight[:, None]
+        design, triangle = weighted[:, :-1], _triangle(weighted)
+        r = triangle[:unknowns, :unknowns]
         size = np.maximum(np.linalg.norm(design, axis=0), math.sqrt(n))
         if np.any(np.abs(np.diag(r)) < 1e-12 * size):
             raise NotIdentifiableError(
                 f"the angle samples cannot tell {count} harmonics apart: there are too few in a "
                 "revolution, or they repeat the same angles; ask for fewer harmonics"
             )
-        solution = np.linalg.solve(r, q.T @ target)
+        solution = np.asarray(np.linalg.solve(r, triangle[:unknowns, -1]))
         previous, w0 = w0, start_rate + float(solution[1]) / span
         # Once the harmonics turn by less than 1e-9 rad over the record they are settled.
-        if abs(w0 - previous) * span * max(harmonics, default=1) < 1e-9:
+        if abs(w0 - previous) * span * max(harmonics, default=0) < 1e-9:
             break
     else:
         raise ConvergenceError(
             f"the spindle's rate did not settle near {start_rate:.9g} rad/s: "
             "is the run's nominal rate right?"
         )
-    residuals = target - design @ solution
+    residuals = weighted[:, -1] - design @ solution
     dof = n - unknowns
     variance = float(residuals @ residuals) / dof
-    inverse = np.linalg.inv(r)
+    inverse = np.asarray(np.linalg.inv(r))
     covariance = variance * inverse @ inverse.T
+    value = solution.copy()
+    value[1] = w0 * span
+    found = _Coefficients(w0, harmonics, value, math.sqrt(variance) * inverse)
     ripples, u_ripples = _ripples(w0, harmonics, solution[3:], covariance[3:, 3:])
     half_drift = float(solution[2]) / span**2
     # start_angle is theta(0); the model's own ripple vanishes at t = 0, so the cosines add here.
     at_zero = np.zeros(unknowns)
     at_zero[0] = 1.0
     at_zero[3::2] = 1.0
-    return SpindleFit(
+    fit = SpindleFit(
         spindle=Spindle(
             rate=w0,
             drift=2.0 * half_drift / w0,
@@ -281,7 +329,33 @@ def _fit(
         rms=math.sqrt(variance),
         dof=dof,
         residuals=residuals / root_weight,
+        error=_angle_error(time, harmonics, found, found),
     )
+    return fit, found
+
+
+def _waves(angle: Array, harmonics: Sequence[int]) -> list[Array]:
+    """Return cosine and sine of each harmonic of an angle: powers of one complex wave."""
+    wave = np.exp(1j * angle)
+    power, columns = np.ones_like(wave), []
+    for harmonic in range(1, max(harmonics, default=0) + 1):
+        power = power * wave
+        if harmonic in harmonics:
+            columns += [power.real, power.imag]
+    return columns
+
+
+def _triangle(matrix: Array) -> Array:
+    """Return R of the QR factorisation, as exact as in one go but in parts that fit the cache.
+
+    R of the stacked R of all parts is that of the whole (Demmel et al., SIAM J. Sci. Comput. 34
+    (2012) A206).
+    """
+    width = matrix.shape[1]
+    whole = len(matrix) // _PART * _PART
+    triangles = np.asarray(np.linalg.qr(matrix[:whole].reshape(-1, _PART, width), mode="r"))
+    rest = np.concatenate([triangles.reshape(-1, width), matrix[whole:]])
+    return np.asarray(np.linalg.qr(rest, mode="r"))
 
 
 def _ripples(

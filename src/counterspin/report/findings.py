@@ -277,8 +277,8 @@ def _correlations(found: AccelerometerResult) -> Iterator[Block]:
 
 
 def budget_blocks(name: str, found: AccelerometerResult) -> Iterator[Block]:
-    """Yield a table for each coefficient that has a budget."""
-    for symbol, lines in found.budget.items():
+    """Yield a table for each coefficient that has a budget, K_II first."""
+    for symbol, lines in sorted(found.budget.items(), key=lambda item: item[0] != "K_II"):
         coefficient = found.coefficients.get(symbol)
         unit, factor = field_unit(coefficient.unit if coefficient else "")
         yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)

@@ -1,0 +1,167 @@
+"""How far a spindle identified from a recorded angle may be from the true one.
+
+The true angle is the identified one plus a sum of coefficient x function: a constant, a slope and a
+bend (the first three Legendre polynomials over the record, which its noise tells apart) and cosine
+and sine of harmonics of the revolution. The encoder's noise leaves the coefficients uncertain.
+
+- `AngleError`: the coefficients, their covariance, their functions of time
+- `displaced`: what changes of the angle do to position, velocity and acceleration
+- `slow_part`, `triangular_root`: what the fit needs to state them
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+#: What the three polynomials stand for.
+SLOW: Final = ("angle", "rate", "drift")
+
+#: Harmonics that are uncertain whether the angle shows them or not. A ripple of harmonic n puts
+#: harmonics n - 1 and n + 1 into the specific force, and its products have none above the third.
+HARMONICS: Final = 4
+
+
+@dataclass(frozen=True)
+class AngleError:
+    """Deviation of the true angle from an identified one.
+
+    Coefficients, m of them: mean angle (rad), mean rate (rad/s), drift (1/s), and for each harmonic
+    n the amplitudes n w0 a_n and n w0 b_n of the rate's ripple (rad/s), where the angle has
+    a_n cos(n w0 t) + b_n sin(n w0 t).
+
+    Attributes
+    ----------
+    rate
+        w0, rad/s.
+    start, span
+        Time of the first angle and the time from there to the last, s.
+    harmonics
+        The numbers n.
+    deviation
+        Best estimate of the coefficients, shape (m,): not zero where the identified spindle leaves
+        out a harmonic that the angle does not clearly show.
+    root
+        Lower triangular, shape (m, m); root @ root.T is the covariance.
+    """
+
+    rate: float
+    start: float
+    span: float
+    harmonics: tuple[int, ...]
+    deviation: Array
+    root: Array
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """What each coefficient is of: angle, rate, drift, ripple1 twice, ripple2 twice, ..."""
+        return SLOW + tuple(f"ripple{n}" for n in self.harmonics for _ in range(2))
+
+    @property
+    def u(self) -> dict[str, float]:
+        """Standard uncertainty by name; of a ripple, that of one quadrature (their mean square)."""
+        variances: dict[str, list[float]] = {}
+        for name, row in zip(self.names, self.root, strict=True):
+            variances.setdefault(name, []).append(float(row @ row))
+        return {name: math.sqrt(sum(v) / len(v)) for name, v in variances.items()}
+
+    @property
+    def standardised(self) -> Array:
+        """The best estimate in units of `root`, shape (m,); zero where nothing is uncertain."""
+        if not np.diagonal(self.root).all():
+            return np.zeros(self.deviation.size)
+        return np.asarray(np.linalg.solve(self.root, self.deviation))
+
+    @property
+    def largest(self) -> Array:
+        """Largest size of each function within the record, rad per unit, shape (m,)."""
+        slow = [1.0, self.span / 2.0, abs(self.rate) * self.span**2 / 12.0]
+        return np.array(slow + [1.0 / abs(n * self.rate) for n in self.harmonics for _ in range(2)])
+
+    def functions(self, t: Array) -> tuple[Array, Array, Array]:
+        """Return each function's value, first and second time derivative, shapes (n, m)."""
+        slope = 2.0 / self.span
+        x = slope * (t - self.start) - 1.0
+        one, none = np.ones_like(x), np.zeros_like(x)
+        # d(angle) per rad, per rad/s and per 1/s.
+        bend = self.rate / (3.0 * slope**2)
+        columns = [
+            (one, none, none),
+            (x / slope, one, none),
+            (bend * 0.5 * (3.0 * x**2 - 1.0), bend * 3.0 * slope * x, self.rate * one),
+        ]
+        for n in self.harmonics:
+            n_w0 = n * self.rate
+            cos, sin = np.cos(n_w0 * t), np.sin(n_w0 * t)
+            size = abs(n_w0)
+            columns.append((cos / size, -n_w0 * sin / size, -size * cos))
+            columns.append((sin / size, n_w0 * cos / size, -size * sin))
+        value, first, second = (np.stack(parts, -1) for parts in zip(*columns, strict=True))
+        return value, first, second
+
+
+def slow_part(monomials: Array, rate: float, start: float, span: float) -> Array:
+    """Turn coefficients of 1, t/span, (t/span)^2 into those of `SLOW`; both shape (3, k)."""
+    before = start / span
+    shift = np.array([[1.0, before, before**2], [0.0, 1.0, 2.0 * before], [0.0, 0.0, 1.0]])
+    # 1, s and s^2 in Legendre polynomials of 2 s - 1.
+    legendre = np.array([[1.0, 0.5, 1.0 / 3.0], [0.0, 0.5, 0.5], [0.0, 0.0, 1.0 / 6.0]])
+    slope = 2.0 / span
+    scale = np.array([1.0, slope, 3.0 * slope**2 / rate])
+    rows: Array = scale[:, None] * (legendre @ shift @ monomials)
+    return rows
+
+
+def triangular_root(factor: Array) -> Array:
+    """Return the lower triangular L with L @ L.T = factor @ factor.T and no negative diagonal."""
+    upper = np.linalg.qr(factor.T, mode="r")
+    signs = np.where(np.diagonal(upper) < 0.0, -1.0, 1.0)
+    lower: Array = (signs[:, None] * upper).T
+    return lower
+
+
+def displaced(
+    turned: tuple[Array, Array, Array], angle: Array, rate: Array, acceleration: Array, order: int
+) -> Array:
+    """Return the change of position, velocity or acceleration by changes of the angle.
+
+    With outward and forward unit vectors e_r and e_t, e_t' = -w e_r and e_r' = w e_t, the position
+    R e_r changes by R q e_t, and its time derivatives by
+
+    R (q' e_t - q w e_r) and R [(q'' - w^2 q) e_t - (2 w q' + w' q) e_r],
+
+    q being the change of the angle, w and w' the rate and its derivative.
+
+    Parameters
+    ----------
+    turned
+        q, q', q'', shapes (n, m).
+    angle, rate, acceleration
+        Of the spindle, shape (n,).
+    order
+        0 for the acceleration, 1 for the velocity, 2 for the position.
+
+    Returns
+    -------
+    Array
+        East and north components over the radius, shape (n, m, 2).
+    """
+    q, first, second = turned
+    cos, sin = np.cos(angle), np.sin(angle)
+    outward, forward = np.stack([cos, sin], -1), np.stack([-sin, cos], -1)
+    w = rate[:, None]
+    if order == 2:
+        along, across = q, np.zeros_like(q)
+    elif order == 1:
+        along, across = first, -w * q
+    else:
+        along = second - w**2 * q
+        across = -2.0 * w * first - acceleration[:, None] * q
+    change: Array = along[..., None] * forward[:, None] + across[..., None] * outward[:, None]
+    return change
