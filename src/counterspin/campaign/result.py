@@ -108,7 +108,7 @@ def read_result(path: Path | str) -> Result:
         document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_not_a_number)
     except OSError as error:
         raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise RecordError(
             f"{path}: not a result file, or a damaged one ({error}); write it again with "
             "`counterspin calibrate DIR --json FILE`"

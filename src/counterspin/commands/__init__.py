@@ -6,6 +6,8 @@
 - `two_stage`, `two_stage_findings`: its method of the paper; what its result must say beside
 - `joint`, `joint_parts`, `joint_checks`: its method of full records; the result's parts; its checks
 - `joint_traces`: its residuals, thinned for pictures
+- `history`, `history_files`, `history_result`: results of one instrument over time; the files
+  they come from; what was found
 - `conformity`: whether a result's coefficients meet their specifications
 - `demo`: the paper's plan from simulation to result, by every method
 - `apply`, `apply_file`: corrects indicated specific force for a result; the same for a file
