@@ -59,11 +59,11 @@ def study(
 
     from counterspin.campaign.output import write_text
     from counterspin.commands.study import study as run
-    from counterspin.report.progress import trial_progress
+    from counterspin.report.progress import work_progress
     from counterspin.report.study import render_study
     from counterspin.report.text import report_console
 
-    with trial_progress() as advance:
+    with work_progress("Trials") as advance:
         result = run(
             campaign,
             trials=trials,
@@ -99,11 +99,18 @@ def calibrate_several(
     from counterspin.campaign.output import write_text
     from counterspin.commands.batch import calibrate_many, to_json
     from counterspin.report.batch import render_batch
+    from counterspin.report.progress import work_progress
     from counterspin.report.text import report_console
 
-    outcomes = calibrate_many(
-        directories, method=method, options=options, workers=workers, cluster=cluster
-    )
+    with work_progress("Campaigns") as advance:
+        outcomes = calibrate_many(
+            directories,
+            method=method,
+            options=options,
+            workers=workers,
+            cluster=cluster,
+            progress=advance,
+        )
     if json is not None:
         write_text(json, to_json(outcomes))
     report_console().print(render_batch(outcomes))

@@ -13,7 +13,7 @@ from scipy import stats
 
 from counterspin.campaign.study import read_study
 from counterspin.cli import main
-from counterspin.commands import study_work
+from counterspin.commands import crew, study_work
 from counterspin.commands.study import study
 from counterspin.commands.study_setup import analyses_of, truth_of, world_of
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
@@ -232,7 +232,8 @@ def test_dask_s_workers_give_the_same(varying):
     assert figures(result) == figures(study(varying, trials=50_000))
 
 
-def test_cluster_that_does_not_answer_is_told(varying):
+def test_cluster_that_does_not_answer_is_told(varying, monkeypatch):
+    monkeypatch.setattr(crew, "_ANSWER", 0.5)
     pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
     with pytest.raises(CounterspinError, match="no Dask scheduler answers"):
         study(varying, cluster="tcp://127.0.0.1:9")

@@ -16,5 +16,6 @@
 - `plan_parts`, `plan_curves`: its result's parts; its figures' curves
 - `batch`: many campaigns, one failure stopping no other
 - `study`, `study_setup`, `study_work`, `study_result`: many trials of a campaign and its analyses;
-  what its engine needs; who does the work; the result
+  what its engine needs; its work shared out; the result
+- `crew`: who does shared-out work, processes here or a cluster
 """

@@ -7,21 +7,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Sequence
-from concurrent.futures import as_completed
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from counterspin.campaign.result import Result
 from counterspin.commands.calibrate import Method, calibrate
-from counterspin.commands.study_work import executor_of
+from counterspin.commands.crew import crew_of
 from counterspin.commands.two_stage import TwoStageOptions
 from counterspin.errors import CounterspinError
-
-#: How often a campaign is begun whose worker dies.
-_ATTEMPTS: Final = 2
 
 
 @dataclass(frozen=True)
@@ -73,7 +70,7 @@ def calibrate_many(
     Raises
     ------
     CounterspinError
-        If the cluster cannot be reached.
+        If the cluster cannot be reached or is lost.
     """
     options = options or TwoStageOptions()
     done: dict[int, Calibrated] = {}
@@ -83,30 +80,66 @@ def calibrate_many(
         if progress is not None:
             progress(len(done), len(directories))
 
+    if workers < 1:
+        raise CounterspinError("--workers must be at least 1")
+    places = range(len(directories))
     if workers == 1 and cluster is None:
-        for index, directory in enumerate(directories):
-            enter(index, attempt(directory, method, options))
-    for round_ in range(_ATTEMPTS):
-        left = [index for index in range(len(directories)) if index not in done]
-        if not left:
-            break
-        # After a death each has a pool of its own: who kills a worker then harms nobody else.
-        groups = [left] if round_ == 0 else [[index] for index in left]
-        for group in groups:
-            try:
-                with executor_of(min(workers, len(group)), cluster) as (executor, _):
-                    waiting = {
-                        executor.submit(attempt, directories[i], method, options): i for i in group
-                    }
-                    for future in as_completed(waiting):
-                        enter(waiting[future], future.result())
-            except BrokenProcessPool:
-                continue
-    died = "the process that worked on it died; perhaps it ran out of memory"
-    return tuple(
-        done.get(index, Calibrated(directory, None, died))
-        for index, directory in enumerate(directories)
-    )
+        for index in places:
+            enter(index, attempt(directories[index], method, options))
+    else:
+
+        def together(some: Sequence[int], count: int) -> list[int]:
+            jobs = {index: (directories[index], method, options) for index in some}
+            return _together(jobs, count, cluster, enter)
+
+        try:
+            # Those whose worker died, and those that were in hand beside them, are tried again,
+            # each by itself: who kills its worker then harms nobody else.
+            for index in together(places, workers):
+                if together([index], 1):
+                    died = "the process that worked on it died, twice; perhaps memory ran out"
+                    enter(index, Calibrated(directories[index], None, died))
+        except CounterspinError as error:
+            # The cluster is gone. What it has done before is not thrown away.
+            if not done:
+                raise
+            for index in places:
+                if index not in done:
+                    enter(index, Calibrated(directories[index], None, str(error)))
+    return tuple(done[index] for index in places)
+
+
+def _together(
+    jobs: Mapping[int, tuple[Path, Method, TwoStageOptions]],
+    workers: int,
+    cluster: str | None,
+    enter: Callable[[int, Calibrated], None],
+) -> list[int]:
+    """Do jobs side by side, and return those that were in hand when a worker died."""
+    suspects: list[int] = []
+    left = list(jobs)
+    died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    while left:
+        pending: dict[Future[Calibrated], int] = {}
+        try:
+            with crew_of(min(workers, len(left)), cluster, __name__) as crew:
+                died = crew.died
+                while left or pending:
+                    # No more than there are workers, so that few are suspects when one dies.
+                    while left and len(pending) < crew.size:
+                        pending[crew.executor.submit(attempt, *jobs[left[0]])] = left[0]
+                        del left[0]
+                    finished, _ = wait(pending, return_when=FIRST_COMPLETED)
+                    for future in finished:
+                        index = pending.pop(future)
+                        try:
+                            enter(index, future.result())
+                        except died:
+                            suspects.append(index)
+        except died:
+            # All processes went with the one; a cluster's others work on.
+            suspects += pending.values()
+    return suspects
 
 
 def attempt(directory: Path, method: Method, options: TwoStageOptions) -> Calibrated:

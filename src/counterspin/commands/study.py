@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ import polars as pl
 from counterspin._version import __version__
 from counterspin.campaign.output import make_folder, write_text, write_whole
 from counterspin.campaign.study import StudyDescription, read_study
+from counterspin.commands.crew import crew_of
 from counterspin.commands.study_result import (
     AnalysisResult,
     CoefficientResult,
@@ -25,7 +27,7 @@ from counterspin.commands.study_result import (
     verdict_of,
 )
 from counterspin.commands.study_setup import analyses_of, truth_of, world_of
-from counterspin.commands.study_work import Ledger, run_batches
+from counterspin.commands.study_work import Ledger, run_batches, work
 from counterspin.errors import CounterspinError
 from counterspin.inference.study_choice import EngineName, prepare
 from counterspin.inference.study_draws import Varying
@@ -95,21 +97,26 @@ def study(
     trials = description.trials if trials is None else trials
     if trials < 2:
         raise CounterspinError("--trials must be at least 2")
-    prepared = prepare(
-        world_of(description.campaign),
-        truth_of(description),
-        analyses_of(description),
-        description.seed if seed is None else seed,
-        engine,
-    )
-    folder = _folder(output)
-    ledger = Ledger(
-        prepared, trials, keep=keep_trials, folder=folder, fingerprint=_fingerprint(prepared)
-    )
-    if resume:
-        ledger.resume()
-    begin = time.perf_counter()
-    complete = run_batches(prepared, ledger, workers=workers, cluster=cluster, progress=progress)
+    alone = workers == 1 and cluster is None
+    # Workers start while the engine is prepared.
+    with nullcontext() if alone else crew_of(workers, cluster, work.__module__) as crew:
+        prepared = prepare(
+            world_of(description.campaign),
+            truth_of(description),
+            analyses_of(description),
+            description.seed if seed is None else seed,
+            engine,
+        )
+        folder = _folder(output)
+        ledger = Ledger(
+            prepared, trials, keep=keep_trials, folder=folder, fingerprint=_fingerprint(prepared)
+        )
+        if resume:
+            ledger.resume()
+        begin = time.perf_counter()
+        complete = run_batches(
+            prepared, ledger, workers=workers, cluster=cluster, crew=crew, progress=progress
+        )
     result = _result(description, prepared, ledger, complete, time.perf_counter() - begin)
     if folder is not None:
         _write(folder, result, prepared, ledger)

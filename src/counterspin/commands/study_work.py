@@ -6,19 +6,16 @@ handed out again, and counts once.
 
 - `Ledger`: which batches are done, and what they gave; kept on disk for `--resume`
 - `run_batches`: do what is not done yet
-- `executor_of`: processes, or a cluster's workers
 """
 
 from __future__ import annotations
 
-import os
 import pickle
-import signal
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import nullcontext
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any, Final
@@ -26,6 +23,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.campaign.output import write_whole
+from counterspin.commands.crew import Crew, crew_of
 from counterspin.errors import CounterspinError
 from counterspin.inference.study_engine import StudyEngine
 from counterspin.physics.accelerometer import Array
@@ -40,10 +38,8 @@ _KEEP: Final = 10.0
 #: Losses of all workers one after another, with nothing done between, until it is given up.
 _LOSSES: Final = 5
 
-_THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-
 #: What a trial of each kind takes or so, s, to begin with.
-_COSTS: Final = {"constant": 2e-7, "surrogate": 3e-6, "exact": 5e-4, "full": 0.1}
+_COSTS: Final = {"constant": 2e-7, "surrogate": 1.5e-6, "exact": 5e-4, "full": 0.1}
 
 
 class Ledger:
@@ -191,6 +187,7 @@ def run_batches(
     *,
     workers: int = 1,
     cluster: str | None = None,
+    crew: Crew | None = None,
     progress: Callable[[int, int], None] | None = None,
     batches_per_task: int | None = None,
 ) -> bool:
@@ -206,6 +203,9 @@ def run_batches(
         Processes; 1 works in this one.
     cluster
         Address of a Dask scheduler; its workers do the work then.
+    crew
+        Those who do the work, already at their places; None: they are called. Should they die,
+        others take over.
     progress
         Called with (trials done, trials in all).
     batches_per_task
@@ -219,7 +219,7 @@ def run_batches(
     Raises
     ------
     CounterspinError
-        If workers die again and again, or the cluster cannot be reached.
+        If workers die again and again, or the cluster cannot be reached or is lost.
     """
     cost = sum(_COSTS[part.kind] for part in engine.parts) * engine.batch_size
     size = batches_per_task or max(1, min(64, round(_TASK / cost)))
@@ -228,11 +228,11 @@ def run_batches(
         if workers == 1 and cluster is None:
             _alone(packed, ledger, size, progress)
         else:
-            _together(packed, ledger, size, workers, cluster, progress)
+            _together(packed, ledger, size, crew, workers, cluster, progress)
     except KeyboardInterrupt:
-        ledger.save()
         return False
-    ledger.save()
+    finally:
+        ledger.save()
     return True
 
 
@@ -279,19 +279,23 @@ def _together(
     packed: bytes,
     ledger: Ledger,
     size: int,
+    crew: Crew | None,
     workers: int,
     cluster: str | None,
     progress: Callable[[int, int], None] | None,
 ) -> None:
     note = _Notes(ledger, progress)
     losses = 0
+    died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
     while not ledger.done.all():
         before = int(ledger.done.sum())
         try:
-            with executor_of(workers, cluster) as (executor, count):
-                _hand_out(executor, _AHEAD * count, packed, ledger, size, note)
-        except BrokenProcessPool as error:
+            with nullcontext(crew) if crew else crew_of(workers, cluster, __name__) as found:
+                died = found.died
+                _hand_out(found, packed, ledger, size, note)
+        except died as error:
             # A worker was killed, or ran out of memory. What it had in hand is handed out again.
+            crew = None
             losses = 0 if int(ledger.done.sum()) > before else losses + 1
             if losses >= _LOSSES:
                 raise CounterspinError(
@@ -300,17 +304,15 @@ def _together(
                 ) from error
 
 
-def _hand_out(
-    executor: Executor, ahead: int, packed: bytes, ledger: Ledger, size: int, note: _Notes
-) -> None:
-    tasks = _tasks(ledger, size)
+def _hand_out(crew: Crew, packed: bytes, ledger: Ledger, size: int, note: _Notes) -> None:
     # A snapshot: what is entered meanwhile must not change what is left to hand out.
-    waiting = iter(list(tasks))
+    waiting = iter(list(_tasks(ledger, size)))
     pending: dict[Future[tuple[Array, Any]], tuple[int, tuple[int, ...]]] = {}
     try:
         while True:
+            ahead = _AHEAD * crew.size
             while len(pending) < ahead and (task := next(waiting, None)) is not None:
-                pending[executor.submit(work, packed, *task, ledger.keep)] = task
+                pending[crew.executor.submit(work, packed, *task, ledger.keep)] = task
             if not pending:
                 return
             finished, _ = wait(pending, return_when=FIRST_COMPLETED)
@@ -321,60 +323,3 @@ def _hand_out(
     finally:
         for future in pending:
             future.cancel()
-
-
-def _leave_interrupts() -> None:
-    """Let the process that hands out the work see to Ctrl-C."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-@contextmanager
-def executor_of(workers: int, cluster: str | None) -> Iterator[tuple[Executor, int]]:
-    """Yield who does the work, processes here or a cluster's workers, and how many they are."""
-    if cluster is not None:
-        with _on_cluster(cluster) as found:
-            yield found
-        return
-    from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
-
-    # One thread a worker: the matrices are small, and the workers would crowd each other out.
-    # Libraries look at these when they are loaded, which a spawned process does anew.
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    try:
-        with ProcessPoolExecutor(
-            workers, mp_context=get_context("spawn"), initializer=_leave_interrupts
-        ) as pool:
-            try:
-                yield pool, workers
-            except BaseException:
-                pool.shutdown(wait=False, cancel_futures=True)
-                raise
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-
-
-@contextmanager
-def _on_cluster(address: str) -> Iterator[tuple[Executor, int]]:
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise CounterspinError(
-            "--cluster needs Dask: pip install 'counterspin[cluster]'"
-        ) from error
-    try:
-        client: Any = Client(address, timeout="10s", set_as_default=False)
-    except (OSError, ValueError, TimeoutError) as error:
-        raise CounterspinError(
-            f"{address}: no Dask scheduler answers there; start one with `dask scheduler`"
-        ) from error
-    with client:
-        client.wait_for_workers(1, timeout=60)
-        count = sum(client.nthreads().values())
-        # Dask hands a dead worker's tasks to others by itself.
-        yield client.get_executor(), count

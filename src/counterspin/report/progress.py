@@ -1,7 +1,7 @@
 """A sign of life on the terminal while records are read; nothing where there is no terminal.
 
 - `progress`: a bar that appears only if the work takes longer than a moment
-- `trial_progress`: the same for a study's trials, with their rate and the time left
+- `work_progress`: the same for what many cores do, with its rate and the time left
 """
 
 from __future__ import annotations
@@ -90,13 +90,18 @@ class _Bar:
 
 
 @contextmanager
-def trial_progress() -> Iterator[Callable[[int, int], None] | None]:
-    """Show how many trials are done, how many a second, and the time left, on standard error.
+def work_progress(what: str) -> Iterator[Callable[[int, int], None] | None]:
+    """Show how much is done, how much a second, and the time left, on standard error.
+
+    Parameters
+    ----------
+    what
+        Is counted.
 
     Yields
     ------
     Callable or None
-        To be called with (trials done, trials in all); None where there is no terminal.
+        To be called with (done, in all); None where there is no terminal.
     """
     if not sys.stderr.isatty():
         yield None
@@ -105,7 +110,7 @@ def trial_progress() -> Iterator[Callable[[int, int], None] | None]:
     from rich.console import Console
 
     bar = rich.Progress(
-        rich.TextColumn("Trials"),
+        rich.TextColumn(what),
         rich.BarColumn(),
         rich.MofNCompleteColumn(),
         rich.TextColumn("{task.fields[rate]}"),
@@ -114,7 +119,7 @@ def trial_progress() -> Iterator[Callable[[int, int], None] | None]:
         transient=True,
     )
     with bar:
-        task = bar.add_task("Trials", total=None, rate="")
+        task = bar.add_task(what, total=None, rate="")
 
         def advance(done: int, total: int) -> None:
             speed = bar.tasks[0].speed

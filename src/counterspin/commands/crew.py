@@ -1,0 +1,200 @@
+"""Who does work that is shared out: processes here, or the workers of a Dask cluster.
+
+- `Crew`: hands tasks to them
+- `crew_of`: starts processes, or reaches a cluster
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import CancelledError, Executor, Future
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from counterspin.errors import CounterspinError
+
+_THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+#: Seconds that a scheduler may take to answer.
+_ANSWER: Final = 10.0
+
+#: Seconds that a cluster's first worker may take to join, as where a queue starts it.
+_PATIENCE: Final = 600.0
+
+#: Seconds between two looks at how many workers a cluster has.
+_LOOK: Final = 2.0
+
+
+@dataclass
+class Crew:
+    """Those who do the work.
+
+    Attributes
+    ----------
+    executor
+        Takes tasks.
+    died
+        What a task raises whose worker died.
+    count
+        Tells how many there are now; those of a cluster come and go.
+    """
+
+    executor: Executor
+    died: tuple[type[BaseException], ...]
+    count: Callable[[], int]
+    _seen: tuple[float, int] = field(default=(-1e9, 1), init=False)
+
+    @property
+    def size(self) -> int:
+        """How many there are, or were a moment ago; at least 1."""
+        when, size = self._seen
+        if time.monotonic() - when > _LOOK:
+            size = max(1, self.count())
+            self._seen = (time.monotonic(), size)
+        return size
+
+
+@contextmanager
+def crew_of(workers: int, cluster: str | None, module: str) -> Iterator[Crew]:
+    """Yield those who do the work.
+
+    Parameters
+    ----------
+    workers
+        Processes here.
+    cluster
+        Address of a Dask scheduler, whose workers do the work instead; None: processes.
+    module
+        Holds the tasks. Processes load it at once, while the caller goes on.
+
+    Raises
+    ------
+    CounterspinError
+        If the cluster cannot be reached or is lost, or its workers cannot load the tasks.
+    """
+    if cluster is not None:
+        with _on_cluster(cluster) as crew:
+            yield crew
+        return
+    from concurrent.futures import ProcessPoolExecutor
+    from multiprocessing import get_context
+
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        try:
+            with _as_workers_are_born():
+                # The first task starts all processes.
+                for _ in range(workers):
+                    pool.submit(_load, module)
+            yield Crew(pool, (BrokenProcessPool,), lambda: workers)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+def _load(module: str) -> None:
+    importlib.import_module(module)
+
+
+@contextmanager
+def _as_workers_are_born() -> Iterator[None]:
+    """Set what a process takes over from the one that starts it.
+
+    One thread a worker: the matrices are small, and workers with more would crowd each other out;
+    libraries look at that when they are loaded. And Ctrl-C, which a terminal sends to all, is for
+    the process that hands out the work to see to.
+    """
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    in_main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if in_main else None
+    try:
+        yield
+    finally:
+        if in_main:
+            signal.signal(signal.SIGINT, handler)
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+class _DaskExecutor(Executor):
+    """Hands tasks to a Dask client.
+
+    Dask's own executor (`Client.get_executor`) fails where a worker leaves whose results have not
+    been fetched yet; here Dask computes them again.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+        self._tasks: set[Any] = set()  # Dask drops a task that nobody holds
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Hand over a task; its future raises CancelledError if the scheduler is lost."""
+        promised: Future[Any] = Future()
+        task = self._client.submit(fn, *args, **kwargs, pure=False)
+        self._tasks.add(task)
+
+        def keep(done: Any) -> None:
+            if promised.set_running_or_notify_cancel():
+                try:
+                    promised.set_result(done.result())
+                except BaseException as error:
+                    promised.set_exception(error)
+            self._tasks.discard(task)
+
+        task.add_done_callback(keep)
+        return promised
+
+
+@contextmanager
+def _on_cluster(address: str) -> Iterator[Crew]:
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError as error:
+        raise CounterspinError(
+            "--cluster needs Dask: pip install 'counterspin[cluster]'"
+        ) from error
+    silent = f"{address}: no Dask scheduler answers there; start one with `dask scheduler`"
+    try:
+        client: Any = Client(address, timeout=_ANSWER, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise CounterspinError(silent) from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_PATIENCE)
+        except TimeoutError as error:
+            raise CounterspinError(
+                f"{address}: no worker has joined that scheduler in {_PATIENCE:.0f} s; start some "
+                f"with `dask worker {address}`"
+            ) from error
+        except OSError as error:
+            raise CounterspinError(silent) from error
+
+        def count() -> int:
+            try:
+                return sum(client.nthreads().values())
+            except OSError as error:
+                raise CancelledError from error
+
+        try:
+            # Dask hands a dead worker's tasks to others by itself, until it gives a task up.
+            yield Crew(_DaskExecutor(client), (KilledWorker,), count)
+        except CancelledError as error:
+            raise CounterspinError(
+                f"{address}: the connection with the Dask scheduler was lost; see to it and run "
+                "the command again (a study with an --output folder goes on with --resume)"
+            ) from error
+        except ImportError as error:
+            raise CounterspinError(
+                f"a worker of the cluster cannot load counterspin ({error}); every worker needs "
+                "the same version of it, and of Python, as this computer"
+            ) from error
