@@ -15,6 +15,7 @@ The commands, as functions:
 - `plan`: which runs to make for a goal (`Planned`)
 - `forecast`: what the calibration of a campaign will say (`Forecast`)
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
+- `history`: a coefficient of each instrument through all its results (`History`)
 - `reproduce`: the paper's figures beside what they should be (`Reproduction`)
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
 - `write_report`: its full report as HTML, PDF or Markdown
@@ -79,6 +80,8 @@ if TYPE_CHECKING:
     from counterspin.commands.calibrate import calibrate as calibrate
     from counterspin.commands.demo import Demonstration as Demonstration
     from counterspin.commands.demo import demo as demo
+    from counterspin.commands.history import history as history
+    from counterspin.commands.history_result import History as History
     from counterspin.commands.init import init as init
     from counterspin.commands.plan import Planned as Planned
     from counterspin.commands.plan import plan as plan
@@ -128,6 +131,8 @@ _OFFERED = {
     "commands.apply_file": ("apply_file",),
     "commands.calibrate": ("calibrate",),
     "commands.demo": ("Demonstration", "demo"),
+    "commands.history": ("history",),
+    "commands.history_result": ("History",),
     "commands.init": ("init",),
     "commands.plan": ("Planned", "plan"),
     "commands.simulate": ("simulate",),

@@ -16,6 +16,7 @@ from counterspin.report.numbers import (
     format_estimate,
     format_interval,
     format_number,
+    format_probability,
     format_share,
     round_to_uncertainty,
     speakable,
@@ -191,6 +192,23 @@ def test_number_without_uncertainty(value, digits, expected):
 )
 def test_share(share, expected):
     assert format_share(share) == expected
+
+
+@pytest.mark.parametrize(
+    ("probability", "expected"),
+    [
+        (0.0, "< 0.1 %"),
+        (0.00049, "< 0.1 %"),
+        (0.0006, "0.1 %"),
+        (0.0249, "2.5 %"),
+        (0.95, "95.0 %"),
+        (0.9994, "99.9 %"),
+        (0.99951, "> 99.9 %"),
+        (1.0, "> 99.9 %"),
+    ],
+)
+def test_probability_is_never_rounded_to_certainty(probability, expected):
+    assert format_probability(probability) == expected
 
 
 @pytest.mark.parametrize("unit", ["g", "g/g^2", "g/g^3", "rad", "rad/s", "rad/s/g", "1/s"])
