@@ -16,6 +16,8 @@ What stands in this room:
 - `document`, `verdict`, `pictures`, `method`: the same in full, for paper and screen
 - `publishing`: the full report as a file
 - `text`: blocks in the terminal
+- `charts`, `chart_layout`: the pictures of a report as SVG
+- `pdf`, `markdown`: blocks as a file on paper and as plain text with marks
 - `figure`, `study_figures`, `planning_figure`: figures for files
 - `demonstration`, `reproduction`, `planning`, `study`, `batch`, `application`: what the other
   commands found
