@@ -15,6 +15,7 @@ What stands in this room:
 - `sections`, `findings`: a result as blocks, for the terminal
 - `document`, `verdict`, `pictures`, `method`: the same in full, for paper and screen
 - `publishing`: the full report as a file
+- `html`, `zoomable`: blocks as a page that needs nothing else; `assets` are its parts
 - `text`: blocks in the terminal
 - `charts`, `chart_layout`: the pictures of a report as SVG
 - `pdf`, `markdown`: blocks as a file on paper and as plain text with marks

@@ -1,0 +1,286 @@
+// The HTML report's script: the switch between light and dark, and plots that can be zoomed.
+// Without it the report is complete; still pictures stand where the plots would be.
+"use strict";
+
+(() => {
+  const root = document.documentElement;
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  const redraws = [];
+
+  // Light and dark
+
+  const isDark = () => (root.dataset.theme ? root.dataset.theme === "dark" : dark.matches);
+  const button = document.getElementById("theme");
+  const showTheme = () => {
+    button.textContent = isDark() ? "Light" : "Dark";
+    button.setAttribute("aria-label", `Use ${isDark() ? "light" : "dark"} colours`);
+    redraws.forEach((redraw) => redraw());
+  };
+  button.hidden = false;
+  button.addEventListener("click", () => {
+    root.dataset.theme = isDark() ? "light" : "dark";
+    showTheme();
+  });
+  dark.addEventListener("change", showTheme);
+
+  // Small tools
+
+  const colour = (name) => getComputedStyle(root).getPropertyValue(name).trim();
+
+  const make = (name, attributes, ...children) => {
+    const element = document.createElement(name);
+    for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+    element.append(...children);
+    return element;
+  };
+
+  const format = (value, digits) =>
+    value == null || !Number.isFinite(value) ? "–" : String(Number(value.toPrecision(digits)));
+
+  // An array comes as whole numbers and the size of one step.
+  const read = (packed) =>
+    packed && packed.values.map((value) => (value === null ? null : value * packed.step));
+
+  const within = (points, low, high) =>
+    points.x.flatMap((x, i) => (x >= low && x <= high && points.y[i] !== null ? [i] : []));
+
+  // A plot: lines and bands are uPlot's, points and levels are drawn here, over them
+
+  function parts(plot) {
+    const tables = [];
+    const series = [{}];
+    const bands = [];
+    const points = [];
+    const legend = [];
+    plot.series.forEach((source) => {
+      const name = source.colour;
+      const one = { x: read(source.x), y: read(source.y) };
+      one.low = read(source.low);
+      one.high = read(source.high);
+      const entry = { label: source.label, colour: name, kind: source.kind, value: null };
+      const line = (width, opacity = "") => ({
+        stroke: () => colour(name) + opacity,
+        width,
+        points: { show: false },
+        spanGaps: false,
+      });
+      if (source.kind === "points") {
+        points.push({ ...one, colour: name, standsOut: source.stands_out });
+        const mine = points.at(-1);
+        entry.value = (u, at) => nearest(u, mine, at);
+      } else if (source.kind === "band") {
+        const first = series.length;
+        tables.push([one.x, one.low, one.high]);
+        series.push(line(1, "a0"), line(1, "a0"));
+        bands.push({ series: [first + 1, first], fill: () => `${colour(name)}66` });
+        entry.value = (u) => [u.cursor.idxs[first], u.cursor.idxs[first + 1]]
+          .map((i, k) => (i == null ? null : u.data[first + k][i]));
+      } else {
+        const at = series.length;
+        tables.push([one.x, one.y]);
+        series.push(line(1.5));
+        entry.value = (u) => {
+          const i = u.cursor.idxs[at];
+          return i == null ? null : [u.data[at][i]];
+        };
+      }
+      legend.push(entry);
+    });
+    // Points widen the axis, and must not be joined: two may share an x.
+    const places = [...new Set(points.flatMap((one) => one.x))].sort((a, b) => a - b);
+    if (places.length) tables.push([places]);
+    // 2: a gap reaches to the neighbours that have a value (uPlot's JoinNullMode.Expand).
+    const gaps = tables.map((table) => table.map(() => 2));
+    return { data: uPlot.join(tables, gaps), series, bands, points, legend };
+  }
+
+  function nearest(u, one, at) {
+    const reach = 12;
+    let best = null;
+    let distance = reach;
+    for (const i of within(one, u.posToVal(at - reach, "x"), u.posToVal(at + reach, "x"))) {
+      const away = Math.abs(u.valToPos(one.x[i], "x") - at);
+      if (away < distance) [best, distance] = [i, away];
+    }
+    return best === null ? null : [one.y[best]];
+  }
+
+  // The height follows what is seen of lines and ordinary points. What stands out widens it up to
+  // three times; beyond that it would flatten all else, and is marked at the edge instead.
+  function yRange(u, low, high, points, levels, log) {
+    const { min, max } = u.scales.x;
+    const [first, last] = u.series[0].idxs ?? [0, u.data[0].length - 1];
+    const seen = [u.data[0][first] ?? min, u.data[0][last] ?? max];
+    const values = (some) => some.flatMap((one) =>
+      within(one, ...seen).flatMap((i) => [one.y[i], one.low?.[i] ?? one.y[i],
+        one.high?.[i] ?? one.y[i]]));
+    const out = points.filter((one) => one.standsOut);
+    const plain = [low, high, ...values(points.filter((one) => !one.standsOut))]
+      .filter(Number.isFinite);
+    if (!plain.length) plain.push(...values(out));
+    if (!plain.length) plain.push(...levels);
+    if (!plain.length) return [0, 1];
+    let [bottom, top] = [Math.min(...plain), Math.max(...plain)];
+    if (log) return uPlot.rangeLog(bottom, top, 10, false);
+    const height = top - bottom || Math.abs(top) || 1;
+    for (const y of values(out)) {
+      if (y > top && y < bottom + 3 * height) top = y;
+      if (y < bottom && y > top - 3 * height) bottom = y;
+    }
+    const margin = 0.06 * (top - bottom || height);
+    return [bottom - margin, top + margin];
+  }
+
+  function drawLevels(u, levels) {
+    const { ctx, bbox } = u;
+    ctx.save();
+    ctx.strokeStyle = colour("--muted");
+    ctx.lineWidth = devicePixelRatio;
+    ctx.setLineDash([5 * devicePixelRatio, 4 * devicePixelRatio]);
+    for (const level of levels) {
+      const y = u.valToPos(level, "y", true);
+      if (y < bbox.top || y > bbox.top + bbox.height) continue;
+      ctx.beginPath();
+      ctx.moveTo(bbox.left, y);
+      ctx.lineTo(bbox.left + bbox.width, y);
+      ctx.stroke();
+    }
+    ctx.restore();
+  }
+
+  function drawPoints(u, one) {
+    const { ctx, bbox } = u;
+    const size = 3.5 * devicePixelRatio;
+    const bottom = bbox.top + bbox.height;
+    ctx.save();
+    ctx.fillStyle = ctx.strokeStyle = colour(one.colour);
+    ctx.lineWidth = 1.25 * devicePixelRatio;
+    for (const i of within(one, u.scales.x.min, u.scales.x.max)) {
+      const x = u.valToPos(one.x[i], "x", true);
+      const y = u.valToPos(one.y[i], "y", true);
+      ctx.beginPath();
+      if (one.low && one.low[i] !== null && one.high[i] !== null) {
+        ctx.moveTo(x, Math.min(u.valToPos(one.low[i], "y", true), bottom));
+        ctx.lineTo(x, Math.max(u.valToPos(one.high[i], "y", true), bbox.top));
+        ctx.stroke();
+        ctx.beginPath();
+      }
+      if (y < bbox.top || y > bottom) {
+        const [edge, way] = y < bbox.top ? [bbox.top, 1] : [bottom, -1];
+        ctx.moveTo(x, edge);
+        ctx.lineTo(x - size, edge + 2 * way * size);
+        ctx.lineTo(x + size, edge + 2 * way * size);
+      } else {
+        ctx.arc(x, y, size, 0, 2 * Math.PI);
+      }
+      ctx.fill();
+    }
+    ctx.restore();
+  }
+
+  function axis(label, size) {
+    return {
+      label,
+      size,
+      stroke: () => colour("--ink"),
+      font: '12px system-ui, "Segoe UI", Roboto, sans-serif',
+      labelFont: '12px system-ui, "Segoe UI", Roboto, sans-serif',
+      labelSize: 20,
+      grid: { stroke: () => colour("--grid"), width: 1 },
+      ticks: { stroke: () => colour("--grid"), width: 1, size: 5 },
+      values: (u, splits) => splits.map((value) => (value == null ? "" : format(value, 6))),
+    };
+  }
+
+  function zoomable(figure) {
+    const plot = JSON.parse(figure.querySelector("script").textContent);
+    const { data, series, bands, points, legend } = parts(plot);
+    const title = figure.querySelector("figcaption").textContent;
+    const canvas = make("div", { class: "canvas", role: "img", "aria-label": title });
+    const readout = make("ul", { class: "readout" });
+    const place = make("b", {});
+    readout.append(make("li", {}, `${plot.x_label}: `, place));
+    for (const entry of legend) {
+      const dots = entry.kind === "points" ? "dots" : "";
+      entry.shown = make("b", {});
+      const swatch = make("i", { class: dots, style: `background: var(${entry.colour})` });
+      readout.append(make("li", {}, swatch, `${entry.label}${entry.label && ": "}`, entry.shown));
+    }
+    const read = (u) => {
+      const { left, idx } = u.cursor;
+      const over = left >= 0 && idx != null;
+      place.textContent = over ? format(u.posToVal(left, "x"), 6) : "–";
+      for (const entry of legend) {
+        const values = over ? entry.value(u, left) : null;
+        entry.shown.textContent = values ? values.map((one) => format(one, 4)).join(" to ") : "–";
+      }
+    };
+    const box = make("div", { class: "live" });
+    figure.append(box);
+    figure.classList.add("zoomed");
+    const range = (u, low, high) => yRange(u, low, high, points, plot.levels, plot.log_y);
+    const chart = new uPlot(
+      {
+        width: figure.clientWidth,
+        height: 300,
+        legend: { show: false },
+        cursor: {
+          y: false,
+          points: { show: false },
+          drag: { x: true, y: false, dist: 4 },
+          hover: { prox: 24, skip: [null, undefined] },
+        },
+        scales: {
+          x: { time: false, distr: plot.log_x ? 3 : 1 },
+          y: { distr: plot.log_y ? 3 : 1, range },
+        },
+        axes: [axis(plot.x_label, 34), axis(plot.y_label, 58)],
+        series,
+        bands,
+        hooks: {
+          setCursor: [read],
+          drawClear: [(u) => drawLevels(u, plot.levels)],
+          draw: [(u) => points.forEach((one) => drawPoints(u, one))],
+        },
+      },
+      data,
+      canvas,
+    );
+    figure.chart = chart;
+
+    // What a mouse does by dragging, keys and fingers do with these
+    const whole = [data[0][0], data[0].at(-1)];
+    const see = (shift, factor) => {
+      const { min, max } = chart.scales.x;
+      const half = Math.min(0.5 * (max - min) * factor, 0.5 * (whole[1] - whole[0]));
+      const middle = 0.5 * (min + max) + shift * (max - min);
+      const centre = Math.min(Math.max(middle, whole[0] + half), whole[1] - half);
+      chart.setScale("x", { min: centre - half, max: centre + half });
+    };
+    const tool = (sign, words, action) => {
+      const one = make("button", { type: "button", "aria-label": words, title: words }, sign);
+      one.addEventListener("click", action);
+      return one;
+    };
+    box.append(
+      make("div", { class: "tools" },
+        tool("+", "Zoom in", () => see(0, 0.5)),
+        tool("−", "Zoom out", () => see(0, 2)),
+        tool("‹", "Move left", () => see(-0.25, 1)),
+        tool("›", "Move right", () => see(0.25, 1)),
+        tool("Whole", "Show the whole", () => chart.setScale("x", { min: whole[0], max: whole[1] })),
+        make("p", {}, "Drag to look closer, double-click for the whole.")),
+      canvas,
+      readout,
+    );
+    read(chart);
+    redraws.push(() => chart.redraw(false));
+    new ResizeObserver(() => {
+      const width = box.clientWidth;
+      if (width && width !== chart.width) chart.setSize({ width, height: 300 });
+    }).observe(box);
+  }
+
+  if (typeof uPlot !== "undefined") document.querySelectorAll("figure.zoomable").forEach(zoomable);
+  showTheme();
+})();

@@ -1,0 +1,308 @@
+"""The HTML report in a browser: Chromium, driven by Playwright, cut off from everything else.
+
+COUNTERSPIN_CHROMIUM names an executable; without it, ``chromium`` of the path is taken. Nothing is
+downloaded: where there is no browser, these tests are skipped.
+"""
+
+import os
+import re
+import shutil
+from contextlib import contextmanager
+from io import BytesIO
+
+import pytest
+from pages import page
+from pypdf import PdfReader
+
+sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
+
+CHROMIUM = os.environ.get("COUNTERSPIN_CHROMIUM") or shutil.which("chromium")
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None, reason="no Chromium: install Debian's package, or set COUNTERSPIN_CHROMIUM"
+)
+
+PHONE = {"width": 360, "height": 740}
+DESK = {"width": 1280, "height": 900}
+
+
+@pytest.fixture(scope="module")
+def browser():
+    # Chromium refuses to sandbox itself for root, as whom continuous integration often runs.
+    root = hasattr(os, "geteuid") and os.geteuid() == 0
+    with sync_api.sync_playwright() as playwright:
+        started = playwright.chromium.launch(
+            executable_path=CHROMIUM, args=["--no-sandbox"] if root else []
+        )
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="module")
+def report(tmp_path_factory):
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    path.write_text(page(), encoding="utf-8")
+    return path
+
+
+@contextmanager
+def opened(browser, path, **settings):
+    """Open a file; yield its tab, what it asked for besides itself, and what went wrong in it."""
+    context = browser.new_context(**{"viewport": DESK} | settings)
+    asked, wrong = [], []
+
+    def decide(route):
+        if route.request.url == path.as_uri():
+            route.continue_()
+        else:
+            asked.append(route.request.url)
+            route.abort()
+
+    context.route("**/*", decide)
+    tab = context.new_page()
+    tab.on("console", lambda said: wrong.append(said.text) if said.type == "error" else None)
+    tab.on("pageerror", lambda error: wrong.append(str(error)))
+    tab.goto(path.as_uri())
+    yield tab, asked, wrong
+    context.close()
+
+
+@pytest.fixture
+def desk(browser, report):
+    with opened(browser, report) as (tab, _, wrong):
+        yield tab
+        assert wrong == []
+
+
+def first_plot(tab):
+    """Return the first plot that can be zoomed, scrolled into view."""
+    figure = tab.locator("figure.zoomed").first
+    figure.scroll_into_view_if_needed()
+    return figure
+
+
+def seen(figure):
+    """Return what part of the axes a plot shows: x from, x to, y from, y to."""
+    return figure.evaluate(
+        "f => ['x', 'y'].flatMap(k => [f.chart.scales[k].min, f.chart.scales[k].max])"
+    )
+
+
+def colour_at(figure, x, from_top):
+    """Return red, green and blue of a plot at a value of x and so many pixels below its top."""
+    return figure.evaluate(
+        """(f, [x, down]) => {
+            const { ctx, bbox } = f.chart;
+            const at = [f.chart.valToPos(x, "x", true), bbox.top + down];
+            return [...ctx.getImageData(...at.map(Math.round), 1, 1).data].slice(0, 3);
+        }""",
+        [x, from_top],
+    )
+
+
+# From outside
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("viewport", [DESK, PHONE], ids=["desk", "phone"])
+def test_no_request_leaves_the_page_and_nothing_goes_wrong(browser, report, viewport, scheme):
+    with opened(browser, report, viewport=viewport, color_scheme=scheme) as (tab, asked, wrong):
+        tab.get_by_role("button", name="Zoom in").first.click()
+        tab.locator("#theme").click()
+        tab.emulate_media(media="print")
+        assert asked == []
+        assert wrong == []
+
+
+def test_a_request_would_be_counted_and_the_policy_forbids_it(browser, tmp_path):
+    image = '<img src="http://example.invalid/a.png">'
+    path = tmp_path / "page.html"
+    path.write_text(image, encoding="utf-8")
+    with opened(browser, path) as (_, asked, wrong):
+        assert asked == ["http://example.invalid/a.png"]
+    path.write_text(page().replace("<header>", image + "<header>"), encoding="utf-8")
+    with opened(browser, path) as (_, asked, wrong):
+        assert asked == []
+        assert "Content Security Policy" in wrong[0]
+
+
+# Colours
+
+
+def ground(tab):
+    return tab.evaluate("getComputedStyle(document.documentElement).backgroundColor")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_colours_follow_the_system_and_the_switch(browser, report, scheme):
+    with opened(browser, report, color_scheme=scheme) as (tab, _, _):
+        drawing = "document.querySelector('figure.zoomed canvas').toDataURL()"
+        before, drawn = ground(tab), tab.evaluate(drawing)
+        assert (before == "rgb(255, 255, 255)") == (scheme == "light")
+        tab.locator("#theme").click()
+        assert (ground(tab) == "rgb(255, 255, 255)") == (scheme == "dark")
+        tab.wait_for_function(f"before => {drawing} !== before", arg=drawn)
+        tab.locator("#theme").click()
+        assert ground(tab) == before
+        tab.wait_for_function(f"before => {drawing} === before", arg=drawn)
+
+
+def test_a_change_of_the_system_is_followed(desk):
+    light = ground(desk)
+    desk.emulate_media(color_scheme="dark")
+    assert ground(desk) != light
+
+
+# A small screen
+
+
+def test_a_phone_shows_the_answer_at_once_and_nothing_overflows(browser, report):
+    settings = {"viewport": PHONE, "has_touch": True, "is_mobile": True}
+    with opened(browser, report, **settings) as (tab, _, _):
+        assert tab.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
+        box = tab.locator(".answers").bounding_box()
+        assert box["y"] + box["height"] < PHONE["height"]
+        # Whatever reaches beyond the screen can be reached by scrolling its own box.
+        assert (
+            tab.evaluate(
+                """width => [...document.body.querySelectorAll("*")].filter((element) =>
+                element.getBoundingClientRect().right > width
+                && !element.closest(".scroll, .still, .u-wrap, .skip")).map((e) => e.outerHTML)""",
+                PHONE["width"],
+            )
+            == []
+        )
+        assert tab.locator(".uplot").first.bounding_box()["width"] <= PHONE["width"]
+
+
+def test_plots_follow_the_width_of_the_window(desk):
+    figure = first_plot(desk)
+    wide = figure.evaluate("f => f.chart.width")
+    desk.set_viewport_size(PHONE)
+    desk.wait_for_function("document.querySelector('figure.zoomed').chart.width < 360")
+    desk.set_viewport_size(DESK)
+    desk.wait_for_function(
+        "wide => document.querySelector('figure.zoomed').chart.width === wide", arg=wide
+    )
+
+
+# Paper
+
+
+def test_paper_is_light_still_and_without_controls(browser, report):
+    with opened(browser, report, color_scheme="dark") as (tab, _, _):
+        tab.locator("#theme").click()
+        tab.locator("#theme").click()
+        assert ground(tab) != "rgb(255, 255, 255)"
+        tab.emulate_media(media="print")
+        assert ground(tab) == "rgb(255, 255, 255)"
+        assert tab.locator("button:visible").count() == 0
+        assert tab.locator("canvas:visible").count() == 0
+        figures = tab.locator("figure").count()
+        assert tab.locator("figure .still svg:visible").count() == figures
+
+
+def test_each_printed_page_has_identifier_and_number(desk):
+    printed = PdfReader(BytesIO(desk.pdf(prefer_css_page_size=True)))
+    count = len(printed.pages)
+    assert count > 1
+    for number, sheet in enumerate(printed.pages, 1):
+        text = " ".join(sheet.extract_text().split())
+        assert "LAB 7/26 Qx" in text
+        assert f"{number} / {count}" in text
+
+
+# A closer look
+
+
+def test_dragging_zooms_and_a_double_click_shows_the_whole(desk):
+    figure = first_plot(desk)
+    whole = seen(figure)
+    assert whole[:2] == [0.0, 749.5]
+    box = figure.locator(".u-over").bounding_box()
+    left, right = box["x"] + 0.25 * box["width"], box["x"] + 0.5 * box["width"]
+    middle = box["y"] + 0.5 * box["height"]
+    desk.mouse.move(left, middle)
+    desk.mouse.down()
+    desk.mouse.move(right, middle, steps=4)
+    desk.mouse.up()
+    desk.wait_for_function("document.querySelector('figure.zoomed').chart.scales.x.min > 0")
+    low, high, *_ = seen(figure)
+    pixel = 749.5 / box["width"]
+    assert low == pytest.approx(0.25 * 749.5, abs=2.0 * pixel)
+    assert high == pytest.approx(0.5 * 749.5, abs=2.0 * pixel)
+    desk.mouse.dblclick(left, middle)
+    desk.wait_for_function("document.querySelector('figure.zoomed').chart.scales.x.min === 0")
+    assert seen(figure) == pytest.approx(whole)
+
+
+def test_keys_and_fingers_can_zoom_and_move(desk):
+    figure = first_plot(desk)
+
+    def press(name):
+        button = figure.get_by_role("button", name=name)
+        button.focus()
+        desk.keyboard.press("Enter")
+        desk.wait_for_timeout(30)
+        return seen(figure)[:2]
+
+    assert press("Zoom in") == pytest.approx([187.375, 562.125])
+    assert press("Zoom in") == pytest.approx([281.0625, 468.4375])
+    assert press("Move right") == pytest.approx([327.90625, 515.28125])
+    assert press("Move left") == pytest.approx([281.0625, 468.4375])
+    assert press("Zoom out") == pytest.approx([187.375, 562.125])
+    # The ends are as far as one gets.
+    for _ in range(3):
+        press("Move right")
+    assert press("Move right") == pytest.approx([374.75, 749.5])
+    assert press("Zoom out") == pytest.approx([0.0, 749.5])
+    press("Zoom in")
+    assert press("Show the whole") == pytest.approx([0.0, 749.5])
+
+
+def test_outliers_are_seen_at_any_zoom_and_flatten_nothing(desk):
+    figure = first_plot(desk)
+    warning = [0xB3, 0x26, 0x1E]
+    _, _, low, high = seen(figure)
+    # The band reaches from -6 to 6; 12 and -13 widen it, 4000 does not.
+    assert low == pytest.approx(-13.0 - 0.06 * 25.0, abs=0.1)
+    assert high == pytest.approx(12.0 + 0.06 * 25.0, abs=0.1)
+    assert colour_at(figure, 600.0, 4) == warning
+    figure.evaluate("f => f.chart.setScale('x', { min: 590, max: 610 })")
+    desk.wait_for_function("document.querySelector('figure.zoomed').chart.scales.x.min === 590")
+    assert seen(figure)[3] < 7.0
+    assert colour_at(figure, 600.0, 4) == warning
+    assert colour_at(figure, 605.0, 4) != warning
+
+
+def test_the_cursor_reads_the_values(desk):
+    figure = first_plot(desk)
+    texts = figure.locator(".readout li")
+    assert [text.strip() for text in texts.all_inner_texts()] == [
+        "time, s: –",
+        "Qx: –",
+        "mean: –",
+        "left out: –",
+    ]
+    box = figure.locator(".u-over").bounding_box()
+    desk.mouse.move(box["x"] + 600.0 / 749.5 * box["width"], box["y"] + 20.0)
+    desk.wait_for_function(
+        "!document.querySelector('.readout li:last-child').innerText.endsWith('–')"
+    )
+    place, band, mean, out = (text.split(": ")[1] for text in texts.all_inner_texts())
+    assert float(place) == pytest.approx(600.0, abs=2.0)
+    assert re.fullmatch(r"-5\.\d+ to 5\.\d+", band)
+    assert abs(float(mean)) <= 1.0
+    assert float(out) == 4000.0
+
+
+# No script
+
+
+def test_without_a_script_all_is_there(browser, report):
+    with opened(browser, report, java_script_enabled=False) as (tab, _, _):
+        assert tab.locator(".answer").inner_text().startswith("K_II of Qx = 27.04 ± 0.11 ug/g^2")
+        assert tab.locator("td:visible").count() == 6
+        assert (
+            tab.locator("figure .still svg:visible").count() == tab.locator("figure").count() == 5
+        )
+        assert tab.locator("button:visible").count() == 0
