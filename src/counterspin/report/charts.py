@@ -187,9 +187,10 @@ def _draw_series(axes: Any, series: Series, plot: Plot, colour: str, marker: str
             )
         return
     if low is not None:
-        band = axes.fill_between(x, low, high, color=colour, alpha=0.18, linewidth=0.0, zorder=1.2)
+        band = axes.fill_between(x, low, high, facecolor=(colour, 0.18), linewidth=0.0, zorder=1.2)
         if series.kind == "band":
-            band.set_label(series.label or None)
+            # With an edge: a band of single samples has no width, and yet is seen.
+            band.set(label=series.label or None, edgecolor=(colour, 0.6), linewidth=0.4)
     if series.kind == "line":
         axes.plot(x, y, color=colour, linewidth=1.1, label=series.label or None, zorder=2.1)
         seen = np.concatenate([[False], np.isfinite(y), [False]])

@@ -61,7 +61,6 @@
       const line = (width, opacity = "") => ({
         stroke: () => colour(name) + opacity,
         width,
-        points: { show: false },
         spanGaps: false,
       });
       if (source.kind === "points") {
@@ -91,7 +90,19 @@
     if (places.length) tables.push([places]);
     // 2: a gap reaches to the neighbours that have a value (uPlot's JoinNullMode.Expand).
     const gaps = tables.map((table) => table.map(() => 2));
-    return { data: uPlot.join(tables, gaps), series, bands, points, legend };
+    const data = uPlot.join(tables, gaps);
+    series.slice(1).forEach((one, i) => {
+      const alone = between(data[i + 1]);
+      one.points = { show: false, filter: () => alone, size: 4, fill: one.stroke };
+    });
+    return { data, series, bands, points, legend };
+  }
+
+  // Values between two gaps, which no line reaches; undefined is where other series have a value.
+  function between(values) {
+    const places = values.flatMap((value, i) => (value === undefined ? [] : [i]));
+    return places.filter((i, k) => values[i] !== null
+      && (values[places[k - 1]] ?? null) === null && (values[places[k + 1]] ?? null) === null);
   }
 
   function nearest(u, one, at) {
