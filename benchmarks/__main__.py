@@ -2,6 +2,7 @@
 
     python benchmarks          # small sizes; tables in build/benchmarks
     python benchmarks --full   # the sizes of the targets; renews benchmarks/results.* and the docs
+    python benchmarks --full --only machine,study   # renews these tables alone
 
 The figures that are kept come from a full run only.
 """
@@ -12,22 +13,40 @@ from pathlib import Path
 
 import calibrate
 import commands
+import costs
 import machine
 import plan
-from table import insert, options, render, save
+import study
+from table import insert, load, merge, options, render, save
 
 ROOT = Path(__file__).parent.parent
 
+BENCHMARKS = {
+    "machine": machine,
+    "commands": commands,
+    "plan": plan,
+    "study": study,
+    "calibrate": calibrate,
+    "costs": costs,
+}
+
 
 def main() -> None:
-    chosen = options(__doc__.splitlines()[0]).parse_args()
+    parser = options(__doc__.splitlines()[0])
+    parser.add_argument("--only", help=f"some of {','.join(BENCHMARKS)}; the others' stay")
+    chosen = parser.parse_args()
+    folder = ROOT / ("benchmarks" if chosen.full else "build/benchmarks")
     tables = []
-    for benchmark in (machine, commands, plan, calibrate):
-        found = benchmark.tables(chosen.full, chosen.repeats)
+    for name in chosen.only.split(",") if chosen.only else BENCHMARKS:
+        found = BENCHMARKS[name].tables(chosen.full, chosen.repeats)
         print(render(found), flush=True)
         tables += found
-    folder = ROOT / ("benchmarks" if chosen.full else "build/benchmarks")
+    if chosen.only and (folder / "results.json").exists():
+        tables = merge(load(folder), tables)
     save(tables, folder)
+    if {costs.TRIALS, costs.SAMPLES} <= {table.title for table in tables}:
+        pictures = ROOT / "docs/images" if chosen.full else folder
+        costs.draw(tables, pictures / "benchmarks.svg")
     if chosen.full:
         page = ROOT / "docs" / "benchmarks.md"
         page.write_text(insert(tables, page.read_text("utf-8")), encoding="utf-8")

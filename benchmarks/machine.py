@@ -36,6 +36,22 @@ for _ in range(3):
 print(n / best / 1e6)
 """
 
+TWO_CORES = """
+import time, numpy as np
+from concurrent.futures import ThreadPoolExecutor
+outs = [np.empty(16384), np.empty(16384)]
+generators = [np.random.default_rng(n) for n in range(2)]
+def work(place):  # NumPy lets the other thread run meanwhile
+    for _ in range(2000):
+        generators[place].standard_normal(out=outs[place])
+def seconds(count):
+    with ThreadPoolExecutor(count) as pool:
+        begin = time.perf_counter()
+        list(pool.map(work, range(count)))
+        return time.perf_counter() - begin
+print(max(2 * seconds(1) / seconds(2) for _ in range(5)))
+"""
+
 CHECKSUM = """
 import hashlib, time
 data, best = bytes(1 << 26), 1e9
@@ -53,6 +69,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     limits = {
         "memory, NumPy triad a = b + 3 c, one core (GB/s)": TRIAD,
         "standard normals, one core (million/s)": NORMALS,
+        "standard normals, two cores at once / one": TWO_CORES,
         "SHA-256, one core (GB/s)": CHECKSUM,
     }
     commands = {name: [*PYTHON, "-c", code] for name, code in limits.items()}

@@ -40,7 +40,8 @@ force, parabola, sigma = [], [], []
 for n in range(3):
     t, angle, east = read(f"{folder}/run{n}{suffix}")
     error = east - R * np.cos(angle)
-    rate = np.polyfit(t[:: len(t) // 10000], angle[:: len(t) // 10000], 1)[0]
+    some = slice(None, None, max(1, len(t) // 10000))
+    rate = np.polyfit(t[some], angle[some], 1)[0]
     # The angle's noise would be summed with the acceleration: the fitted rotation instead.
     a = -(R * rate**2 + 2 * EARTH_UP * R * rate) * np.cos(rate * t)
     dt = (t[-1] - t[0]) / (len(t) - 1)

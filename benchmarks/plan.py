@@ -4,29 +4,20 @@
 
 Eight runs in one attitude and either sense; K_F, K_I, K_II, K_III, tilts, drift and g-sensitivity
 with their priors. The predictions are made in batches of 100 designs at random, rates and lengths
-all different, on one core.
+all different, on one core, by `plan_predictions.py`.
 """
 
 from __future__ import annotations
 
-import os
-
-# The command line does the same: for matrices this small, more threads cost more than they bring.
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-import math
+import json
+import subprocess
 import tempfile
-import time
 from pathlib import Path
 
-import numpy as np
-
-from counterspin.campaign.plan_description import read_plan
-from counterspin.commands.plan import write_example
-from counterspin.commands.plan_search import Search
-from process import COUNTERSPIN, interleaved
+from process import COUNTERSPIN, PYTHON, interleaved
 from table import Table, script
 
+HERE = Path(__file__).parent
 RUNS = 8
 BATCH = 100
 
@@ -34,7 +25,9 @@ BATCH = 100
 def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     """Time planning and predictions."""
     with tempfile.TemporaryDirectory() as name:
-        file = write_example(Path(name) / "PLAN.toml")
+        file = Path(name) / "PLAN.toml"
+        init = [*COUNTERSPIN, "plan", "--init", str(file)]
+        subprocess.run(init, check=True, stdout=subprocess.DEVNULL)
         text = file.read_text(encoding="utf-8").replace("runs = 14", f"runs = {RUNS}")
         file.write_text(text.replace('senses = "one"', 'senses = "both"'), encoding="utf-8")
         command = [*COUNTERSPIN, "plan", str(file)]
@@ -58,26 +51,11 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
 
 
 def _predictions(file: Path, batches: int) -> tuple[float, float]:
-    """Return predictions a second: in batches, and one by one."""
-    search = Search(read_plan(file))
-    generator = np.random.default_rng(1)
-    types = tuple(search.limits.types[i % 2] for i in range(RUNS))
-    low, high = search.limits.rate
-    rates = generator.uniform(low, high, (BATCH, RUNS))
-    turns = generator.uniform(10.0, 60.0, rates.shape)
-
-    def best(work: object, repeats: int) -> float:
-        times = []
-        for _ in range(repeats):
-            begin = time.perf_counter()
-            work()  # type: ignore[operator]
-            times.append(time.perf_counter() - begin)
-        return min(times)
-
-    together = best(lambda: search.predictor.covariance(types, rates, turns), batches)
-    alone = best(lambda: search.predictor.covariance(types, rates[0], turns[0]), 50 * batches)
-    assert math.isfinite(together)
-    return BATCH / together, 1.0 / alone
+    """Return predictions a second, in batches and one by one; in a process of their own."""
+    command = [*PYTHON, str(HERE / "plan_predictions.py"), str(file), str(RUNS), str(batches)]
+    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    together, single = json.loads(done.stdout)
+    return together, single
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 - `Table`: figures with a heading and a remark
 - `render`: tables as Markdown
 - `save`, `load`: as Markdown and JSON
+- `merge`: tables of which some were measured again
 - `insert`: into a page of documentation
 - `options`: the choices that all scripts offer
 """
@@ -73,6 +74,13 @@ def load(folder: Path) -> list[Table]:
     """Read the tables that `save` has written."""
     text = (folder / "results.json").read_text(encoding="utf-8")
     return [Table(**table) for table in json.loads(text)]
+
+
+def merge(before: Sequence[Table], again: Sequence[Table]) -> list[Table]:
+    """Return tables with those of the same title replaced, and what is new at the end."""
+    renewed = {table.title: table for table in again}
+    kept = [renewed.pop(table.title, table) for table in before]
+    return [*kept, *renewed.values()]
 
 
 def insert(tables: Sequence[Table], page: str) -> str:

@@ -1,0 +1,181 @@
+"""Studies: trials of the paper's plan and of exact physics, against other ways and on two cores.
+
+    python benchmarks/study.py          # small
+    python benchmarks/study.py --full   # the sizes of the targets, and the figure
+
+What is timed within a process is done by `study_jobs.py`, so that this one stays small: see
+`process`. A Python that has suncal may be named in the environment as SUNCAL_PYTHON; see
+`peer_suncal.py`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from process import COUNTERSPIN, PYTHON, interleaved
+from table import Cell, Table, script
+
+HERE = Path(__file__).parent
+MILLION = 1e6
+
+
+def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
+    """Time trials by each way, and whole studies."""
+    repeats = repeats or (7 if full else 3)
+    command = [*PYTHON, str(HERE / "study_jobs.py"), "--repeats", str(repeats)]
+    done = subprocess.run(
+        [*command, *(["--full"] if full else [])], check=True, stdout=subprocess.PIPE, text=True
+    )
+    found = json.loads(done.stdout)
+    return [
+        _paper(found, full),
+        _exact(found["exact"]),
+        _whole(found["studies"], full, min(repeats, 3)),
+        Table(
+            "Cost against trials",
+            "Seconds by each way, within one process, the fastest of three.",
+            ["way", "trials", "seconds"],
+            [[row["way"], row["trials"], row["seconds"]] for row in found["against trials"]],
+        ),
+    ]
+
+
+def _paper(found: dict[str, Any], full: bool) -> Table:
+    paper = found["paper"]
+    a_million = {
+        way: [MILLION / paper["sizes"][way] * seconds for seconds in taken]
+        for way, taken in paper["times"].items()
+    }
+    ours = a_million["given"][0]
+    sizes = paper["sizes"]
+
+    def row(name: str, way: str, target: Cell, ratio: Cell) -> list[Cell]:
+        wall, cpu = a_million[way]
+        note = "" if sizes[way] == MILLION else f", from {sizes[way]:.0e}"
+        return [name + note, wall, cpu, target, None if way == "given" else wall / ours, ratio]
+
+    rows = [
+        row("counterspin study", "given", 0.25, None),
+        row("counterspin study, sigma from the residuals", "residuals", None, None),
+        row("NumPy, all readings, chunks in cache", "brute force", None, 8.0),
+        row("loop of numpy.linalg.lstsq", "lstsq", None, 100.0),
+        row("uncertainties, one analysis after the other", "uncertainties", None, None),
+    ]
+    samples = 100_000 if full else 10_000
+    theirs = _suncal(found["linear"], samples, paper["u"])
+    if theirs is None:
+        remark = "suncal is not in the table: it is under the GPL and was not there (SUNCAL_PYTHON)"
+    else:
+        wall = MILLION / samples * theirs["seconds"]
+        name = f"suncal {theirs['version']}, Monte Carlo, from {samples:.0e}"
+        rows.append([name, wall, None, None, wall / ours, None])
+        remark = "suncal draws the 300 readings of one analysis, model and start left out"
+    return Table(
+        "A million trials of the paper's plan",
+        "Three rates of 100 strobes each, two stages, on one core, within a process; medians of "
+        "repetitions that take turns. All find the same K_II and u. The `uncertainties` package "
+        "propagates to first order, which is one analysis and no trial of it; each time is that of "
+        f"as many analyses. {remark}.",
+        ["way", "median (s)", "processor (s)", "target (s)", "times ours", "target"],
+        rows,
+    )
+
+
+def _suncal(linear: dict[str, Any], samples: int, u: float) -> dict[str, Any] | None:
+    """Return what suncal takes and finds, or None if there is none."""
+    python = os.environ.get("SUNCAL_PYTHON")
+    if not python:
+        return None
+    with tempfile.TemporaryDirectory() as name:
+        file = Path(name) / "linear.json"
+        file.write_text(json.dumps(linear), encoding="utf-8")
+        command = [python, str(HERE / "peer_suncal.py"), str(file), str(samples)]
+        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+    theirs: dict[str, Any] = json.loads(done.stdout)
+    # Five standard errors of a standard deviation.
+    assert abs(theirs["u"] / u - 1.0) < 5.0 / (2.0 * samples) ** 0.5
+    return theirs
+
+
+def _exact(found: dict[str, Any]) -> Table:
+    sizes, times = found["sizes"], found["times"]
+    a_trial = {way: [1e6 / sizes[way] * s for s in taken] for way, taken in times.items()}
+    ours = a_trial["surrogate"][0]
+    rows: list[list[Cell]] = [
+        ["counterspin study", *a_trial["surrogate"], 5.0, None, None],
+        [
+            "counterspin study --engine exact, vectorised quadrature",
+            *a_trial["quadrature"],
+            None,
+            a_trial["quadrature"][0] / ours,
+            20.0,
+        ],
+        [
+            "scipy solve_ivp, DOP853, rtol 1e-12",
+            *a_trial["ode"],
+            None,
+            a_trial["ode"][0] / ours,
+            10000.0,
+        ],
+    ]
+    return Table(
+        "A trial of exact physics",
+        "The same plan; coefficients and radius vary from trial to trial, drift, ripple and its "
+        "phase from run to run. One core, within a process; medians. The estimates of a trial by "
+        f"the first two ways differ by at most {found['error']:.0e} of their u; `solve_ivp` "
+        f"integrates the true errors of one trial and finds the same b2 within "
+        f"{max(found['ode_error'], 1e-14):.0e}.",
+        ["way", "median (us)", "processor (us)", "target (us)", "times ours", "target"],
+        rows,
+    )
+
+
+def _whole(studies: dict[str, str], full: bool, repeats: int) -> Table:
+    """Time whole processes: a million trials, and some 20 s of work by one worker and by two."""
+    with tempfile.TemporaryDirectory() as name:
+        folders = {}
+        for study, text in studies.items():
+            folders[study] = Path(name) / study
+            folders[study].mkdir()
+            (folders[study] / "campaign.toml").write_text(text, encoding="utf-8")
+
+        def command(study: str, count: float, workers: int = 1) -> list[str]:
+            few = ["--trials", str(int(count)), "--workers", str(workers)]
+            return [*COUNTERSPIN, "study", str(folders[study]), *few]
+
+        many = 1.8e7 if full else 1e6
+        found = interleaved(
+            {
+                "paper": command("given", MILLION),
+                "one": command("varying", many),
+                "two": command("varying", many, 2),
+            },
+            repeats,
+        )
+    one, two = found["one"], found["two"]
+    rows: list[list[Cell]] = [
+        ["1e+06 trials of the paper's plan", *_times(found["paper"]), None, None],
+        [f"{many:.1e} trials of exact physics, one worker", *_times(one), None, None],
+        ["the same, two workers", *_times(two), one.median / two.median, 1.7],
+    ]
+    return Table(
+        "Whole studies",
+        "Whole processes that take turns: start of Python and of the workers, preparation, trials, "
+        "report. Processor time is that of all processes together; workers can be no better than "
+        "the machine's two processes at once (above).",
+        ["process", "median (s)", "fastest (s)", "processor (s)", "faster by", "target"],
+        rows,
+    )
+
+
+def _times(found: Any) -> list[Cell]:
+    return [found.median, found.fastest, found.cpu]
+
+
+if __name__ == "__main__":
+    script(__doc__.splitlines()[0], tables)

@@ -1,0 +1,209 @@
+"""A study's trials as they are done without this package's shortcuts.
+
+- `Plan`: the paper's plan as numbers
+- `brute_force`: every reading of every trial drawn, all trials of a chunk at once
+- `one_by_one`: the same, a trial at a time with `numpy.linalg.lstsq`
+- `with_uncertainties`: one analysis carried through the `uncertainties` package
+- `Motion`, `by_ode`: what each error adds to a run, by `scipy.integrate.solve_ivp`
+
+The peers get from the package what is no part of the comparison: times of the strobes, the
+readings without noise, what is known beforehand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+#: Trials worked on at once: readings of a run then fit a core's cache.
+CHUNK = 1024
+
+FACTORS = (1.0, 1.96, 2.5758)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Three runs of 100 strobes, and a second stage for K_II and K_F.
+
+    Attributes
+    ----------
+    times, readings
+        Of each run: strobe times in s, displacement errors without noise in m.
+    sigma
+        Noise of a reading, m.
+    columns
+        b2 per unit of K_II and K_F, shape (2, runs).
+    known
+        b2 of what is known beforehand, shape (runs,).
+    prior
+        K_F and its standard uncertainty.
+    truth
+        K_II.
+    """
+
+    times: Sequence[np.ndarray]
+    readings: Sequence[np.ndarray]
+    sigma: float
+    columns: np.ndarray
+    known: np.ndarray
+    prior: tuple[float, float]
+    truth: float
+
+    def first_stage(self) -> list[np.ndarray]:
+        """Return of each run what the readings are multiplied with for b2."""
+        return [np.linalg.pinv(np.vander(t, 3, increasing=True))[2] for t in self.times]
+
+    def second_stage(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return what the runs' b2 and K_F's prior are multiplied with, (2, runs + 1); and u."""
+        gains = self.first_stage()
+        sigma_b2 = [self.sigma * math.sqrt(float(g @ g)) for g in gains]
+        weights = 1.0 / np.array([*sigma_b2, self.prior[1]])
+        rows = np.vstack([self.columns.T, [0.0, 1.0]]) * weights[:, None]
+        covariance = np.linalg.inv(rows.T @ rows)
+        return covariance @ rows.T * weights, np.sqrt(np.diag(covariance))
+
+    def readings_to_k_ii(self) -> list[np.ndarray]:
+        """Return of each run what the readings are multiplied with for K_II."""
+        solve, _ = self.second_stage()
+        return [w * g for w, g in zip(solve[0], self.first_stage(), strict=False)]
+
+
+def brute_force(plan: Plan, trials: int, seed: int = 1) -> tuple[float, float, np.ndarray]:
+    """Return mean and standard deviation of K_II, and how many intervals held the truth."""
+    generator = np.random.Generator(np.random.SFC64(seed))
+    gains, (solve, u) = plan.first_stage(), plan.second_stage()
+    fixed = solve[0, -1] * plan.prior[0] - solve[0, :-1] @ plan.known
+    buffers = [np.empty((CHUNK, t.size)) for t in plan.times]
+    total, squares, covered = 0.0, 0.0, np.zeros(len(FACTORS))
+    for start in range(0, trials, CHUNK):
+        n = min(CHUNK, trials - start)
+        k_ii = np.full(n, fixed)
+        for run, buffer in enumerate(buffers):
+            part = buffer[:n]
+            generator.standard_normal(out=part)
+            part *= plan.sigma
+            part += plan.readings[run]
+            k_ii += solve[0, run] * (part @ gains[run])
+        error = k_ii - plan.truth
+        total += float(error.sum())
+        squares += float(error @ error)
+        size = np.abs(error) / u[0]
+        covered += [np.count_nonzero(size <= factor) for factor in FACTORS]
+    mean = total / trials
+    return mean + plan.truth, math.sqrt(squares / trials - mean**2), covered
+
+
+def one_by_one(plan: Plan, trials: int, seed: int = 1) -> tuple[float, float]:
+    """Return mean and standard deviation of K_II."""
+    generator = np.random.default_rng(seed)
+    designs = [np.vander(t, 3, increasing=True) for t in plan.times]
+    gains = plan.first_stage()
+    weights = [1.0 / (plan.sigma * math.sqrt(float(g @ g))) for g in gains]
+    weights.append(1.0 / plan.prior[1])
+    rows = np.vstack([plan.columns.T, [0.0, 1.0]]) * np.array(weights)[:, None]
+    found = np.empty(trials)
+    for trial in range(trials):
+        b2 = []
+        for design, clean in zip(designs, plan.readings, strict=True):
+            readings = clean + plan.sigma * generator.standard_normal(clean.size)
+            b2.append(np.linalg.lstsq(design, readings, rcond=None)[0][2])
+        right = np.append(np.array(b2) - plan.known, plan.prior[0]) * weights
+        found[trial] = np.linalg.lstsq(rows, right, rcond=None)[0][0]
+    return float(found.mean()), float(found.std())
+
+
+def with_uncertainties(plan: Plan, trials: int, seed: int = 1) -> float:
+    """Return the u(K_II) that the `uncertainties` package propagates; each trial an analysis."""
+    from uncertainties import ufloat
+
+    generator = np.random.default_rng(seed)
+    gains, (solve, _) = plan.first_stage(), plan.second_stage()
+    k_ii = None
+    for _ in range(trials):
+        k_ii = solve[0, -1] * ufloat(*plan.prior)
+        for run, clean in enumerate(plan.readings):
+            drawn = clean + plan.sigma * generator.standard_normal(clean.size)
+            readings = np.array([ufloat(value, plan.sigma) for value in drawn])
+            k_ii += solve[0, run] * (gains[run] @ readings - plan.known[run])
+    return float(k_ii.std_dev)
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One run's true motion.
+
+    Attributes
+    ----------
+    rate, drift, ratio, phase
+        Spindle: w0 (1 + C t + ratio sin(w0 t + phase)).
+    radius, gravity, earth_up, earth_north
+        m, m/s^2, rad/s.
+    angles
+        Of the strobes, rad.
+    """
+
+    rate: float
+    drift: float
+    ratio: float
+    phase: float
+    radius: float
+    gravity: float
+    earth_up: float
+    earth_north: float
+    angles: np.ndarray
+
+    def at(self, t: float) -> tuple[float, float, float]:
+        """Return angle, rate and angular acceleration."""
+        w0, inside = self.rate, self.rate * t + self.phase
+        angle = w0 * t * (1.0 + 0.5 * self.drift * t)
+        angle -= self.ratio * (math.cos(inside) - math.cos(self.phase))
+        rate = w0 * (1.0 + self.drift * t + self.ratio * math.sin(inside))
+        return angle, rate, w0 * (self.drift + w0 * self.ratio * math.cos(inside))
+
+    def force(self, t: float) -> tuple[float, float]:
+        """Return the specific force along the input axis, east, and the pendulous one, down, g."""
+        angle, rate, alpha = self.at(t)
+        cos, sin, along = math.cos(angle), math.sin(angle), self.radius * rate
+        east = -along * rate * cos - self.radius * alpha * sin
+        east -= 2.0 * self.earth_up * along * cos
+        up = self.gravity + 2.0 * self.earth_north * along * sin
+        return east / self.gravity, -up / self.gravity
+
+    def strobes(self) -> np.ndarray:
+        """Return when the strobe angles are passed, s."""
+        found = []
+        for angle in self.angles:
+            t = angle / self.rate
+            for _ in range(6):
+                reached, rate, _ = self.at(t)
+                t -= (reached - angle) / rate
+            found.append(t)
+        return np.array(found)
+
+
+def by_ode(motion: Motion) -> np.ndarray:
+    """Return b2 per unit K_F, K_I, K_II, K_III and K_IP: five double integrals, sampled, fitted."""
+    from scipy.integrate import solve_ivp
+
+    g = motion.gravity
+
+    def right_side(t: float, state: np.ndarray) -> np.ndarray:
+        east, down = motion.force(t)
+        products = (1.0, east, east**2, east**3, east * down)
+        return np.concatenate([state[5:], g * np.array(products)])
+
+    times = motion.strobes()
+    solved = solve_ivp(
+        right_side,
+        (0.0, float(times[-1])),
+        np.zeros(10),
+        method="DOP853",
+        t_eval=times,
+        rtol=1e-12,
+        atol=1e-12,
+    )
+    gain = np.linalg.pinv(np.vander(times, 3, increasing=True))[2]
+    return solved.y[:5] @ gain
