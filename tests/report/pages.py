@@ -16,7 +16,7 @@ from counterspin.report.blocks import (
 )
 from counterspin.report.html import html
 
-NASTY = "</script><script>alert('1')</script>\"&<!--"
+NASTY = "</script ></style><script >alert('1')</script>\"&<!--"
 
 
 def residuals(title="Residuals of Qx, run 1", label="smallest to largest", count=1500):
