@@ -23,7 +23,7 @@ def test_the_answer_comes_first_in_both_units():
     first = document(result())[:2]
     assert first[0] == Heading("By hand", 1)
     assert first[1].style == "answer"
-    assert "27.0000 ± 0.0010 ug/g^2 = (2.70000 ± 0.00010) x 1e-5 g/g^2" in first[1].text
+    assert "27.0000 ± 0.0010 µg/g² = (2.70000 ± 0.00010) × 10⁻⁵ g/g²" in first[1].text
 
 
 def test_chapters_in_order():

@@ -78,7 +78,7 @@ def stored(tmp_path):
 def test_without_a_file_the_report_is_printed(stored, capsys):
     assert main(["report", str(stored)]) == 0
     said = capsys.readouterr().out
-    assert "27.0000 ± 0.0010 ug/g^2" in said
+    assert "27.0000 ± 0.0010 µg/g²" in said
     assert "Is it good?" in said
     assert "counterspin calibrate ." in said
 

@@ -14,6 +14,7 @@ What stands in this room:
 - `blocks`: what a report is made of, before anybody sets it
 - `sections`, `findings`: a result as blocks, for the terminal
 - `document`, `verdict`, `pictures`, `method`: the same in full, for paper and screen
+- `typography`: powers of ten and micro signs as in print
 - `publishing`: the full report as a file
 - `html`, `zoomable`: blocks as a page that needs nothing else; `assets` are its parts
 - `text`: blocks in the terminal

@@ -23,6 +23,7 @@ from counterspin.report.pictures import (
     ripple_plot,
 )
 from counterspin.report.sections import answer_blocks, platform_blocks, run_blocks
+from counterspin.report.typography import typeset_block
 from counterspin.report.verdict import verdict
 
 
@@ -34,7 +35,7 @@ def document(result: Result) -> list[Block]:
     result
         What `calibrate` returned, or what was read from its JSON.
     """
-    return [
+    found = (
         *answer_blocks(result, in_g=True),
         *_verdicts(result),
         *conformity_blocks(result),
@@ -43,8 +44,9 @@ def document(result: Result) -> list[Block]:
         *run_blocks(result.runs, details=True),
         *_drawn(ripple_plot(result.runs)),
         *model_blocks(result),
-        *origin_blocks(result),
-    ]
+    )
+    # Names of files and checksums are left as they are.
+    return [*map(typeset_block, found), *origin_blocks(result)]
 
 
 def identifier_of(result: Result) -> str:

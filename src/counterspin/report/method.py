@@ -15,8 +15,6 @@ from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, Term
 from counterspin.report.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.report.numbers import format_number
 
-_SUPERSCRIPTS: Final = {"^2": "²", "^3": "³", "*": " "}
-
 _OBSERVED: Final = {
     "displacement": "S(t) = S₀ + V₀ t + ∬ (g a_ind − a_h) dt dt",
     "velocity": "V(t) = V₀ + ∫ (g a_ind − a_h) dt",
@@ -77,9 +75,7 @@ def _method(result: Result) -> str:
 def _sum(terms: Iterable[Term]) -> str:
     parts = []
     for term in terms:
-        product = term.product
-        for plain, set_well in _SUPERSCRIPTS.items():
-            product = product.replace(plain, set_well)
+        product = term.product.replace("*", " ")
         sign = "−" if term.sign < 0.0 else "+"
         parts.append(f"{sign} {term.symbol}" + ("" if product == "1" else f" {product}"))
     return " ".join(parts).removeprefix("+ ")

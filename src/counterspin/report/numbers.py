@@ -16,6 +16,7 @@ to the same decimal place. What has no uncertainty keeps as many digits as it is
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Final
@@ -50,11 +51,13 @@ _ASCII: Final = {
     "×": "x",
     "−": "-",
     "–": "-",
-    "²": "^2",
-    "³": "^3",
     "µ": "u",
     "…": "...",
 }
+
+#: Raised digits, such as those of 10⁻⁵, get a caret before them instead.
+_RAISED: Final = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
+_LOWERED: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 def field_unit(unit: str) -> tuple[str, float]:
@@ -228,6 +231,10 @@ def speakable(text: str, encoding: str) -> str:
     """
     if _can_write(text, encoding):
         return text
+    text = _RAISED.sub(
+        lambda run: run[0] if _can_write(run[0], encoding) else f"^{run[0].translate(_LOWERED)}",
+        text,
+    )
     return "".join(c if _can_write(c, encoding) else _ASCII.get(c, "?") for c in text)
 
 
