@@ -5,6 +5,7 @@ Margins come from the widths of words instead of matplotlib's layout engines, wh
 - `text_width`, `shortened`: of words, in matplotlib's own font, which is wider than most
 - `set_margins`, `legend_columns`, `decades`: room and ticks
 - `thinned`: a series with the lowest and the highest of each column of the drawing
+- `whole_numbers`, `spread`: points at the same few places, beside each other
 - `dots`: a row of points as one line
 """
 
@@ -13,6 +14,7 @@ from __future__ import annotations
 import itertools
 from bisect import bisect
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Final
 
@@ -20,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from counterspin.physics.accelerometer import Array
-from counterspin.report.blocks import Series
+from counterspin.report.blocks import Plot, Series
 
 #: Of every drawing, and of one with axes; in points.
 WIDTH: Final = 504.0
@@ -202,6 +204,33 @@ def _extremes(x: Array, y: Array, kind: str) -> NDArray[np.intp]:
     begins = np.flatnonzero(gap & ~np.concatenate([[False], gap[:-1]]))
     between = there[:: max(there.size // _BETWEEN, 1)] if kind == "points" else there[:0]
     return np.unique(np.concatenate([order[first], order[last], between, begins]))
+
+
+def whole_numbers(plot: Plot) -> range:
+    """Return the whole numbers at which a plot has points; none where it is another kind of plot.
+
+    Up to twenty, such as the harmonics of a revolution, and nothing but points.
+    """
+    places = {x for series in plot.series for x in series.x}
+    if not places or plot.log_x or any(series.kind != "points" for series in plot.series):
+        return range(0)
+    whole = all(float(place).is_integer() for place in places)
+    if not whole or max(places) - min(places) > 20.0:
+        return range(0)
+    return range(int(min(places)), int(max(places)) + 1)
+
+
+def spread(series: Sequence[Series]) -> list[Series]:
+    """Move rows of points that share their places to the side, so that none hides another."""
+    rows = [one for one in series if one.kind == "points"]
+    step = min(0.12, 0.7 / max(len(rows), 1))
+    moves = iter(step * (place - 0.5 * (len(rows) - 1)) for place in range(len(rows)))
+    return [
+        replace(one, x=tuple(x + move for x in one.x))
+        if one.kind == "points" and (move := next(moves))
+        else one
+        for one in series
+    ]
 
 
 def dots(axes: Any, x: Array, y: Array, size: float, **style: Any) -> None:

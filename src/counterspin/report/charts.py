@@ -37,8 +37,10 @@ from counterspin.report.chart_layout import (
     legend_columns,
     set_margins,
     shortened,
+    spread,
     text_width,
     thinned,
+    whole_numbers,
 )
 from counterspin.report.figure import COLOURS, MARKERS, SETTINGS
 
@@ -142,7 +144,8 @@ def svg(picture: Picture, *, theme: Theme = "light") -> str:
 
 def _draw_plot(axes: Any, plot: Plot) -> None:
     taken = 0
-    for series in plot.series:
+    counts = whole_numbers(plot)
+    for series in spread(plot.series) if counts or plot.x_names else plot.series:
         colour, marker = _DRAWN["muted"], MARKERS[0]
         if series.stands_out:
             colour, marker = _DRAWN["warning"], "X"
@@ -158,6 +161,9 @@ def _draw_plot(axes: Any, plot: Plot) -> None:
             axes.set(**{f"{name}scale": "log"})
             decades(axis)
     axes.margins(x=0.06 if plot.x_names else 0.015, y=0.06)
+    if counts:
+        axes.set_xlim(counts[0] - 0.6, counts[-1] + 0.6)
+        axes.set_xticks(counts)
     if plot.x_names:
         axes.set_xticks(range(len(plot.x_names)), [shortened(name, 90.0) for name in plot.x_names])
         axes.grid(visible=False, axis="x")
