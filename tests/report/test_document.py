@@ -23,7 +23,11 @@ def test_the_answer_comes_first_in_both_units():
     first = document(result())[:2]
     assert first[0] == Heading("By hand", 1)
     assert first[1].style == "answer"
-    assert "27.0000 ± 0.0010 µg/g² = (2.70000 ± 0.00010) × 10⁻⁵ g/g²" in first[1].text
+    # Student's t for 50 degrees of freedom: 2.0086.
+    assert first[1].text == (
+        "K_II of Qx = 27.0000 ± 0.0010 µg/g² = (2.70000 ± 0.00010) × 10⁻⁵ g/g²"
+        "   (95 %: 26.9980 to 27.0020 µg/g², 50 dof)"
+    )
 
 
 def test_chapters_in_order():

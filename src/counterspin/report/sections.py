@@ -100,7 +100,7 @@ def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool) -> Paragrap
         text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
     if u > 0.0:
         half = _coverage_factor(coefficient.dof) * u
-        interval = format_interval(value, u, half)
+        interval = format_interval(value, u, half, unit if in_g else "")
         dof = f", {format_number(coefficient.dof, 4)} dof" if coefficient.dof is not None else ""
         text += f"   (95 %: {interval}{dof})"
     return Paragraph(text, "answer")
