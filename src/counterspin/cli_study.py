@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -84,6 +85,8 @@ def study(
         write_figures(result, output)
     report_console().print(render_study(result))
     if not result.complete:
+        if output is not None:
+            print("counterspin: stopped; the same command with --resume goes on", file=sys.stderr)
         raise KeyboardInterrupt
 
 

@@ -363,6 +363,25 @@ def test_campaign_without_truth_is_refused(tmp_path):
         read_study(write(tmp_path / "a", text))
 
 
+def test_records_that_no_study_can_make_are_refused(tmp_path):
+    velocity = PAPER.replace('displacement = { column = "east_m", unit = "m" }', "").replace(
+        'bias = "0.004', 'velocity = { column = "v", unit = "m/s" }\nbias = "0.004'
+    )
+    velocity = velocity.replace('displacement = "0.01 m"', 'velocity = "0.01 m/s"')
+    with pytest.raises(CampaignError, match=r"accelerometers\.Qx: a study needs records of disp"):
+        study(write(tmp_path / "velocity", velocity))
+    text = PAPER.replace('angle = { column = "angle_rad", unit = "rad" }', "")
+    with pytest.raises(NotIdentifiableError, match="two-stage method needs a recorded angle"):
+        study(write(tmp_path / "angle", text))
+
+
+def test_joint_fit_without_a_recorded_angle_is_studied_by_whole_records(tmp_path):
+    text = SHORT.replace('angle = { column = "angle_rad", unit = "rad" }', "")
+    text += '[study.analyses.joint]\nmethod = "joint"\n'
+    (one,) = study(write(tmp_path / "angle", text), trials=4).analyses
+    assert one.engine == "full records (no angle is recorded, and the rotation has to be found)"
+
+
 # The command
 
 

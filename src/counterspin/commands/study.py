@@ -30,7 +30,7 @@ from counterspin.commands.study_setup import analyses_of, truth_of, world_of
 from counterspin.commands.study_work import Ledger, run_batches, work
 from counterspin.errors import CounterspinError
 from counterspin.inference.study_choice import EngineName, prepare
-from counterspin.inference.study_draws import Varying
+from counterspin.inference.study_draws import OTHERS, Varying
 from counterspin.inference.study_engine import StudyEngine
 from counterspin.inference.study_tally import summarise
 from counterspin.physics.accelerometer import term
@@ -186,11 +186,13 @@ def _result(
 
 def _in_words(one: Varying) -> str:
     name = f"{one.owner}.{one.symbol}" if one.owner else one.symbol
-    low, high = one.first, one.second
+    unit = OTHERS.get(one.symbol) or term(one.symbol).unit
+    unit = "" if unit == "1" else f" {unit}"
+    low, high = f"{one.first:.6g}{unit}", f"{one.second:.6g}{unit}"
     how = {
-        "normal": f"normal, mean {low:.6g}, standard deviation {high:.6g}",
-        "uniform": f"uniform from {low:.6g} to {high:.6g}",
-        "fixed": f"{low:.6g}",
+        "normal": f"normal, mean {low}, standard deviation {high}",
+        "uniform": f"uniform from {low} to {high}",
+        "fixed": low,
     }[one.kind]
     return f"{name}: {how}" + (", anew in each run" if one.per_run else "")
 

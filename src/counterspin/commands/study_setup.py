@@ -41,7 +41,12 @@ def world_of(campaign: Campaign) -> Instrumented:
     if others:
         raise CampaignError(
             str(campaign.path),
-            [f"accelerometers.{name}: a study needs records of displacement" for name in others],
+            [
+                f"accelerometers.{name}: a study needs records of displacement; for velocity or "
+                "force, `counterspin plan --check` predicts u, and `simulate` with `calibrate` "
+                "makes one trial"
+                for name in others
+            ],
         )
     assert campaign.simulation is not None
     noise = campaign.simulation.truth.noise
@@ -111,7 +116,8 @@ def _two_stage(one: AnalysisDescription, name: str) -> TwoStage:
         strobe_angle(accelerometer.mounting.turned(run.attitude).input_axis)
     if campaign.angle is None:
         raise NotIdentifiableError(
-            f"{one.name}: a study of the two-stage method needs a recorded angle ([records] angle)"
+            f"{one.name}: a study of the two-stage method needs a recorded angle ([records] "
+            "angle); without it study the joint fit alone ([study.analyses])"
         )
     asked = (*campaign.model.terms, *campaign.model.considered)
     quantities: dict[str, Quantity] = dict(accelerometer.priors)

@@ -39,7 +39,13 @@ _KEEP: Final = 10.0
 _LOSSES: Final = 5
 
 #: What a trial of each kind takes or so, s, to begin with.
-_COSTS: Final = {"constant": 2e-7, "surrogate": 1.5e-6, "exact": 5e-4, "full": 0.1}
+_COSTS: Final = {
+    "constant": 1e-7,
+    "sampled": 3e-7,
+    "surrogate": 1.5e-6,
+    "exact": 2e-3,
+    "full": 0.1,
+}
 
 
 class Ledger:

@@ -168,7 +168,8 @@ def _strobed(world: Instrumented, truth: Truth, analysis: Analysis, engine: Engi
         if engine == "surrogate" or outside < _OUTSIDE:
             surrogates = fitted
             varies = any(box.varies.size for box in boxes)
-            kind = "surrogate" if varies else "constant"
+            kind = "sampled" if what.sigma is None else "constant"
+            kind = "surrogate" if varies else kind
             words = "sufficient statistics"
             if varies:
                 error = max(one.error for one in fitted)

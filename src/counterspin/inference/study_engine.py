@@ -28,7 +28,7 @@ from counterspin.inference.study_two_stage import TwoStageEngine
 from counterspin.physics.accelerometer import Array
 
 #: Trials of a batch: what fits a cache, and for slow engines what takes a fraction of a second.
-_BATCH: Final = {"constant": 16384, "surrogate": 4096, "exact": 128, "full": 8}
+_BATCH: Final = {"constant": 16384, "sampled": 8192, "surrogate": 4096, "exact": 128, "full": 8}
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,8 @@ class Part:
     engine
         The engine.
     kind
-        ``constant``, ``surrogate``, ``exact`` or ``full``: what a trial costs.
+        What a trial costs: ``constant``; ``sampled`` where sigma is from the residuals, and with
+        it the second stage's weights; ``surrogate``; ``exact``; ``full``.
     noise
         Which stream of noise it draws from. Analyses that share one see the same readings.
     words

@@ -8,7 +8,7 @@ from __future__ import annotations
 from counterspin.commands.study_result import AnalysisResult, CoefficientResult, StudyResult
 from counterspin.inference.study_tally import LEVELS
 from counterspin.report.blocks import Block, Column, Heading, Paragraph, Table
-from counterspin.report.numbers import field_unit, format_estimate, format_number
+from counterspin.report.numbers import field_unit, format_number
 from counterspin.report.text import Report
 
 _COLUMNS = (
@@ -42,9 +42,9 @@ def render_study(result: StudyResult) -> Report:
         blocks.append(Paragraph(line, "answer" if good else "warning"))
     blocks.append(
         Paragraph(
-            "In 68, 95, 99 %: share of the trials whose interval of that level held the truth, "
-            "with its binomial 95 % interval. Efficiency: the Cramér-Rao bound of all samples "
-            "over the mean square error.",
+            "Bias with its standard error. In 68, 95, 99 %: share of the trials whose interval of "
+            "that level held the truth, with its binomial 95 % interval. Efficiency: the "
+            "Cramér-Rao bound of all samples over the mean square error.",
             "quiet",
         )
     )
@@ -58,10 +58,11 @@ def _lost(one: AnalysisResult) -> str:
 def _row(one: CoefficientResult) -> tuple[str, ...]:
     unit, factor = field_unit(one.unit)
     summary = one.summary
+    bias, error = (format_number(factor * x, 2) for x in (summary.bias, summary.se_bias))
     return (
         one.name,
         unit,
-        format_estimate(summary.bias * factor, summary.se_bias * factor),
+        f"{bias}\n± {error}",
         format_number(summary.sd * factor),
         format_number(summary.u * factor),
         *(
