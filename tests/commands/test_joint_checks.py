@@ -12,27 +12,26 @@ from counterspin.inference.joint import Unknown
 from counterspin.physics.accelerometer import DEGREE_PER_HOUR
 
 
-def found(gain: float, dropped: tuple[str, ...] = ("random_walk",)) -> SimpleNamespace:
-    tried = {("white",): 100.0, ("white", "random_walk"): 100.0 + gain / 2.0}
-    return SimpleNamespace(
-        components={"Qx": SimpleNamespace(dropped=dropped, log_likelihoods=tried)}
+def found(share: float, name: str = "Qx") -> SimpleNamespace:
+    """A fit of which this share of u^2 of K_II is noise that the records do not show."""
+    unknown = SimpleNamespace(owner="Qx", symbol="K_II")
+    fit = SimpleNamespace(
+        model=SimpleNamespace(unknowns=[unknown]),
+        solution=SimpleNamespace(u=np.array([2e-9])),
+        unseen={name: (1e-5, np.array([[share * 4e-18]]))},
     )
+    return SimpleNamespace(fit=fit)
 
 
-@pytest.mark.parametrize("gain", [0.0, 0.9])
-def test_a_walk_of_which_there_is_no_hint_is_not_spoken_of(gain):
-    assert hidden_walk(found(gain), "Qx") == []
+def test_noise_that_is_most_of_k_ii_without_showing_is_a_warning():
+    (warning,) = hidden_walk(found(0.8), "Qx")
+    assert "80% of u^2 of K_II" in warning
+    assert "acceleration in [noise]" in warning
 
 
-def test_a_hint_of_a_walk_is_a_warning():
-    (warning,) = hidden_walk(found(1.8), "Qx")
-    assert "gains 1.8" in warning
-    assert "state it in [noise]" in warning
-
-
-def test_kept_or_given_noise_is_no_hint():
-    assert hidden_walk(found(1.8, dropped=()), "Qx") == []
-    assert hidden_walk(found(1.8), "Qy") == []
+def test_a_smaller_part_or_another_s_noise_is_no_warning():
+    assert hidden_walk(found(0.3), "Qx") == []
+    assert hidden_walk(found(0.8, name="Qy"), "Qx") == []
 
 
 def seen(observable: str, angle: object | None) -> tuple[SimpleNamespace, SimpleNamespace]:

@@ -26,8 +26,8 @@ from counterspin.inference.estimation import Estimate
 from counterspin.inference.left_out import sensitivities
 from counterspin.physics.accelerometer import term
 
-#: Gain of 2 ln L from which a dropped component is spoken of: one chance in six without it.
-_HINT: Final = 1.0
+#: Share of u^2 from which noise that the records do not show is spoken of.
+_HIDDEN: Final = 0.5
 
 #: A run left out that moves K_II by more than this many standard uncertainties drives the result.
 _DRIVES: Final = 3.0
@@ -209,24 +209,18 @@ def _considered(found: Estimate, index: int) -> dict[str, float]:
 
 
 def hidden_walk(found: Estimate, name: str) -> list[str]:
-    """Return a warning where accelerometer noise was dropped that the records do hint at.
-
-    Near the limit of what they can show, keeping a walk that is not there makes K_F worse, and
-    dropping one that is there makes its interval too short. Who knows the noise should state it.
-    """
-    components = found.components.get(name)
-    if components is None or "random_walk" not in components.dropped:
+    """Return a warning where most of K_II's variance is noise that the records do not show."""
+    index = _k_ii(found, name)
+    if index is None or name not in found.fit.unseen:
         return []
-    tried = components.log_likelihoods
-    with_walk = max((v for k, v in tried.items() if "random_walk" in k), default=-math.inf)
-    without = max((v for k, v in tried.items() if "random_walk" not in k), default=math.inf)
-    gain = 2.0 * (with_walk - without)
-    if gain < _HINT:
+    variance = float(found.fit.unseen[name][1][index, index])
+    share = variance / float(found.fit.solution.u[index]) ** 2
+    if share < _HIDDEN:
         return []
     return [
-        f"{name}: the records hint at white noise of the accelerometer, not clearly enough to be "
-        f"kept (2 ln L gains {gain:.1f}; 2.7 would do). If it is there, the interval of K_F is too "
-        "short: state it in [noise] if it is known."
+        f"{name}: {share:.0%} of u^2 of K_II is white noise of the accelerometer that the records "
+        "do not show and cannot exclude. If it is known, or known to be none, state it as "
+        "acceleration in [noise]; else record longer runs."
     ]
 
 

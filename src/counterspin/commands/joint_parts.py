@@ -21,7 +21,7 @@ from counterspin.campaign.result_parts import (
     Residual,
 )
 from counterspin.inference import joint as fitting
-from counterspin.inference.budget import ENCODER, NOISE, Line, budget
+from counterspin.inference.budget import ENCODER, NOISE, UNSEEN, Line, budget
 from counterspin.inference.diagnostics import Diagnostics
 from counterspin.inference.estimation import Estimate
 from counterspin.inference.identifiability import Assessment
@@ -35,6 +35,7 @@ _UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True)) | {
     "site.latitude": "rad",
     TIMING: "s",
 }
+WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of a random-walk coefficient
 _ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}  # a ripple: rad/s
 _OBSERVED_UNITS: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
 
@@ -64,6 +65,8 @@ def coefficient(found: Estimate, assessment: Assessment, index: int) -> Coeffici
             solution.covariance_considered,
         )
     )
+    if solution.covariance_unseen is not None:
+        noise = math.hypot(noise, math.sqrt(float(solution.covariance_unseen[index, index])))
     dof = float(found.dof[index])
     return Coefficient(
         value=float(solution.estimate[index]) + unknown.nominal,
@@ -81,9 +84,7 @@ def budget_lines(found: Estimate, index: int, name: str) -> list[BudgetLine]:
     """Return the budget of one unknown, in the words of the accelerometer that it belongs to."""
     return [
         BudgetLine(
-            source=f"noise of {line.source}"
-            if line.kind == NOISE
-            else f"{line.source.removeprefix(name + '.')} ({line.kind})",
+            source=_words(line, name),
             u=line.u,
             unit=_unit_of_line(found, line),
             sensitivity=line.sensitivity,
@@ -94,9 +95,19 @@ def budget_lines(found: Estimate, index: int, name: str) -> list[BudgetLine]:
     ]
 
 
+def _words(line: Line, name: str) -> str:
+    if line.kind == NOISE:
+        return f"noise of {line.source}"
+    if line.kind == UNSEEN:
+        return f"noise of {line.source} that does not show"
+    return f"{line.source.removeprefix(name + '.')} ({line.kind})"
+
+
 def _unit_of_line(found: Estimate, line: Line) -> str:
     if line.kind == NOISE:
         return ""
+    if line.kind == UNSEEN:
+        return WALK_UNIT
     if line.kind == ENCODER:
         return _ENCODER_UNITS.get(line.source.split(".")[-1], "rad/s")
     return unit_of(_symbol(found, line.source))
@@ -184,7 +195,7 @@ def noise_lines(campaign: Campaign, found: Estimate, name: str) -> dict[str, Noi
     unit = _OBSERVED_UNITS[observable]
     lines = {}
     for place, (part, label, its_unit) in enumerate(
-        (("white", observable, unit), ("random_walk", "acceleration", "m/s^2/Hz^0.5"))
+        (("white", observable, unit), ("random_walk", "acceleration", WALK_UNIT))
     ):
         size = float(getattr(noise, part))
         estimated = components is not None and part in components.estimated

@@ -8,6 +8,7 @@ What stands in this room:
 - `diagnostics`: whether the model fits the records
 - `noise`, `riccati`: models of a record's noise, and whitening with them
 - `variance_components`, `restricted_likelihood`: the noise's size, estimated from the records
+- `unseen_noise`: what noise that the records do not show may add to the uncertainty
 - `strobes`: the samples of a record at one angle of each revolution (Eq. 15)
 - `first_stage`, `two_stage`: the paper's method, a parabola a run and then its curvature
   against the rate

@@ -1,8 +1,8 @@
 """The uncertainty budget: where the uncertainty of a coefficient comes from, line by line.
 
-- `budget`: one line for the records' noise of each accelerometer, one for each prior, each
-  considered term, each uncertain input and each part of a run's recorded rotation; the squares of
-  the contributions add up to u^2
+- `budget`: one line for the records' noise of each accelerometer, one for noise that they do not
+  show, one for each prior, each considered term, each uncertain input and each part of a run's
+  recorded rotation; the squares of the contributions add up to u^2
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from counterspin.physics.accelerometer import Array
 _NEGLIGIBLE: Final = 1e-12
 
 NOISE: Final = "noise"  #: kind of a line that stands for the records
+UNSEEN: Final = "unseen"  #: kind of a line that stands for noise that the records do not show
 ENCODER: Final = "encoder"  #: kind of a line that stands for a run's recorded angle
 
 
@@ -35,7 +36,7 @@ class Line:
         Name of the unknown, considered term or input; for noise the accelerometer's; for the
         encoder the run's and ``angle``, ``rate``, ``drift`` or ``ripple1`` ...
     kind
-        ``noise``, ``prior``, ``considered``, ``input`` or ``encoder``.
+        ``noise``, ``unseen``, ``prior``, ``considered``, ``input`` or ``encoder``.
     u
         Standard uncertainty of the source, in its own unit; None for noise.
     sensitivity
@@ -73,6 +74,9 @@ def budget(fit: JointFit, index: int) -> tuple[Line, ...]:
         Line(name, NOISE, None, None, share, 0.0)
         for name, share in _noise_by_accelerometer(fit, parts.noise_rows).items()
     ]
+    for name, (level, covariance) in fit.unseen.items():
+        size = math.sqrt(float(covariance[index, index]))
+        lines.append(Line(name, UNSEEN, level, size / level if level else 0.0, size, 0.0))
     for j, unknown in enumerate(model.unknowns):
         if math.isfinite(unknown.prior[1]) and unknown.symbol not in encoder.SYMBOLS:
             sensitivity = float(solution.sensitivity_prior[index, j])

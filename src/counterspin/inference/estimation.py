@@ -22,12 +22,16 @@ from counterspin.inference.noise import Noise
 from counterspin.inference.outliers import outlying
 from counterspin.inference.rotation import find_rotation
 from counterspin.inference.series import Series
+from counterspin.inference.unseen_noise import lengthened
 from counterspin.inference.variance_components import RecordData, VarianceComponents
 from counterspin.physics.accelerometer import Array
 
 Rows = npt.NDArray[np.bool_]
 
 _ROUNDS: Final = 20  #: of outlier rejection
+
+#: Part of a walk that hardly shows, for the derivative at none.
+_LITTLE: Final = 1e-2
 
 #: A change of K_I by less than this changes no platform column noticeably.
 _SCALE_SETTLED: Final = 1e-4
@@ -134,7 +138,9 @@ def estimate(
         whole = replace(whole, inputs=model.inputs)
         prepared = joint.prepare(kept, whole, scale_factors, fit.solution.estimate)
         fit = joint.solve_joint(prepared, whole, noise)
-    return Estimate(fit, components, _effective_dof(fit, components), tuple(outliers))
+    dof = _effective_dof(fit, components)
+    fit, dof = _with_unseen(fit, components, dof)
+    return Estimate(fit, components, dof, tuple(outliers))
 
 
 def _padded(fit: JointFit, model: Model) -> Array:
@@ -275,3 +281,41 @@ def _effective_dof(fit: JointFit, components: Mapping[str, VarianceComponents]) 
         inverse += 1.0 / variance_components.effective_dof_of(variances, component)
     with np.errstate(divide="ignore"):
         return 1.0 / inverse
+
+
+def _with_unseen(
+    fit: JointFit, components: Mapping[str, VarianceComponents], dof: Array
+) -> tuple[JointFit, Array]:
+    """Return the fit with what dropped walks may add to its uncertainty, and the new dof.
+
+    At the optimum of the weights, what a little walk adds to the least variance is what it adds to
+    that of the weights without it. Unknowns that are not determined are left as they are.
+    """
+    solution = fit.solution
+    before = solution.covariance
+    known = np.array([unknown.limit for unknown in fit.model.unknowns]) > solution.u
+    unseen: dict[str, tuple[float, Array]] = {}
+    inverse = 1.0 / dof
+    for name, component in components.items():
+        if component.unseen is None or not known.any():
+            continue
+        little = _LITTLE * float(component.unseen.levels[1])
+        walking = replace(fit.noise[name], random_walk=math.sqrt(little))
+        after = joint.with_noise(fit, name, walking).solution.covariance
+        slope = np.where(np.outer(known, known), (after - before) / little, 0.0)
+        # Rounding may leave a coefficient that feels nothing slightly below zero.
+        diagonal = np.maximum(np.diag(slope), 0.0)
+        if not diagonal.any():
+            continue
+        variance = np.where(known, np.diag(before), 1.0)
+        level, longer = lengthened(component.unseen, variance, diagonal)
+        np.fill_diagonal(slope, diagonal)
+        unseen[name] = math.sqrt(level), level * slope
+        share = variance / (variance + level * diagonal)
+        inverse = np.where(known, share**2 * inverse + 1.0 / longer, inverse)
+    if not unseen:
+        return fit, dof
+    total: Array = sum((covariance for _, covariance in unseen.values()), np.zeros_like(before))
+    found = replace(fit, solution=replace(solution, covariance_unseen=total), unseen=unseen)
+    with np.errstate(divide="ignore"):
+        return found, 1.0 / inverse

@@ -140,6 +140,8 @@ def assess(
 
     variance = np.diag(solution.covariance_considered)[:p].copy()
     variance[free] += np.sum(root**2, axis=1)
+    if solution.covariance_unseen is not None:
+        variance += np.diag(solution.covariance_unseen)[:p]
     determined = (prior_sd > 0) & (variance < limits**2) & (variance <= _PRIOR_LEFT * prior_sd**2)
 
     def describe(weights: Array) -> Confounded:

@@ -17,7 +17,7 @@ The problem is a `Model` (`counterspin.inference.model`) beside the series
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -137,6 +137,9 @@ class JointFit:
         The columns and each series' square-root information, in the order of the series.
     noise
         By accelerometer.
+    unseen
+        By accelerometer, where there is any: a random walk that the records do not show, N in
+        (m/s^2)/Hz^0.5, and what it adds to the covariance, shape (p, p).
     """
 
     model: Model
@@ -144,6 +147,7 @@ class JointFit:
     prepared: tuple[Prepared, ...]
     blocks: tuple[Block, ...]
     noise: Mapping[str, Noise]
+    unseen: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
 
 
 def solve_joint(prepared: Sequence[Prepared], model: Model, noise: Mapping[str, Noise]) -> JointFit:

@@ -51,6 +51,8 @@ class Combination:
         Signed contribution of each considered term, shape (q,).
     unresolved
         What only the numerical regularisation holds; negligible for all that is determined.
+    unseen
+        Standard uncertainty from noise that the records do not show.
     """
 
     value: float
@@ -59,11 +61,12 @@ class Combination:
     prior: Array
     considered: Array
     unresolved: float
+    unseen: float = 0.0
 
     @property
     def u(self) -> float:
         """The combined standard uncertainty."""
-        return math.hypot(self.noise, self.unresolved, *self.prior, *self.considered)
+        return math.hypot(self.noise, self.unseen, self.unresolved, *self.prior, *self.considered)
 
 
 @dataclass(frozen=True)
@@ -107,6 +110,8 @@ class Solution:
         The data's own square-root information, without priors, shape (k, p).
     prior_mean, prior_sd, considered_sd, limits
         As given to `solve`; limits is None where there was no regularisation.
+    covariance_unseen
+        From noise that the records do not show, shape (p, p); None without. `solve` knows none.
     """
 
     estimate: Array
@@ -124,16 +129,18 @@ class Solution:
     considered_sd: Array
     limits: Array | None
     _rows: _Rows
+    covariance_unseen: Array | None = None
 
     @property
     def covariance(self) -> Array:
         """The combined covariance, shape (p, p)."""
-        return (
+        seen = (
             self.covariance_noise
             + self.covariance_prior
             + self.covariance_considered
             + self.covariance_unresolved
         )
+        return seen if self.covariance_unseen is None else seen + self.covariance_unseen
 
     @property
     def u(self) -> Array:
@@ -165,6 +172,9 @@ class Solution:
             prior=prior,
             considered=-(data @ rows.considered) * self.considered_sd,
             unresolved=float(np.linalg.norm(gain[after:])),
+            unseen=0.0
+            if self.covariance_unseen is None
+            else math.sqrt(max(float(c @ self.covariance_unseen @ c), 0.0)),
         )
 
 

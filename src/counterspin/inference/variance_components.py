@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from counterspin.inference.noise import Noise
 from counterspin.inference.restricted_likelihood import RecordData, RestrictedLikelihood
+from counterspin.inference.unseen_noise import Unseen, unseen_walk
 
 __all__ = [
     "KEEP",
@@ -40,6 +41,9 @@ Array = NDArray[np.float64]
 
 #: Least gain in 2 log L that keeps a component: the upper 5 % point of its law at zero.
 KEEP: Final = 2.705543454095404
+
+#: Above the least ratio of a search, in logarithms, where a walk begins to show.
+_HARDLY: Final = 4.0
 
 _WHITE: Final = "white"
 _WALK: Final = "random_walk"
@@ -68,6 +72,8 @@ class VarianceComponents:
         How often all rows were whitened.
     converged
         False where the search ended at the limit of what the records' sampling can show.
+    unseen
+        Of a dropped random walk, the sizes that the records allow; else None.
     """
 
     white: float
@@ -80,6 +86,7 @@ class VarianceComponents:
     degrees_of_freedom: float
     evaluations: int
     converged: bool
+    unseen: Unseen | None = None
 
     @property
     def noise(self) -> Noise:
@@ -133,6 +140,9 @@ def estimate(
 
     kept = max(found, key=lambda names: found[names].value - KEEP / 2 * len(names))
     best = found[kept]
+    unseen = None
+    if _WALK in wanted and _WALK not in kept and best.rules.walk == 0:
+        unseen = _unseen(likelihood, found[kept], found[(*kept, _WALK)].rules)
     return VarianceComponents(
         white=math.sqrt(max(best.white - floor, 0.0)) if white is None else white,
         random_walk=math.sqrt(best.walk) if random_walk is None else random_walk,
@@ -144,7 +154,19 @@ def estimate(
         degrees_of_freedom=likelihood.freedom(best.log_scale, best.ratio),
         evaluations=likelihood.evaluations,
         converged=best.converged,
+        unseen=unseen,
     )
+
+
+def _unseen(likelihood: RestrictedLikelihood, best: _Maximum, rules: _Rules) -> Unseen:
+    """Return the sizes of the walk that was dropped, the white noise as it would be beside it."""
+
+    def at(log_ratio: float) -> tuple[float, float]:
+        ratio = math.exp(log_ratio)
+        log_scale = rules.log_scale(likelihood, ratio)
+        return likelihood.value(log_scale, ratio), log_scale + log_ratio
+
+    return unseen_walk(at, float(likelihood.log_ratios[0]) + _HARDLY, best.value)
 
 
 def effective_dof(variance: ArrayLike, gradient: ArrayLike, covariance: ArrayLike) -> Array:

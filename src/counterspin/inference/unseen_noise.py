@@ -1,0 +1,156 @@
+"""What a walk that the records do not show may add to the coefficients' uncertainty.
+
+Near the limit of what records can show, the criterion drops a random walk that is there. Estimates
+are none the worse for it, but their intervals are: K_F and K_II rest on the slowest changes of a
+record, where the walk is greatest, and a walk that nobody sees can triple their standard deviation.
+No rule could tell such records from records without a walk. So the weights are those without it,
+and the uncertainty is that of these weights averaged over the walks that the records allow.
+
+The density of N^2, given the records, is the restricted likelihood times (N^2)^(-2/3), which is
+N^(-1/3) for N. With this power intervals cover 95 % or more at any size of the walk: just that at
+the detection limit, and more near zero, where nothing is wrong and the records cannot know it.
+
+- `Unseen`, `unseen_walk`: the levels that the records allow
+- `lengthened`: covariance and degrees of freedom of a fit with it
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, stdtrit
+
+Array = NDArray[np.float64]
+
+#: The density of log N^2 before the records are looked at goes with this power of N^2.
+POWER: Final = 1.0 / 3.0
+
+#: Steps of log N^2, in which likelihoods change smoothly.
+_STEP: Final = 1.0
+
+#: Change of the log-likelihood by which a walk shows, and by which it is out of the question.
+_SHOWS: Final = 0.05
+_EXCLUDED: Final = 8.0
+
+_MOST: Final = 60  #: steps
+
+#: Levels at which the mixture and Student's distribution are made to agree: one u, and 95 %.
+_ONE: Final = float(ndtr(1.0))
+_INTERVAL: Final = 0.975
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """A dropped walk.
+
+    Attributes
+    ----------
+    levels
+        N^2, (m/s^2)^2/Hz, increasing, shape (g,).
+    weights
+        Probability of each, shape (g,).
+    """
+
+    levels: Array
+    weights: Array
+
+
+def unseen_walk(at: Callable[[float], tuple[float, float]], first: float, without: float) -> Unseen:
+    """Return which walks records allow that do not show one.
+
+    Parameters
+    ----------
+    at
+        Log of a ratio of walk to white noise -> (log-likelihood at the best level of the white
+        noise, log N^2).
+    first
+        Log of a ratio at which a walk hardly shows.
+    without
+        Log-likelihood without a walk.
+    """
+    for _ in range(_MOST):
+        if abs(at(first)[0] - without) < _SHOWS:
+            break
+        first -= 2.0 * _STEP
+    values, levels = [], []
+    for step in range(_MOST):
+        value, log_level = at(first + step * _STEP)
+        values.append(value)
+        levels.append(log_level)
+        if value < max(without, *values) - _EXCLUDED:
+            break
+    log_density = np.array(values) + POWER * np.array(levels)
+    weights = _STEP * np.exp(log_density - log_density.max())
+    # Below the first level the likelihood is constant: the power is integrated, and so is N^2.
+    tail = weights[0] / _STEP / POWER
+    weights[0] *= 0.5
+    smallest = math.exp(levels[0]) * POWER / (1.0 + POWER)
+    every = np.append(tail, weights)
+    return Unseen(np.append(smallest, np.exp(levels)), every / every.sum())
+
+
+def lengthened(unseen: Unseen, variance: Array, slope: Array) -> tuple[float, Array]:
+    """Return one level of the walk that stands for all, and degrees of freedom that go with it.
+
+    The coefficient that feels the walk most has Student's distribution fitted to its own: a
+    normal one for each level, of variance + slope x level, weighted. For the others, which get
+    the same level, the degrees of freedom are those at which the 95 % interval is right.
+
+    Parameters
+    ----------
+    unseen
+        The levels.
+    variance
+        u^2 of each coefficient without the walk, shape (p,).
+    slope
+        What N^2 adds to it, per unit, shape (p,).
+
+    Returns
+    -------
+    float, Array
+        N^2; degrees of freedom, shape (p,), infinite where the walk adds nothing.
+    """
+    spread = np.sqrt(variance[:, None] + slope[:, None] * unseen.levels)
+    most = int(np.argmax(slope / variance))
+    one, wide = (_quantile(spread, unseen.weights, level) for level in (_ONE, _INTERVAL))
+    dof = _dof_of(float(wide[most] / one[most]))
+    u = float(one[most] / stdtrit(dof, _ONE))
+    level = max(u**2 - variance[most], 0.0) / slope[most]
+    needed = wide / np.sqrt(variance + slope * level)
+    return level, np.array([_dof_for(float(size)) for size in needed])
+
+
+def _quantile(spread: Array, weights: Array, level: float) -> Array:
+    """Return a quantile of each mixture of normal distributions, by bisection, shape (p,)."""
+    low, high = np.zeros(len(spread)), 10.0 * spread.max(axis=1)
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        below = ndtr(middle[:, None] / spread) @ weights < level
+        low, high = np.where(below, middle, low), np.where(below, high, middle)
+    return np.asarray(high)
+
+
+def _dof_of(ratio: float) -> float:
+    """Return the degrees of freedom at which Student's two quantiles have this ratio."""
+    return _root(lambda dof: float(stdtrit(dof, _INTERVAL) / stdtrit(dof, _ONE)), ratio)
+
+
+def _dof_for(quantile: float) -> float:
+    """Return the degrees of freedom of a given 97.5 % quantile."""
+    return _root(lambda dof: float(stdtrit(dof, _INTERVAL)), quantile)
+
+
+def _root(function: Callable[[float], float], value: float) -> float:
+    """Return where a falling function of the degrees of freedom has a value; 1 at the least."""
+    low, high = 0.0, math.log(1e6)
+    if function(math.exp(high)) >= value:
+        return math.inf  # no longer tails than a normal distribution has
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if function(math.exp(middle)) > value else (low, middle)
+    return math.exp(high)
