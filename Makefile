@@ -39,11 +39,8 @@ format: $(READY) ## Format the code and mend what the linter can
 bench: $(READY) $(BENCH) ## Time the main jobs; make bench FULL=--full for the sizes of the targets
 	$(BIN)/python benchmarks $(FULL)
 
-pictures: $(READY) ## Draw the pictures of the documentation again
-	rm -rf build/pictures
-	$(BIN)/counterspin demo --output build/pictures
-	mkdir -p docs/images
-	cp build/pictures/displacement.svg docs/images/displacement.svg
+pictures: $(READY) ## Make the pictures and examples of the documentation again
+	$(BIN)/python docs/pictures.py
 
 lock: ## Renew the pins: make lock UPGRADE=--upgrade
 	@$(require-python)

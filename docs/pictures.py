@@ -1,0 +1,70 @@
+"""Make the pictures and examples of the documentation again: `make pictures`.
+
+Everything comes from the commands that the documentation describes, with a fixed date, so that
+only what has changed becomes another file. The screenshots need Chromium and Playwright; without
+them the rest is made and the lack is said.
+"""
+
+import os
+import shutil
+import sys
+import tempfile
+from pathlib import Path
+
+from counterspin.cli import main
+
+DOCS = Path(__file__).parent
+IMAGES = DOCS / "images"
+EXAMPLES = DOCS / "examples" / "three-rate"
+DATE = "2026-03-01"
+
+#: What the README shows of the report: the part of the page that is seen first.
+VIEW = {"width": 1000, "height": 1180}
+
+
+def run(*words: str | Path) -> None:
+    """Run one command of counterspin; stop where it fails."""
+    status = main([str(word) for word in words])
+    if status:
+        sys.exit(status)
+
+
+def draw_the_demonstration() -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        run("demo", "-o", folder)
+        shutil.copy(Path(folder) / "displacement.svg", IMAGES)
+
+
+def write_the_examples() -> None:
+    result, lab = EXAMPLES / "result.json", EXAMPLES / "LAB.toml"
+    for name in ("report.html", "report.pdf"):
+        run("report", result, "-o", EXAMPLES / name, "--date", DATE)
+    for name in ("certificate.xml", "certificate.pdf"):
+        run("certificate", result, lab, "-o", EXAMPLES / name)
+
+
+def photograph_the_report() -> None:
+    """Take pictures of the example report as a browser shows it, light and dark."""
+    chromium = os.environ.get("COUNTERSPIN_CHROMIUM") or shutil.which("chromium")
+    if chromium is None:
+        print("No screenshots: there is no Chromium (COUNTERSPIN_CHROMIUM may name one).")
+        return
+    from playwright.sync_api import sync_playwright
+
+    page_of_report = (EXAMPLES / "report.html").as_uri()
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+        for scheme in ("light", "dark"):
+            page = browser.new_page(viewport=VIEW, color_scheme=scheme)  # type: ignore[arg-type]
+            page.goto(page_of_report)
+            page.screenshot(path=IMAGES / f"report-{scheme}.png")
+            page.close()
+        browser.close()
+
+
+if __name__ == "__main__":
+    os.environ["SOURCE_DATE_EPOCH"] = "1772323200"  # DATE, for the certificate
+    IMAGES.mkdir(exist_ok=True)
+    draw_the_demonstration()
+    write_the_examples()
+    photograph_the_report()

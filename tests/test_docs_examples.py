@@ -1,0 +1,46 @@
+"""The example documents belong to the example result; `make pictures` makes them again."""
+
+from pathlib import Path
+
+import pytest
+
+from counterspin.campaign.result import read_result
+from counterspin.report.blocks import Paragraph
+from counterspin.report.certificate.reading import read_certificate
+from counterspin.report.document import document, identifier_of
+
+EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "three-rate"
+RESULT = read_result(EXAMPLES / "result.json")
+
+
+def test_the_report_is_of_this_result_and_gives_its_answers():
+    page = (EXAMPLES / "report.html").read_text(encoding="utf-8")
+    assert identifier_of(RESULT) in page
+    answers = [b.text for b in document(RESULT) if isinstance(b, Paragraph) and b.style == "answer"]
+    assert len(answers) == 2
+    for answer in answers:
+        assert answer.split(" = ")[1] in page
+
+
+def test_the_pdf_is_of_this_result():
+    from pypdf import PdfReader
+
+    pages = PdfReader(EXAMPLES / "report.pdf").pages
+    for page in pages:
+        assert identifier_of(RESULT) in page.extract_text()
+
+
+def test_the_pdf_certificate_carries_the_xml():
+    from pypdf import PdfReader
+
+    ((_, (attached,)),) = PdfReader(EXAMPLES / "certificate.pdf").attachments.items()
+    assert attached == (EXAMPLES / "certificate.xml").read_bytes()
+
+
+def test_the_certificate_s_numbers_are_those_of_the_result():
+    read = read_certificate((EXAMPLES / "certificate.xml").read_bytes(), "certificate.xml")
+    for name, found in RESULT.accelerometers.items():
+        certified = read.accelerometers[name].coefficients["K_II"]
+        own = found.coefficients["K_II"]
+        assert certified.value == pytest.approx(own.value, rel=1e-12)
+        assert certified.u == pytest.approx(own.u, rel=1e-12)
