@@ -30,12 +30,14 @@ def run(*words: str | Path) -> None:
 
 
 def draw_the_demonstration() -> None:
+    """Draw the figure of the demonstration."""
     with tempfile.TemporaryDirectory() as folder:
         run("demo", "-o", folder)
         shutil.copy(Path(folder) / "displacement.svg", IMAGES)
 
 
 def write_the_examples() -> None:
+    """Write report and certificate of the example result."""
     result, lab = EXAMPLES / "result.json", EXAMPLES / "LAB.toml"
     for name in ("report.html", "report.pdf"):
         run("report", result, "-o", EXAMPLES / name, "--date", DATE)

@@ -19,6 +19,7 @@ from counterspin.report.certificate.lab import Contact, Lab, Part
 from counterspin.report.certificate.statements import Verdicts
 from counterspin.report.certificate.units import si_unit, to_si
 from counterspin.report.numbers import format_estimate, format_number
+from counterspin.report.typography import typeset, typeset_block
 
 TITLE = "Calibration certificate"
 
@@ -37,12 +38,12 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
     yield Heading("Results")
     for name in lab.certified(result):
         coefficients = result.accelerometers[name].coefficients
-        yield results_table(name, coefficients, result.inputs.gravity)
+        yield typeset_block(results_table(name, coefficients, result.inputs.gravity))
         for line in wording.not_determined(name, result.accelerometers[name]):
-            yield Paragraph(line, "warning")
+            yield Paragraph(typeset(line), "warning")
     yield Heading("Statements")
     yield Paragraph(wording.uncertainty_statement())
-    yield Paragraph(wording.unit_statement(result.inputs.gravity))
+    yield Paragraph(typeset(wording.unit_statement(result.inputs.gravity)))
     yield Paragraph(lab.certificate.traceability)
     for name, by_symbol in verdicts.items():
         for symbol, found in by_symbol.items():
