@@ -51,7 +51,7 @@ def test_the_pdf_holds_the_xml_byte_for_byte(desk, capsys):
     text = "\n".join(page.extract_text() for page in read.pages)
     for words in ("Calibration certificate", "Kalibrierlabor", "0815", "Rückgeführt auf das SI."):
         assert words in text
-    assert "(2.70000 ± 0.00020) x 1e-5 g/g^2" in " ".join(text.split())
+    assert "(2.70000 ± 0.00020) × 10⁻⁵ g/g²" in " ".join(text.split())
 
 
 def test_the_laboratory_s_specification_goes_before_the_campaign_s(desk, capsys):
@@ -76,7 +76,7 @@ def test_a_signed_certificate_is_verified_and_says_that_it_is_signed(desk, capsy
     assert find(made, "//dcc:cryptElectronicSignature")[0].text == "true"
     status, out, _ = command(capsys, "--verify", "c.xml", "--cert", cert)
     assert status == 0
-    assert "(2.70000 ± 0.00020) x 1e-5 g/g^2" in out
+    assert "(2.70000 ± 0.00020) × 10⁻⁵ g/g²" in out
     assert out.endswith("The signature is valid.\n")
     (desk / "d.xml").write_bytes(made.replace(b">9.8<", b">9.9<", 1))
     status, out, err = command(capsys, "--verify", "d.xml", "--cert", cert)
