@@ -15,6 +15,7 @@ HOSTILE = [
     "a | b || c",
     "*not* **strong** ~~gone~~ ~x~",
     "<b>bold</b> <script>alert(1)</script> & &amp; &lt;",
+    "<div no block",
     "[link](http://example.org) ![picture](x) [!NOTE] [x]: y",
     "`code` ``more``",
     "\\ \\| \\n ends in \\",

@@ -119,7 +119,11 @@ def pdf(
             for one in attachments
         ],
     }
-    files = {f"attachment-{index}": one.data for index, one in enumerate(attachments)}
+    # The compiler takes text alone, so bytes travel as a list of numbers.
+    files = {
+        f"attachment-{index}.json": json.dumps(list(one.data), separators=(",", ":")).encode()
+        for index, one in enumerate(attachments)
+    }
     return _compiled(data, files, moment)
 
 
