@@ -322,6 +322,11 @@ def test_numbers_in_a_heat_map_are_read_on_both_ends(value, colour):
     assert lighter / darker >= 4.5
 
 
+def test_a_small_number_has_no_sign():
+    text = svg(HeatMap("", ("a", "b"), ((1.0, -0.004), (-0.006, 1.0))))
+    assert {"0.00", "−0.01"} <= set(words(text))
+
+
 def test_heat_map_grows_in_strength_with_the_number():
     text = svg(HeatMap("", ("a", "b"), ((1.0, 0.25), (0.5, 1.0))))
     opacity = [float(o) for o in re.findall(r"fill-opacity: ([\d.]+)", text)]

@@ -253,7 +253,7 @@ def _draw_heat_map(axes: Any, heat_map: HeatMap) -> None:
     wide = min(46.0, (WIDTH - widest - 12.0) / max(size, 1))
     if size <= _NUMBERED:
         for row, column, value in zip(rows, columns, values.ravel(), strict=True):
-            text = "1" if row == column else f"{value:.2f}".replace("-", "−")
+            text = "1" if row == column else f"{round(value, 2) + 0.0:.2f}".replace("-", "−")
             axes.text(
                 column + 0.5,
                 row + 0.5,
