@@ -18,6 +18,7 @@ from counterspin.report.typography import typeset, typeset_block
         ("6e-7 (< 0.1 %)", "6 × 10⁻⁷ (< 0.1 %)"),
         ("3e-6 m/s^2 and s^-1", "3 × 10⁻⁶ m/s² and s⁻¹"),
         ("K_II, ug/g^2 per unit", "K_II, µg/g² per unit"),
+        ("by 29 ug/g^2.", "by 29 µg/g²."),
         # Not numbers, or not such ones.
         ("run1e5.csv", "run1e5.csv"),
         ("file.1e5", "file.1e5"),

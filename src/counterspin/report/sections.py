@@ -235,7 +235,10 @@ def _fits(runs: dict[str, RunResult]) -> Iterator[Block]:
 
 
 def _plain(value: float | str | None) -> str:
-    return "-" if value is None else value if isinstance(value, str) else format_number(value, 4)
+    if value is None or isinstance(value, str):
+        return value or "-"
+    # Counts are told whole, and what is compared with them (chi-square, dof) to the same place.
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e9 else format_number(value, 4)
 
 
 def _details(result: Result) -> Iterator[Block]:

@@ -18,7 +18,7 @@ _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _POWER: Final = re.compile(r"(?<![\w.])1e(-?\d+)(?!\w)")
 #: A number, perhaps with its uncertainty in brackets, times a power of ten.
 _TIMES_POWER: Final = re.compile(r"(?<![\w.])(\d+(?:\.\d+)?(?:\([\d.]+\))?)e(-?\d+)(?!\w)")
-_EXPONENT: Final = re.compile(r"(?<=\w)\^(-?\d)(?![\d.])")
+_EXPONENT: Final = re.compile(r"(?<=\w)\^(-?\d)(?!\.?\d)")
 #: Micro before a gram-force alone: nothing else in a report is called ug.
 _MICRO: Final = re.compile(r"(?<![\w.])ug(?![\w.])")
 _CROSS: Final = re.compile(r"(?<=[\d)]) x (?=10[⁻⁰-⁹¹²³])")
