@@ -34,6 +34,16 @@ def test_noise_stated_too_small_and_too_large():
     assert "too large" in large.verdict
 
 
+def test_runs_may_have_their_own_degrees_of_freedom():
+    own = {"run1": 1999.5, "run2": 1990.0}
+    result = diagnose({"run1": white(1), "run2": white(2)}, own, noise_given=True)
+    assert {name: run.dof for name, run in result.runs.items()} == own
+    assert result.dof == 3989.5
+    assert result.runs["run2"].chi2_p == chi_square_p(result.runs["run2"].chi2, 1990.0)
+    with pytest.raises(ValueError, match="nothing to test"):
+        diagnose({"run1": white(1)}, {"run1": 0.0}, noise_given=True)
+
+
 def test_one_bad_run_is_named():
     result = diagnose({"good": white(1), "bad": 1.3 * white(2)}, 3990, noise_given=True)
     assert any(finding.startswith("bad:") for finding in result.findings)

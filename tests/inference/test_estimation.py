@@ -311,6 +311,8 @@ def test_spikes_and_gaps_leave_k_ii_within_its_uncertainty(clean):
     [
         ("displacement", Noise(1e-2, 2e-3)),
         ("displacement", Noise(1e-3, 2e-3)),
+        ("displacement", Noise(1e-4, 2e-3)),
+        ("displacement", Noise(1e-6, 2e-3)),
         ("velocity", Noise(1e-6, 3e-4)),
         ("specific_force", Noise(0.0, 3e-4)),
     ],

@@ -529,3 +529,34 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
             atol=1e-6 * scale,
             err_msg=name,
         )
+
+
+def test_freedom_is_what_chi_square_comes_to_in_each_run():
+    """Priors drawn, noise drawn: the mean of each run's sum of squares, to sampling error."""
+    priors = {"K_F": (5.03e-3, 2e-6), "K_II": (2.7e-5, 1e-7)}
+    model = Model(
+        (
+            *unknowns(TRUTH, priors),
+            Unknown("run1", "platform.tilt.north", (0.0, ARCSEC), 1e-2),
+            Unknown("", "platform.drift.up", (0.0, np.inf), 10 * DEG_H),
+        )
+    )
+    rng = np.random.default_rng(23)
+    clean = joint.prepare(three_rates(TRUTH, revolutions=2, per_revolution=6), model, SCALES)
+    sd = np.array([u.prior[1] if np.isfinite(u.prior[1]) else 0.0 for u in model.unknowns])
+    trials, sums = 1500, np.zeros(3)
+    for _ in range(trials):
+        off = sd * rng.standard_normal(sd.size)
+        drawn = []
+        for one in redrawn(clean, WHITE, rng):
+            error = one.series.error + one.design @ off[list(one.unknowns)]
+            drawn.append(replace(one, series=replace(one.series, error=error)))
+        fit = joint.solve_joint(drawn, model, {"Qx": WHITE})
+        sums += [np.sum(joint.residuals(fit, index)[1] ** 2) for index in range(3)]
+    expected = np.array(joint.freedom(fit))
+    np.testing.assert_allclose(
+        sums / trials, expected, atol=4 * np.sqrt(2 * expected / trials).max()
+    )
+    # Eleven unknowns in all and three priors: not a whole number, and not the same in each run.
+    assert expected.sum() == pytest.approx(fit.solution.dof - 3, abs=3)
+    assert np.ptp(expected) > 0.1

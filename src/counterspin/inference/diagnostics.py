@@ -102,7 +102,7 @@ class Diagnostics:
 
 def diagnose(
     residuals: Mapping[str, ArrayLike],
-    dof: float,
+    dof: float | Mapping[str, float],
     *,
     noise_given: bool,
     times: Mapping[str, ArrayLike] | None = None,
@@ -114,7 +114,7 @@ def diagnose(
     residuals
         By run, (n,) whitened residuals in the order of time; n >= 3.
     dof
-        Degrees of freedom of the whole fit.
+        Degrees of freedom by run, or of the whole fit: the runs then share them by their rows.
     noise_given
         False where the noise was estimated from these residuals.
     times
@@ -129,21 +129,27 @@ def diagnose(
     total = sum(len(rows) for rows in values.values())
     if not values or min(len(rows) for rows in values.values()) < 3:
         raise ValueError("residuals can be tested only with three or more of them in every run")
-    if not dof > 0:
-        raise ValueError(f"{dof} degrees of freedom: there is nothing to test")
+    shares = (
+        dof
+        if isinstance(dof, Mapping)
+        else {name: dof * len(rows) / total for name, rows in values.items()}
+    )
+    whole = float(sum(shares[name] for name in values))
+    if not min(shares[name] for name in values) > 0:
+        raise ValueError(f"{whole} degrees of freedom: there is nothing to test")
     runs = {}
     for name, rows in values.items():
         interval = 1.0 if times is None else float(np.median(np.diff(np.asarray(times[name]))))
-        runs[name] = _diagnose_run(rows, dof * len(rows) / total, interval)
+        runs[name] = _diagnose_run(rows, shares[name], interval)
 
     chi2 = float(sum(run.chi2 for run in runs.values()))
     if noise_given:
-        fit_p = chi_square_p(chi2, dof)
+        fit_p = chi_square_p(chi2, whole)
     else:
         smallest = min(min(run.sign_p, run.peak_p) for run in runs.values())
         fit_p = min(1.0, 2 * len(runs) * smallest)
-    findings = _findings(runs, chi2, dof, noise_given, "Hz" if times else "cycles per row")
-    return Diagnostics(chi2, float(dof), fit_p, noise_given, runs, findings)
+    findings = _findings(runs, chi2, whole, noise_given, "Hz" if times else "cycles per row")
+    return Diagnostics(chi2, whole, fit_p, noise_given, runs, findings)
 
 
 def _diagnose_run(rows: Array, dof: float, interval: float) -> RunDiagnostics:

@@ -173,21 +173,24 @@ def _reject(
     outliers: list[Rows],
 ) -> tuple[Prepared, ...]:
     """Leave outliers out, refitting until there are none; marks them in `outliers`."""
+    places = [(one.series.time, np.sqrt(one.series.count)) for one in prepared]
     for _ in range(_ROUNDS):
         fit = joint.solve_joint(prepared, model, rough)
         found = []
-        for index, one in enumerate(prepared):
-            left, _whitened = joint.residuals(fit, index)
+        for index, (one, mask) in enumerate(zip(prepared, outliers, strict=True)):
+            time, weight = places[index]
+            left = np.full(time.size, np.nan)
+            left[~mask] = joint.residuals(fit, index)[0]
             step = requests[one.series.accelerometer].quantisation
-            found.append(outlying(left, np.sqrt(one.series.count), step / math.sqrt(12.0)))
+            found.append(outlying(left, weight, step / math.sqrt(12.0), time))
         if not any(mask.any() for mask in found):
             return prepared
         prepared = tuple(
-            _without(one, mask) if mask.any() else one
-            for one, mask in zip(prepared, found, strict=True)
+            _without(one, new[~mask]) if new.any() else one
+            for one, new, mask in zip(prepared, found, outliers, strict=True)
         )
         for mask, new in zip(outliers, found, strict=True):
-            mask[np.flatnonzero(np.logical_not(mask))[new]] = True
+            mask[new] = True
     where = " and ".join(
         f"{one.series.run} ({one.series.accelerometer})"
         for one, mask in zip(prepared, found, strict=True)

@@ -11,7 +11,7 @@ The problem is a `Model` (`counterspin.inference.model`) beside the series
 
 - `prepare`: the columns, computed once
 - `solve_joint`, `with_noise`, `JointFit`: the answer
-- `residuals`, `unexplained`, `leave_out`: checks of it
+- `residuals`, `freedom`, `unexplained`, `leave_out`: checks of it
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ __all__ = [
     "Model",
     "Prepared",
     "Unknown",
+    "freedom",
     "leave_out",
     "prepare",
     "residuals",
@@ -248,6 +249,19 @@ def leave_out(fit: JointFit, run: str) -> Solution | None:
         block for block, one in zip(fit.blocks, fit.prepared, strict=True) if one.series.run != run
     ]
     return _solve(kept, fit.model) if kept else None
+
+
+def freedom(fit: JointFit) -> list[float]:
+    """Return the degrees of freedom of each series' residuals.
+
+    Rows less the series' own unknowns, less what the fit of all series and priors follows of it.
+    """
+    ends = np.cumsum([block.factor.shape[0] for block in fit.blocks])
+    followed = np.add.reduceat(fit.solution.leverages, np.append(0, ends[:-1]))
+    return [
+        block.rows - block.nuisance - float(part)
+        for block, part in zip(fit.blocks, followed, strict=True)
+    ]
 
 
 def residuals(fit: JointFit, index: int) -> tuple[Array, Array]:

@@ -147,6 +147,16 @@ class Solution:
         """The combined standard uncertainties, shape (p,)."""
         return np.sqrt(np.diag(self.covariance))
 
+    @property
+    def leverages(self) -> Array:
+        """How far the fit follows each of the blocks' stacked rows: 0 not at all, 1 wholly.
+
+        A row's residual has one minus this for its expected square, priors being right.
+        """
+        rotation: Array = self._rows.rotation[: self._rows.data]
+        followed: Array = np.sum(rotation**2, axis=1)
+        return followed
+
     def combine(self, weights: npt.ArrayLike) -> Combination:
         """Return a linear combination of the unknowns, its uncertainty split by source.
 
