@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import warnings
+from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
@@ -167,6 +168,31 @@ def test_shortcut_refuses_outside_its_validity(tmp_path, change, reason):
     with pytest.raises(NotIdentifiableError, match=reason):
         choose_engine(world, truth, two_stage, "surrogate")
     assert choose_engine(world, truth, two_stage, "auto").kind == "full"
+
+
+def test_noise_levels_vary(tmp_path):
+    levels = """[study.vary]
+noise.angle = { uniform = ["1 urad", "3 urad"] }
+noise.quantisation = { fixed = "30 mm" }
+noise.acceleration = { fixed = "1e-5 g/Hz^0.5" }
+noise.timing = { normal = "1 ± 0.1 us" }
+[study.analyses.two-stage]
+method = "two-stage"
+sigma = "residuals"
+"""
+    description = read_study(write(tmp_path / "a", SHORT + levels))
+    world, truth = world_of(description.campaign), truth_of(description)
+    (analysis,) = analyses_of(description)
+    part = choose_engine(world, truth, analysis, "auto")
+    assert "noise.angle, noise.quantisation, noise.acceleration, noise.timing varies" in part.words
+    draws = truth.draw(stream(3, 0, 0), 40)
+    assert draws.noise["noise.acceleration"] == pytest.approx(9.8e-5)
+    assert np.all((draws.noise["noise.angle"] >= 1e-6) & (draws.noise["noise.angle"] <= 3e-6))
+    found = part.engine.trials(draws, stream(3, 0, 1))
+    quiet = replace(draws, noise={})
+    still = part.engine.trials(quiet, stream(3, 0, 1))
+    # Steps of 30 mm add 30/sqrt(12) = 8.7 mm to 10 mm of noise: sigma grows by sqrt(1 + 0.75).
+    assert np.median(found.u[0] / still.u[0]) == pytest.approx(np.sqrt(1.75), rel=0.15)
 
 
 def test_joint_fit_of_a_varying_rotation_needs_whole_records(tmp_path):

@@ -32,7 +32,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import Section, Text, exact
 from counterspin.campaign.terms import BARE_NAMES, acts
 from counterspin.errors import CampaignError
-from counterspin.inference.study_draws import OTHERS, RADIUS, WHITE, Varying
+from counterspin.inference.study_draws import OTHER_NOISE, OTHERS, RADIUS, WHITE, Varying
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
 
 #: Kinds of distribution, as they are written.
@@ -244,13 +244,15 @@ def _varying(
     unit = OTHERS.get(symbol) or term(symbol).unit
     read = problems.attempt(path, _read, kind, getattr(settings, kind), unit, gravity)
     per_run = settings.per == "run"
-    if per_run and symbol in (RADIUS, WHITE):
+    if per_run and symbol in (RADIUS, WHITE, *OTHER_NOISE):
         problems.add(path, "is common to the runs of a campaign")
     if read is None:
         return []
     first, second = read
     if symbol in (RADIUS, WHITE) and first <= 0.0:
         problems.add(path, "must be greater than zero")
+    if symbol in OTHER_NOISE and first < 0.0:
+        problems.add(path, "must not be less than zero")
     return [
         Varying(owner, one, kind, first, second, per_run)  # type: ignore[arg-type]
         for owner, one in names

@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -21,6 +21,7 @@ from counterspin.inference.joint import Model
 from counterspin.inference.noise import Noise
 from counterspin.inference.study_draws import (
     DRIFT,
+    OTHER_NOISE,
     RADIUS,
     RIPPLE_AMPLITUDE,
     RIPPLE_PHASE,
@@ -292,8 +293,10 @@ def cramer_rao(world: Instrumented, truth: Truth, model: Model) -> dict[str, flo
     known of them beforehand (the posterior bound of van Trees), everything else being known. An
     unknown that the records do not determine has none.
     """
-    white = float(np.mean(truth.draw(np.random.default_rng(0), 256).white))
-    noise = Noise(white, world.random_walk, world.quantisation)
+    draws = truth.draw(np.random.default_rng(0), 256)
+    levels = {OTHER_NOISE[key]: float(value.mean()) for key, value in draws.noise.items()}
+    world = replace(world, **levels)  # type: ignore[arg-type]
+    noise = Noise(float(draws.white.mean()), world.random_walk, world.quantisation)
     if noise.sample_variance == 0.0 and noise.random_walk == 0.0:
         return {}
     names = {u.owner for u in model.unknowns if u.symbol in TERMS} or set(world.mountings)

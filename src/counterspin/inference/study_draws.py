@@ -28,6 +28,14 @@ RIPPLE_PHASE: Final = "spindle.ripple.phase"  #: its phase, rad
 RADIUS: Final = "centrifuge.radius"  #: m
 WHITE: Final = "noise.displacement"  #: of a sample, m
 
+#: Noise that only whole records have: its name, and its field of `study_full.Instrumented`.
+OTHER_NOISE: Final[Mapping[str, str]] = {
+    "noise.acceleration": "random_walk",  # m/s^2/Hz^0.5
+    "noise.quantisation": "quantisation",  # m
+    "noise.angle": "angle_noise",  # rad
+    "noise.timing": "timing_noise",  # s
+}
+
 #: What may vary beside the terms of the tables, with the unit.
 OTHERS: Final[Mapping[str, str]] = {
     DRIFT: "1/s",
@@ -36,6 +44,10 @@ OTHERS: Final[Mapping[str, str]] = {
     RIPPLE_PHASE: "rad",
     RADIUS: "m",
     WHITE: "m",
+    "noise.acceleration": "m/s^2/Hz^0.5",
+    "noise.quantisation": "m",
+    "noise.angle": "rad",
+    "noise.timing": "s",
 }
 
 #: How many standard deviations of a normal distribution a study must be valid for.
@@ -113,6 +125,8 @@ class Draws:
         shape (r or 1, n or 1).
     radius, white
         m, shape (n,) or (1,).
+    noise
+        Those of `OTHER_NOISE` that vary, shape (n,) or (1,).
     """
 
     trials: int
@@ -122,6 +136,7 @@ class Draws:
     ripple_sin: Array
     radius: Array
     white: Array
+    noise: Mapping[str, Array]
 
     def take(self, trial: int) -> Draws:
         """Return one of the trials by itself."""
@@ -136,7 +151,12 @@ class Draws:
         return Draws(
             stop - start,
             {key: some(value) for key, value in self.values.items()},
-            *map(some, (self.drift, self.ripple_cos, self.ripple_sin, self.radius, self.white)),
+            some(self.drift),
+            some(self.ripple_cos),
+            some(self.ripple_sin),
+            some(self.radius),
+            some(self.white),
+            {key: some(value) for key, value in self.noise.items()},
         )
 
     def of(self, owner: str, symbol: str) -> Array:
@@ -186,6 +206,7 @@ class Truth:
         drift = np.array([[s.drift] for s in self.spindles])
         ratio, phase = (np.array(part)[:, None] for part in self._first())
         radius, white = np.array([self.radius]), np.array([self.white])
+        noise: dict[str, Array] = {}
         for one in self.varying:
             drawn = one.draw(generator, runs, trials)
             if one.symbol == DRIFT:
@@ -200,10 +221,12 @@ class Truth:
                 radius = drawn[0]
             elif one.symbol == WHITE:
                 white = np.abs(drawn[0])
+            elif one.symbol in OTHER_NOISE:
+                noise[one.symbol] = np.abs(drawn[0])
             else:
                 values[one.owner, one.symbol] = drawn
         cos, sin = ratio * np.cos(phase), ratio * np.sin(phase)
-        return Draws(trials, values, drift, cos, sin, radius, white)
+        return Draws(trials, values, drift, cos, sin, radius, white, noise)
 
     def _first(self) -> tuple[list[float], list[float]]:
         """Return ratio and phase of every run's first harmonic."""

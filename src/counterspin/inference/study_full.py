@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ from counterspin.inference.estimation import estimate
 from counterspin.inference.first_stage import first_stage
 from counterspin.inference.series import Series
 from counterspin.inference.strobes import Strobes, strobe_angle
-from counterspin.inference.study_draws import Draws
+from counterspin.inference.study_draws import OTHER_NOISE, Draws
 from counterspin.inference.study_joint import JointAnalysis
 from counterspin.inference.study_strobes import StrobedMotion
 from counterspin.inference.study_two_stage import Trials, TwoStage
@@ -122,10 +122,18 @@ class FullEngine:
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
         """Return what the analysis says of n trials; see `TwoStageEngine.trials`."""
-        analyse = self._joint if isinstance(self.analysis, JointAnalysis) else self._two_stage
-        found = [analyse(draws.take(trial), generator) for trial in range(draws.trials)]
+        found = [self._trial(draws.take(trial), generator) for trial in range(draws.trials)]
         estimate_, u, dof = (np.array(part).T for part in zip(*found, strict=True))
         return Trials(estimate_, u, dof)
+
+    def _trial(
+        self, draws: Draws, generator: np.random.Generator
+    ) -> tuple[Sequence[float], Sequence[float], Sequence[float]]:
+        levels = {OTHER_NOISE[symbol]: float(value[0]) for symbol, value in draws.noise.items()}
+        one = replace(self, world=replace(self.world, **levels)) if levels else self  # type: ignore[arg-type]
+        if isinstance(self.analysis, JointAnalysis):
+            return one._joint(draws, generator)
+        return one._two_stage(draws, generator)
 
     def _joint(
         self, draws: Draws, generator: np.random.Generator

@@ -13,6 +13,7 @@ import numpy as np
 
 from counterspin.inference.study_draws import (
     DRIFT,
+    OTHER_NOISE,
     RIPPLE_AMPLITUDE,
     RIPPLE_PHASE,
     RIPPLE_RATIO,
@@ -80,6 +81,9 @@ def _against(world: Instrumented, truth: Truth) -> list[str]:
     white = _white(truth)
     if not world.angle_recorded:
         reasons.append("no angle is recorded, and the rotation has to be found")
+    other = [one.symbol for one in truth.varying if one.symbol in OTHER_NOISE]
+    if other:
+        reasons.append(f"{', '.join(other)} varies, and only whole records have it")
     if world.quantisation > 0.0:
         reasons.append("quantisation is not Gaussian")
     if white <= 0.0:
