@@ -301,3 +301,23 @@ def test_what_cannot_be_estimated_is_refused():
         estimate([data, replace(data, order=1)])
     with pytest.raises(ValueError, match="all components"):
         estimate([data], white=0.0, random_walk=0.0)
+
+
+def test_records_may_name_the_unknowns_that_they_see():
+    """A column of a record's own, with a prior: compact and with zeros for the others."""
+    rng = np.random.default_rng(31)
+    compact, dense = [], []
+    for k in range(3):
+        times = np.sort(rng.uniform(0, 40, 150)) + 0.05 * np.arange(150)
+        common, own = np.cos(times), np.sin((k + 2) * times)
+        y = 0.3 * common + 0.1 * rng.standard_normal(150) + 2e-2 * walk_of(rng, 2, 150, STEP)
+        compact.append(RecordData(times, 2, np.column_stack([own, common]), y, places=[k + 1, 0]))
+        design = np.zeros((150, 4))
+        design[:, [k + 1, 0]] = np.column_stack([own, common])
+        dense.append(RecordData(times, 2, design, y))
+    prior = {"prior_rows": np.eye(4) / 0.05, "prior_values": np.zeros(4)}
+    one, other = (estimate(records, **prior) for records in (compact, dense))
+    assert (one.white, one.random_walk) == pytest.approx((other.white, other.random_walk), rel=1e-6)
+    assert one.degrees_of_freedom == pytest.approx(other.degrees_of_freedom, rel=1e-9)
+    for names, value in one.log_likelihoods.items():
+        assert value == pytest.approx(other.log_likelihoods[names], rel=1e-9)

@@ -235,17 +235,16 @@ def _components(
     used = sorted({index for one in prepared for index in one.unknowns})
     records = []
     for one in prepared:
-        design = np.zeros((one.series.time.size, len(used)))
-        design[:, [used.index(index) for index in one.unknowns]] = one.design
         series = one.series
         records.append(
             RecordData(
                 series.time,
                 series.order,
-                design,
+                one.design,
                 joint.unexplained(one, model),
                 series.count,
                 series.block_spacing,
+                [used.index(index) for index in one.unknowns],
             )
         )
     # Priors are data too; what has none is held as loosely as in the solution.

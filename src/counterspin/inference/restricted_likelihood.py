@@ -32,12 +32,14 @@ class RecordData:
     order
         2 displacement, 1 velocity, 0 specific force.
     design
-        (n, p) columns of the unknowns, the same p for all records (zeros where a record does not
-        see one). Start offset and velocity may be left out: differencing removes them.
+        (n, k) columns of the unknowns that the record sees. Start offset and velocity may be left
+        out: differencing removes them.
     observations
         (n,).
     count, spacing
         Samples per row and the time between them, as in `make_whitener`.
+    places
+        (k,) which of the p unknowns of all records the columns belong to; absent: all of them.
     """
 
     times: ArrayLike
@@ -46,6 +48,7 @@ class RecordData:
     observations: ArrayLike
     count: ArrayLike | None = None
     spacing: ArrayLike | None = None
+    places: ArrayLike | None = None
 
 
 @dataclass
@@ -58,6 +61,7 @@ class RestrictedLikelihood:
 
     differences: list[Differences]
     stacks: list[Array]  # differenced [design | observations] of each record
+    places: list[NDArray[np.intp]]  # of each stack's columns but the last among all unknowns
     prior: Array  # [rows | values]
     triangles: dict[float, tuple[Array, float]] = field(default_factory=dict)
 
@@ -79,15 +83,20 @@ class RestrictedLikelihood:
             for r in records
         ]
         stacks = [d.apply(stack) for d, stack in zip(differences, rows, strict=True)]
-        p = rows[0].shape[1] - 1
+        places = [
+            np.arange(stack.shape[1] - 1) if r.places is None else np.asarray(r.places, np.intp)
+            for r, stack in zip(records, rows, strict=True)
+        ]
+        p = 1 + max((int(place.max()) for place in places if place.size), default=-1)
         known = np.zeros((0, p)) if prior_rows is None else np.asarray(prior_rows, float)
         values = np.zeros(len(known)) if prior_values is None else np.asarray(prior_values, float)
-        likelihood = cls(differences, stacks, np.column_stack([known, values]))
+        likelihood = cls(differences, stacks, places, np.column_stack([known, values]))
         # What differencing leaves of a start error in the design is rounding, not an unknown.
-        before, after = (
-            np.sqrt(sum(np.square(s).sum(axis=0) for s in part)) for part in (rows, stacks)
-        )
-        seen = (after > 1e-14 * before)[:p] | (known != 0).any(axis=0)
+        before, after = np.zeros(known.shape[1]), np.zeros(known.shape[1])
+        for total, part in ((before, rows), (after, stacks)):
+            for place, stack in zip(places, part, strict=True):
+                total[place] += np.square(stack[:, :-1]).sum(axis=0)
+        seen = (after > 1e-28 * before) | (known != 0).any(axis=0)
         likelihood._keep(np.flatnonzero(seen))
         likelihood._keep(likelihood._independent())
         unknowns = likelihood.prior.shape[1] - 1
@@ -99,9 +108,13 @@ class RestrictedLikelihood:
         return likelihood
 
     def _keep(self, unknowns: NDArray[np.intp]) -> None:
-        columns = np.append(unknowns, self.prior.shape[1] - 1)
-        self.stacks = [np.asfortranarray(stack[:, columns]) for stack in self.stacks]
-        self.prior = self.prior[:, columns]
+        renamed = np.full(self.prior.shape[1] - 1, -1)
+        renamed[unknowns] = np.arange(unknowns.size)
+        for index, (place, stack) in enumerate(zip(self.places, self.stacks, strict=True)):
+            kept = renamed[place] >= 0
+            self.places[index] = renamed[place[kept]]
+            self.stacks[index] = np.asfortranarray(stack[:, np.append(kept, True)])
+        self.prior = self.prior[:, np.append(unknowns, self.prior.shape[1] - 1)]
         self.triangles.clear()
 
     def _independent(self) -> NDArray[np.intp]:
@@ -186,9 +199,14 @@ class RestrictedLikelihood:
             scales = (0.0, 1.0) if math.isinf(ratio) else (1.0, ratio)
             width = self.prior.shape[1]
             log_det, parts = 0.0, [np.zeros((width, width))]
-            for differences, stack in zip(self.differences, self.stacks, strict=True):
+            for differences, stack, place in zip(
+                self.differences, self.stacks, self.places, strict=True
+            ):
                 bands, part = differences.factor(*scales)
                 log_det += part
-                parts.append(triangle_of(solve_banded_factor(bands, stack)))
+                own = triangle_of(solve_banded_factor(bands, stack))
+                whole = np.zeros((own.shape[0], width))
+                whole[:, np.append(place, width - 1)] = own
+                parts.append(whole)
             self.triangles[ratio] = triangle_of(np.vstack(parts)), log_det
         return self.triangles[ratio]
