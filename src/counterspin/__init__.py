@@ -83,10 +83,10 @@ if TYPE_CHECKING:
     from counterspin.commands.history import history as history
     from counterspin.commands.history_result import History as History
     from counterspin.commands.init import init as init
+    from counterspin.commands.method import TwoStageOptions as TwoStageOptions
     from counterspin.commands.plan import Planned as Planned
     from counterspin.commands.plan import plan as plan
     from counterspin.commands.simulate import simulate as simulate
-    from counterspin.commands.two_stage import TwoStageOptions as TwoStageOptions
     from counterspin.errors import CampaignError as CampaignError
     from counterspin.errors import ConvergenceError as ConvergenceError
     from counterspin.errors import CounterspinError as CounterspinError
@@ -136,7 +136,7 @@ _OFFERED = {
     "commands.init": ("init",),
     "commands.plan": ("Planned", "plan"),
     "commands.simulate": ("simulate",),
-    "commands.two_stage": ("TwoStageOptions",),
+    "commands.method": ("TwoStageOptions",),
     "errors": (
         "CampaignError",
         "ConvergenceError",

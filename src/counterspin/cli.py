@@ -121,11 +121,9 @@ def calibrate(
     cluster
         Several campaigns: address of a Dask scheduler, whose workers see the same folders.
     """
-    from counterspin.campaign.result import write_result
     from counterspin.commands.calibrate import calibrate as run
-    from counterspin.commands.two_stage import TwoStageOptions
+    from counterspin.commands.method import TwoStageOptions
     from counterspin.report.progress import progress
-    from counterspin.report.text import print_result, report_console
 
     options = TwoStageOptions(
         model=model,
@@ -141,6 +139,10 @@ def calibrate(
         return
     with progress() as advance:
         result = run(directory, method=method, options=options, progress=advance)
+    # Loaded last, so that reading begins as early as can be.
+    from counterspin.campaign.result import write_result
+    from counterspin.report.text import print_result, report_console
+
     print_result(result, report_console(), budget=budget, details=details)
     if json is not None:
         # Last: a file that cannot be written must not cost the report as well.

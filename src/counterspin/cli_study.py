@@ -15,7 +15,7 @@ from cyclopts import Parameter
 from counterspin.errors import CounterspinError
 
 if TYPE_CHECKING:
-    from counterspin.commands.two_stage import TwoStageOptions
+    from counterspin.commands.method import TwoStageOptions
 
 
 def study(

@@ -2,7 +2,9 @@
 
 - `init`: a commented campaign description to start from
 - `simulate`: records of a campaign whose coefficients are known
-- `calibrate`: the main job, from a campaign folder to a `Result`
+- `calibrate`, `calibration`: the main job, from a campaign folder to observed runs, and from these
+  to a `Result`
+- `method`: how a calibration is made
 - `two_stage`, `two_stage_findings`: its method of the paper; what its result must say beside
 - `joint`, `joint_parts`, `joint_checks`: its method of full records; the result's parts; its checks
 - `joint_traces`: its residuals, thinned for pictures

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from counterspin.campaign.result import Result
-from counterspin.commands.calibrate import Method, calibrate
+from counterspin.commands.calibrate import calibrate
 from counterspin.commands.crew import crew_of
-from counterspin.commands.two_stage import TwoStageOptions
+from counterspin.commands.method import Method, TwoStageOptions
 from counterspin.errors import CounterspinError
 
 

@@ -18,8 +18,9 @@ from counterspin.campaign.output import write_text
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.result_parts import AccelerometerResult
 from counterspin.commands.joint import joint
+from counterspin.commands.method import TwoStageOptions
 from counterspin.commands.simulate import simulate
-from counterspin.commands.two_stage import TwoStageOptions, TwoStageOutcome, two_stage
+from counterspin.commands.two_stage import TwoStageOutcome, two_stage
 from counterspin.errors import CounterspinError
 
 #: Where the demonstration goes unless it is told otherwise.

@@ -17,7 +17,8 @@ from counterspin.campaign.observed import ObservedRun
 from counterspin.campaign.problem import left_out_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.result_parts import Comparison, Jackknife, LeftOut
-from counterspin.commands.two_stage import TwoStageOptions, two_stage
+from counterspin.commands.method import TwoStageOptions
+from counterspin.commands.two_stage import two_stage
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference import encoder
 from counterspin.inference import joint as fitting

@@ -22,52 +22,15 @@ from counterspin.campaign.result_parts import (
     ParabolaResult,
     Residual,
 )
+from counterspin.commands.method import TwoStageOptions
 from counterspin.commands.two_stage_findings import confounded, left_out, unmodelled, warnings
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference import strobes as strobing
 from counterspin.inference.first_stage import Parabola, first_stage
 from counterspin.inference.two_stage import DRIFT, RIPPLE, SecondStage, StrobedRun, second_stage
 from counterspin.physics.accelerometer import TERMS, term
-from counterspin.physics.as_printed import RippleModel
 
 _NOTHING: Final = (0.0, math.inf)  #: known of a term beforehand
-
-
-@dataclass(frozen=True)
-class TwoStageOptions:
-    """How the paper's method is applied.
-
-    Attributes
-    ----------
-    model
-        ``exact`` or ``as-printed``.
-    weighted
-        Whether the second stage weights runs by sigma(b2); the paper does not.
-    ripple
-        As printed: the ripple's ``amplitude`` or its ``ratio`` to the rate is common to the runs.
-    fit_bias
-        Whether K_F is estimated, with its prior, or taken as known.
-    from_residuals
-        Whether sigma is taken from the residuals even where the campaign states it.
-    """
-
-    model: str = "exact"
-    weighted: bool = True
-    ripple: RippleModel = "amplitude"
-    fit_bias: bool = True
-    from_residuals: bool = False
-
-    def words(self) -> list[str]:
-        """Return the options as they are typed, where they are not the defaults."""
-        usual = TwoStageOptions()
-        typed = {
-            "model": f"--model={self.model}",
-            "weighted": "--no-weighted",
-            "ripple": f"--ripple={self.ripple}",
-            "fit_bias": "--no-fit-bias",
-            "from_residuals": "--sigma=residuals",
-        }
-        return [text for key, text in typed.items() if getattr(self, key) != getattr(usual, key)]
 
 
 @dataclass(frozen=True)
