@@ -18,9 +18,18 @@ RESULT = {
             "coefficients": {"K_II": K_II},
             "correlation": {"terms": ["K_II"], "matrix": [[1.0]]},
             "residual": {"rms": 0.01, "unit": "m", "dof": 100.0},
+            "traces": {
+                "run1": {
+                    "time": [0.5, 1.5],
+                    "low": [-0.25, -0.125],
+                    "high": [0.25, 0.125],
+                    "spectrum": {"frequency": [0.1, 0.2], "power": [0.75, 1.25]},
+                    "quantiles": {"normal": [-0.6, 0.6], "found": [-0.7, 0.7]},
+                }
+            },
         }
     },
-    "runs": {},
+    "runs": {"run1": {"rate": 3.25, "drift": 0.0, "samples": 100, "rejected": 0}},
     "inputs": {"gravity": 9.8, "latitude": 0.7, "radius": 2.5},
     "provenance": {"version": "0", "inputs": {}},
 }
@@ -44,6 +53,13 @@ def test_a_whole_result(tmp_path):
         ('"u": 1e-09', '"u": -1.0', "damaged result: K_II of Qx is 2e-05 ± -1.0"),
         ('"value": 2e-05', '"value": 1e999', "damaged result: K_II of Qx is inf ± 1e-09"),
         ('"value": 2e-05', '"value": NaN', "a damaged one (NaN is not a number that JSON knows)"),
+        ('"u": 1e-09', '"u": 1e-09, "dof": 0.0', "K_II of Qx has 0.0 degrees of freedom"),
+        ('"gravity": 9.8', '"gravity": 0.0', "damaged result: the gravity is 0.0 m/s^2"),
+        ('"rate": 3.25', '"rate": 0.0', "damaged result: the rate of run1 is 0.0 rad/s"),
+        ("-0.25, -0.125", "-0.25", "the trace of Qx in run1 are of unequal length"),
+        ("0.75, 1.25", "0.75", "the trace of Qx in run1 are of unequal length"),
+        ("-0.7, 0.7", "-0.7", "the trace of Qx in run1 are of unequal length"),
+        (json.dumps(RESULT["accelerometers"]), "{}", "damaged result: it has no accelerometers"),
         (json.dumps({"K_II": K_II}), "{}", "damaged result: Qx has no coefficients"),
         ('["K_II"]', '["K_II", "K_F"]', "the correlation matrix of Qx is not one of 2 terms"),
         ('"method": "joint", ', "", "not a result file: method: Field required"),

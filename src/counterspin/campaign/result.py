@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sized
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -30,6 +30,7 @@ from counterspin.campaign.result_parts import (
     Part,
     Provenance,
     RunResult,
+    Trace,
 )
 from counterspin.errors import RecordError
 from counterspin.physics.accelerometer import TERMS
@@ -135,16 +136,40 @@ def _not_a_number(word: str) -> None:
 
 
 def _faults(result: Result) -> Iterator[str]:
-    """Yield what would be applied wrongly, though each part looks like one."""
+    """Yield what would be applied or shown wrongly, though each part looks like one."""
+    if not 0.0 < result.inputs.gravity < math.inf:
+        yield f"the gravity is {result.inputs.gravity} m/s^2"
+    if not result.accelerometers:
+        yield "it has no accelerometers"
+    for name, run in result.runs.items():
+        if not 0.0 < abs(run.rate) < math.inf:
+            yield f"the rate of {name} is {run.rate} rad/s"
     for name, found in result.accelerometers.items():
-        if not found.coefficients:
-            yield f"{name} has no coefficients"
-        for symbol, c in {**found.known, **found.coefficients}.items():
-            if symbol in TERMS and c.unit != TERMS[symbol].unit:
-                yield f"{symbol} of {name} is in {c.unit}, not in {TERMS[symbol].unit}"
-            if not (math.isfinite(c.value or 0.0) and 0.0 <= (c.u or 0.0) < math.inf):
-                yield f"{symbol} of {name} is {c.value} ± {c.u}"
-        if found.correlation:
-            size = len(found.correlation.terms)
-            if [len(row) for row in found.correlation.matrix] != [size] * size:
-                yield f"the correlation matrix of {name} is not one of {size} terms"
+        yield from _faults_of(name, found)
+
+
+def _faults_of(name: str, found: AccelerometerResult) -> Iterator[str]:
+    if not found.coefficients:
+        yield f"{name} has no coefficients"
+    for symbol, c in {**found.known, **found.coefficients, **found.second_unknown}.items():
+        if symbol in TERMS and c.unit != TERMS[symbol].unit:
+            yield f"{symbol} of {name} is in {c.unit}, not in {TERMS[symbol].unit}"
+        if not (math.isfinite(c.value or 0.0) and 0.0 <= (c.u or 0.0) < math.inf):
+            yield f"{symbol} of {name} is {c.value} ± {c.u}"
+        if c.dof is not None and not 0.0 < c.dof < math.inf:
+            yield f"{symbol} of {name} has {c.dof} degrees of freedom"
+    if found.correlation:
+        size = len(found.correlation.terms)
+        if [len(row) for row in found.correlation.matrix] != [size] * size:
+            yield f"the correlation matrix of {name} is not one of {size} terms"
+    for run, trace in found.traces.items():
+        if any(len(set(map(len, together))) > 1 for together in _drawn_together(trace)):
+            yield f"lists in the trace of {name} in {run} are of unequal length"
+
+
+def _drawn_together(trace: Trace) -> Iterator[tuple[Sized, ...]]:
+    yield trace.time, trace.low, trace.high
+    if (spectrum := trace.spectrum) is not None:
+        yield spectrum.frequency, spectrum.power
+    if (quantiles := trace.quantiles) is not None:
+        yield quantiles.normal, quantiles.found
