@@ -289,3 +289,11 @@ def test_what_is_no_certificate_is_refused():
         read_certificate(b"no", "x.xml")
     with pytest.raises(RecordError, match="not a calibration certificate"):
         read_certificate(b"<a/>", "x.xml")
+
+
+def test_a_factor_of_zero_is_refused(tmp_path):
+    made = document(tmp_path, result())
+    spoilt = made.replace(b"coverageFactor>1.96<", b"coverageFactor>0<")
+    assert spoilt != made
+    with pytest.raises(RecordError, match="not a calibration certificate"):
+        read_certificate(spoilt, "x.xml")

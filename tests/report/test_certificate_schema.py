@@ -87,6 +87,11 @@ def test_imports_are_found_in_the_folder_whatever_their_address(folder):
         check_schema(BAD, folder, "x.xml")
 
 
+def test_what_is_no_xml_is_told(folder):
+    with pytest.raises(RecordError, match=r"x\.xml: is not XML"):
+        check_schema(GOOD[:-5], folder, "x.xml")
+
+
 def test_of_a_file_the_folder_above_is_searched_too(folder):
     check_schema(GOOD, folder / "v1" / "dcc.xsd", "x.xml")
 

@@ -96,6 +96,7 @@ def test_a_campaign_is_calibrated_first(tmp_path, capsys):
         (["-o", "{}/report.doc"], 2, "report.doc: name the file .html, .pdf or .md"),
         (["-o", "{}/none/report.md"], 1, "report.md: cannot be written"),
         (["--date", "yesterday"], 2, "--date 'yesterday' is no date"),
+        (["--date", "9999-12-31T23:59:00-05:00"], 2, "is no date"),
     ],
 )
 def test_what_cannot_be_is_said(arguments, status, words, stored, tmp_path, capsys):

@@ -97,7 +97,10 @@ def issue_date(text: str | None = None) -> datetime:
             if "T" not in text and " " not in text.strip():
                 return datetime.combine(date.fromisoformat(text.strip()), time(), UTC)
             given = datetime.fromisoformat(text.strip())
-            return given if given.tzinfo else given.replace(tzinfo=UTC)
+            given = given if given.tzinfo else given.replace(tzinfo=UTC)
+            # It is shown in UTC, where the year may be one that no calendar has.
+            given.astimezone(UTC)
+            return given
         if epoch:
             return datetime.fromtimestamp(int(epoch), UTC)
     except (ValueError, OverflowError, OSError) as error:

@@ -11,13 +11,12 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from lxml import etree
 
 from counterspin.campaign.result_parts import Coefficient
 from counterspin.errors import RecordError
 from counterspin.physics.accelerometer import TERMS
 from counterspin.report.certificate.elements import NAMESPACES, Element
-from counterspin.report.certificate.schema import parser
+from counterspin.report.certificate.schema import parse
 from counterspin.report.certificate.units import from_si
 
 _RESULT: Final = "dcc:measurementResults/dcc:measurementResult"
@@ -66,10 +65,7 @@ def read_certificate(document: bytes, source: str) -> Certified:
     RecordError
         If it is not XML, or not such a certificate.
     """
-    try:
-        root = etree.fromstring(document, parser())
-    except etree.LxmlError as error:
-        raise RecordError(f"{source}: is not XML, or a damaged one ({error})") from error
+    root = parse(document, source)
     try:
         gravity = float(_one(root, _GRAVITY))
         return Certified(
@@ -80,7 +76,7 @@ def read_certificate(document: bytes, source: str) -> Certified:
                 for part in _all(root, _RESULT)
             },
         )
-    except (KeyError, ValueError) as error:
+    except (ArithmeticError, KeyError, ValueError) as error:
         raise RecordError(
             f"{source}: is not a calibration certificate that counterspin has written ({error})"
         ) from error

@@ -4,6 +4,7 @@ The files that PTB publishes name each other by addresses. Here whatever they im
 the folder, by the name space that a file there declares.
 
 - `check_schema`: raises with the first faults in words
+- `parse`: a document as a tree, without fetching or replacing anything
 """
 
 from __future__ import annotations
@@ -41,12 +42,13 @@ def check_schema(document: bytes, schema: Path, source: str) -> None:
     Raises
     ------
     RecordError
-        If the certificate does not keep to the schema; the first faults, with their lines.
+        If the certificate is not XML, or does not keep to the schema; the first faults, with
+        their lines.
     CounterspinError
         If there is no schema, or it is not complete.
     """
     faults = load_schema(schema)
-    root = etree.fromstring(document, parser())
+    root = parse(document, source)
     if faults.validate(root):
         return
     log = list(faults.error_log)
@@ -55,6 +57,14 @@ def check_schema(document: bytes, schema: Path, source: str) -> None:
     raise RecordError(
         f"{source}: does not keep to the schema in {schema}\n  " + "\n  ".join(lines) + more
     )
+
+
+def parse(document: bytes, source: str) -> Any:
+    """Return the root of a document called `source`; RecordError if it is not XML."""
+    try:
+        return etree.fromstring(document, parser())
+    except etree.LxmlError as error:
+        raise RecordError(f"{source}: is not XML, or a damaged one ({error})") from error
 
 
 def parser(**options: Any) -> Any:

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from lxml import etree
-
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.report.certificate.elements import Element
 
@@ -106,13 +104,10 @@ def verify(document: bytes, certificate: Path, source: str) -> bytes:
         If signxml is not installed or the certificate cannot be read.
     """
     signxml = _signxml()
-    from counterspin.report.certificate.schema import parser
+    from counterspin.report.certificate.schema import parse
 
     trusted = _read_certificates(certificate)[0]
-    try:
-        root = etree.fromstring(document, parser())
-    except etree.LxmlError as error:
-        raise RecordError(f"{source}: is not XML ({error})") from error
+    root = parse(document, source)
     if root.find(_SIGNATURE) is None:
         raise RecordError(f"{source}: is not signed")
     # Where it is found matters: a signature deeper down could cover something else.
