@@ -3,7 +3,16 @@
 import pytest
 from results import coefficient, result, trace
 
-from counterspin.report.blocks import Bars, Heading, HeatMap, Paragraph, Picture, Plot, Table
+from counterspin.report.blocks import (
+    Bars,
+    Heading,
+    HeatMap,
+    Paragraph,
+    Picture,
+    Plot,
+    Table,
+    without_pictures,
+)
 from counterspin.report.document import document, identifier_of
 from counterspin.report.pictures import (
     budget_bars,
@@ -80,6 +89,29 @@ def test_the_model_is_written_from_the_terms_that_were_used():
     assert "counterspin calibrate ." in written
 
 
+def test_an_old_two_stage_result_is_made_again_by_its_own_method():
+    old = result().model_copy(update={"method": "two-stage"})
+    assert "counterspin calibrate . --method=two-stage" in texts(document(old))
+    stated = old.provenance.model_copy(update={"options": ["--method=two-stage", "--sigma=given"]})
+    written = texts(document(old.model_copy(update={"provenance": stated})))
+    assert "counterspin calibrate . --method=two-stage --sigma=given" in written
+
+
+def test_degrees_of_freedom_are_counted_whole_and_units_are_in_print():
+    residual = {"rms": 0.01, "unit": "m", "dof": 21659.98}
+    written = " ".join(texts(document(result(residual=residual))))
+    assert "with 21660 degrees of freedom" in written
+    assert "Gravity 9.8 m/s², latitude" in written
+
+
+def test_words_alone_have_no_empty_chapters():
+    picture = next(residual_plots("Qx", result().accelerometers["Qx"]))
+    one, two, deep, said = Heading("1"), Heading("2"), Heading("3", 3), Paragraph("words")
+    assert without_pictures([one, deep, picture, two, said]) == [two, said]
+    assert without_pictures([one, picture, deep, said, two, picture]) == [one, deep, said]
+    assert without_pictures([one, said, picture, picture, two]) == [one, said, two]
+
+
 def test_the_identifier_is_the_result_s_own():
     assert identifier_of(result()) == identifier_of(result())
     assert identifier_of(result()) != identifier_of(result(serial_number="Q-105"))
@@ -127,7 +159,7 @@ def test_budget_and_correlation():
     found = result().accelerometers["Qx"]
     bars = budget_bars("Qx", found)
     assert bars.values == pytest.approx((0.0008, 0.0006))
-    assert bars.texts == ("0.0008 (64 %)", "0.0006 (36 %)")
+    assert bars.texts == ("0.00080 (64 %)", "0.00060 (36 %)")
     assert correlation_map("Qx", found).values == ((1.0, 0.25), (0.25, 1.0))
 
 

@@ -13,11 +13,13 @@ from counterspin.report.numbers import (
     NOT_DETERMINED,
     field_unit,
     format_compact,
+    format_count,
     format_estimate,
     format_interval,
     format_number,
     format_probability,
     format_share,
+    format_uncertainty,
     round_to_uncertainty,
     speakable,
 )
@@ -176,6 +178,28 @@ def test_interval_ends_where_the_uncertainty_does(value, u, half_width, expected
 )
 def test_number_without_uncertainty(value, digits, expected):
     assert format_number(value, digits) == expected
+
+
+@pytest.mark.parametrize(
+    ("u", "expected"),
+    [
+        (0.07, "0.070"),
+        (1.0, "1.0"),
+        (0.00099501, "0.0010"),
+        (6e-7, "6.0e-7"),
+        (43.2, "43"),
+        (0, "0"),
+    ],
+)
+def test_an_uncertainty_alone_is_written_as_beside_a_value(u, expected):
+    assert format_uncertainty(u) == expected
+
+
+@pytest.mark.parametrize(
+    ("count", "expected"), [(21659.98, "21660"), (20.81, "20.81"), (798.44, "798.4"), (51.0, "51")]
+)
+def test_counts_are_whole_where_they_are_large(count, expected):
+    assert format_count(count) == expected
 
 
 @pytest.mark.parametrize(

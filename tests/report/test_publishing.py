@@ -27,6 +27,9 @@ def test_every_format_is_written_and_depends_on_nothing_but_result_and_date(suff
 
 
 def test_the_identifier_is_on_paper_and_screen(tmp_path):
+    write_report(result(), tmp_path / "a.md", identifier="LAB 7/26", issued=FIXED)
+    told = (tmp_path / "a.md").read_text(encoding="utf-8")
+    assert told.endswith("\n\nEnd of LAB 7/26, 2026-03-01 12:00 UTC.\n")
     write_report(result(), tmp_path / "a.html", issued=FIXED)
     assert identifier_of(result()) in (tmp_path / "a.html").read_text(encoding="utf-8")
     write_report(result(), tmp_path / "a.html", identifier="LAB 7/26", issued=FIXED)

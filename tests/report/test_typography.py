@@ -19,6 +19,8 @@ from counterspin.report.typography import typeset, typeset_block
         ("3e-6 m/s^2 and s^-1", "3 × 10⁻⁶ m/s² and s⁻¹"),
         ("K_II, ug/g^2 per unit", "K_II, µg/g² per unit"),
         ("by 29 ug/g^2.", "by 29 µg/g²."),
+        ("0.0080 ug. 3 ug", "0.0080 µg. 3 µg"),
+        ("ug.csv", "ug.csv"),
         # Not numbers, or not such ones.
         ("run1e5.csv", "run1e5.csv"),
         ("file.1e5", "file.1e5"),

@@ -5,10 +5,12 @@ in tables beside them.
 
 - `Block`: `Heading`, `Paragraph`, `Table` of `Column` and rows, or a `Picture`
 - `Picture`: `Plot` of `Series`, `Bars` or `HeatMap`
+- `without_pictures`: what a face that draws none has to say
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -130,3 +132,22 @@ class HeatMap:
 
 Picture = Plot | Bars | HeatMap
 Block = Heading | Paragraph | Table | Picture
+Words = Heading | Paragraph | Table
+
+
+def without_pictures(blocks: Iterable[Block]) -> list[Words]:
+    """Return the blocks that are no pictures, without headings that stood over pictures alone."""
+    kept: list[Words] = []
+    drawn = False
+    for block in [*blocks, None]:
+        if isinstance(block, Picture):
+            drawn = True
+            continue
+        while drawn and kept and isinstance(empty := kept[-1], Heading):
+            if isinstance(block, Heading) and block.level > empty.level:
+                break
+            kept.pop()
+        drawn = False
+        if block is not None:
+            kept.append(block)
+    return kept

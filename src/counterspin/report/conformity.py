@@ -17,6 +17,7 @@ from counterspin.report.numbers import (
     format_estimate,
     format_number,
     format_probability,
+    format_uncertainty,
 )
 
 _COLUMNS = (
@@ -109,4 +110,4 @@ def _estimate(coefficient: Coefficient | None) -> str:
 def _band(verdict: Conformity) -> str:
     assert verdict.guard_band is not None
     unit, factor = field_unit(verdict.unit)
-    return f"{format_number(verdict.guard_band * factor, 2)} {unit}"
+    return f"{format_uncertainty(verdict.guard_band * factor)} {unit}"

@@ -46,7 +46,8 @@ def document(result: Result) -> list[Block]:
         *model_blocks(result),
     )
     # Names of files and checksums are left as they are.
-    return [*map(typeset_block, found), *origin_blocks(result)]
+    heading, inputs, *origin = origin_blocks(result)
+    return [*map(typeset_block, (*found, heading, inputs)), *origin]
 
 
 def identifier_of(result: Result) -> str:

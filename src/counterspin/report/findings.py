@@ -26,9 +26,11 @@ from counterspin.report.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.report.numbers import (
     NOT_DETERMINED,
     field_unit,
+    format_count,
     format_estimate,
     format_number,
     format_share,
+    format_uncertainty,
     round_to_uncertainty,
 )
 
@@ -189,7 +191,7 @@ def _residual(found: AccelerometerResult) -> str:
     residual = found.residual
     text = (
         f"Residuals: rms {format_number(residual.rms)} {residual.unit} with "
-        f"{format_number(residual.dof, 7)} degrees of freedom"
+        f"{format_count(residual.dof)} degrees of freedom"
     )
     if residual.chi2 is not None and residual.dof > 0.0:
         text += f"; chi-square/dof {format_number(residual.chi2 / residual.dof, 4)}"
@@ -284,7 +286,7 @@ def budget_blocks(name: str, found: AccelerometerResult) -> Iterator[Block]:
         yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
         total = math.sqrt(sum(line.contribution**2 for line in lines))
         rows = [_budget_row(line, factor) for line in lines]
-        rows.append(("combined", "", "", format_number(total * factor, 2), ""))
+        rows.append(("combined", "", "", format_uncertainty(total * factor), ""))
         yield Table(
             columns=(
                 Column("Source", wraps=True),
@@ -303,6 +305,6 @@ def _budget_row(line: BudgetLine, factor: float) -> tuple[str, ...]:
         line.source,
         "" if line.u is None else f"{format_number(line.u * source, 2)} {unit}",
         "" if line.sensitivity is None else format_number(line.sensitivity * factor / source),
-        format_number(line.contribution * factor, 2),
+        format_uncertainty(line.contribution * factor),
         format_share(line.share),
     )

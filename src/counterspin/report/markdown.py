@@ -14,7 +14,7 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Final
 
-from counterspin.report.blocks import Block, Column, Heading, Paragraph, Picture, Table
+from counterspin.report.blocks import Block, Column, Heading, Paragraph, Table, without_pictures
 
 #: Read as markup wherever they stand; $ begins a formula on GitHub.
 _EVERYWHERE: Final = re.compile(r"[\\`*_\[\]<>|~&$#]")
@@ -32,8 +32,7 @@ def markdown(blocks: Sequence[Block]) -> str:
         The report, the answer first.
     """
     parts = []
-    words = [block for block in blocks if not isinstance(block, Picture)]
-    for style, group in groupby(words, _quoted):
+    for style, group in groupby(without_pictures(blocks), _quoted):
         if style is None:
             parts += [_set(block) for block in group]
         else:

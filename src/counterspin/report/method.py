@@ -105,4 +105,8 @@ def origin_blocks(result: Result) -> Iterator[Block]:
         f"Made by counterspin {result.provenance.version}. In the folder that holds these files, "
         "the same result comes from"
     )
-    yield Paragraph(" ".join(("counterspin calibrate .", *result.provenance.options)), "command")
+    options = list(result.provenance.options)
+    if result.method == "two-stage" and not any("--method" in option for option in options):
+        # Once this method was the default, and did not have to be asked for.
+        options.insert(0, "--method=two-stage")
+    yield Paragraph(" ".join(("counterspin calibrate .", *options)), "command")

@@ -6,6 +6,8 @@ to the same decimal place. What has no uncertainty keeps as many digits as it is
 - `format_estimate`: ``(2.70445 ± 0.00037) x 1e-5 g/g^2``
 - `format_compact`: ``2.70445(37)e-5``, for tables
 - `format_interval`: ``2.7037 to 2.7052``
+- `format_uncertainty`: ``0.070``, two digits as beside a value
+- `format_count`: degrees of freedom and the like, whole where they are many
 - `format_number`, `format_share`: a number without uncertainty; a part of a whole
 - `format_probability`: a probability, honest at both ends
 - `round_to_uncertainty`, `Rounded`: the rounding itself
@@ -200,11 +202,28 @@ def format_interval(value: float, u: float, half_width: float, unit: str = "") -
     return _with_unit(text, unit)
 
 
+def format_uncertainty(u: float) -> str:
+    """Write an uncertainty by itself, to two significant digits as beside a value (GUM 7.2.6).
+
+    Parameters
+    ----------
+    u
+        Finite, not negative.
+    """
+    mantissa, mark, exponent = f"{u:#.2g}".partition("e")
+    return mantissa.rstrip(".") + (f"e{int(exponent)}" if mark else "") if u else "0"
+
+
 def format_number(value: float, digits: int = 3) -> str:
     """Write a number to so many significant digits, without zeros that say nothing."""
     text = f"{value:.{digits}g}"
     mantissa, mark, exponent = text.partition("e")
     return f"{mantissa}e{int(exponent)}" if mark else text
+
+
+def format_count(value: float) -> str:
+    """Write a count, or what is compared with one: from a thousand on whole, else four digits."""
+    return f"{value:.0f}" if 1e3 <= abs(value) < 1e9 else format_number(value, 4)
 
 
 def format_share(share: float) -> str:

@@ -13,7 +13,7 @@ from typing import Final
 
 from counterspin.campaign.result_parts import AccelerometerResult, RunResult, Trace
 from counterspin.report.blocks import Bars, HeatMap, Plot, Series
-from counterspin.report.numbers import field_unit, format_number, format_share
+from counterspin.report.numbers import field_unit, format_share, format_uncertainty
 
 #: More curves than this in one plot are not told apart: the runs then take several plots.
 _CURVES: Final = 6
@@ -46,7 +46,7 @@ def budget_bars(name: str, found: AccelerometerResult, symbol: str = "K_II") -> 
         labels=tuple(line.source for line in lines),
         values=tuple(line.contribution * factor for line in lines),
         texts=tuple(
-            f"{format_number(line.contribution * factor, 2)} ({format_share(line.share)})"
+            f"{format_uncertainty(line.contribution * factor)} ({format_share(line.share)})"
             for line in lines
         ),
     )

@@ -14,6 +14,7 @@ from typing import Final
 from counterspin.campaign.output import write_text, write_whole
 from counterspin.campaign.result import Result
 from counterspin.errors import CampaignError
+from counterspin.report.blocks import Paragraph
 from counterspin.report.document import document, identifier_of
 
 #: Endings of the files that are written.
@@ -74,7 +75,8 @@ def write_report(
     else:
         from counterspin.report.markdown import markdown
 
-        write_text(path, markdown(blocks))
+        end = Paragraph(f"End of {known_by}, {made.astimezone(UTC):%Y-%m-%d %H:%M} UTC.", "quiet")
+        write_text(path, markdown([*blocks, end]))
 
 
 def issue_date(text: str | None = None) -> datetime:

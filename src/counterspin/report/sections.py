@@ -24,12 +24,22 @@ from counterspin.report.numbers import (
     NOT_DETERMINED,
     field_unit,
     format_compact,
+    format_count,
     format_estimate,
     format_interval,
     format_number,
 )
 
 _COVERAGE: Final = 0.95
+
+#: Titles of what a fit is judged by; other keys are their own.
+_TESTS: Final = {
+    "chi2": "chi-square",
+    "chi2_p": "its p",
+    "sign_p": "p of signs",
+    "peak_frequency_hz": "peak, Hz",
+    "peak_p": "its p",
+}
 
 
 def sections(result: Result, *, budget: bool = False, details: bool = False) -> list[Block]:
@@ -101,7 +111,7 @@ def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool) -> Paragrap
     if u > 0.0:
         half = _coverage_factor(coefficient.dof) * u
         interval = format_interval(value, u, half, unit if in_g else "")
-        dof = f", {format_number(coefficient.dof, 4)} dof" if coefficient.dof is not None else ""
+        dof = f", {format_count(coefficient.dof)} dof" if coefficient.dof is not None else ""
         text += f"   (95 %: {interval}{dof})"
     return Paragraph(text, "answer")
 
@@ -220,12 +230,13 @@ def _fits(runs: dict[str, RunResult]) -> Iterator[Block]:
         for accelerometer, fit in run.fit.items()
     ]
     keys = tuple(dict.fromkeys(key for _, _, fit in fits for key in fit))
+    titles = [_TESTS.get(key, key.replace("_", " ")) for key in keys]
     if keys:
         yield Table(
             columns=(
                 Column("Fit", wraps=True),
                 Column("", wraps=True),
-                *(Column(key.replace("_", " "), "right", wraps=True) for key in keys),
+                *(Column(title, "right", wraps=True) for title in titles),
             ),
             rows=tuple(
                 (name, accelerometer, *(_plain(fit.get(key)) for key in keys))
@@ -237,8 +248,7 @@ def _fits(runs: dict[str, RunResult]) -> Iterator[Block]:
 def _plain(value: float | str | None) -> str:
     if value is None or isinstance(value, str):
         return value or "-"
-    # Counts are told whole, and what is compared with them (chi-square, dof) to the same place.
-    return f"{value:.0f}" if 1e3 <= abs(value) < 1e9 else format_number(value, 4)
+    return format_count(value)
 
 
 def _details(result: Result) -> Iterator[Block]:

@@ -19,7 +19,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from counterspin.campaign.result import Result
-from counterspin.report.blocks import Block, Heading, Paragraph, Picture, Style, Table
+from counterspin.report.blocks import Block, Heading, Paragraph, Style, Table, without_pictures
 from counterspin.report.numbers import speakable
 from counterspin.report.sections import sections
 
@@ -90,7 +90,7 @@ class Report:
     """
 
     def __init__(self, blocks: list[Block]) -> None:
-        self.blocks = [block for block in blocks if not isinstance(block, Picture)]
+        self.blocks = without_pictures(blocks)
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield each block; called by rich."""

@@ -20,7 +20,7 @@ _POWER: Final = re.compile(r"(?<![\w.])1e(-?\d+)(?!\w)")
 _TIMES_POWER: Final = re.compile(r"(?<![\w.])(\d+(?:\.\d+)?(?:\([\d.]+\))?)e(-?\d+)(?!\w)")
 _EXPONENT: Final = re.compile(r"(?<=\w)\^(-?\d)(?!\.?\d)")
 #: Micro before a gram-force alone: nothing else in a report is called ug.
-_MICRO: Final = re.compile(r"(?<![\w.])ug(?![\w.])")
+_MICRO: Final = re.compile(r"(?<![\w.])ug(?!\w|\.\w)")
 _CROSS: Final = re.compile(r"(?<=[\d)]) x (?=10[⁻⁰-⁹¹²³])")
 
 

@@ -18,7 +18,7 @@ from counterspin.report.certificate.elements import factor
 from counterspin.report.certificate.lab import Contact, Lab, Part
 from counterspin.report.certificate.statements import Verdicts
 from counterspin.report.certificate.units import si_unit, to_si
-from counterspin.report.numbers import format_estimate, format_number
+from counterspin.report.numbers import format_count, format_estimate
 from counterspin.report.typography import typeset, typeset_block
 
 TITLE = "Calibration certificate"
@@ -42,7 +42,7 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
         for line in wording.not_determined(name, result.accelerometers[name]):
             yield Paragraph(typeset(line), "warning")
     yield Heading("Statements")
-    yield Paragraph(wording.uncertainty_statement())
+    yield Paragraph(typeset(wording.uncertainty_statement()))
     yield Paragraph(typeset(wording.unit_statement(result.inputs.gravity)))
     yield Paragraph(lab.certificate.traceability)
     for name, by_symbol in verdicts.items():
@@ -115,7 +115,7 @@ def results_table(name: str, coefficients: Mapping[str, Coefficient], gravity: f
                 format_estimate(c.value, k * c.u, c.unit),
                 format_estimate(value, expanded, unit),
                 factor(k),
-                "infinite" if c.dof is None else format_number(c.dof, 4),
+                "infinite" if c.dof is None else format_count(c.dof),
             )
         )
     return Table(
