@@ -15,7 +15,7 @@ from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 from counterspin.report.certificate.administrative import Issue
 from counterspin.report.certificate.build import check_certifiable
 from counterspin.report.certificate.coverage import coverage_factor, region_factor
-from counterspin.report.certificate.elements import clean, factor, number
+from counterspin.report.certificate.elements import NAMESPACES, clean, factor, number
 from counterspin.report.certificate.reading import read_certificate
 from counterspin.report.certificate.units import from_si, si_unit, to_si
 
@@ -174,6 +174,24 @@ def test_what_is_not_determined_is_left_out_and_said(tmp_path):
     (known,) = [line for line in said if line.startswith("K_I of Qx")]
     assert "taken as 1.0020000 ± 0.0000050 g/g (k = 1), which was known beforehand" in known
     assert not find(made, "//si:realListXMLList")  # one coefficient has no covariance
+
+
+def test_what_the_result_rests_on_is_stated(tmp_path):
+    together = {"terms": ["K_II", "K_OO"], "correlation": -1.0, "determined": "K_II + K_OO"}
+    given = result(
+        confounded=[{**together, "value": 2.7e-5, "u": 1e-9}],
+        left_out={"platform.tilt.north": {"sensitivity": 0.06, "unit": "rad"}},
+    )
+    (statement,) = find(
+        document(tmp_path, given),
+        "//dcc:statement[starts-with(dcc:name/dcc:content, 'What the result rests on')]",
+    )
+    assert statement.get("refId") == "item-1"
+    path = "dcc:declaration/dcc:content"
+    apart, zero = (e.text for e in statement.xpath(path, namespaces=NAMESPACES))
+    assert apart.endswith("determined: K_II + K_OO = 27.0000 ± 0.0010 ug/g^2.")
+    # One arcsec is 4.848e-6 rad.
+    assert zero.endswith("K_II would move with 1 arcsec of platform.tilt.north by 0.29 ug/g^2.")
 
 
 def test_a_result_that_nobody_may_certify_is_refused():

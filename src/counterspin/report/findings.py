@@ -3,6 +3,7 @@
 - `accelerometer_blocks`: coefficients, what cannot be told apart, fit, noise, checks
 - `budget_blocks`: where the uncertainty of its coefficients comes from
 - `coefficient_table`, `in_field_units`: coefficients of any kind
+- `rests_on`: what cannot be told apart, and what is taken to be zero
 - `noticed_if_left_out`: terms outside the model that would matter
 """
 
@@ -56,9 +57,7 @@ def accelerometer_blocks(
     yield coefficient_table({**found.coefficients, **found.second_unknown})
     for warning in found.warnings:
         yield Paragraph(f"Warning: {warning.removeprefix(f'{name}: ')}", "warning")
-    for confounded in found.confounded:
-        yield Paragraph(_confounded(confounded))
-    if sentence := _left_out(found):
+    for sentence in rests_on(found):
         yield Paragraph(sentence)
     yield Paragraph(_residual(found))
     if found.noise:
@@ -150,6 +149,13 @@ def _confounded(found: Confounded) -> str:
     unit, factor = field_unit(row.unit if row else "")
     u = None if found.u is None else found.u * factor
     return f"{text} = {format_estimate(found.value * factor, u, unit)}."
+
+
+def rests_on(found: AccelerometerResult) -> Iterator[str]:
+    """Yield, in sentences, what the records cannot tell apart and what the model leaves out."""
+    yield from map(_confounded, found.confounded)
+    if sentence := _left_out(found):
+        yield sentence
 
 
 def noticed_if_left_out(found: AccelerometerResult) -> dict[str, str]:

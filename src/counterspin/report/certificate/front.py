@@ -18,6 +18,7 @@ from counterspin.report.certificate.elements import factor
 from counterspin.report.certificate.lab import Contact, Lab, Part
 from counterspin.report.certificate.statements import Verdicts
 from counterspin.report.certificate.units import si_unit, to_si
+from counterspin.report.findings import rests_on
 from counterspin.report.numbers import format_count, format_estimate
 from counterspin.report.typography import typeset, typeset_block
 
@@ -41,6 +42,8 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
         yield typeset_block(results_table(name, coefficients, result.inputs.gravity))
         for line in wording.not_determined(name, result.accelerometers[name]):
             yield Paragraph(typeset(line), "warning")
+        for line in rests_on(result.accelerometers[name]):
+            yield Paragraph(typeset(f"{name}: {line}"))
     yield Heading("Statements")
     yield Paragraph(typeset(wording.uncertainty_statement()))
     yield Paragraph(typeset(wording.unit_statement(result.inputs.gravity)))

@@ -15,6 +15,7 @@ from counterspin.report.certificate import wording
 from counterspin.report.certificate.administrative import item_id
 from counterspin.report.certificate.elements import Element, dcc, rich, text
 from counterspin.report.certificate.lab import Lab
+from counterspin.report.findings import rests_on
 
 Verdicts = Mapping[str, Mapping[str, Conformity]]
 
@@ -45,6 +46,7 @@ def statements(lab: Lab, result: Result, verdicts: Verdicts) -> list[Element]:
             dcc("nonSIUnit", "g"),
         ),
         *_missing(lab, result),
+        *_assumptions(lab, result),
         *_conformity(lab, result, verdicts),
         dcc(
             "statement",
@@ -80,6 +82,17 @@ def _missing(lab: Lab, result: Result) -> Iterator[Element]:
             yield dcc(
                 "statement",
                 text("name", f"Not determined, accelerometer {name}"),
+                rich("declaration", *lines),
+                refId=item_id(lab, result, name),
+            )
+
+
+def _assumptions(lab: Lab, result: Result) -> Iterator[Element]:
+    for name in lab.certified(result):
+        if lines := list(rests_on(result.accelerometers[name])):
+            yield dcc(
+                "statement",
+                text("name", f"What the result rests on, accelerometer {name}"),
                 rich("declaration", *lines),
                 refId=item_id(lab, result, name),
             )
