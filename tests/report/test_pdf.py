@@ -67,7 +67,16 @@ def test_every_page_says_what_it_belongs_to():
         assert "CS-0123456789ab" in text
         assert f"Page {number} of {count}" in text
         assert "2026-03-01 13:30 UTC" in text
-        assert ("End of report" in text) == (number == count)
+        assert ("End of CS-0123456789ab" in text) == (number == count)
+
+
+def test_the_end_never_takes_a_page_of_its_own():
+    # Whatever is said last, something of it stands on the last page.
+    for length in range(40, 60):
+        found = reader(*(Paragraph(f"line {i}") for i in range(length)))
+        last = words(found.pages[-1])
+        assert "line" in last
+        assert "End of CS-0123456789ab" in last
 
 
 def test_title_is_the_heading_where_there_is_none():
