@@ -341,6 +341,13 @@ def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):
     assert "K_II of B" in drawn
 
 
+def test_names_in_the_figure_are_letters_and_no_formulas(tmp_path):
+    serial = r"A$\frac$ 日<b>"
+    series(tmp_path / "a", [2.7e-5, 2.71e-5], serial=serial)
+    save(history_figure(history([tmp_path / "a"])), tmp_path / "one.svg")
+    assert r"K_II of A$\frac$ 日&lt;b&gt;" in (tmp_path / "one.svg").read_text("utf-8")
+
+
 def test_command_writes_what_it_shows(tmp_path, capsys):
     folder = series(tmp_path / "results", [2.7e-5, 2.71e-5, 2.69e-5])
     chart, kept = tmp_path / "chart.svg", tmp_path / "history.json"

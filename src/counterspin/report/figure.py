@@ -6,10 +6,12 @@ byte: no date and no random names are in it.
 - `StrobePanel`: one run as it is drawn
 - `displacement_figure`: the figure
 - `save`: to SVG, PNG or PDF, whole or not at all
+- `as_words`: a name that is no formula
 """
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -107,7 +109,7 @@ def displacement_figure(panels: Sequence[StrobePanel], *, title: str = "") -> Fi
             1 + len(panels), 1, sharex=True, gridspec_kw={"height_ratios": heights}
         )
         if title:
-            upper.set_title(title, loc="left", fontweight="bold")
+            upper.set_title(as_words(title), loc="left", fontweight="bold")
         for index, (panel, axes) in enumerate(zip(panels, lower, strict=True)):
             colour = COLOURS[index % len(COLOURS)]
             marker = MARKERS[index % len(MARKERS)]
@@ -143,13 +145,20 @@ def save(figure: Figure, path: Path) -> None:
         raise CounterspinError(
             f"{path}: a figure is written as {', '.join(_METADATA)}; choose one of these endings"
         )
-    with mpl.rc_context(SETTINGS):
+    with mpl.rc_context(SETTINGS), warnings.catch_warnings():
+        # A letter that the font lacks is drawn as a box, which speaks for itself.
+        warnings.filterwarnings("ignore", r"Glyph \d+", UserWarning)
         write_whole(
             path,
             lambda part: figure.savefig(
                 part, format=kind[1:], dpi=160, metadata=dict(_METADATA[kind])
             ),
         )
+
+
+def as_words(name: str) -> str:
+    """Return a name as matplotlib draws it letter by letter, and never reads it as a formula."""
+    return name.replace("$", r"\$")
 
 
 def _draw_error(axes: Any, panel: StrobePanel, colour: str, marker: str) -> None:
@@ -169,7 +178,7 @@ def _draw_error(axes: Any, panel: StrobePanel, colour: str, marker: str) -> None
         markersize=4.5,
         markerfacecolor="white",
         color=colour,
-        label=f"{panel.run_name}, {panel.rate:.4f} rad/s",
+        label=f"{as_words(panel.run_name)}, {panel.rate:.4f} rad/s",
     )
 
 
@@ -186,7 +195,7 @@ def _draw_residuals(axes: Any, panel: StrobePanel, colour: str, marker: str) -> 
         color=colour,
     )
     axes.annotate(
-        panel.run_name,
+        as_words(panel.run_name),
         (1.0, 0.97),
         xycoords="axes fraction",
         horizontalalignment="right",

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from counterspin.commands.history_result import History, Instrument, Point, Scatter
 from counterspin.inference.conformity import expanded_uncertainty
 from counterspin.report.blocks import Block, Column, Heading, Paragraph, Plot, Series, Table
-from counterspin.report.figure import COLOURS, SETTINGS
+from counterspin.report.figure import COLOURS, SETTINGS, as_words
 from counterspin.report.numbers import (
     field_unit,
     format_estimate,
@@ -164,7 +164,7 @@ def history_figure(history: History) -> Figure:
             figure.subplots(count, 1, squeeze=False)[:, 0], history.instruments, strict=True
         ):
             plot = control_plot(history, instrument)
-            axes.set_title(plot.title, loc="left", fontweight="bold")
+            axes.set_title(as_words(plot.title), loc="left", fontweight="bold")
             axes.set_ylabel(plot.y_label)
             for series in plot.series:
                 _draw(axes, series)
@@ -266,7 +266,7 @@ def _not_among_them(history: History) -> Iterator[Block]:
         yield Paragraph(f"Left out ({len(history.left_out)}):")
     for one in history.left_out:
         whose = f", {one.accelerometer}" if one.accelerometer else ""
-        yield Paragraph(f"{one.file}{whose} {one.reason}.", "quiet")
+        yield Paragraph(f"{one.file}{whose}: {one.reason}.", "quiet")
     if count := len(history.passed_over):
         yield Paragraph(f"JSON files that are no results, passed over: {count}.", "quiet")
 
