@@ -55,7 +55,7 @@ def uncertainty_statement() -> str:
         "coverage factor k stated beside it, evaluated by the GUM (JCGM 100). k is that of "
         "Student's t-distribution for the effective degrees of freedom (Welch-Satterthwaite), or "
         "of the normal distribution where these are infinite, for a coverage probability of "
-        f"{format_share(COVERAGE)}. Numbers are written with all digits of the computation; "
+        f"{format_share(COVERAGE)}. In the XML, numbers have all digits of the computation; "
         "significantDigit is the power of ten of the last digit that the uncertainty supports. "
         "The ellipsoidal region is the set of all d with d' V^-1 d <= k^2 about the estimates, V "
         "being the covariance matrix of the standard uncertainties, for the same probability of "
