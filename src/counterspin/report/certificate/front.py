@@ -29,8 +29,8 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
     """Yield the certificate's own pages; the report of the result follows them."""
     yield Heading(TITLE, 1)
     yield Paragraph(
-        f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) of this identifier holds "
-        "the same numbers for machines.",
+        f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) of this identifier "
+        "holds the same numbers for machines.",
         "quiet",
     )
     yield _two_columns(_administration(lab, issue))
