@@ -339,6 +339,14 @@ def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):
     assert drawn == (tmp_path / "two.svg").read_text("utf-8")
     assert "K_II of A" in drawn
     assert "K_II of B" in drawn
+    assert "K_II, µg/g²" in drawn
+
+
+def test_the_axis_of_the_figure_has_whole_numbers(tmp_path):
+    series(tmp_path, [2.7e-5, 2.70001e-5], u=1e-11)
+    save(history_figure(history([tmp_path])), tmp_path / "one.svg")
+    # Not 0.0001, with 27 above the axis.
+    assert ">27.0001" in (tmp_path / "one.svg").read_text("utf-8")
 
 
 def test_names_in_the_figure_are_letters_and_no_formulas(tmp_path):

@@ -36,7 +36,7 @@ from counterspin.report.numbers import (
 )
 
 #: Up to this many standard uncertainties two methods agree; good campaigns exceed it in 0.3 %.
-_AGREES: Final = 3.0
+AGREES: Final = 3.0
 
 #: Above this correlation, estimates are named as moving together.
 _STRONG: Final = 0.9
@@ -227,7 +227,7 @@ def _noise(noise: dict[str, NoiseLine], gravity: float) -> str:
 
 def _comparison(found: Comparison, coefficient: Coefficient | None) -> str:
     unit, factor = field_unit(coefficient.unit if coefficient else "")
-    agree = "they agree" if abs(found.z) <= _AGREES else "they do not agree"
+    agree = "they agree" if abs(found.z) <= AGREES else "they do not agree"
     value = format_estimate(found.value * factor, found.u * factor, unit)
     difference = format_estimate(found.difference * factor, found.u_difference * factor, unit)
     return (

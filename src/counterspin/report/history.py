@@ -22,6 +22,7 @@ from counterspin.report.numbers import (
     round_to_uncertainty,
 )
 from counterspin.report.text import Report
+from counterspin.report.typography import typeset
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -165,7 +166,9 @@ def history_figure(history: History) -> Figure:
         ):
             plot = control_plot(history, instrument)
             axes.set_title(as_words(plot.title), loc="left", fontweight="bold")
-            axes.set_ylabel(plot.y_label)
+            axes.set_ylabel(typeset(plot.y_label))
+            # Digits that all values share belong to each of them, not above the axis.
+            axes.ticklabel_format(axis="y", useOffset=False)
             for series in plot.series:
                 _draw(axes, series)
             locator = AutoDateLocator()  # type: ignore[no-untyped-call]

@@ -12,6 +12,7 @@ from typing import Final
 
 from counterspin.campaign.result import Result
 from counterspin.campaign.result_parts import Coefficient, RunResult
+from counterspin.inference.conformity import expanded_uncertainty
 from counterspin.report.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.report.conformity import conformity_blocks
 from counterspin.report.findings import (
@@ -29,8 +30,6 @@ from counterspin.report.numbers import (
     format_interval,
     format_number,
 )
-
-_COVERAGE: Final = 0.95
 
 #: Titles of what a fit is judged by; other keys are their own.
 _TESTS: Final = {
@@ -109,19 +108,11 @@ def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool) -> Paragrap
     if in_g:
         text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
     if u > 0.0:
-        half = _coverage_factor(coefficient.dof) * u
+        half = expanded_uncertainty(u, coefficient.dof)
         interval = format_interval(value, u, half, unit if in_g else "")
         dof = f", {format_count(coefficient.dof)} dof" if coefficient.dof is not None else ""
         text += f"   (95 %: {interval}{dof})"
     return Paragraph(text, "answer")
-
-
-def _coverage_factor(dof: float | None) -> float:
-    """Return Student's factor of the coverage for degrees of freedom, None being infinite."""
-    from scipy.special import ndtri, stdtrit
-
-    tail = 0.5 * (1.0 + _COVERAGE)
-    return float(ndtri(tail) if dof is None else stdtrit(dof, tail))
 
 
 # Platform and runs

@@ -11,15 +11,12 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from counterspin.campaign.result_parts import AccelerometerResult
-from counterspin.report.findings import noticed_if_left_out
+from counterspin.report.findings import AGREES, noticed_if_left_out
 from counterspin.report.numbers import format_number
 
 #: Below this probability residuals are not what the model and the noise would leave; the same as
 #: `counterspin.inference.diagnostics.SIGNIFICANCE`, by which findings become warnings.
 _UNLIKELY: Final = 0.01
-
-#: Standard uncertainties beyond which two values of the same quantity disagree.
-_DISAGREES: Final = 3.0
 
 
 @dataclass(frozen=True)
@@ -94,7 +91,7 @@ def _findings(found: AccelerometerResult) -> Iterator[tuple[bool, str]]:
     driving = [line for line in found.jackknife if line.z is not None]
     if driving:
         worst = max(driving, key=lambda line: abs(line.z or 0.0))
-        drives = abs(worst.z or 0.0) > _DISAGREES
+        drives = abs(worst.z or 0.0) > AGREES
         yield (
             not drives,
             f"K_II without {worst.run} disagrees with that of all runs"
@@ -102,7 +99,7 @@ def _findings(found: AccelerometerResult) -> Iterator[tuple[bool, str]]:
             else "no run drives the result",
         )
     if found.two_stage is not None:
-        agrees = abs(found.two_stage.z) <= _DISAGREES
+        agrees = abs(found.two_stage.z) <= AGREES
         yield agrees, f"the two-stage method {'agrees' if agrees else 'does not agree'}"
     if count := len(found.warnings):
         yield False, "1 warning" if count == 1 else f"{count} warnings"
