@@ -84,3 +84,12 @@ def test_the_file_holds_them_a_list_a_line(results, tmp_path):
     lines = path.read_text().splitlines()
     assert sum(line.lstrip().startswith('"low": [') for line in lines) == 12  # two a trace
     assert len(lines) < 2500
+
+
+def test_samples_in_step_with_the_spindle_leave_no_gap_over_the_revolution(results):
+    # 20 Hz at 1 rev/s: twenty angles, so that 15 parts have samples and 30 have not.
+    clean, _, _ = results
+    sizes = {n: len(t.by_angle.mean) for n, t in clean.accelerometers["Qx"].traces.items()}
+    assert sizes == {"slow": 60, "middle": 30, "fast": 15}
+    for trace in clean.accelerometers["Qx"].traces.values():
+        assert None not in trace.by_angle.mean

@@ -12,7 +12,7 @@ from counterspin.errors import CounterspinError, RecordError
 from counterspin.report.certificate.schema import check_schema
 
 BESIDE = Path(__file__).parents[3] / "shared" / "dcc"
-SCHEMA = Path(os.environ.get("COUNTERSPIN_DCC_SCHEMA", BESIDE))
+SCHEMA = Path(os.environ.get("COUNTERSPIN_DCC_SCHEMA") or BESIDE)
 
 needs_schema = pytest.mark.skipif(
     not SCHEMA.exists(),

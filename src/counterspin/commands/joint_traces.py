@@ -29,7 +29,10 @@ _ALL_STRETCHES: Final = 12000
 _MOST_STRETCHES: Final = 1500
 _FEWEST_STRETCHES: Final = 100
 
-_PARTS_OF_REVOLUTION: Final = 60
+#: Parts of a revolution: as many as all have samples, for a record in step with the spindle
+#: shows the same few angles again and again.
+_PARTS_OF_REVOLUTION: Final = (60, 30, 15)
+
 _BANDS: Final = 100
 _QUANTILES: Final = 120
 _MOST_LEFT_OUT: Final = 100
@@ -68,9 +71,11 @@ def _trace(run: ObservedRun, series: Series, found: Estimate, index: int, count:
     kept = found.fit.prepared[index].series
     residual, whitened = fitting.residuals(found.fit, index)
     time, low, high = stretches(kept.time, residual, count)
-    folded = over_revolution(
-        kept.trajectory.spindle.angle(kept.time), residual, _PARTS_OF_REVOLUTION
-    )
+    angle = kept.trajectory.spindle.angle(kept.time)
+    for parts in _PARTS_OF_REVOLUTION:
+        folded = over_revolution(angle, residual, parts)
+        if np.isfinite(folded[1]).all():
+            break
     interval = float(np.median(np.diff(kept.time)))
     normal, ordered = normal_quantiles(whitened, _QUANTILES)
     frequency, power = smoothed_spectrum(whitened, interval, _BANDS)

@@ -30,7 +30,9 @@ def model_blocks(result: Result) -> Iterator[Block]:
         "pendulous and output axes I, P and O:"
     )
     for name, found in result.accelerometers.items():
-        symbols = dict.fromkeys((*found.coefficients, *found.known))
+        # A term without a value was not in the fit.
+        known = {**found.known, **found.coefficients}
+        symbols = {symbol for symbol, c in known.items() if c.value is not None}
         used = [TERMS[symbol] for symbol in TERMS if symbol in symbols]
         yield Paragraph(f"{name}: a_ind = {_sum(used)}", "equation")
     platform = dict.fromkeys(
