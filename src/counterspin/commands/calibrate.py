@@ -6,11 +6,14 @@
 from __future__ import annotations
 
 import hashlib
+import os
+import sys
+import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING, Final, get_args
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.observed import ObservedRun, observe
@@ -20,6 +23,9 @@ from counterspin.errors import CampaignError
 
 if TYPE_CHECKING:
     from counterspin.campaign.result import Result
+
+#: Niceness of the thread that takes checksums.
+_BEHIND: Final = 10
 
 
 def calibrate(
@@ -60,17 +66,21 @@ def calibrate(
     """
     _refuse_mixed(method, options)
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
-    # The first record is opened before anything else is done. Beside the reading, on a core that
-    # it leaves idle, the estimators are loaded, and the checksums taken.
     with ThreadPoolExecutor(2) as beside:
-        beside.submit(import_module, "counterspin.commands.calibration")
         checksums = beside.submit(_checksums, campaign)
+        beside.submit(_load)
         observed = _observed(campaign, progress)
         from counterspin.commands.calibration import calibration
 
         return calibration(
             campaign, observed, method, options or TwoStageOptions(), checksums.result
         )
+
+
+def _load() -> None:
+    """Load beside the first record what the reading needs, then what comes after it."""
+    for name in ("polars", "counterspin.commands.calibration"):
+        import_module(name)
 
 
 def _refuse_mixed(method: str, options: TwoStageOptions | None) -> None:
@@ -101,6 +111,9 @@ def _observed(
 
 def _checksums(campaign: Campaign) -> dict[str, str]:
     """Return file name -> checksum, of the description and of every record."""
+    if sys.platform == "linux":
+        # Nothing waits for a checksum before the end: what reads and fits goes first.
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _BEHIND)
     files = [campaign.path, *(run.record for run in campaign.runs)]
     return {_name(campaign, file): _checksum(file) for file in files}
 
