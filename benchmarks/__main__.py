@@ -17,6 +17,7 @@ import costs
 import machine
 import plan
 import study
+import workers
 from table import insert, load, merge, options, render, save
 
 ROOT = Path(__file__).parent.parent
@@ -26,6 +27,7 @@ BENCHMARKS = {
     "commands": commands,
     "plan": plan,
     "study": study,
+    "workers": workers,
     "calibrate": calibrate,
     "costs": costs,
 }

@@ -1,4 +1,4 @@
-"""Studies: trials of the paper's plan and of exact physics, against other ways and on two cores.
+"""Studies: trials of the paper's plan and of exact physics, against other ways.
 
     python benchmarks/study.py          # small
     python benchmarks/study.py --full   # the sizes of the targets, and the figure
@@ -17,7 +17,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from process import COUNTERSPIN, PYTHON, interleaved
+from process import PYTHON
 from table import Cell, Table, script
 
 HERE = Path(__file__).parent
@@ -25,7 +25,7 @@ MILLION = 1e6
 
 
 def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
-    """Time trials by each way, and whole studies."""
+    """Time trials by each way."""
     repeats = repeats or (7 if full else 3)
     command = [*PYTHON, str(HERE / "study_jobs.py"), "--repeats", str(repeats)]
     done = subprocess.run(
@@ -35,7 +35,6 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     return [
         _paper(found, full),
         _exact(found["exact"]),
-        _whole(found["studies"], full, min(repeats, 3)),
         Table(
             "Cost against trials",
             "Seconds by each way, within one process, the fastest of three.",
@@ -133,48 +132,6 @@ def _exact(found: dict[str, Any]) -> Table:
         ["way", "median (us)", "processor (us)", "target (us)", "times ours", "target"],
         rows,
     )
-
-
-def _whole(studies: dict[str, str], full: bool, repeats: int) -> Table:
-    """Time whole processes: a million trials, and some 20 s of work by one worker and by two."""
-    with tempfile.TemporaryDirectory() as name:
-        folders = {}
-        for study, text in studies.items():
-            folders[study] = Path(name) / study
-            folders[study].mkdir()
-            (folders[study] / "campaign.toml").write_text(text, encoding="utf-8")
-
-        def command(study: str, count: float, workers: int = 1) -> list[str]:
-            few = ["--trials", str(int(count)), "--workers", str(workers)]
-            return [*COUNTERSPIN, "study", str(folders[study]), *few]
-
-        many = 1.8e7 if full else 1e6
-        found = interleaved(
-            {
-                "paper": command("given", MILLION),
-                "one": command("varying", many),
-                "two": command("varying", many, 2),
-            },
-            repeats,
-        )
-    one, two = found["one"], found["two"]
-    rows: list[list[Cell]] = [
-        ["1e+06 trials of the paper's plan", *_times(found["paper"]), None, None],
-        [f"{many:.1e} trials of exact physics, one worker", *_times(one), None, None],
-        ["the same, two workers", *_times(two), one.median / two.median, 1.7],
-    ]
-    return Table(
-        "Whole studies",
-        "Whole processes that take turns: start of Python and of the workers, preparation, trials, "
-        "report. Processor time is that of all processes together; workers can be no better than "
-        "the machine's two processes at once (above).",
-        ["process", "median (s)", "fastest (s)", "processor (s)", "faster by", "target"],
-        rows,
-    )
-
-
-def _times(found: Any) -> list[Cell]:
-    return [found.median, found.fastest, found.cpu]
 
 
 if __name__ == "__main__":

@@ -21,7 +21,6 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -38,41 +37,10 @@ from counterspin.inference.study_tally import summarise
 from counterspin.inference.study_two_stage import TwoStageEngine
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import columns
-
-PAPER = files("counterspin.commands") / "paper.toml"
-
-GIVEN = """
-[study]
-[study.analyses.exact]
-method = "two-stage"
-considered = []
-"""
-RESIDUALS = GIVEN + 'sigma = "residuals"\n'
-VARYING = """
-[study]
-[study.vary]
-K_F = { normal = "0.004 ± 2e-6 g" }
-K_I = { normal = "1.001 ± 5e-6 g/g" }
-K_II = { normal = "2e-5 ± 1e-6 g/g^2" }
-K_III = { normal = "4e-6 ± 1e-6 g/g^3" }
-K_IP = { normal = "6e-6 ± 1e-6 g/g^2" }
-spindle.drift = { uniform = ["-5e-7 1/s", "5e-7 1/s"], per = "run" }
-spindle.ripple.ratio = { uniform = ["0 ppm", "500 ppm"], per = "run" }
-spindle.ripple.phase = { uniform = ["0 deg", "360 deg"], per = "run" }
-centrifuge.radius = { normal = "2.5 ± 1e-5 m" }
-[study.analyses.exact]
-method = "two-stage"
-"""
+from study_campaigns import GIVEN, RESIDUALS, VARYING, campaign_of
 
 Job = Callable[[], object]
 Times = dict[str, tuple[float, float]]
-
-
-def campaign_of(text: str) -> str:
-    """Return the paper's plan with a study."""
-    paper = PAPER.read_text(encoding="utf-8")
-    # The peers' second stage knows no scale factor that is uncertain.
-    return (paper if text == VARYING else paper.replace("± 5e-6 g/g", "± 0 g/g")) + text
 
 
 def engine_of(text: str, engine: EngineName = "auto") -> StudyEngine:
@@ -267,7 +235,6 @@ def main() -> None:
             {
                 "paper": paper_s_plan(chosen.full, chosen.repeats, made),
                 "exact": exact_physics(chosen.full, chosen.repeats, made),
-                "studies": {"given": campaign_of(GIVEN), "varying": campaign_of(VARYING)},
                 "against trials": against_trials(chosen.full, made),
                 "linear": {
                     "weights": [list(w) for w in plan.readings_to_k_ii()],

@@ -1,0 +1,37 @@
+"""Studies of the paper's plan that are timed: noise alone, sigma from residuals, exact physics."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+PAPER = files("counterspin.commands") / "paper.toml"
+
+GIVEN = """
+[study]
+[study.analyses.exact]
+method = "two-stage"
+considered = []
+"""
+RESIDUALS = GIVEN + 'sigma = "residuals"\n'
+VARYING = """
+[study]
+[study.vary]
+K_F = { normal = "0.004 ± 2e-6 g" }
+K_I = { normal = "1.001 ± 5e-6 g/g" }
+K_II = { normal = "2e-5 ± 1e-6 g/g^2" }
+K_III = { normal = "4e-6 ± 1e-6 g/g^3" }
+K_IP = { normal = "6e-6 ± 1e-6 g/g^2" }
+spindle.drift = { uniform = ["-5e-7 1/s", "5e-7 1/s"], per = "run" }
+spindle.ripple.ratio = { uniform = ["0 ppm", "500 ppm"], per = "run" }
+spindle.ripple.phase = { uniform = ["0 deg", "360 deg"], per = "run" }
+centrifuge.radius = { normal = "2.5 ± 1e-5 m" }
+[study.analyses.exact]
+method = "two-stage"
+"""
+
+
+def campaign_of(text: str) -> str:
+    """Return the paper's plan with a study."""
+    paper = PAPER.read_text(encoding="utf-8")
+    # The peers' second stage knows no scale factor that is uncertain.
+    return (paper if text == VARYING else paper.replace("± 5e-6 g/g", "± 0 g/g")) + text
