@@ -8,6 +8,7 @@ import pytest
 
 from counterspin.campaign.description import DEFAULT_TERMS, read_campaign
 from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, TERMS, term
 from counterspin.physics.motion import Site
@@ -174,6 +175,8 @@ EXACT_PATHS = [
     # (what is changed, to what, the one problem that is told)
     ("schema = 1", "", "schema: is missing"),
     ("schema = 1", "schema = 2", "schema: this version of counterspin reads schema = 1"),
+    ("schema = 1", "schema = true", "schema: this version of counterspin reads schema = 1"),
+    ("schema = 1", "schema = 1.0", "schema: this version of counterspin reads schema = 1"),
     ("[noise]", "[noize]", 'noize: unknown key; did you mean "noise"?'),
     ('title = "Test"', 'titel = "x"', 'campaign.titel: unknown key; did you mean "title"?'),
     ("latitude =", "lattitude =", 'site.lattitude: unknown key; did you mean "latitude"?'),
@@ -205,6 +208,15 @@ EXACT_PATHS = [
     ("bias =", "bies =", 'accelerometers.Qx.bies: unknown key; did you mean "bias"?'),
     ('"0.005 ± 2e-6 g"', '"5 m"', "accelerometers.Qx.bias: 'm' is not a unit of specific force"),
     ('"0.005 ± 2e-6 g"', '"5 ± -1 mg"', "accelerometers.Qx.bias: '5 ± -1 mg' has a negative"),
+    (
+        '"1.002 ± 5e-6 g/g"',
+        '"1000 ppm"',
+        "accelerometers.Qx.scale_factor: 0.001 g/g is not about 1, as K_I is; an error of 1000 ppm "
+        "is 1.001 g/g",
+    ),
+    ("K_III =", 'K_I = "0 ± 1e-3 g/g"\nK_III =', "accelerometers.Qy.K_I: 0 g/g is not about 1"),
+    ("[model.priors]", '[model.priors]\n"Qx.K_I" = "1.2 g/g"', 'model.priors."Qx.K_I": 1.2 g/g is'),
+    ("[model.priors]", '[model.priors]\nK_I = "-1 g/g"', "model.priors.K_I: -1 g/g is not about 1"),
     ("bias =", 'K_F = "0 g"\nbias =', "accelerometers.Qx.bias: is the prior of K_F, which is"),
     (QX_DISPLACEMENT, "", "accelerometers.Qx: has no observable; give one of displacement,"),
     (QX_DISPLACEMENT, f"{QX_DISPLACEMENT}\n{FORCE}", "accelerometers.Qx: has displacement and"),
@@ -483,10 +495,47 @@ def test_mistakes_in_the_truth(tmp_path, old, new, message):
     assert any(problem.startswith(message) for problem in problems), problems
 
 
-def test_a_simulation_needs_the_size_of_an_estimated_noise(tmp_path):
+def test_a_simulation_needs_the_size_of_an_estimated_noise_and_a_calibration_does_not(tmp_path):
     text = BASE + SIMULATED[: SIMULATED.index("[truth.noise]")]
-    (problem,) = problems_of(tmp_path, text)
+    campaign = read_campaign(write(tmp_path, text))
+    assert campaign.noise.timing == "estimate"
+    (problem,) = unfit(campaign)
     assert problem == "noise.timing: a simulation needs its true size; write it in [truth.noise]"
+    text = BASE + SIMULATED.replace('displacement = "1 mm"', 'timing = "estimate"')
+    (problem,) = unfit(read_campaign(write(tmp_path, text)))
+    assert problem == "truth.noise.timing: a simulation needs its true size"
+    assert unfit(read_campaign(write(tmp_path, BASE + SIMULATED))) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "20 ug/g^2",
+            "2 g/g^2",
+            "truth.Qx.K_II: 2 g/g^2 is more than 5 times the largest",
+        ),
+        ('"1 mrad"', '"1 rad"', "truth.Qx.delta_O: 1 rad is more than 5 times the largest"),
+        ('K_II = "20 ug/g^2"', 'K_I = "1000 ppm"', "truth.Qx.K_I: 0.001 g/g is more than 5 times"),
+        ('"1 arcsec"', '"90 deg"', 'truth of runs[0] ("run1"), platform.tilt.north: 1.5708 rad is'),
+        ('"0.01 deg/h"', '"1 deg/s"', 'truth of runs[0] ("run1"), platform.drift.north: '),
+        ("harmonic = 3", "harmonic = 1000000", 'truth of runs[0] ("run1"): a ripple of harmonic '),
+        ("ratio = 1e-5", "ratio = 0.6", 'truth of runs[0] ("run1"): ripple and drift change the '),
+        ('"1e-6 1/s"', '"1e-1 1/s"', 'truth of runs[0] ("run1"): ripple and drift change the rate'),
+    ],
+)
+def test_truths_beyond_belief(tmp_path, old, new, message):
+    assert old in SIMULATED
+    text = BASE + SIMULATED.replace(old, new, 1)
+    problems = unfit(read_campaign(write(tmp_path, text)))
+    assert problems
+    assert problems[0].startswith(message), problems
+
+
+def test_limits_of_the_campaign_say_what_may_be_true(tmp_path):
+    text = edited(("[model.priors]", '[model.limits]\nK_II = "1 g/g^2"\n[model.priors]'))
+    text += SIMULATED.replace("20 ug/g^2", "2 g/g^2")
+    assert unfit(read_campaign(write(tmp_path, text))) == []
 
 
 def test_the_starter_is_a_valid_campaign_whose_truth_agrees_with_what_it_says_is_known(tmp_path):

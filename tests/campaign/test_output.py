@@ -3,6 +3,7 @@
 import os
 import stat
 import threading
+from pathlib import Path
 
 import pytest
 
@@ -52,3 +53,5 @@ def test_a_folder_in_the_way_and_one_that_is_missing(tmp_path):
         with pytest.raises(CounterspinError, match="cannot be written"):
             write_text(target, "x")
     assert not list(tmp_path.iterdir())
+    with pytest.raises(CounterspinError, match=r"^\.: cannot be written, being a folder; "):
+        write_text(Path(), "x")

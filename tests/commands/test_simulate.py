@@ -277,6 +277,18 @@ def test_command_line(tmp_path, capsys):
     assert "simulation.sampling_rate" in capsys.readouterr().err
 
 
+def test_what_cannot_be_true_is_not_simulated(tmp_path):
+    text = changed(SMALL, ('K_II = "2.7e-5 g/g^2"', 'K_II = "27 g/g^2"'))
+    text = changed(text, ('[noise]\ndisplacement = "0.01 m"', '[noise]\nquantisation = "estimate"'))
+    campaign = write(tmp_path, without(text, "truth.noise"))
+    with pytest.raises(CampaignError) as caught:
+        simulate(campaign, tmp_path / "records")
+    noise, coefficient = caught.value.problems
+    assert noise.startswith("noise.quantisation: a simulation needs its true size; write it in")
+    assert coefficient.startswith("truth.Qx.K_II: 27 g/g^2 is more than 5 times")
+    assert not (tmp_path / "records").exists()
+
+
 def test_more_rows_than_there_is_room_for(tmp_path):
     text = changed(SMALL, ('rate = "0.5 rev/s"', 'rate = "1e-6 rad/s"'))
     campaign = write(tmp_path, text)

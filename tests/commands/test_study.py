@@ -371,7 +371,7 @@ def test_study_s_own_file_names_its_campaign(paper, tmp_path):
     file.write_text('schema = 1\ncampaign = "paper"\n[study]\ntrials = 50\n', encoding="utf-8")
     assert read_study(file).trials == 50
     assert read_study(file).campaign.title == "The paper's plan"
-    file.write_text('schema = 2\ncampaign = "paper"\nstudies = 1\n', encoding="utf-8")
+    file.write_text('schema = true\ncampaign = "paper"\nstudies = 1\n', encoding="utf-8")
     with pytest.raises(CampaignError, match="did you mean"):
         read_study(file)
 

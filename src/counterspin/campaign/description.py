@@ -42,7 +42,7 @@ from counterspin.campaign.settings import (
     SiteSettings,
 )
 from counterspin.campaign.specification import Specifications, resolve_specifications
-from counterspin.campaign.terms import DEFAULT_TERMS, resolve_model
+from counterspin.campaign.terms import DEFAULT_TERMS, about_nominal, resolve_model
 from counterspin.campaign.truth import TRUTH_TABLES, resolve_run_truth, resolve_simulation
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import TERMS, Mounting
@@ -301,7 +301,12 @@ class _Reading:
         if table is None:
             return {}
         priors = {symbol: getattr(table, symbol) for symbol in TERMS}
-        for key, symbol in (("bias", "K_F"), ("scale_factor", "K_I")):
+        aliases = {"bias": "K_F", "scale_factor": "K_I"}
+        for key, symbol in ({symbol: symbol for symbol in TERMS} | aliases).items():
+            if (prior := getattr(table, key)) is not None:
+                path = ("accelerometers", name, key)
+                self.problems.attempt(path, about_nominal, symbol, prior)
+        for key, symbol in aliases.items():
             value = getattr(table, key)
             if value is not None and priors[symbol] is not None:
                 self.problems.add(

@@ -73,5 +73,7 @@ def write_text(path: Path, text: str) -> None:
 
 
 def _refusal(path: Path, error: OSError) -> str:
+    if path.is_dir():
+        return f"{path}: cannot be written, being a folder; give the name of a file"
     reason = error.strerror or str(error)
     return f"{path}: cannot be written ({reason}); choose another place or free this one"

@@ -12,6 +12,7 @@ from pydantic import AfterValidator, Field, PlainValidator
 from counterspin.campaign.attitude import attitude_rows
 from counterspin.campaign.settings import (
     PositiveRatio,
+    Schema,
     Seconds,
     Section,
     Text,
@@ -39,7 +40,7 @@ def _attitude(value: object) -> object:
 class PlanDocument(Section):
     """The sections that there may be; each is checked by its own model afterwards."""
 
-    schema_version: Literal[1] = Field(alias="schema")
+    schema_version: Schema = Field(alias="schema")
     campaign: dict[str, Any] = Field(default_factory=dict)
     site: dict[str, Any]
     centrifuge: dict[str, Any]

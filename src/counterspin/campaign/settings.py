@@ -17,6 +17,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import (
     AfterValidator,
     BaseModel,
+    BeforeValidator,
     ConfigDict,
     Field,
     PlainValidator,
@@ -148,6 +149,12 @@ def _date(value: object) -> str:
     return value
 
 
+def _whole(value: object) -> object:
+    """Refuse true and 1.0, which Python takes for 1."""
+    return value if type(value) is int else None
+
+
+Schema = Annotated[Literal[1], BeforeValidator(_whole)]
 Text = Annotated[str, Field(min_length=1)]
 Direction = Annotated[tuple[float, float, float], PlainValidator(read_direction)]
 Ratio = Annotated[float, PlainValidator(_ratio)]
@@ -164,7 +171,7 @@ class Section(BaseModel):
 class DocumentSettings(Section):
     """The sections that there may be; each is checked by its own model afterwards."""
 
-    schema_version: Literal[1] = Field(alias="schema")
+    schema_version: Schema = Field(alias="schema")
     campaign: dict[str, Any] = {}
     site: dict[str, Any]
     centrifuge: dict[str, Any]

@@ -31,6 +31,7 @@ from counterspin.campaign.quantity import parse
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import Section, Text, exact
 from counterspin.campaign.terms import BARE_NAMES, acts
+from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
 from counterspin.inference.study_draws import OTHER_NOISE, OTHERS, RADIUS, WHITE, Varying
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
@@ -156,6 +157,7 @@ def read_study(path: Path | str) -> StudyDescription:
         raise CampaignError(str(file), problems.lines)
     if campaign.simulation is None:
         problems.add(("truth",), "missing; a study needs [truth.NAME] with the true coefficients")
+    problems.lines += unfit(campaign)
     gravity = campaign.gravity.value
     varying: list[Varying] = []
     for key, path_, entry in _entries(settings.vary, ("study", "vary")):
@@ -188,7 +190,7 @@ def _document(
     for key in raw:
         if key not in known:
             problems.add((key,), "unknown key" + did_you_mean(key, known))
-    if raw.get("schema") != 1:
+    if type(raw.get("schema")) is not int or raw["schema"] != 1:
         problems.add(("schema",), "this version of counterspin reads schema = 1")
     return load_document(base), base
 

@@ -191,6 +191,8 @@ def _resolve_priors(
             continue
         unit = term(min(symbols)).unit
         prior = problems.attempt(path, parse, flat[key], unit, gravity=gravity)
+        if prior is not None:
+            problems.attempt(path, about_nominal, min(symbols), prior)
         if not symbols & used:
             problems.add(path, "is not used; add the term to model.terms or model.considered")
         if prior is None:
@@ -204,6 +206,23 @@ def _resolve_priors(
                 )
             merged[name][last] = prior
     return platform, merged
+
+
+def about_nominal(symbol: str, prior: Quantity) -> Quantity:
+    """Return a prior that is credible: a scale factor is about 1, not its own error.
+
+    Raises
+    ------
+    ValueError
+        If the prior of a term with a nominal value is further from it than the term may be.
+    """
+    row = term(symbol)
+    if row.nominal and abs(prior.value - row.nominal) > row.limit:
+        raise ValueError(
+            f"{prior.value:.6g} {row.unit} is not about {row.nominal:g}, as {symbol} is; "
+            f"an error of 1000 ppm is {1.001 * row.nominal:g} {row.unit}"
+        )
+    return prior
 
 
 def _require_priors(

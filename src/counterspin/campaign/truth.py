@@ -5,15 +5,16 @@ Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are re
 
 - `resolve_simulation`: sampling and the accelerometers' truth
 - `resolve_run_truth`: how one run really goes
+- `unfit`: why it cannot be simulated
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
-from counterspin.campaign.resolved import Noise, RunTruth, Simulation, Truth
+from counterspin.campaign.resolved import Campaign, Noise, RunTruth, Simulation, Truth
 from counterspin.campaign.settings import (
     ESTIMATE,
     AccelerometerTruthSettings,
@@ -24,11 +25,18 @@ from counterspin.campaign.settings import (
     SimulationSettings,
     SpindleTruthSettings,
 )
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
 
 #: Tables of [truth] that are not accelerometers, and so no names for one.
 TRUTH_TABLES: Final = ("spindle", "platform", "noise")
+
+#: A true coefficient may be this many times its largest credible size.
+_GENEROUS: Final = 5.0
+#: Ripple and drift together may change the rate by less than this part of it.
+_STEADY: Final = 0.5
+#: Nothing turns so unevenly as to have a higher harmonic.
+_HIGHEST: Final = 1000
 
 
 def resolve_simulation(
@@ -83,19 +91,11 @@ def resolve_simulation(
 def _true_noise(
     raw_truth: Mapping[str, Any], noise: Noise | None, problems: Problems, gravity: float | None
 ) -> Noise:
-    true_noise = noise or Noise()
-    path: Path = ("noise",)
-    if "noise" in raw_truth:
-        path = ("truth", "noise")
-        settings = problems.check(NoiseSettings, raw_truth["noise"], path, gravity=gravity)
-        true_noise = Noise(**settings.model_dump()) if settings else Noise()
-    for key, size in vars(true_noise).items():
-        if size == ESTIMATE:
-            advice = "a simulation needs its true size" + (
-                "" if "noise" in raw_truth else "; write it in [truth.noise]"
-            )
-            problems.add((*path, key), advice)
-    return true_noise
+    if "noise" not in raw_truth:
+        return noise or Noise()
+    path = ("truth", "noise")
+    settings = problems.check(NoiseSettings, raw_truth["noise"], path, gravity=gravity)
+    return Noise(**settings.model_dump()) if settings else Noise()
 
 
 def resolve_run_truth(
@@ -155,3 +155,60 @@ def _ripple(entry: RippleSettings, rate: float, path: Path, problems: Problems) 
         problems.add(path, "each ripple has either a ratio w_n/w0 or an amplitude in rad/s")
     amplitude = entry.ratio * rate if entry.ratio is not None else entry.amplitude or 0.0
     return Ripple(entry.harmonic, amplitude, entry.phase)
+
+
+def unfit(campaign: Campaign) -> list[str]:
+    """Return why a campaign's truth cannot be simulated: noise without a size, sizes beyond belief.
+
+    Calibration does not ask. The largest credible sizes are those of the term table or of
+    [model.limits].
+    """
+    if campaign.simulation is None:
+        return []
+    truth, limits = campaign.simulation.truth, campaign.model.limits
+    stated = truth.noise is campaign.noise
+    problems = [
+        f"{'noise' if stated else 'truth.noise'}.{key}: a simulation needs its true size"
+        + ("; write it in [truth.noise]" if stated else "")
+        for key, size in vars(truth.noise).items()
+        if size == ESTIMATE
+    ]
+    for name, coefficients in truth.coefficients.items():
+        for symbol, value in coefficients.items():
+            problems += _beyond_belief(f"truth.{name}.{symbol}", symbol, value, limits)
+    for index, run in enumerate(campaign.runs):
+        if run.truth is None:
+            continue
+        place = f'truth of runs[{index}] ("{run.name}")'
+        for symbol, value in run.truth.platform.items():
+            problems += _beyond_belief(f"{place}, {symbol}", symbol, value, limits)
+        problems += [f"{place}: {words}" for words in _unsteady(run.truth.spindle, run.duration)]
+    return problems
+
+
+def _beyond_belief(
+    place: str, symbol: str, value: float, limits: Mapping[str, float]
+) -> Iterator[str]:
+    row = term(symbol)
+    if abs(value - row.nominal) > _GENEROUS * limits[symbol]:
+        yield (
+            f"{place}: {value:.6g} {row.unit} is more than {_GENEROUS:g} times the largest "
+            f"credible size, {limits[symbol]:.6g} {row.unit}"
+            + (f" about {row.nominal:g}" if row.nominal else "")
+            + f'; check its unit, or raise "{symbol}" in [model.limits]'
+        )
+
+
+def _unsteady(spindle: Spindle, duration: float | None) -> Iterator[str]:
+    if spindle.highest_harmonic > _HIGHEST:
+        yield (
+            f"a ripple of harmonic {spindle.highest_harmonic} is beyond belief; the highest is "
+            f"{_HIGHEST}"
+        )
+    ripple = sum(abs(ripple.amplitude / spindle.rate) for ripple in spindle.ripples)
+    change = ripple + abs(spindle.drift) * (duration or 0.0)
+    if not change < _STEADY:
+        yield (
+            f"ripple and drift change the rate by {change:.3g} of it in the run; "
+            f"a spindle that keeps its rate stays below {_STEADY:g}"
+        )

@@ -19,6 +19,7 @@ import polars as pl
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.output import make_folder, write_whole
 from counterspin.campaign.resolved import Accelerometer, Campaign, Noise, Run, Truth
+from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.physics import observation, simulation
 from counterspin.physics.accelerometer import Array
@@ -59,8 +60,8 @@ def simulate(
     Raises
     ------
     CampaignError
-        If the description is wrong or says nothing of the truth, or a record's format cannot be
-        written.
+        If the description is wrong, the truth is missing or beyond belief, or a record's format
+        cannot be written.
     CounterspinError
         If a file is in the way or cannot be written.
     """
@@ -72,6 +73,8 @@ def simulate(
             ["truth: missing; `simulate` needs [truth.NAME] tables with the true coefficients"],
         )
     _refuse_long_runs(campaign, campaign.simulation.sampling_rate)
+    if problems := unfit(campaign):
+        raise CampaignError(str(campaign.path), problems)
     targets = _targets(campaign, folder)
     description = folder / "campaign.toml"
     own = description.exists() and description.samefile(campaign.path)
