@@ -17,6 +17,7 @@ from counterspin.report.document import identifier_of
 @pytest.fixture
 def desk(tmp_path, monkeypatch):
     """Work in a folder with a result and a laboratory's file, at a fixed time."""
+    monkeypatch.setenv("COLUMNS", "120")  # numbers in one piece
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")  # 2027-01-15
     (tmp_path / "r.json").write_text(result().to_json(), encoding="utf-8")
