@@ -28,8 +28,10 @@ files = [f"{sys.argv[1]}/run{n}{sys.argv[2]}" for n in range(3)]
 scan(files).select(pl.all().sum()).collect(engine="streaming")
 """
 
+# One thread for matrices, as the command has it.
 REDUCE = """
-import sys
+import os, sys
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.observed import observe
 for run in observe(read_campaign(sys.argv[1])):
