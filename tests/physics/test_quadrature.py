@@ -45,6 +45,16 @@ def test_a_million_times_are_evaluated_like_three():
     np.testing.assert_allclose(got, 1 - np.cos(many), rtol=0, atol=3e-15)
 
 
+@pytest.mark.parametrize("order", [1, 2])
+def test_times_crowded_in_one_panel_and_scattered_over_others(order):
+    edges = np.linspace(0.0, 2.5, 40)
+    crowd = np.linspace(1.2, 1.21, 500)
+    times = np.concatenate([crowd[::-1], edges[5:30:7], [2.5, 0.0], crowd])
+    got = integrate(lambda t: np.cos(3 * t)[None], edges, times, order)[:, 0]
+    expected = np.sin(3 * times) / 3 if order == 1 else (1 - np.cos(3 * times)) / 9
+    np.testing.assert_allclose(got, expected, rtol=0, atol=3e-14)
+
+
 def test_no_times_give_no_rows():
     assert integrate(lambda t: np.cos(t)[None], EDGES, np.empty(0), 2).shape == (0, 1)
 

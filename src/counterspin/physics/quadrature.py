@@ -16,6 +16,7 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 from numpy.polynomial import legendre
 
 from counterspin.physics.accelerometer import Array
@@ -142,28 +143,48 @@ def integrate(integrand: Callable[[Array], Array], edges: Array, times: Array, o
     # A Legendre series at x = 1 is the sum of its coefficients.
     first = _running_sum(once.sum(axis=1))
     if order == 1:
-        series, start, slope = once, first, None
+        series = once
+        series[:, 0] += first[:-1]
     else:
         series = _series(values, _TWICE) * half[:, None, None] ** 2
-        start = _running_sum(series.sum(axis=1) + 2.0 * half[:, None] * first[:-1])
-        slope = first
+        # The slope at the panel's start goes on through it, as slope x half x (1 + x).
+        gained = half[:, None] * first[:-1]
+        start = _running_sum(series.sum(axis=1) + 2.0 * gained)
+        series[:, 0] += start[:-1] + gained
+        series[:, 1] += gained
     result = np.empty((times.size, values.shape[0]))
     for begin in range(0, times.size, _CHUNK):
         t = times[begin : begin + _CHUNK]
         panel = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, half.size - 1)
-        inside = t - edges[panel]
-        x = inside / half[panel] - 1.0
-        part = np.einsum("nc,nck->nk", legendre.legvander(x, series.shape[1] - 1), series[panel])
-        part += start[panel]
-        if slope is not None:
-            part += slope[panel] * inside[:, None]
-        result[begin : begin + _CHUNK] = part
+        x = (t - edges[panel]) / half[panel] - 1.0
+        result[begin : begin + _CHUNK] = _at(x, panel, series)
     return result
 
 
 def _series(values: Array, matrix: Array) -> Array:
     """Return the Legendre series of integrals from node values (k, m, NODES), shape (m, c, k)."""
     return np.ascontiguousarray((values @ matrix.T).transpose(1, 2, 0))
+
+
+def _at(x: Array, panel: npt.NDArray[np.intp], series: Array) -> Array:
+    """Return the series (m, c, k) of the panels (n,) at the places x (n,) in them, shape (n, k).
+
+    Places in the same panel stand in a row, so that a matrix product serves them all. Rows are a
+    little longer than the usual number of places in a panel; where there are more, there are
+    more rows. However the places are spread, all rows together are at most 6 n long.
+    """
+    order = np.argsort(panel, kind="stable")
+    occupied, counts = np.unique(panel[order], return_counts=True)
+    width = x.size // occupied.size + 2
+    rows = -(-counts // width)
+    places = np.arange(x.size) - np.repeat(np.cumsum(counts) - counts, counts)
+    slots = np.empty(x.size, dtype=np.intp)
+    slots[order] = places + np.repeat(width * (np.cumsum(rows) - rows), counts)
+    filled = np.zeros(width * rows.sum())
+    filled[slots] = x
+    powers = legendre.legvander(filled.reshape(-1, width), series.shape[1] - 1)
+    found: Array = (powers @ series[np.repeat(occupied, rows)]).reshape(-1, series.shape[2])
+    return found[slots]
 
 
 def _running_sum(increments: Array) -> Array:
