@@ -483,6 +483,28 @@ def test_a_record_too_short_for_its_own_start_is_refused():
 # Uncertain inputs ---------------------------------------------------------------------------------
 
 
+def test_preparing_again_gives_what_preparing_anew_does():
+    k_oo = Considered("Qx", "K_OO", (1e-6, 2e-6), 1e-4)
+    gyro = Considered("", "platform.drift.up", (0.0, 1e-9), 1e-6)
+    tilt = Unknown("run1", "platform.tilt.north", (0.0, 1e-5), 1e-2)
+    series = three_rates(TRUTH)
+    before = Model((*unknowns(TRUTH, PRIORS), tilt), (gyro,))
+    after = replace(before, considered=(k_oo, gyro), inputs={"centrifuge.radius": 1e-4})
+    fit = joint.solve_joint(joint.prepare(series, before, SCALES), before, {"Qx": WHITE})
+    other = {"Qx": 1.5}
+    again = joint.prepare_again(fit, after, other)
+    anew = joint.prepare(series, after, other, fit.solution.estimate)
+    for one, two in zip(again, anew, strict=True):
+        assert (one.scale_factor, one.unknowns, one.considered) == (
+            two.scale_factor,
+            two.unknowns,
+            two.considered,
+        )
+        for got, expected in ((one.design, two.design), (one.fixed, two.fixed)):
+            error = np.abs(got - expected).max(axis=0)
+            assert (error < 1e-12 * np.abs(expected).max(axis=0)).all()
+
+
 def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
     spindle = {rate: Spindle(rate, 1e-6, start_angle=0.4) for rate in RATES}
     series = [

@@ -129,25 +129,18 @@ def estimate(
     whole = encoder.with_encoder(plain, kept, noise)
     if whole is not plain:
         # What the encoder has not shown is in the residuals until then.
-        prepared = joint.prepare(kept, whole, before, _padded(fit, whole))
+        prepared = joint.prepare_again(fit, whole, before)
         noise, components = _noise(prepared, whole, requests)
         fit = joint.solve_joint(prepared, whole, noise)
     scale_factors = _scale_factors(series, plain, fit)
     moved = any(abs(scale_factors[a] - before[a]) > _SCALE_SETTLED for a in before)
     if model.inputs or moved:
         whole = replace(whole, inputs=model.inputs)
-        prepared = joint.prepare(kept, whole, scale_factors, fit.solution.estimate)
+        prepared = joint.prepare_again(fit, whole, scale_factors)
         fit = joint.solve_joint(prepared, whole, noise)
     dof = _effective_dof(fit, components)
     fit, dof = _with_unseen(fit, components, dof)
     return Estimate(fit, components, dof, tuple(outliers))
-
-
-def _padded(fit: JointFit, model: Model) -> Array:
-    """Return the fit's estimate, zero for the unknowns that the model has beyond it."""
-    found = np.zeros(len(model.unknowns))
-    found[: fit.solution.estimate.size] = fit.solution.estimate
-    return found
 
 
 def _scale_factors(

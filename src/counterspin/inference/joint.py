@@ -9,7 +9,7 @@ blocks, not from the records.
 The problem is a `Model` (`counterspin.inference.model`) beside the series
 (`counterspin.inference.series`).
 
-- `prepare`: the columns, computed once
+- `prepare`, `prepare_again`: the columns, each computed once
 - `solve_joint`, `with_noise`, `JointFit`: the answer
 - `residuals`, `freedom`, `unexplained`, `leave_out`: checks of it
 """
@@ -29,7 +29,7 @@ from counterspin.inference.least_squares import Solution
 from counterspin.inference.model import ROTATION, Considered, Model, Unknown
 from counterspin.inference.noise import Noise
 from counterspin.inference.series import Series
-from counterspin.physics.accelerometer import TERMS, Array
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, Array
 
 __all__ = [
     "INPUTS",
@@ -43,6 +43,7 @@ __all__ = [
     "freedom",
     "leave_out",
     "prepare",
+    "prepare_again",
     "residuals",
     "solve_joint",
     "unexplained",
@@ -58,6 +59,8 @@ class Prepared:
     ----------
     series
         The series.
+    scale_factor
+        K_I with which it sees the platform's errors.
     unknowns, considered
         Which of the model's unknowns and considered columns the columns below belong to.
     design, fixed
@@ -65,6 +68,7 @@ class Prepared:
     """
 
     series: Series
+    scale_factor: float
     unknowns: tuple[int, ...]
     design: Array
     considered: tuple[int, ...]
@@ -91,10 +95,58 @@ def prepare(
         Values of the unknowns, less nominal, shape (p,), at which the uncertain inputs'
         derivatives are taken; None: those of a perfect system.
     """
-    return tuple(_prepare(one, model, scale_factors[one.accelerometer], estimate) for one in series)
+    values = np.zeros(len(model.unknowns)) if estimate is None else estimate
+    return tuple(
+        _prepare(one, model, scale_factors[one.accelerometer], values, {}) for one in series
+    )
 
 
-def _prepare(series: Series, model: Model, scale_factor: float, estimate: Array | None) -> Prepared:
+def prepare_again(
+    fit: JointFit, model: Model, scale_factors: Mapping[str, float]
+) -> tuple[Prepared, ...]:
+    """Return the columns of a solved problem for another model or for other scale factors.
+
+    A record shows of a term what it did, but for the scale factor with which it shows the
+    platform's: only what is new is computed. Derivatives that depend on the unknowns are taken at
+    the fit's estimate; unknowns that it did not have count as nominal.
+
+    Parameters
+    ----------
+    fit
+        The solved problem.
+    model, scale_factors
+        As for `prepare`.
+    """
+    found = dict(zip(fit.model.unknowns, fit.solution.estimate.tolist(), strict=True))
+    values = np.array([found.get(unknown, 0.0) for unknown in model.unknowns])
+    return tuple(
+        _prepare(one.series, model, factor, values, _terms_shown(one, fit.model, factor))
+        for one in fit.prepared
+        for factor in (scale_factors[one.series.accelerometer],)
+    )
+
+
+def _terms_shown(prepared: Prepared, model: Model, scale_factor: float) -> dict[str, Array]:
+    """Return term -> its column, of those that stay as they are whatever the estimate is."""
+    columns = [*prepared.design.T, *prepared.fixed.T]
+    terms = [model.unknowns[i].symbol for i in prepared.unknowns]
+    terms += [model.considered[i].symbol for i in prepared.considered if i < len(model.considered)]
+    ratio = scale_factor / prepared.scale_factor
+    return {
+        symbol: ratio * column if symbol in PLATFORM_TERMS else column
+        for symbol, column in zip(terms, columns, strict=False)
+        if symbol not in encoder.SYMBOLS
+    }
+
+
+def _prepare(
+    series: Series,
+    model: Model,
+    scale_factor: float,
+    estimate: Array,
+    shown: Mapping[str, Array],
+) -> Prepared:
+    """Compute the columns of one series, but for those that are known already."""
     unknowns = tuple(i for i, unknown in enumerate(model.unknowns) if unknown.concerns(series))
     considered = tuple(i for i, other in enumerate(model.considered) if other.concerns(series))
     symbols = [model.unknowns[i].symbol for i in unknowns]
@@ -102,10 +154,11 @@ def _prepare(series: Series, model: Model, scale_factor: float, estimate: Array 
     turned = [symbol for symbol in (*symbols, *ignored) if symbol in ROTATION]
     encoded = [symbol for symbol in (*symbols, *ignored) if symbol in encoder.SYMBOLS]
     terms = [symbol for symbol in (*symbols, *ignored) if symbol not in (*turned, *encoded)]
-    table = dict(zip(terms, series.columns(terms, scale_factor).T, strict=True))
-    table |= {symbol: rotation_column(series, symbol) for symbol in turned}
-    values = np.zeros(len(symbols)) if estimate is None else estimate[list(unknowns)]
-    known = {s: v for s, v in zip(symbols, values, strict=True) if s in terms}
+    new = [symbol for symbol in terms if symbol not in shown]
+    table = dict(shown)
+    table |= dict(zip(new, series.columns(new, scale_factor).T, strict=True))
+    table |= {s: rotation_column(series, s) for s in turned if s not in shown}
+    known = {s: v for s, v in zip(symbols, estimate[list(unknowns)], strict=True) if s in terms}
     own = {"K_I": scale_factor - 1.0} | {s: v for s, v in known.items() if s in TERMS}
     table |= dict(zip(encoded, encoder.columns(series, encoded, own).T, strict=True))
     n = series.time.size
@@ -117,6 +170,7 @@ def _prepare(series: Series, model: Model, scale_factor: float, estimate: Array 
     inputs = tuple(range(first_input, first_input + len(model.inputs or ())))
     return Prepared(
         series,
+        scale_factor,
         unknowns,
         design,
         considered + inputs,

@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -243,13 +244,7 @@ class RunInformation:
         factors = {name: setup.scale_factors[name] for name in [instrument.name]}
         (prepared,) = joint.prepare([series], setup.model, factors, setup.estimate)
         scale = abs(rate) ** -instrument.order
-        return joint.Prepared(
-            series,
-            prepared.unknowns,
-            prepared.design * scale,
-            prepared.considered,
-            prepared.fixed * scale,
-        )
+        return replace(prepared, design=prepared.design * scale, fixed=prepared.fixed * scale)
 
 
 def _without_first(rows: Array, prior: float) -> Array:
