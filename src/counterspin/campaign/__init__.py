@@ -9,12 +9,13 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `truth`: what a simulated campaign is made of; calibration never looks at it
 - `specification`: limits that coefficients shall lie between, and the rule to judge it by
 - `resolved`: the campaign as the calculation sees it, in SI
-- `description`: `read_campaign`, from the file to the resolved campaign
+- `document`: files in TOML; `description`: `read_campaign`, from the file to the resolved campaign
 - `records`: `read_record`, from a run's file to samples or block means, checked and cleaned
 - `column_file`, `record_csv`, `record_files`: the files themselves, whatever their format
 - `record_clock`, `clock_faults`, `spikes`, `reduction`, `record_amplitude`: the steps of reading,
   in the order in which a record passes them
 - `record_report`: what was found on the way
+- `checksums`: of a campaign's files
 - `observed`: records brought together with the rotation they were taken on
 - `problem`: the joint fit's unknowns, priors and noise, as a campaign asks for them
 - `result`: what a calibration found, its JSON; `result_parts`: what it is made of

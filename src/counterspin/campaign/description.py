@@ -1,6 +1,6 @@
 """From ``campaign.toml`` to a `Campaign`: every key checked, all mistakes told at once.
 
-- `read_campaign`: the file; `load_document`, `resolve_campaign`: its two steps
+- `read_campaign`: the file; `resolve_campaign`: a document that has been read
 - `Campaign` and its parts: see `counterspin.campaign.resolved`
 """
 
@@ -8,12 +8,12 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from counterspin.campaign.checking import M, Problems
+from counterspin.campaign.document import DESCRIPTION_NAME, description_file, load_document
 from counterspin.campaign.quantity import Quantity, unit_factor
 from counterspin.campaign.resolved import (
     Accelerometer,
@@ -50,7 +50,6 @@ from counterspin.physics.motion import Site
 
 __all__ = [
     "DEFAULT_TERMS",
-    "DESCRIPTION_NAME",
     "Accelerometer",
     "Campaign",
     "Channel",
@@ -62,8 +61,6 @@ __all__ = [
     "Truth",
     "read_campaign",
 ]
-
-DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
 
 _ACCELEROMETER_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
 
@@ -84,8 +81,7 @@ def read_campaign(path: Path | str) -> Campaign:
         With every mistake found, each with the path of its key; or that the file is missing,
         is not UTF-8 or not TOML.
     """
-    given = Path(path)
-    file = given / DESCRIPTION_NAME if given.is_dir() else given
+    file = description_file(path)
     if file.suffix.lower() in RECORD_FORMATS:
         raise CampaignError(
             str(file), [f"a record, not a campaign; give the folder that holds {DESCRIPTION_NAME}"]
@@ -111,33 +107,6 @@ def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> 
         Where mistakes are noted.
     """
     return _Reading(raw, file.absolute(), problems).campaign()
-
-
-def load_document(
-    file: Path, advice: str = "`counterspin init DIR` makes a campaign to start from"
-) -> dict[str, Any]:
-    """Return a TOML document; `advice` is for a file that is not there.
-
-    Raises
-    ------
-    CampaignError
-        If the file is missing, cannot be read, is not UTF-8 or not TOML.
-    """
-    try:
-        # Editors on Windows put a byte-order mark before the text; TOML knows none.
-        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        problem = f"there is no such file; {advice}"
-    except UnicodeDecodeError:
-        problem = "is not UTF-8 text; save it as UTF-8 (the sign ± needs it; +/- serves as well)"
-    except OSError as error:
-        problem = f"cannot be read: {error.strerror}"
-    except tomllib.TOMLDecodeError as error:
-        place = re.fullmatch(r"(.*) \(at (.*)\)", str(error), flags=re.DOTALL)
-        what, where = (place[1], place[2]) if place else (str(error), "TOML")
-        what = what[:1].lower() + what[1:]
-        problem = f"{where}: {what}; text such as a quantity stands in quotation marks"
-    raise CampaignError(str(file), [problem])
 
 
 class _Reading:

@@ -17,7 +17,8 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.description import load_document, resolve_campaign
+from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.document import load_document
 from counterspin.campaign.plan_settings import GoalSettings, LimitsSettings, PlanDocument
 from counterspin.campaign.problem import model_of
 from counterspin.campaign.quantity import parse

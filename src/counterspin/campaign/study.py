@@ -22,11 +22,8 @@ from pydantic import AfterValidator, Field
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.description import (
-    DESCRIPTION_NAME,
-    load_document,
-    resolve_campaign,
-)
+from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.document import description_file, load_document
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import Section, Text, exact
@@ -145,8 +142,7 @@ def read_study(path: Path | str) -> StudyDescription:
     CampaignError
         With every mistake found, each with the path of its key.
     """
-    given = Path(path)
-    file = given / DESCRIPTION_NAME if given.is_dir() else given
+    file = description_file(path)
     raw = load_document(file)
     problems = Problems(raw)
     document, where = _document(raw, file, problems)
@@ -184,8 +180,7 @@ def _document(
     """Return the campaign's document and file: this one, or the one that a study's file names."""
     if not isinstance(raw.get("campaign"), str):
         return raw, file
-    beside = file.parent / raw["campaign"]
-    base = beside / DESCRIPTION_NAME if beside.is_dir() else beside
+    base = description_file(file.parent / raw["campaign"])
     known = ("schema", "campaign", "study")
     for key in raw:
         if key not in known:

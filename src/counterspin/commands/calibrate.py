@@ -5,27 +5,20 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
-import sys
-import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, get_args
+from typing import TYPE_CHECKING, get_args
 
-from counterspin.campaign.description import read_campaign
-from counterspin.campaign.observed import ObservedRun, observe
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.checksums import Checksums
 from counterspin.commands.method import Method, TwoStageOptions
 from counterspin.errors import CampaignError
 
 if TYPE_CHECKING:
+    from counterspin.campaign.observed import ObservedRun
+    from counterspin.campaign.resolved import Campaign
     from counterspin.campaign.result import Result
-
-#: Niceness of the thread that takes checksums.
-_BEHIND: Final = 10
 
 
 def calibrate(
@@ -65,15 +58,23 @@ def calibrate(
         If the records cannot determine the unknowns.
     """
     _refuse_mixed(method, options)
-    campaign = where if isinstance(where, Campaign) else read_campaign(where)
-    with ThreadPoolExecutor(2) as beside:
-        checksums = beside.submit(_checksums, campaign)
+    with Checksums() as checksums, ThreadPoolExecutor(1) as beside:
+        if isinstance(where, Path | str):
+            checksums.expect(where)
+        # Loaded only now: checksums need none of it, and are taken on another core meanwhile.
+        from counterspin.campaign.description import Campaign, read_campaign
+
+        campaign = where if isinstance(where, Campaign) else read_campaign(where)
         beside.submit(_load)
         observed = _observed(campaign, progress)
         from counterspin.commands.calibration import calibration
 
         return calibration(
-            campaign, observed, method, options or TwoStageOptions(), checksums.result
+            campaign,
+            observed,
+            method,
+            options or TwoStageOptions(),
+            lambda: _by_name(campaign, checksums),
         )
 
 
@@ -101,6 +102,8 @@ def _refuse_mixed(method: str, options: TwoStageOptions | None) -> None:
 def _observed(
     campaign: Campaign, progress: Callable[[int, int], None] | None
 ) -> tuple[ObservedRun, ...]:
+    from counterspin.campaign.observed import observe
+
     observed = []
     for run in observe(campaign):
         observed.append(run)
@@ -109,13 +112,11 @@ def _observed(
     return tuple(observed)
 
 
-def _checksums(campaign: Campaign) -> dict[str, str]:
+def _by_name(campaign: Campaign, checksums: Checksums) -> dict[str, str]:
     """Return file name -> checksum, of the description and of every record."""
-    if sys.platform == "linux":
-        # Nothing waits for a checksum before the end: what reads and fits goes first.
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _BEHIND)
     files = [campaign.path, *(run.record for run in campaign.runs)]
-    return {_name(campaign, file): _checksum(file) for file in files}
+    names = (_name(campaign, file) for file in files)
+    return dict(zip(names, checksums.of(files), strict=True))
 
 
 def _name(campaign: Campaign, file: Path) -> str:
@@ -124,13 +125,3 @@ def _name(campaign: Campaign, file: Path) -> str:
         return file.relative_to(campaign.folder).as_posix()
     except ValueError:
         return str(file)
-
-
-def _checksum(file: Path) -> str:
-    try:
-        with file.open("rb", buffering=0) as stream:
-            digest = hashlib.file_digest(stream, "sha256")
-    except OSError:
-        # Reading the record says what is wrong with the file, and says it better.
-        return "unreadable"
-    return f"sha256:{digest.hexdigest()}"

@@ -12,7 +12,8 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
-from counterspin.campaign.description import DESCRIPTION_NAME, read_campaign
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.document import DESCRIPTION_NAME
 from counterspin.campaign.observed import observe
 from counterspin.campaign.output import write_text
 from counterspin.campaign.resolved import Campaign

@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
-from counterspin.campaign.description import DESCRIPTION_NAME
+from counterspin.campaign.document import DESCRIPTION_NAME
 from counterspin.campaign.output import make_folder, write_text
 from counterspin.errors import CounterspinError
 

@@ -16,7 +16,8 @@ from typing import Final
 
 from counterspin._version import __version__
 from counterspin.campaign.attitude import attitude_words
-from counterspin.campaign.description import DESCRIPTION_NAME, read_campaign
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.document import DESCRIPTION_NAME
 from counterspin.campaign.forecast import Forecast, forecast
 from counterspin.campaign.output import make_folder, write_text
 from counterspin.campaign.plan_description import read_plan

@@ -21,7 +21,7 @@ from pydantic import AfterValidator, Field, PlainValidator
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean, key_path
-from counterspin.campaign.description import load_document
+from counterspin.campaign.document import load_document
 from counterspin.campaign.output import write_text
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.result import Result

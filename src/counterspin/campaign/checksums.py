@@ -1,0 +1,90 @@
+"""Checksums of a campaign's files, taken on a thread of their own while all else goes on.
+
+- `Checksums`: begun as early as the files are known by name, asked for at the end
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import threading
+from collections.abc import Iterable
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Final
+
+from counterspin.campaign.document import description_file, load_document
+from counterspin.errors import CampaignError
+
+#: Niceness of the thread: nothing waits for a checksum before the end.
+_BEHIND: Final = 10
+#: Bytes between two requests for the interpreter's lock, which imports hold for milliseconds.
+_AT_ONCE: Final = 1 << 24
+
+
+class Checksums:
+    """SHA-256 of files, each taken once; on leaving, what is not asked for is given up."""
+
+    def __init__(self) -> None:
+        self._worker = ThreadPoolExecutor(1, initializer=_step_back)
+        self._taken: dict[Path, Future[str]] = {}
+        self._given_up = threading.Event()
+
+    def __enter__(self) -> Checksums:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._given_up.set()
+        self._worker.shutdown(cancel_futures=True)
+
+    def expect(self, where: Path | str) -> None:
+        """Begin with the files that a campaign seems to have, before its description is checked.
+
+        Parameters
+        ----------
+        where
+            The campaign's folder or its description; what is wrong with it is for others to say.
+        """
+        with suppress(CampaignError, OSError, TypeError, ValueError, LookupError):
+            file = description_file(where).absolute()
+            runs = load_document(file)["runs"]
+            self._begin([file, *(file.parent / run["record"] for run in runs)])
+
+    def of(self, files: Iterable[Path]) -> list[str]:
+        """Return the checksums of files, such as ``sha256:9f86...``, or ``unreadable``."""
+        asked = list(files)
+        self._begin(asked)
+        return [self._taken[file].result() for file in asked]
+
+    def _begin(self, files: Iterable[Path]) -> None:
+        for file in files:
+            if file not in self._taken:
+                self._taken[file] = self._worker.submit(self._take, file)
+
+    def _take(self, file: Path) -> str:
+        digest = hashlib.sha256()
+        try:
+            # What is no file, such as a device, may have no end.
+            if not file.is_file():
+                return "unreadable"
+            with file.open("rb", buffering=0) as stream:
+                buffer = memoryview(bytearray(min(_AT_ONCE, file.stat().st_size + 1)))
+                while (read := stream.readinto(buffer)) and not self._given_up.is_set():
+                    digest.update(buffer[:read])
+        except OSError:
+            # Reading the record says what is wrong with the file, and says it better.
+            return "unreadable"
+        return f"sha256:{digest.hexdigest()}"
+
+
+def _step_back() -> None:
+    if sys.platform == "linux":
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _BEHIND)
