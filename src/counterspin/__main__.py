@@ -1,7 +1,29 @@
-"""`python -m counterspin`: the command line."""
+"""`counterspin` and `python -m counterspin`: a process that runs one command and is over.
 
+- `run`: sets what holds for the process as a whole, then runs the command line
+"""
+
+import gc
+import os
 import sys
 
-from counterspin.cli import main
 
-sys.exit(main())
+def run() -> int:
+    """Run the command line in a process of its own and return the exit status."""
+    # The matrices are small: more threads than one cost more than they bring.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # pydantic would look through all that is installed for plugins, which no one needs here.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    # What is imported stays: to search it for garbage, now and at the end, takes longer than many
+    # a command.
+    gc.set_threshold(1_000_000)
+    from counterspin.cli import main
+
+    try:
+        return main()
+    finally:
+        gc.freeze()
+
+
+if __name__ == "__main__":
+    sys.exit(run())

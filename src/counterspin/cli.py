@@ -5,7 +5,6 @@ Each command imports what it uses when it runs, so that `--help` answers at once
 
 from __future__ import annotations
 
-import gc
 import os
 import sys
 from errno import ENOSPC
@@ -353,12 +352,6 @@ def _unforeseen(error: Exception) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit status: 0 done, 1 failed, 2 wrong usage."""
-    # The matrices are small: more threads than one cost more than they bring.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # pydantic would look through all that is installed for plugins, which no one needs here.
-    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
-    # What is imported stays: to look for garbage among it is a twentieth of a short command.
-    gc.set_threshold(1_000_000)
     try:
         app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
     except CounterspinError as error:
@@ -380,7 +373,3 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"counterspin: {_unforeseen(error)}", file=sys.stderr)
         return 1
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())
