@@ -28,7 +28,7 @@ def report(
     Parameters
     ----------
     source
-        Result file, or a campaign's folder, which is calibrated first.
+        Result file, or a campaign's folder or description, which is calibrated first.
     output
         The report: .html, .pdf or .md; without it, the report is printed.
     identifier
@@ -44,7 +44,7 @@ def report(
     issued = issue_date(date)
     if output is not None:
         check_format(output)
-    if source.suffix.lower() == ".json":
+    if source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml"):
         found = read_result(source)
     else:
         from counterspin.commands.calibrate import calibrate
@@ -144,18 +144,19 @@ def history(
     """
     from counterspin.campaign.output import write_text
     from counterspin.commands.history import history as run
+    from counterspin.report.figure import check_format, save
     from counterspin.report.history import history_figure, render_history
     from counterspin.report.text import report_console
 
     if not paths:
         raise CampaignError("history", ["give result files, or folders that hold them"])
+    if figure is not None:
+        check_format(figure)
     found = run(paths, term=term, serial=serial)
     report_console().print(render_history(found))
     if json is not None:
         write_text(json, found.to_json())
     if figure is not None:
-        from counterspin.report.figure import save
-
         save(history_figure(found), figure)
     if found.damaged:
         raise CounterspinError(

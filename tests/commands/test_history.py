@@ -377,7 +377,9 @@ def test_unwritable_target_leaves_nothing(tmp_path, capsys):
     assert main(["history", str(folder), "--json", str(tmp_path / "no" / "h.json")]) == 1
     assert "cannot be written" in capsys.readouterr().err
     assert main(["history", str(folder), "--figure", str(tmp_path / "h.gif")]) == 1
-    assert ".svg, .png, .pdf" in capsys.readouterr().err
+    shown = capsys.readouterr()
+    assert ".svg, .png, .pdf" in shown.err
+    assert not shown.out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["results"]
 
 

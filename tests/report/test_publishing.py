@@ -93,6 +93,23 @@ def test_a_campaign_is_calibrated_first(tmp_path, capsys):
     assert capsys.readouterr().out.endswith(f"Wrote {tmp_path / 'r.md'}.\n")
 
 
+def test_a_result_may_have_any_name(stored, capsys):
+    other = stored.rename(stored.with_name("result of May"))
+    assert main(["report", str(other)]) == 0
+    assert "Is it good?" in capsys.readouterr().out
+    other.write_text("hello", "utf-8")
+    assert main(["report", str(other)]) == 1
+    assert "not a result file" in capsys.readouterr().err
+
+
+def test_a_description_is_calibrated_first(tmp_path, capsys):
+    assert main(["report", str(tmp_path / "campaign.toml")]) == 2
+    assert "there is no such file; `counterspin init DIR`" in capsys.readouterr().err
+    (tmp_path / "campaign.toml").write_text("schema = 1", "utf-8")
+    assert main(["report", str(tmp_path / "campaign.toml")]) == 2
+    assert "site: is missing" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "status", "words"),
     [

@@ -5,7 +5,7 @@ byte: no date and no random names are in it.
 
 - `StrobePanel`: one run as it is drawn
 - `displacement_figure`: the figure
-- `save`: to SVG, PNG or PDF, whole or not at all
+- `save`, `check_format`: to SVG, PNG or PDF, whole or not at all
 - `as_words`: a name that is no formula
 """
 
@@ -130,6 +130,16 @@ def displacement_figure(panels: Sequence[StrobePanel], *, title: str = "") -> Fi
     return figure
 
 
+def check_format(path: Path) -> str:
+    """Return the format that a figure's name asks for; CounterspinError if there is no such one."""
+    kind = path.suffix.lower()
+    if kind not in _METADATA:
+        raise CounterspinError(
+            f"{path}: a figure is written as {', '.join(_METADATA)}; choose one of these endings"
+        )
+    return kind
+
+
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as SVG, PNG or PDF, by the ending of the file's name.
 
@@ -140,11 +150,7 @@ def save(figure: Figure, path: Path) -> None:
     """
     import matplotlib as mpl
 
-    kind = path.suffix.lower()
-    if kind not in _METADATA:
-        raise CounterspinError(
-            f"{path}: a figure is written as {', '.join(_METADATA)}; choose one of these endings"
-        )
+    kind = check_format(path)
     with mpl.rc_context(SETTINGS), warnings.catch_warnings():
         # A letter that the font lacks is drawn as a box, which speaks for itself.
         warnings.filterwarnings("ignore", r"Glyph \d+", UserWarning)
