@@ -7,6 +7,7 @@ from campaigns import SMALL, changed, write
 
 from counterspin.campaign.result import read_result, write_result
 from counterspin.commands.calibrate import calibrate
+from counterspin.commands.joint_traces import _rounded
 from counterspin.commands.simulate import simulate
 
 #: Where samples are displaced, and by how much, in metres.
@@ -93,3 +94,26 @@ def test_samples_in_step_with_the_spindle_leave_no_gap_over_the_revolution(resul
     assert sizes == {"slow": 60, "middle": 30, "fast": 15}
     for trace in clean.accelerometers["Qx"].traces.values():
         assert None not in trace.by_angle.mean
+
+
+@pytest.mark.parametrize("digits", [4, 6])
+def test_values_are_rounded_as_python_writes_them(digits):
+    rng = np.random.default_rng(7)
+    values = rng.standard_normal(4000) * 10.0 ** rng.integers(-20, 20, 4000)
+    special = [
+        0.0,
+        -0.0,
+        np.nan,
+        9.99996,
+        999.95,
+        1e5,
+        1e-5,
+        0.000999995,
+        -1e3,
+        1e-15,
+        1e15,
+        1e-300,
+    ]
+    values = np.append(values, special)
+    expected = [float(f"{value:.{digits}g}") for value in values]
+    np.testing.assert_array_equal(_rounded(values, digits), expected)

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from counterspin.inference.outliers import FALSE_ALARMS, outlying
+from counterspin.inference.outliers import FALSE_ALARMS, _of_pairs, outlying
 
 
 def all_rounds(residuals, weight=None, floor=0.0, time=None):
@@ -124,3 +124,16 @@ def test_what_was_left_out_before_is_not_found_again():
     residuals = rng.standard_normal(500)
     residuals[[100, 101, 102, 300]] = [np.nan, np.nan, np.nan, 50.0]
     assert np.flatnonzero(outlying(residuals, np.ones(500))).tolist() == [300]
+
+
+@pytest.mark.parametrize("apart", [range(1, 5), range(1, 17), range(2, 33, 2)])
+def test_the_median_of_pairs_is_that_of_their_means(apart):
+    values = np.random.default_rng(11).standard_normal(200)
+    found, variance = _of_pairs(values, apart)
+    reach = apart[-1]
+    expected = [
+        np.median([0.5 * (values[i - k] + values[i + k]) for k in apart])
+        for i in range(reach, values.size - reach)
+    ]
+    np.testing.assert_array_equal(found, expected)
+    assert variance == pytest.approx(math.pi / 4 / len(apart))

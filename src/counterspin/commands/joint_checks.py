@@ -17,8 +17,8 @@ from counterspin.campaign.observed import ObservedRun
 from counterspin.campaign.problem import left_out_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.result_parts import Comparison, Jackknife, LeftOut
+from counterspin.commands import two_stage
 from counterspin.commands.method import TwoStageOptions
-from counterspin.commands.two_stage import two_stage
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference import encoder
 from counterspin.inference import joint as fitting
@@ -128,22 +128,23 @@ def compare(
     if index is None:
         return None
     try:
-        outcome = two_stage(campaign, observed, campaign.accelerometers[name], TwoStageOptions())
+        other, stage = two_stage.k_ii(
+            campaign, observed, campaign.accelerometers[name], TwoStageOptions()
+        )
     except (NotIdentifiableError, RecordError):
         return None
-    other = outcome.result.coefficients["K_II"]
     if not other.estimated or other.value is None or other.u is None:
         return None
     solution = found.fit.solution
     own = (solution.covariance_noise + solution.covariance_prior)[index, index]
-    second = outcome.second.solution
+    second = stage.solution
     theirs = (second.covariance_noise + second.covariance_prior)[0, 0]
     # What the two-stage method considers and the joint one estimates is part of its own variance;
     # what both consider moves them by the difference of their sensitivities.
     both = 0.0
     considered = _considered(found, index)
     for source, effect, sd in zip(
-        outcome.second.considered,
+        stage.considered,
         second.sensitivity_considered[0],
         second.considered_sd,
         strict=True,

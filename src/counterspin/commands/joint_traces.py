@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -39,6 +40,9 @@ _MOST_LEFT_OUT: Final = 100
 
 #: Significant digits: a picture shows three.
 _DIGITS: Final = 4
+
+#: Residuals below this size are none, but zero or the rounding of data without noise.
+_SMALL: Final = 1e-15
 
 
 def traces(
@@ -113,12 +117,18 @@ def _left_out(
 
 
 def _gaps(values: Array) -> list[float | None]:
-    return [None if np.isnan(value) else _round(value, _DIGITS) for value in values]
+    return [None if math.isnan(value) else value for value in _rounded(values)]
 
 
 def _rounded(values: Array, digits: int = _DIGITS) -> list[float]:
-    return [_round(value, digits) for value in values]
-
-
-def _round(value: float, digits: int) -> float:
-    return float(f"{value:.{digits}g}")
+    """Return values with so many significant digits; NaN stays."""
+    size = np.abs(values)
+    ordinary = (size > _SMALL) & (size < 1.0 / _SMALL)
+    places = digits - 1.0 - np.floor(np.log10(size, where=ordinary, out=np.zeros_like(size)))
+    # Whole numbers and these powers of ten are exact, so that one division rounds correctly.
+    up, down = 10.0 ** np.maximum(places, 0.0), 10.0 ** np.maximum(-places, 0.0)
+    rounded = np.rint(values * up / down) / up * down
+    rest = [float(f"{value:.{digits}g}") for value in values[~ordinary].tolist()]
+    rounded[~ordinary] = rest
+    found: list[float] = rounded.tolist()
+    return found

@@ -1,4 +1,8 @@
-"""`--method two-stage`: from observed runs to the paper's result for each accelerometer."""
+"""`--method two-stage`: from observed runs to the paper's result for each accelerometer.
+
+- `two_stage`, `TwoStageOutcome`: all of it
+- `k_ii`: its K_II alone
+"""
 
 from __future__ import annotations
 
@@ -72,6 +76,40 @@ def two_stage(
     RecordError
         If a run has too few strobes.
     """
+    runs, second = _both_stages(
+        campaign, observed, accelerometer, options, unmodelled(campaign, accelerometer)
+    )
+    found = _unknowns(campaign, second, options)
+    coefficients = _coefficients(campaign, accelerometer, second, found)
+    _, walk = _noise(campaign, options)
+    parabolas = [run.parabola for run in runs]
+    result = AccelerometerResult(
+        coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
+        second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
+        correlation=_correlation(second, coefficients),
+        confounded=confounded(second, found),
+        residual=_residual(parabolas, walk),
+        noise=_noise_lines(parabolas, walk),
+        left_out=left_out(second) if options.model == "exact" else {},
+        warnings=warnings(campaign, accelerometer, runs, second, coefficients, options.model),
+        **described(accelerometer, coefficients),
+    )
+    return TwoStageOutcome(
+        result, {run.name: _parabola(run.parabola) for run in runs}, runs, second
+    )
+
+
+def _both_stages(
+    campaign: Campaign,
+    observed: Sequence[ObservedRun],
+    accelerometer: Accelerometer,
+    options: TwoStageOptions,
+    ignored: Sequence[str],
+) -> tuple[tuple[StrobedRun, ...], SecondStage]:
+    """Strobe the runs of one accelerometer, fit parabolas and resolve them.
+
+    `ignored` are terms of which nothing is known and whose effects are wanted.
+    """
     if accelerometer.observable != "displacement":
         raise NotIdentifiableError(
             f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
@@ -93,7 +131,7 @@ def two_stage(
         nominal_angle=campaign.angle is None,
         ripple=options.ripple,
         considered=priors,
-        ignored=unmodelled(campaign, accelerometer),
+        ignored=ignored,
         weighted=options.weighted,
     )
     second = resolve(runs)
@@ -101,23 +139,27 @@ def two_stage(
         # K_II grows with the rate's fourth power, and so along a drift that is now known.
         runs = tuple(_drifting(run, second.estimate(DRIFT)[0]) for run in runs)
         second = resolve(runs)
+    return runs, second
+
+
+def k_ii(
+    campaign: Campaign,
+    observed: Sequence[ObservedRun],
+    accelerometer: Accelerometer,
+    options: TwoStageOptions,
+) -> tuple[Coefficient, SecondStage]:
+    """Return the K_II of `two_stage` and where it comes from, without the rest of its result.
+
+    Raises
+    ------
+    NotIdentifiableError, RecordError
+        As `two_stage`.
+    """
+    # Whether K_II is alone depends on what was asked for beside it, and on nothing else.
+    others = [s for s in unmodelled(campaign, accelerometer) if s in campaign.model.terms]
+    _, second = _both_stages(campaign, observed, accelerometer, options, others)
     found = _unknowns(campaign, second, options)
-    coefficients = _coefficients(campaign, accelerometer, second, found)
-    parabolas = [run.parabola for run in runs]
-    result = AccelerometerResult(
-        coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
-        second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
-        correlation=_correlation(second, coefficients),
-        confounded=confounded(second, found),
-        residual=_residual(parabolas, walk),
-        noise=_noise_lines(parabolas, walk),
-        left_out=left_out(second) if options.model == "exact" else {},
-        warnings=warnings(campaign, accelerometer, runs, second, coefficients, options.model),
-        **described(accelerometer, coefficients),
-    )
-    return TwoStageOutcome(
-        result, {run.name: _parabola(run.parabola) for run in runs}, runs, second
-    )
+    return _coefficients(campaign, accelerometer, second, found)["K_II"], second
 
 
 def _drifting(run: StrobedRun, drift: float) -> StrobedRun:
