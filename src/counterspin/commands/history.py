@@ -25,10 +25,8 @@ from counterspin.commands.history_result import (
 )
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.inference.consistency import Agreement, Drift, Mean, drift, en_score, weighted_mean
+from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
-
-#: A probability below this is a finding, as in `counterspin.inference.diagnostics`.
-SIGNIFICANCE: Final = 0.01
 
 _YEAR: Final = timedelta(days=365.25)
 

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Literal
 
 from counterspin.campaign.result_parts import AccelerometerResult
+from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.report.findings import AGREES, noticed_if_left_out
 from counterspin.report.numbers import format_number
-
-#: Below this probability residuals are not what the model and the noise would leave; the same as
-#: `counterspin.inference.diagnostics.SIGNIFICANCE`, by which findings become warnings.
-_UNLIKELY: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -85,9 +82,9 @@ def verdict(found: AccelerometerResult, model: str) -> Verdict:
 def _findings(found: AccelerometerResult) -> Iterator[tuple[bool, str]]:
     p = found.residual.lack_of_fit_p
     if p is not None:
-        like = "the residuals look like" if p >= _UNLIKELY else "the residuals do not look like"
+        like = "the residuals look like" if p >= SIGNIFICANCE else "the residuals do not look like"
         noise = "the stated noise" if found.residual.chi2 is not None else "independent noise"
-        yield p >= _UNLIKELY, f"{like} {noise} (p = {format_number(p, 2)})"
+        yield p >= SIGNIFICANCE, f"{like} {noise} (p = {format_number(p, 2)})"
     driving = [line for line in found.jackknife if line.z is not None]
     if driving:
         worst = max(driving, key=lambda line: abs(line.z or 0.0))
