@@ -20,7 +20,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
 
 from counterspin.inference.blocks import triangle_of
 from counterspin.inference.least_squares import Solution
@@ -217,7 +216,7 @@ class _Problem:
         weights = self.weights.copy()
         weights[list(without_priors)] = 0.0
         rows = np.vstack([self.data, np.diag(weights), np.diag(self.floor)])
-        inverse = solve_triangular(triangle_of(rows), np.eye(self.floor.size))
+        inverse = np.linalg.solve(triangle_of(rows), np.eye(self.floor.size))
         return np.asarray(inverse)
 
     def correlation(self, terms: npt.NDArray[np.intp]) -> float:

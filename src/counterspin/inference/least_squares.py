@@ -21,7 +21,6 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import solve_triangular
 
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.blocks import Block, dependent, triangle_of
@@ -170,7 +169,7 @@ class Solution:
         """
         c = np.asarray(weights, dtype=np.float64)
         rows = self._rows
-        gain = rows.rotation @ solve_triangular(rows.triangle, c[rows.free], trans="T")
+        gain = rows.rotation @ np.linalg.solve(rows.triangle.T, c[rows.free])
         data = gain[: rows.data]
         after = rows.data + rows.prior_of.size
         prior = np.zeros(c.size)
@@ -272,9 +271,9 @@ def solve(
             "that the data cannot tell these unknowns apart; leave one out or give a prior"
         )
     data, after = factor.shape[0], factor.shape[0] + known.size
-    inverse = solve_triangular(triangle, eye)
+    inverse = np.linalg.solve(triangle, eye)
     gain = inverse @ rotation.T
-    step = solve_triangular(triangle, rotation[:data].T @ misfit)
+    step = np.linalg.solve(triangle, rotation[:data].T @ misfit)
 
     estimate = mean.copy()
     estimate[free] += step
