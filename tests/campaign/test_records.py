@@ -1,6 +1,7 @@
 """Reading records: what is refused, what is dropped and counted, and what comes out."""
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import h5py
@@ -12,6 +13,8 @@ from hypothesis import strategies as st
 from scipy.io import savemat
 
 from counterspin.campaign.records import ColumnSpec, Record, read_record
+from counterspin.campaign.reduction import in_pieces
+from counterspin.campaign.working_array import aligned
 from counterspin.errors import RecordError
 
 RATE = math.pi
@@ -564,6 +567,44 @@ def test_the_result_does_not_depend_on_the_batches(tmp_path_factory, batch, seed
     np.testing.assert_array_equal(one.time, other.time)
     np.testing.assert_array_equal(one.signals["Qx"], other.signals["Qx"])
     assert one.report == other.report
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    st.lists(st.integers(0, 90_000), min_size=1, max_size=6),
+    st.integers(1, 70_000),
+    st.sampled_from([[0, 1], [1, 0, 1]]),
+)
+def test_pieces_hold_every_row_once_and_in_order(lengths, size, places):
+    ends = np.cumsum([0, *lengths])
+    columns = [np.arange(ends[-1], dtype=float), -np.arange(ends[-1], dtype=float)]
+    batches = ([x[a:b] for x in columns] for a, b in pairwise(ends))
+    pieces = [piece.copy() for piece in in_pieces(batches, places, lambda _: size)]
+    assert [piece.shape[1] for piece in pieces[:-1]] == [size] * (len(pieces) - 1)
+    if pieces:
+        expected = np.array([columns[place] for place in places])
+        np.testing.assert_array_equal(np.concatenate(pieces, axis=1), expected)
+    else:
+        assert ends[-1] == 0
+
+
+@pytest.mark.parametrize("shape", [(1,), (1000,), (3, 65), (511, 128)])
+def test_working_arrays_begin_with_a_cache_line(shape):
+    array = aligned(*shape)
+    assert array.shape == shape
+    rows = array.reshape(-1, shape[-1]) if array.flags.c_contiguous else array
+    assert all(row.ctypes.data % 64 == 0 for row in rows)
+
+
+def test_an_infinite_value_is_refused_wherever_it_stands(tmp_path):
+    # In an even stretch, in an uneven one, and in the last window, which overlaps another.
+    for row, late in [(500, 0.0), (500, 0.02), (20_010, 0.0)]:
+        columns = dense(20_011)
+        columns[TIME][480:] += late
+        columns[ANGLE][480:] += RATE * late
+        columns[SIGNAL][row] = -np.inf
+        words = refusal(write(tmp_path / "run.parquet", columns))
+        assert f"row {row + 1}: column '{SIGNAL}' holds an infinite value." in words
 
 
 # --- units of a signal ----------------------------------------------------------------------

@@ -14,6 +14,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `column_file`, `record_csv`, `record_files`: the files themselves, whatever their format
 - `record_clock`, `clock_faults`, `spikes`, `reduction`, `record_amplitude`: the steps of reading,
   in the order in which a record passes them
+- `working_array`: arrays for passes over many samples
 - `record_report`: what was found on the way
 - `checksums`: of a campaign's files
 - `observed`: records brought together with the rotation they were taken on

@@ -18,6 +18,7 @@ import numpy as np
 from counterspin.campaign.clock_faults import jump_words, rate_words
 from counterspin.campaign.record_report import Gap
 from counterspin.campaign.spikes import middle
+from counterspin.campaign.working_array import aligned
 from counterspin.errors import RecordError
 
 #: Most gaps, and most rows of each kind of finding, that are listed; all are counted.
@@ -53,12 +54,12 @@ class ClockFindings:
 class Accepted:
     """The usable rows of a piece: `rows` are places in the piece, None when all are used.
 
-    `unevenness` is the largest deviation of a time step from the usual one, relative to it.
+    `columns` are the piece's columns at those rows (k, n), with the angle unwrapped; `unevenness`
+    is the largest deviation of a time step from the usual one, relative to it.
     """
 
     rows: np.ndarray | None
-    time: np.ndarray
-    angle: np.ndarray | None
+    columns: np.ndarray
     unevenness: float
 
 
@@ -81,10 +82,9 @@ class Clock:
         self.rate = nominal_rate
         self.step = math.nan
         self.found = ClockFindings()
-        self._last_row = -1
         self._last_time = math.nan
         self._last_angle = math.nan
-        self._last_values: list[float] = []
+        self._last_values = np.empty(0)
         # The first row of a run of unfitting angles that is still open, its time, and its fault.
         self._lost: int | None = None
         self._lost_time = math.nan
@@ -121,7 +121,7 @@ class Clock:
         turned -= _TURN * np.round(turned / _TURN)
         self.rate = nominal + float(np.median(turned / spans[usual]))
 
-    def accept(self, first_row: int, columns: list[np.ndarray], has_angle: bool) -> Accepted:
+    def accept(self, first_row: int, columns: np.ndarray, has_angle: bool) -> Accepted:
         """Check one piece.
 
         Parameters
@@ -129,7 +129,8 @@ class Clock:
         first_row
             The row of the file at which the piece begins.
         columns
-            Time (s), angle (rad; if `has_angle`), then the signals: arrays (n,), NaN where empty.
+            (k, n): time (s), angle (rad; if `has_angle`), then the signals; NaN where empty. The
+            angle may be unwrapped in place.
         has_angle
             Whether the second column is the angle.
 
@@ -138,29 +139,30 @@ class Clock:
         RecordError
             Time runs backwards, a value is infinite, or the clock or the angle jumps.
         """
-        time = columns[0]
-        angle = columns[1] if has_angle else None
-        quick = self._accept_whole(first_row, time, angle)
-        accepted = quick or self._accept_rows(first_row, columns, time, angle)
-        if len(accepted.time):
-            kept = len(time) - 1 if accepted.rows is None else int(accepted.rows[-1])
-            self._last_row = first_row + kept
-            self._last_time = float(accepted.time[-1])
-            self._last_values = [float(column[kept]) for column in columns]
-            if accepted.angle is not None:
-                self._last_angle = float(accepted.angle[-1])
-                span = self._last_time - float(accepted.time[0])
+        last_values = columns[:, -1].copy()  # before the angle is unwrapped in its place
+        whole = self._accept_whole(first_row, columns, has_angle)
+        accepted = whole or self._accept_rows(first_row, columns, has_angle)
+        good = accepted.columns
+        if good.shape[1]:
+            if accepted.rows is not None:
+                last_values = columns[:, accepted.rows[-1]].copy()
+            self._last_values = last_values
+            self._last_time = float(good[0, -1])
+            if has_angle:
+                self._last_angle = float(good[1, -1])
+                span = self._last_time - float(good[0, 0])
                 if abs(self.rate) * span > 1.0:
-                    self.rate = (self._last_angle - float(accepted.angle[0])) / span
+                    self.rate = (self._last_angle - float(good[1, 0])) / span
         return accepted
 
     def _accept_whole(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
-        self, first_row: int, time: np.ndarray, angle: np.ndarray | None
+        self, first_row: int, columns: np.ndarray, has_angle: bool
     ) -> Accepted | None:
         """Take the piece as it stands, if nothing in it needs attention (NaN fails every test)."""
-        steps = np.diff(time)
-        if not len(steps):
+        time = columns[0]
+        if len(time) < 2:
             return None
+        steps = _differences(time)
         shortest, longest = float(steps.min()), float(steps.max())
         if not (shortest > 0 and longest < 1.5 * self.step):
             return None
@@ -168,44 +170,40 @@ class Clock:
         gone = time[0] - self._last_time if first_row else self.step
         if not 0 < gone < 1.5 * self.step:
             return None
-        if angle is None:
-            return Accepted(None, time, None, unevenness)
+        if not has_angle:
+            return Accepted(None, columns, unevenness)
         if self._lost is not None:
             return None
-        advance = np.diff(angle)
+        angle = columns[1]
+        advance = _differences(angle)
         low, high = float(advance.min()), float(advance.max())
         if not math.isfinite(low + high):
             return None
         sample = advance[:: max(1, len(advance) // 512)]
         usual = middle(sample)
         tolerance = _tolerance(sample - usual, angle)
+        # Where the angle has been wrapped, and the turns to add from there on.
+        breaks, turns = np.zeros(1, dtype=int), np.zeros(1)
         if not (low >= usual - tolerance and high <= usual + tolerance):
             odd = np.flatnonzero(np.abs(advance - usual) > tolerance)
-            turns = np.round((usual - advance[odd]) / _TURN)
-            if not (np.abs(advance[odd] + _TURN * turns - usual) <= tolerance).all():
+            more = np.round((usual - advance[odd]) / _TURN)
+            if not (np.abs(advance[odd] + _TURN * more - usual) <= tolerance).all():
                 return None
-            lengths = np.diff(odd + 1, prepend=0, append=len(angle))
-            angle = angle + np.repeat(np.append(0.0, _TURN * np.cumsum(turns)), lengths)
-            self.found.wrapped = True
+            breaks, turns = np.append(breaks, odd + 1), np.append(turns, np.cumsum(more))
         if first_row:
             expected = self._last_angle + self.rate * gone
-            shift = float(np.round((expected - angle[0]) / _TURN))
-            if abs(float(angle[0]) + _TURN * shift - expected) > tolerance:
+            before = float(np.round((expected - angle[0]) / _TURN))
+            if abs(float(angle[0]) + _TURN * before - expected) > tolerance:
                 return None
-            if shift:
-                angle = angle + _TURN * shift
-                self.found.wrapped = True
-        return Accepted(None, time, angle, unevenness)
+            turns = turns + before
+        if len(turns) > 1 or turns[0]:
+            angle += np.repeat(_TURN * turns, np.diff(breaks, append=len(angle)))
+            self.found.wrapped = True
+        return Accepted(None, columns, unevenness)
 
-    def _accept_rows(
-        self,
-        first_row: int,
-        columns: list[np.ndarray],
-        time: np.ndarray,
-        angle: np.ndarray | None,
-    ) -> Accepted:
+    def _accept_rows(self, first_row: int, columns: np.ndarray, has_angle: bool) -> Accepted:
         """Judge a piece row by row."""
-        clock = columns[: 1 if angle is None else 2]
+        time, clock = columns[0], columns[: 2 if has_angle else 1]
         for column, word in zip(clock, ("time", "angle"), strict=False):
             if np.isinf(column).any():
                 row = first_row + int(np.flatnonzero(np.isinf(column))[0])
@@ -225,19 +223,19 @@ class Clock:
             )
         rows = self._drop_repeats(columns, rows, steps)
         self._note_gaps(time[rows], before)
-        if angle is not None:
-            has_angle = ~np.isnan(angle[rows])
-            self.found.empty_angle += int((~has_angle).sum())
-            rows = rows[has_angle]
-            good, unwrapped = self._follow(first_row, rows, time[rows], angle[rows])
-            rows, angle = rows[good], unwrapped[good]
-        t = time[rows]
-        unevenness = float(np.abs(np.diff(t) / self.step - 1).max(initial=0.0))
-        return Accepted(rows, t, angle, unevenness)
+        if has_angle:
+            has_number = ~np.isnan(columns[1, rows])
+            self.found.empty_angle += int((~has_number).sum())
+            rows = rows[has_number]
+            good, unwrapped = self._follow(first_row, rows, time[rows], columns[1, rows])
+            rows = rows[good]
+        chosen = columns[:, rows]
+        if has_angle:
+            chosen[1] = unwrapped[good]
+        unevenness = float(np.abs(np.diff(chosen[0]) / self.step - 1).max(initial=0.0))
+        return Accepted(rows, chosen, unevenness)
 
-    def _drop_repeats(
-        self, columns: list[np.ndarray], rows: np.ndarray, steps: np.ndarray
-    ) -> np.ndarray:
+    def _drop_repeats(self, columns: np.ndarray, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
         again = np.flatnonzero(steps == 0)
         if not len(again):
             return rows
@@ -369,6 +367,12 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
         # An encoder's step shows again and again, a jump once: it must not excuse itself.
         quantum = min(quantum, _FINE)
     return _LIMIT * _MAD * middle(size) + 3 * quantum + rounding if len(size) else rounding
+
+
+def _differences(column: np.ndarray) -> np.ndarray:
+    steps = aligned(len(column) - 1)
+    np.subtract(column[1:], column[:-1], out=steps)
+    return steps
 
 
 def _wrap(angle: np.ndarray) -> np.ndarray:

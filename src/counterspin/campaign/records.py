@@ -174,10 +174,10 @@ class _Reading:
         """Read the file to its end."""
         parts: list[Blocks] = []
         reducer: Reducer | None = None
-        for piece in in_pieces(self._file.batches(), self._choose_size):
+        for columns in in_pieces(self._file.batches(), self._places, self._choose_size):
             if reducer is None:
-                self.start_time = self._first_time(piece[0])
-            columns = self._in_si(piece)
+                self.start_time = self._first_time(columns[0])
+            self._to_si(columns)
             if reducer is None:
                 self._clock.start(columns[0], columns[1] if self._has_angle else None)
                 reducer = Reducer(self.block, self._clock.step, self._clock.rate)
@@ -210,44 +210,42 @@ class _Reading:
             )
         return float(finite[0])
 
-    def _in_si(self, piece: Columns) -> Columns:
-        """Return time from the record's start (s), the angle (rad) and the signals as filed."""
-        columns = [piece[place] for place in self._places]
+    def _to_si(self, columns: np.ndarray) -> None:
+        """Make time count from the record's start (s), the angle rad; the signals stay as filed."""
         if self.start_time:
-            columns[0] = columns[0] - self.start_time
+            columns[0] -= self.start_time
         for place in range(2 if self._has_angle else 1):
             factor = self._specs[place].factor
             if factor != 1:
-                columns[place] = columns[place] * factor
-        return columns
+                columns[place] *= factor
 
-    def _take(self, columns: Columns, reducer: Reducer) -> Blocks | None:
+    def _take(self, columns: np.ndarray, reducer: Reducer) -> Blocks | None:
         accepted = self._clock.accept(self._rows, columns, self._has_angle)
-        signals = columns[-len(self._signals) :] if self._signals else []
-        for place, signal in enumerate(signals):
-            # One fast pass shows whether anything is amiss.
-            if not np.isfinite(signal.sum()):
-                self._empty[place] += int(np.isnan(signal).sum())
-                infinite = np.flatnonzero(np.isinf(signal))
-                if len(infinite):
-                    where = self._file.locate(self._rows + int(infinite[0]))
-                    raise RecordError(
-                        f"{self._file.path}, {where}: column '{self._signals[place].name}' "
-                        "holds an infinite value."
-                    )
-        if accepted.rows is not None:
-            signals = [signal[accepted.rows] for signal in signals]
-        if not len(accepted.time):
+        good, first = accepted.columns, len(columns) - len(self._signals)
+        if not good.shape[1]:
+            self._count_empty(columns[first:])
             return None
-        blocks, outliers = reducer.reduce(
-            accepted.time, accepted.angle, list(signals), accepted.unevenness
-        )
+        blocks, outliers, complete = reducer.reduce(good, self._has_angle, accepted.unevenness)
+        if not complete or accepted.rows is not None:
+            self._count_empty(columns[first:])
         for place, found in enumerate(outliers):
-            rows = found if accepted.rows is None else accepted.rows[found]
-            self._note_outliers(
-                place, rows + self._rows, accepted.time[found], signals[place][found]
-            )
+            if len(found):
+                rows = found if accepted.rows is None else accepted.rows[found]
+                self._note_outliers(
+                    place, rows + self._rows, good[0, found], good[first + place, found]
+                )
         return blocks
+
+    def _count_empty(self, signals: np.ndarray) -> None:
+        for place, signal in enumerate(signals):
+            self._empty[place] += int(np.isnan(signal).sum())
+            infinite = np.flatnonzero(np.isinf(signal))
+            if len(infinite):
+                where = self._file.locate(self._rows + int(infinite[0]))
+                raise RecordError(
+                    f"{self._file.path}, {where}: column '{self._signals[place].name}' "
+                    "holds an infinite value."
+                )
 
     def _note_outliers(
         self, place: int, rows: np.ndarray, times: np.ndarray, values: np.ndarray
@@ -336,7 +334,8 @@ class _Reading:
         parts: list[Columns] = []
         row = 0
         for batch in self._file.batches():
-            columns = self._in_si(batch)
+            columns = np.array([batch[place] for place in self._places])
+            self._to_si(columns)
             inside = np.flatnonzero((columns[0] >= ends[0]) & (columns[0] <= ends[1]))
             if len(inside):
                 signal = columns[len(columns) - len(self._signals) + place] * spec.factor

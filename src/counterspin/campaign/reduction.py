@@ -10,7 +10,7 @@ before the mean is taken, and the rows that remain carry the block's mean time a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from counterspin.campaign.column_file import Columns
 from counterspin.campaign.spikes import find_spikes
+from counterspin.campaign.working_array import aligned
 
 #: A block covers at most this part of a revolution: the means then lose nothing of K_II.
 BLOCKS_PER_REVOLUTION = 64
@@ -67,11 +68,23 @@ def piece_size(block: int) -> int:
 
 
 def in_pieces(
-    batches: Iterator[Columns], choose_size: Callable[[Columns], int]
-) -> Iterator[Columns]:
+    batches: Iterator[Columns], places: Sequence[int], choose_size: Callable[[Columns], int]
+) -> Iterator[np.ndarray]:
     """Yield columns in pieces of a fixed number of rows, however the file was batched.
 
-    A piece may be a buffer that the next one overwrites. `choose_size` takes the first rows.
+    Parameters
+    ----------
+    batches
+        Consecutive batches of the file's columns.
+    places
+        Which column of the batches each column of the pieces is.
+    choose_size
+        Takes the columns of the first rows and returns the rows to a piece.
+
+    Yields
+    ------
+    (columns, rows)
+        The reader's to change: one array that the next piece is written over.
     """
     head: list[Columns] = []
     for batch in batches:
@@ -80,29 +93,26 @@ def in_pieces(
             break
     if not sum(len(columns[0]) for columns in head):
         return
-    first = joined(head)
+    first = [joined(head)[place] for place in places]
     size = choose_size(first)
-    # What lies across two batches is brought together in a buffer; the rest are views.
-    buffer = [np.empty(size) for _ in first]
+    # Few batches end where a piece does. To bring all together costs no more than fetching them
+    # from memory, and all columns can then be worked on at once.
+    buffer = aligned(len(places), size)
     filled = 0
-    for batch in chain([first], batches):
+    for batch in chain([first], ([batch[place] for place in places] for batch in batches)):
         rows = len(batch[0])
         start = 0
         while start < rows:
             stop = min(start + size - filled, rows)
-            whole = stop - start == size
-            if not whole:
-                for column, part in zip(buffer, batch, strict=True):
-                    column[filled : filled + stop - start] = part[start:stop]
-                filled += stop - start
-            if whole:
-                yield [column[start:stop] for column in batch]
-            elif filled == size:
+            for column, part in zip(buffer, batch, strict=True):
+                column[filled : filled + stop - start] = part[start:stop]
+            filled += stop - start
+            if filled == size:
                 yield buffer
                 filled = 0
             start = stop
     if filled:
-        yield [column[:filled] for column in buffer]
+        yield buffer[:, :filled]
 
 
 def joined(batches: list[Columns]) -> Columns:
@@ -129,22 +139,21 @@ class Reducer:
         self._block = block
         self._step = step
         self._rate = rate
+        # A product with a constant vector is the fastest sum along short rows.
+        self._mean = np.full(block, 1 / block)
 
     def reduce(
-        self,
-        time: np.ndarray,
-        angle: np.ndarray | None,
-        signals: list[np.ndarray],
-        unevenness: float,
-    ) -> tuple[Blocks, list[np.ndarray]]:
+        self, columns: np.ndarray, has_angle: bool, unevenness: float
+    ) -> tuple[Blocks, list[np.ndarray], bool]:
         """Reduce one piece.
 
         Parameters
         ----------
-        time, angle
-            (n,) s, increasing; (n,) rad, unwrapped, or None.
-        signals
-            Arrays (n,), NaN where empty.
+        columns
+            (k, n): time, s, increasing; if `has_angle`, the angle, rad, unwrapped; then the
+            signals, NaN where empty (or infinite).
+        has_angle
+            Whether the second column is the angle.
         unevenness
             Largest relative deviation of a time step from the usual one.
 
@@ -154,44 +163,39 @@ class Reducer:
             The piece, reduced.
         outliers
             For each signal the places of its outlying samples.
+        complete
+            Whether it is certain that every sample is a number.
         """
+        time, signals = columns[0], columns[2 if has_angle else 1 :]
         outliers = [find_spikes(time, x, self._rate, self._step, unevenness) for x in signals]
         even = unevenness < 0.5
         clean = not any(len(places) for places in outliers)
         if self._block == 1:
-            # A copy: the piece may be a buffer that the next one overwrites.
-            points = [x.copy() for x in signals]
-            for x, places in zip(points, outliers, strict=True):
+            # A copy: the next piece overwrites this one.
+            points = columns.copy()
+            for x, places in zip(points[len(points) - len(signals) :], outliers, strict=True):
                 x[places] = np.nan
             alone = np.ones(len(time), dtype=int)
-            held_angle = None if angle is None else angle.copy()
-            return Blocks(time.copy(), np.zeros(len(time)), alone, held_angle, points), outliers
+            return _blocks(points, has_angle, np.zeros(len(time)), alone), outliers, False
         if even and clean:
-            blocks = self._even_means(time, angle, signals, unevenness)
+            blocks = self._even_means(columns, has_angle, unevenness)
+            # The mean over a sample that is no number is none either.
             if all(np.isfinite(x).all() for x in blocks.signals):
-                return blocks, outliers
+                return blocks, outliers, True
         usable = [np.isfinite(x) for x in signals]
         for mask, places in zip(usable, outliers, strict=True):
             mask[places] = False
-        return self._means(time, angle, signals, usable, even), outliers
+        angle = columns[1] if has_angle else None
+        return self._means(time, angle, list(signals), usable, even), outliers, False
 
-    def _even_means(
-        self,
-        time: np.ndarray,
-        angle: np.ndarray | None,
-        signals: list[np.ndarray],
-        unevenness: float,
-    ) -> Blocks:
-        size = self._block
+    def _even_means(self, columns: np.ndarray, has_angle: bool, unevenness: float) -> Blocks:
+        size, time = self._block, columns[0]
         whole = len(time) // size * size
         tail = len(time) - whole
-
-        def means(x: np.ndarray) -> np.ndarray:
-            # A product with a constant vector is the fastest sum along short rows.
-            full = x[:whole].reshape(-1, size) @ np.full(size, 1 / size)
-            return np.append(full, x[whole:].mean()) if tail else full
-
-        mean_time = means(time)
+        means = columns[:, :whole].reshape(len(columns), -1, size) @ self._mean
+        if tail:
+            means = np.append(means, columns[:, whole:].mean(axis=1, keepdims=True), axis=1)
+        mean_time = means[0]
         count = np.full(len(mean_time), size)
         if unevenness < _EVEN:
             sd = np.full(len(mean_time), self._step * math.sqrt((size**2 - 1) / 12))
@@ -202,13 +206,7 @@ class Reducer:
             sd = np.append(sd, 0.0) if len(sd) < len(mean_time) else sd
             sd[-1] = time[whole:].std()
             count[-1] = tail
-        return Blocks(
-            mean_time,
-            sd,
-            count,
-            None if angle is None else means(angle),
-            [means(x) for x in signals],
-        )
+        return _blocks(means, has_angle, sd, count)
 
     def _means(
         self,
@@ -253,3 +251,8 @@ class Reducer:
             None if angle is None else means(angle)[filled],
             reduced,
         )
+
+
+def _blocks(columns: np.ndarray, has_angle: bool, sd: np.ndarray, count: np.ndarray) -> Blocks:
+    angle = columns[1] if has_angle else None
+    return Blocks(columns[0], sd, count, angle, list(columns[2 if has_angle else 1 :]))

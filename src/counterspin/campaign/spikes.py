@@ -17,6 +17,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from counterspin.campaign.working_array import aligned
+
 #: Samples in a window.
 WINDOW = 128
 #: Fewest samples that can be judged at all: up to nine functions are fitted to them.
@@ -41,6 +43,7 @@ _LATE = 1e-3
 _MAD = 1.4826
 
 
+@np.errstate(invalid="ignore")  # samples that are no numbers make residuals that are none
 def find_spikes(
     time: np.ndarray,
     signal: np.ndarray,
@@ -56,7 +59,7 @@ def find_spikes(
     time
         (n,) s, increasing; gaps are allowed.
     signal
-        (n,) any unit; NaN where empty.
+        (n,) any unit; NaN where empty (what is infinite counts as empty).
     rate
         Spindle rate, rad/s.
     step
@@ -73,27 +76,21 @@ def find_spikes(
     if len(signal) < FEWEST:
         return np.empty(0, dtype=int)
     width = min(WINDOW, len(signal))
-    finite = None if np.isfinite(signal.sum()) else np.isfinite(signal)
-    if finite is not None:
+    uneven_time = time if unevenness > _EVEN else None
+    phase_step = rate * step
+    peak, broken, scale = _screen_all(signal, uneven_time, width, phase_step, step)
+    finite = None
+    # A sample that is no number shows in its window's peak, unless that was not judged.
+    if (np.isnan(peak) | broken).any() and not np.isfinite(signal.sum()):
+        finite = np.isfinite(signal)
         if not finite.any():
             return np.empty(0, dtype=int)
         signal = np.interp(time, time[finite], signal[finite])
-    uneven_time = time if unevenness > _EVEN else None
-    whole = len(signal) // width * width
-    phase_step = rate * step
-    starts = np.arange(0, whole, width)
-    first_time = None if uneven_time is None else uneven_time[:whole]
-    peak, broken, scale = _screen(signal[:whole], first_time, width, phase_step, step)
-    if whole < len(signal):
-        # The last window overlaps the one before, so that every sample has a full window.
-        tail = slice(len(signal) - width, None)
-        last_time = None if uneven_time is None else uneven_time[tail]
-        last_peak, last_broken, _ = _screen(signal[tail], last_time, width, phase_step, step)
-        peak, broken = np.append(peak, last_peak), np.append(broken, last_broken)
-        starts = np.append(starts, tail.start)
+        peak, broken, scale = _screen_all(signal, uneven_time, width, phase_step, step)
     suspect = broken | (peak > _SCREEN * scale)
     if not suspect.any():
         return np.empty(0, dtype=int)
+    starts = np.minimum(np.arange(len(peak)) * width, len(signal) - width)
     # A filler such as 1e30 in place of an empty cell would drown its window by rounding alone.
     usual = middle(np.abs(signal))
     wild = np.abs(signal) > _WILD * usual
@@ -105,7 +102,7 @@ def find_spikes(
     def robust(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         index = starts[chosen, None] + np.arange(width)
         if uneven_time is None:
-            basis, _ = _even_basis(width, phase_step)
+            basis = _even_basis(width, phase_step)[0]
         else:
             basis = _basis((time[index] - time[index].mean(axis=1, keepdims=True)) * rate)
         have = np.ones(index.shape) if finite is None else finite[index].astype(float)
@@ -141,6 +138,21 @@ def middle(values: np.ndarray) -> float:
     return float(np.partition(values, half)[half])
 
 
+def _screen_all(
+    signal: np.ndarray, time: np.ndarray | None, width: int, phase_step: float, step: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Screen all windows of a signal: `peak` and `broken` of each, `scale` of the whole ones."""
+    whole = len(signal) // width * width
+    first_time = None if time is None else time[:whole]
+    peak, broken, scale = _screen(signal[:whole], first_time, width, phase_step, step)
+    if whole < len(signal):
+        # The last window overlaps the one before, so that every sample has a full window.
+        last_time = None if time is None else time[-width:]
+        last_peak, last_broken, _ = _screen(signal[-width:], last_time, width, phase_step, step)
+        peak, broken = np.append(peak, last_peak), np.append(broken, last_broken)
+    return peak, broken, scale
+
+
 def _screen(
     signal: np.ndarray, time: np.ndarray | None, width: int, phase_step: float, step: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
@@ -149,13 +161,14 @@ def _screen(
     Returns
     -------
     peak
-        (m,) the largest residual of each window; all 0 where none stands out.
+        (m,) the largest residual of each window, NaN where a sample is no number; all 0 where
+        none stands out.
     broken
         (m,) bool, windows too uneven to be judged by this fit.
     scale
         Standard deviation of the residuals.
     """
-    basis, slopes = _even_basis(width, phase_step)
+    basis, functions, slopes = _even_basis(width, phase_step)
     windows = signal.reshape(-1, width)
     broken = np.zeros(len(windows), dtype=bool)
     if time is not None:
@@ -164,8 +177,9 @@ def _screen(
         late = (times - times.mean(axis=1, keepdims=True)) / step
         late -= np.arange(width) - (width - 1) / 2
         broken = np.abs(late).max(axis=1) > max(_LATE / abs(phase_step), _GAP)
-        windows = windows - ((windows @ basis) @ slopes.T) * late
-    rest = (windows @ basis) @ basis.T
+        windows = windows - ((windows @ basis) @ slopes) * late
+    rest = aligned(len(windows), width)
+    np.matmul(windows @ basis, functions, out=rest)
     np.subtract(windows, rest, out=rest)
     judged = rest[~broken] if broken.any() else rest
     sample = judged.ravel()[:: max(1, judged.size // 512) | 1]
@@ -188,10 +202,14 @@ def _resolution(signal: np.ndarray) -> float:
 
 
 @lru_cache(maxsize=64)
-def _even_basis(width: int, phase_step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the basis of an evenly sampled window, and its change from sample to sample."""
+def _even_basis(width: int, phase_step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the basis of an evenly sampled window (width, k), and (k, width) for products with it.
+
+    These are its transpose and its change from sample to sample, as they are read in memory.
+    """
     basis = _basis((np.arange(width) - (width - 1) / 2) * phase_step)
-    return basis, np.gradient(basis, axis=0)
+    slopes = np.gradient(basis, axis=0)
+    return basis, np.ascontiguousarray(basis.T), np.ascontiguousarray(slopes.T)
 
 
 def _basis(phase: np.ndarray) -> np.ndarray:
