@@ -279,13 +279,16 @@ def _fit(
     # Residuals from the nominal rotation keep the digits that the full angle would take.
     target = theta - start_rate * time
     w0 = start_rate
+    # One row for each unknown's column of the design, and the target's; all of them weighted.
+    columns = np.empty((unknowns + 1, n))
+    columns[:3] = root_weight, root_weight * scaled, root_weight * scaled**2
+    columns[-1] = root_weight * target
     for _ in range(20):
-        columns = [np.ones(n), scaled, scaled**2, *_waves(w0 * time, harmonics)]
-        weighted = np.stack([*columns, target], -1)
-        weighted *= root_weight[:, None]
-        design, triangle = weighted[:, :-1], _triangle(weighted)
+        _waves(w0 * time, harmonics, root_weight, columns[3:-1])
+        triangle = _triangle(columns)
         r = triangle[:unknowns, :unknowns]
-        size = np.maximum(np.linalg.norm(design, axis=0), math.sqrt(n))
+        # R's columns are as long as the design's.
+        size = np.maximum(np.linalg.norm(r, axis=0), math.sqrt(n))
         if np.any(np.abs(np.diag(r)) < 1e-12 * size):
             raise NotIdentifiableError(
                 f"the angle samples cannot tell {count} harmonics apart: there are too few in a "
@@ -301,7 +304,7 @@ def _fit(
             f"the spindle's rate did not settle near {start_rate:.9g} rad/s: "
             "is the run's nominal rate right?"
         )
-    residuals = weighted[:, -1] - design @ solution
+    residuals = columns[-1] - solution @ columns[:-1]
     dof = n - unknowns
     variance = float(residuals @ residuals) / dof
     inverse = np.asarray(np.linalg.inv(r))
@@ -334,27 +337,33 @@ def _fit(
     return fit, found
 
 
-def _waves(angle: Array, harmonics: Sequence[int]) -> list[Array]:
-    """Return cosine and sine of each harmonic of an angle: powers of one complex wave."""
-    wave = np.exp(1j * angle)
-    power, columns = np.ones_like(wave), []
-    for harmonic in range(1, max(harmonics, default=0) + 1):
-        power = power * wave
-        if harmonic in harmonics:
-            columns += [power.real, power.imag]
-    return columns
+def _waves(angle: Array, harmonics: Sequence[int], size: Array, rows: Array) -> None:
+    """Write cosine and sine of each harmonic of an angle, times `size`, into rows (2 h, n).
 
-
-def _triangle(matrix: Array) -> Array:
-    """Return R of the QR factorisation, as exact as in one go but in parts that fit the cache.
-
-    R of the stacked R of all parts is that of the whole (Demmel et al., SIAM J. Sci. Comput. 34
-    (2012) A206).
+    They are the powers of one complex wave.
     """
-    width = matrix.shape[1]
-    whole = len(matrix) // _PART * _PART
-    triangles = np.asarray(np.linalg.qr(matrix[:whole].reshape(-1, _PART, width), mode="r"))
-    rest = np.concatenate([triangles.reshape(-1, width), matrix[whole:]])
+    wave = np.empty(angle.shape, dtype=complex)
+    wave.real, wave.imag = np.cos(angle), np.sin(angle)
+    power = size.astype(complex)
+    place = 0
+    for harmonic in range(1, max(harmonics, default=0) + 1):
+        power *= wave
+        if harmonic in harmonics:
+            rows[place], rows[place + 1] = power.real, power.imag
+            place += 2
+
+
+def _triangle(columns: Array) -> Array:
+    """Return R of the QR factorisation of the matrix with the columns (m, n), in parts.
+
+    As exact as in one go, but the parts fit the cache: R of the stacked R of all parts is that of
+    the whole (Demmel et al., SIAM J. Sci. Comput. 34 (2012) A206).
+    """
+    width, rows = columns.shape
+    whole = rows // _PART * _PART
+    parts = columns[:, :whole].reshape(width, -1, _PART).transpose(1, 2, 0)
+    triangles = np.asarray(np.linalg.qr(parts, mode="r"))
+    rest = np.concatenate([triangles.reshape(-1, width), columns[:, whole:].T])
     return np.asarray(np.linalg.qr(rest, mode="r"))
 
 
