@@ -79,6 +79,19 @@ def test_few_times_in_any_order_give_what_many_give():
     np.testing.assert_allclose(few[3], 0.0, atol=1e-15)
 
 
+@pytest.mark.parametrize("observable", ORDERS)
+def test_a_term_shows_alone_what_it_shows_among_all(observable):
+    trajectory = trajectory_of(CASES["drift, two ripples, Earth rate"])
+    times, turned = np.linspace(0.0, 31.0, 312), np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1.0]])
+    more = {"observable": observable, "attitude": turned, "scale_factor": 1.25}
+    together = columns(trajectory, QX, SYMBOLS, times, **more)
+    for symbol, column in zip(SYMBOLS, together.T, strict=True):
+        alone = columns(trajectory, QX, [symbol], times, **more)
+        scale = np.abs(column).max()
+        np.testing.assert_allclose(alone[:, 0], column, rtol=0, atol=1e-14 * scale, err_msg=symbol)
+    assert columns(trajectory, QX, [], times, **more).shape == (312, 0)
+
+
 @pytest.fixture(scope="module")
 def script():
     spec = importlib.util.spec_from_file_location(

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
-from counterspin.physics.quadrature import NODES, integrate, panel_edges, sign_changes
+from counterspin.physics.quadrature import NODES, Panels, integrate, panel_edges, sign_changes
 from counterspin.physics.spindle import Ripple, Spindle
 
 EDGES = np.array([0.0, 0.4, 1.0, 1.1, 2.5])
@@ -53,6 +53,15 @@ def test_times_crowded_in_one_panel_and_scattered_over_others(order):
     got = integrate(lambda t: np.cos(3 * t)[None], edges, times, order)[:, 0]
     expected = np.sin(3 * times) / 3 if order == 1 else (1 - np.cos(3 * times)) / 9
     np.testing.assert_allclose(got, expected, rtol=0, atol=3e-14)
+
+
+def test_single_and_double_integrals_together_are_those_apart():
+    panels = Panels(EDGES)
+    cos, exp = np.cos(3 * panels.nodes), np.exp(panels.nodes)
+    got = panels.integrals(TIMES, once=cos[None], twice=np.stack([exp, cos]))
+    expected = [np.sin(3 * TIMES) / 3, np.exp(TIMES) - 1 - TIMES, (1 - np.cos(3 * TIMES)) / 9]
+    np.testing.assert_allclose(got, expected, rtol=0, atol=3e-14)
+    assert panels.integrals(TIMES).shape == (0, TIMES.size)
 
 
 def test_no_times_give_no_rows():

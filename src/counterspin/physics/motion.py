@@ -6,12 +6,14 @@ same circle and the lever arm inside the case cancels. Vectors are east-north-up
 
 - `Site`: gravity, latitude and the Earth's rotation
 - `Trajectory`: position, velocity, acceleration, specific force, harmful acceleration
+- `Motion`: all of them at the same times
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -66,17 +68,17 @@ class Trajectory:
     radius: float
     site: Site
 
+    def at(self, t: Array) -> Motion:
+        """Return the motion at times in s, shape (n,)."""
+        return Motion(self, t)
+
     def position(self, t: Array) -> Array:
         """Return R (cos theta, sin theta, 0) in m, shape (n, 3)."""
-        theta = self.spindle.angle(t)
-        outward: Array = np.stack([np.cos(theta), np.sin(theta), np.zeros_like(theta)], -1)
-        return self.radius * outward
+        return self.at(t).position
 
     def velocity(self, t: Array) -> Array:
         """Return the velocity relative to the Earth in m/s, shape (n, 3)."""
-        theta, rate = self.spindle.angle(t), self.spindle.angular_rate(t)
-        along: Array = np.stack([-np.sin(theta), np.cos(theta), np.zeros_like(theta)], -1)
-        return (self.radius * rate)[..., None] * along
+        return self.at(t).velocity
 
     def acceleration(self, t: Array) -> Array:
         """Return the acceleration relative to the Earth in m/s^2, shape (n, 3).
@@ -84,35 +86,102 @@ class Trajectory:
         Centripetal and tangential parts with the instantaneous rate and angular acceleration;
         the first-order forms of Eq. 5 and 6 are in `counterspin.physics.as_printed` only.
         """
-        theta, rate = self.spindle.angle(t), self.spindle.angular_rate(t)
-        alpha = self.spindle.angular_acceleration(t)
-        cos, sin = np.cos(theta), np.sin(theta)
-        inward: Array = np.stack(
-            [rate**2 * cos + alpha * sin, rate**2 * sin - alpha * cos, np.zeros_like(theta)], -1
-        )
-        return -self.radius * inward
+        return self.at(t).acceleration
 
     def harmful_acceleration(self, t: Array) -> Array:
         """Return what the navigation computer subtracts (Eq. 10, 12), m/s^2, shape (n, 3).
 
         Coriolis acceleration plus the reaction to gravity, 2 Omega x v + (0, 0, g).
         """
-        harmful: Array = 2.0 * np.cross(self.site.earth_rotation, self.velocity(t))
-        harmful[..., 2] += self.site.gravity
-        return harmful
+        return self.at(t).harmful_acceleration
 
     def specific_force(self, t: Array) -> Array:
         """Return the specific force in m/s^2, shape (n, 3)."""
-        return self.acceleration(t) + self.harmful_acceleration(t)
+        return self.at(t).specific_force
 
     def velocity_of_specific_force(self, t: Array) -> Array:
         """Return the integral of the specific force from 0 to t in m/s, shape (n, 3); exact."""
-        zero = np.zeros(1)
-        moved = self.position(t) - self.position(zero)
-        up = np.array([0.0, 0.0, self.site.gravity])
-        return (
-            self.velocity(t)
-            - self.velocity(zero)
-            + 2.0 * np.cross(self.site.earth_rotation, moved)
-            + up * np.asarray(t)[..., None]
-        )
+        return self.at(t).velocity_of_specific_force
+
+
+class Motion:
+    """The motion at some times; what several quantities rest on is worked out once.
+
+    The quantities are those of `Trajectory`, shape (n, 3).
+
+    Parameters
+    ----------
+    trajectory
+        What moves.
+    t
+        s, shape (n,).
+    """
+
+    def __init__(self, trajectory: Trajectory, t: Array) -> None:
+        self.trajectory = trajectory
+        self.t = np.asarray(t)
+
+    @cached_property
+    def _outward(self) -> tuple[Array, Array]:
+        """Cosine and sine of the angle."""
+        theta = self.trajectory.spindle.angle(self.t)
+        return np.cos(theta), np.sin(theta)
+
+    @cached_property
+    def _rate(self) -> Array:
+        return self.trajectory.spindle.angular_rate(self.t)
+
+    @cached_property
+    def position(self) -> Array:
+        """m, from the spindle axis."""
+        cos, sin = self._outward
+        return self.trajectory.radius * _vectors(cos, sin)
+
+    @cached_property
+    def velocity(self) -> Array:
+        """m/s, relative to the Earth."""
+        cos, sin = self._outward
+        speed = self.trajectory.radius * self._rate
+        return _vectors(-speed * sin, speed * cos)
+
+    @cached_property
+    def acceleration(self) -> Array:
+        """m/s^2, relative to the Earth."""
+        cos, sin = self._outward
+        squared, alpha = self._rate**2, self.trajectory.spindle.angular_acceleration(self.t)
+        inward = _vectors(squared * cos + alpha * sin, squared * sin - alpha * cos)
+        return -self.trajectory.radius * inward
+
+    @cached_property
+    def harmful_acceleration(self) -> Array:
+        """m/s^2, Coriolis acceleration and the reaction to gravity."""
+        harmful = self._turned_by_earth(self.velocity)
+        harmful[..., 2] += self.trajectory.site.gravity
+        return harmful
+
+    @cached_property
+    def specific_force(self) -> Array:
+        """m/s^2."""
+        return self.acceleration + self.harmful_acceleration
+
+    @cached_property
+    def velocity_of_specific_force(self) -> Array:
+        """m/s, the integral of the specific force from t = 0."""
+        start = self.trajectory.at(np.zeros(1))
+        gained = self.velocity - start.velocity
+        gained += self._turned_by_earth(self.position - start.position)
+        gained[..., 2] += self.trajectory.site.gravity * self.t
+        return gained
+
+    def _turned_by_earth(self, level: Array) -> Array:
+        """Return 2 Omega x a vector without a part upwards."""
+        _, north, up = 2.0 * self.trajectory.site.earth_rotation
+        return _vectors(-up * level[..., 1], up * level[..., 0], -north * level[..., 0])
+
+
+def _vectors(east: Array, north: Array, up: Array | None = None) -> Array:
+    """Return components of shape (n,) as vectors, shape (n, 3); level ones without the third."""
+    components = np.empty((3, *east.shape))
+    components[0], components[1] = east, north
+    components[2] = 0.0 if up is None else up
+    return np.moveaxis(components, 0, -1)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -26,7 +27,7 @@ from counterspin.physics.accelerometer import (
     Term,
     term,
 )
-from counterspin.physics.motion import Trajectory
+from counterspin.physics.motion import Motion, Trajectory
 
 #: How often each observable integrates the specific force.
 ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}
@@ -108,32 +109,21 @@ def columns(
     """
     order = ORDERS[observable]
     rows = [term(symbol) for symbol in symbols]
-    axes = mounting.turned(attitude)
-    panels = _Panels(trajectory, times)
-    result = np.empty((times.size, len(rows)))
-    by_quadrature: list[tuple[int, Callable[[Array, Array], Array]]] = []
-    kinked = False
-    for index, row in enumerate(rows):
-        linear = _linear_in_force(row, axes)
-        if linear is not None:
-            factor = scale_factor if isinstance(row, PlatformTerm) else 1.0
-            result[:, index] = factor * (panels.integral_of_force(order) @ linear)
-        elif row.symbol == "K_F":
-            result[:, index] = trajectory.site.gravity * times**order / max(1, order)
-        else:
-            kinked = kinked or (isinstance(row, Term) and "|I|" in row.factors)
-            by_quadrature.append((index, _integrand(row, trajectory, axes, attitude, scale_factor)))
-    if by_quadrature:
-        functions = [function for _, function in by_quadrature]
-        kink = (lambda t: trajectory.specific_force(t) @ axes.input_axis) if kinked else None
-
-        def integrands(t: Array) -> Array:
-            force = trajectory.specific_force(t)
-            return np.stack([function(t, force) for function in functions])
-
-        values = panels.integrate(integrands, order, kink)
-        result[:, [index for index, _ in by_quadrature]] = values
-    return result
+    shown = _Shown(trajectory, mounting.turned(attitude), attitude, times, order)
+    linear = {i: vector for i, row in enumerate(rows) if (vector := shown.along(row)) is not None}
+    bias = [i for i, row in enumerate(rows) if row.symbol == "K_F"]
+    kinked = [i for i, row in enumerate(rows) if isinstance(row, Term) and "|I|" in row.factors]
+    smooth = [i for i in range(len(rows)) if i not in (*linear, *bias, *kinked)]
+    result = np.empty((len(rows), times.size))
+    result[bias] = trajectory.site.gravity * times**order / max(1, order)
+    if kinked:
+        result[kinked] = shown.kinked([rows[i] for i in kinked])
+    if smooth or linear:
+        result[smooth], force = shown.smooth([rows[i] for i in smooth], bool(linear))
+        for i, vector in linear.items():
+            result[i] = vector @ force
+    result[[i for i, row in enumerate(rows) if isinstance(row, PlatformTerm)]] *= scale_factor
+    return result.T
 
 
 def over_blocks(function: Callable[[Array], Array], times: Array, spread: Array) -> Array:
@@ -162,90 +152,130 @@ def over_blocks(function: Callable[[Array], Array], times: Array, spread: Array)
     return mean
 
 
-class _Panels:
-    """The integrals along one trajectory at one set of times, each computed once."""
+class _Shown:
+    """The integrals along one trajectory at one set of times."""
 
-    def __init__(self, trajectory: Trajectory, times: Array) -> None:
-        self.trajectory = trajectory
-        self.times = times
-        self._force: dict[int, Array] = {}
+    def __init__(
+        self, trajectory: Trajectory, axes: Mounting, attitude: Array, times: Array, order: int
+    ) -> None:
+        self._trajectory = trajectory
+        self._axes = axes
+        self._attitude = attitude
+        self._times = times
+        self._order = order
+        self._duration = max(float(times.max(initial=0.0)), np.finfo(float).tiny)
 
-    def integrate(
-        self,
-        integrand: Callable[[Array], Array],
-        order: int,
-        kink: Callable[[Array], Array] | None = None,
+    def along(self, row: Term | PlatformTerm) -> Array | None:
+        """Return the vector whose product with the specific force is the term, if there is one."""
+        if isinstance(row, Term):
+            if len(row.factors) != 1:
+                return None
+            axis: Array = row.sign * self._axes.matrix["IPO".index(row.factors[0])]
+            return axis
+        if row.kind != "tilt":
+            return None
+        # (-psi x f) . I = f . (psi x I)
+        return np.cross(np.eye(3)[row.axis], self._axes.input_axis)
+
+    def smooth(self, rows: Sequence[Term | PlatformTerm], with_force: bool) -> tuple[Array, Array]:
+        """Return the integrals of terms, (k, n), and where wanted of the force, (3, n)."""
+        if self._order == 0:
+            motion = self._trajectory.at(self._times)
+            return self._integrands(rows, motion), motion.specific_force.T
+        found = self._integrals(rows, self._edges(), with_force and self._order == 2)
+        if self._order == 1:
+            return found, self._trajectory.velocity_of_specific_force(self._times).T
+        if not with_force:
+            return found, np.empty((0, self._times.size))
+        return found[2:], self._double_integral_of_force(found[:2])
+
+    def kinked(self, rows: Sequence[Term | PlatformTerm]) -> Array:
+        """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
+        motion, along = self._trajectory, self._axes.input_axis
+        if self._order == 0:
+            return self._integrands(rows, motion.at(self._times))
+        breaks = quadrature.sign_changes(lambda t: motion.specific_force(t) @ along, self._edges())
+        return self._integrals(rows, self._edges(breaks))
+
+    def _integrals(
+        self, rows: Sequence[Term | PlatformTerm], edges: Array, with_path: bool = False
     ) -> Array:
-        if order == 0:
-            return integrand(self.times).T
-        spindle = self.trajectory.spindle
-        duration = max(float(self.times.max(initial=0.0)), np.finfo(float).tiny)
-        edges = quadrature.panel_edges(spindle, duration)
-        if kink is not None:
-            breaks = quadrature.sign_changes(kink, edges)
-            edges = quadrature.panel_edges(spindle, duration, breaks)
-        return quadrature.integrate(integrand, edges, self.times, order)
+        """Return the integrals of terms, before them if wanted those of the path, east and north.
 
-    def integral_of_force(self, order: int) -> Array:
-        """Integral of the specific force, shape (n, 3), by the exact identity of kinematics.
+        All functions are integrated together: where the times lie in the panels is found once.
+        """
+        panels = quadrature.Panels(edges)
+        motion = self._trajectory.at(panels.nodes)
+        terms = self._integrands(rows, motion)
+        if self._order == 1:
+            return panels.integrals(self._times, once=terms)
+        path = motion.position.T[:2] if with_path else None
+        return panels.integrals(self._times, once=path, twice=terms)
+
+    def _edges(self, breaks: Array | None = None) -> Array:
+        return quadrature.panel_edges(self._trajectory.spindle, self._duration, breaks)
+
+    def _integrands(self, rows: Sequence[Term | PlatformTerm], motion: Motion) -> Array:
+        """Return what the terms integrate, m/s^2 per unit coefficient and K_I, shape (k, m)."""
+        sensed = _Sensed(motion, self._axes, self._attitude)
+        values = np.empty((len(rows), motion.t.size))
+        for index, row in enumerate(rows):
+            values[index] = sensed.integrand(row)
+        return values
+
+    def _double_integral_of_force(self, path: Array) -> Array:
+        """Double integral of the specific force, (3, n), by the exact identity of kinematics.
 
         The double integral of the acceleration is the position less its start value and slope:
-        as a quadrature it would be a small difference of large numbers. Only the Coriolis part
-        of the double integral, 2 Omega x (integral of the position), needs a quadrature.
+        as a quadrature it would be a small difference of large numbers. Only the Coriolis part,
+        2 Omega x (integral of the position), needs a quadrature; `path` is that of its part to
+        east and north, (2, n).
         """
-        if order not in self._force:
-            self._force[order] = self._integral_of_force(order)
-        return self._force[order]
-
-    def _integral_of_force(self, order: int) -> Array:
-        motion, t = self.trajectory, self.times
-        if order == 0:
-            return motion.specific_force(t)
-        if order == 1:
-            return motion.velocity_of_specific_force(t)
-        zero = np.zeros(1)
-        start = motion.position(zero)
-        swept = self.integrate(lambda s: motion.position(s).T, 1) - start * t[:, None]
-        up = np.array([0.0, 0.0, motion.site.gravity])
-        return (
-            motion.position(t)
-            - start
-            - motion.velocity(zero) * t[:, None]
-            + 2.0 * np.cross(motion.site.earth_rotation, swept)
-            + 0.5 * up * t[:, None] ** 2
-        )
+        t, site = self._times, self._trajectory.site
+        start = self._trajectory.at(np.zeros(1))
+        found = self._trajectory.position(t).T - start.position.T - start.velocity.T * t
+        east, north = 2.0 * (path - start.position.T[:2] * t)
+        _, to_north, to_up = site.earth_rotation
+        found[0] -= to_up * north
+        found[1] += to_up * east
+        found[2] += 0.5 * site.gravity * t**2 - to_north * east
+        return found
 
 
-def _linear_in_force(row: Term | PlatformTerm, axes: Mounting) -> Array | None:
-    """Return the vector whose product with the specific force is the term, if there is one."""
-    if isinstance(row, Term):
-        if len(row.factors) != 1:
-            return None
-        along: Array = row.sign * axes.matrix["IPO".index(row.factors[0])]
-        return along
-    if row.kind != "tilt":
-        return None
-    # (-psi x f) . I = f . (psi x I)
-    return np.cross(np.eye(3)[row.axis], axes.input_axis)
+class _Sensed:
+    """What accelerometer and gyros sense during a motion; each part is worked out once."""
 
+    def __init__(self, motion: Motion, axes: Mounting, attitude: Array) -> None:
+        self._motion = motion
+        self._axes = axes
+        # The gyros turn with the platform: their axes are rows of the attitude.
+        self._attitude = attitude
+        self._gravity = motion.trajectory.site.gravity
 
-def _integrand(
-    row: Term | PlatformTerm,
-    trajectory: Trajectory,
-    axes: Mounting,
-    attitude: Array,
-    scale_factor: float,
-) -> Callable[[Array, Array], Array]:
-    """Return what the term integrates, m/s^2 per unit, of time (n,) and specific force (n, 3)."""
-    g = trajectory.site.gravity
-    if isinstance(row, Term):
-        return lambda _, force: g * row.evaluate(axes.matrix @ force.T / g)
-    # The gyros turn with the platform: their axes are rows of the attitude.
-    arm = scale_factor * np.cross(attitude[row.axis], axes.input_axis)
-    if row.force_axis is None:
-        return lambda t, force: t * (force @ arm)
-    force_axis = attitude[row.force_axis] / g
-    return lambda t, force: (trajectory.velocity_of_specific_force(t) @ force_axis) * (force @ arm)
+    def integrand(self, row: Term | PlatformTerm) -> Array:
+        """Return what a term integrates, m/s^2 per unit coefficient and K_I, shape (m,)."""
+        if isinstance(row, Term):
+            return self._gravity * row.evaluate(self._a_ipo)
+        axis = row.force_axis
+        attitude = self._motion.t if axis is None else self._gained[axis]
+        integrand: Array = attitude * self._turned[row.axis]
+        return integrand
+
+    @cached_property
+    def _a_ipo(self) -> Array:
+        """Specific force along I, P, O in g, shape (3, m)."""
+        return self._axes.matrix @ self._motion.specific_force.T / self._gravity
+
+    @cached_property
+    def _turned(self) -> Array:
+        """What a turn about each of the platform's axes makes of the force, m/s^2, (3, m)."""
+        arms = np.cross(self._attitude, self._axes.input_axis)
+        return arms @ self._motion.specific_force.T
+
+    @cached_property
+    def _gained(self) -> Array:
+        """Integral of the specific force along the platform's axes in g s, (3, m)."""
+        return self._attitude @ self._motion.velocity_of_specific_force.T / self._gravity
 
 
 def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravity: float) -> float:
