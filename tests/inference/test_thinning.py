@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.special import ndtri
 
+from counterspin.inference.diagnostics import periodogram
 from counterspin.inference.thinning import (
     normal_quantiles,
     over_revolution,
@@ -48,7 +49,9 @@ def test_an_angle_that_rounding_takes_to_the_next_revolution_is_still_in_this_on
 def test_spectrum_has_the_power_of_its_samples(n):
     """Parseval: the lines' powers, both signs, add up to the sum of squares less the ends'."""
     x = np.random.default_rng(n).standard_normal(n)
-    frequency, power = smoothed_spectrum(x, 0.5, 10**6)  # every line in a band of its own
+    frequency, power = smoothed_spectrum(
+        periodogram(x), n * 0.5, 10**6
+    )  # every line in a band of its own
     lines = (n - 1) // 2
     np.testing.assert_allclose(frequency, np.arange(1, lines + 1) / (n * 0.5))
     ends = x.sum() ** 2 / n
@@ -60,7 +63,7 @@ def test_spectrum_has_the_power_of_its_samples(n):
 def test_spectrum_of_a_line_stands_in_its_band():
     n, interval, cycles = 4096, 0.02, 200
     x = np.sin(2 * np.pi * cycles * np.arange(n) / n)
-    frequency, power = smoothed_spectrum(x, interval, 60)
+    frequency, power = smoothed_spectrum(periodogram(x), n * interval, 60)
     peak = int(np.argmax(power))
     assert frequency[peak] == pytest.approx(cycles / (n * interval), rel=0.1)
     assert np.delete(power, peak).max() < 1e-20
@@ -68,7 +71,8 @@ def test_spectrum_of_a_line_stands_in_its_band():
 
 def test_white_noise_has_power_one():
     n = 100_000
-    _, power = smoothed_spectrum(np.random.default_rng(1).standard_normal(n), 1.0, 10)
+    x = np.random.default_rng(1).standard_normal(n)
+    _, power = smoothed_spectrum(periodogram(x), float(n), 10)
     # The last band holds more than half of the n/2 lines, each with standard deviation 1.
     assert power[-1] == pytest.approx(1.0, abs=4.0 / np.sqrt(n / 4))
 

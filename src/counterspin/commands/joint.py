@@ -95,7 +95,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         ).model_copy(
             update={
                 "left_out": not_modelled[name],
-                "traces": traces(observed, series, found, name),
+                "traces": traces(observed, series, found, name, diagnostics[name]),
             }
         )
         for name in campaign.accelerometers

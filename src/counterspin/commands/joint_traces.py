@@ -14,6 +14,7 @@ import numpy as np
 from counterspin.campaign.observed import ObservedRun
 from counterspin.campaign.result_parts import Fold, Quantiles, Spectrum, Trace
 from counterspin.inference import joint as fitting
+from counterspin.inference.diagnostics import Diagnostics
 from counterspin.inference.estimation import Estimate, Rows
 from counterspin.inference.series import Series
 from counterspin.inference.thinning import (
@@ -46,7 +47,11 @@ _SMALL: Final = 1e-15
 
 
 def traces(
-    observed: Sequence[ObservedRun], series: Sequence[Series], found: Estimate, name: str
+    observed: Sequence[ObservedRun],
+    series: Sequence[Series],
+    found: Estimate,
+    name: str,
+    tests: Diagnostics,
 ) -> dict[str, Trace]:
     """Return the residuals of one accelerometer by run, thinned.
 
@@ -60,18 +65,22 @@ def traces(
         The fit.
     name
         The accelerometer.
+    tests
+        Of its residuals.
     """
     share = _ALL_STRETCHES // max(len(series), 1)
     count = min(max(share, _FEWEST_STRETCHES), _MOST_STRETCHES)
     runs = {run.run.name: run for run in observed}
     return {
-        one.run: _trace(runs[one.run], one, found, index, count)
+        one.run: _trace(runs[one.run], one, found, index, count, tests.runs[one.run].periodogram)
         for index, one in enumerate(series)
         if one.accelerometer == name
     }
 
 
-def _trace(run: ObservedRun, series: Series, found: Estimate, index: int, count: int) -> Trace:
+def _trace(
+    run: ObservedRun, series: Series, found: Estimate, index: int, count: int, periodogram: Array
+) -> Trace:
     kept = found.fit.prepared[index].series
     residual, whitened = fitting.residuals(found.fit, index)
     time, low, high = stretches(kept.time, residual, count)
@@ -82,7 +91,7 @@ def _trace(run: ObservedRun, series: Series, found: Estimate, index: int, count:
             break
     interval = float(np.median(np.diff(kept.time)))
     normal, ordered = normal_quantiles(whitened, _QUANTILES)
-    frequency, power = smoothed_spectrum(whitened, interval, _BANDS)
+    frequency, power = smoothed_spectrum(periodogram, whitened.size * interval, _BANDS)
     return Trace(
         time=_rounded(time, 6),
         low=_rounded(low),

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -46,6 +46,8 @@ class RunDiagnostics:
         Hz where times were given, else cycles per row.
     peak_share, peak_p
         Fisher's g, the peak's share of the periodogram, and the probability of a larger one.
+    periodogram
+        As `periodogram` gives it, for pictures.
     """
 
     rows: int
@@ -58,6 +60,7 @@ class RunDiagnostics:
     peak_frequency: float
     peak_share: float
     peak_p: float
+    periodogram: Array = field(repr=False, compare=False)
 
 
 @dataclass(frozen=True)
@@ -155,7 +158,8 @@ def diagnose(
 def _diagnose_run(rows: Array, dof: float, interval: float) -> RunDiagnostics:
     chi2 = float(rows @ rows)
     count, z, sign_p = runs_test(rows)
-    frequency, share, peak_p = periodogram_peak(rows)
+    power = periodogram(rows)
+    frequency, share, peak_p = periodogram_peak(power, len(rows))
     return RunDiagnostics(
         rows=len(rows),
         chi2=chi2,
@@ -167,6 +171,7 @@ def _diagnose_run(rows: Array, dof: float, interval: float) -> RunDiagnostics:
         peak_frequency=frequency / interval,
         peak_share=share,
         peak_p=peak_p,
+        periodogram=power,
     )
 
 
@@ -244,28 +249,41 @@ def runs_test(rows: ArrayLike) -> tuple[int, float, float]:
     return count, z, float(2 * ndtr(-tail))
 
 
-def periodogram_peak(rows: ArrayLike) -> tuple[float, float, float]:
-    """Largest line of the periodogram, with Fisher's exact test.
+def periodogram(rows: ArrayLike) -> Array:
+    """Return |sum x exp(-i w t)|^2 / n at the lines between zero and Nyquist's frequency.
+
+    Its expectation is 1 for independent residuals of unit variance.
 
     Parameters
     ----------
     rows
-        (n,) evenly spaced residuals, n >= 3. Zero frequency and Nyquist's are not looked at.
+        (n,) evenly spaced residuals, n >= 3.
+
+    Returns
+    -------
+    Array
+        Shape ((n - 1) // 2,), from 1/n cycles per row.
+    """
+    values = np.asarray(rows, float)
+    n = len(values)
+    power: Array = np.abs(np.fft.rfft(values)[1 : (n - 1) // 2 + 1]) ** 2 / n
+    return power
+
+
+def periodogram_peak(power: Array, n: int) -> tuple[float, float, float]:
+    """Largest line of the periodogram of n rows, with Fisher's exact test.
 
     Returns
     -------
     Frequency in cycles per row, its share g of the power, probability of a larger share in
     independent normal noise.
     """
-    values = np.asarray(rows, float)
-    lines = (len(values) - 1) // 2
-    power = np.abs(np.fft.rfft(values)[1 : lines + 1]) ** 2
     total = float(power.sum())
     if total == 0:
         return 0.0, 0.0, 1.0
     peak = int(np.argmax(power))
     share = float(power[peak]) / total
-    return (peak + 1) / len(values), share, fisher_g_p(share, lines)
+    return (peak + 1) / n, share, fisher_g_p(share, power.size)
 
 
 def fisher_g_p(share: float, lines: int) -> float:

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -204,6 +205,11 @@ class JointFit:
     noise: Mapping[str, Noise]
     unseen: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
 
+    @cached_property
+    def known_residuals(self) -> dict[int, tuple[Array, Array]]:
+        """What `residuals` has worked out already, for several checks ask for the same."""
+        return {}
+
 
 def solve_joint(prepared: Sequence[Prepared], model: Model, noise: Mapping[str, Noise]) -> JointFit:
     """Solve a prepared problem for given noise.
@@ -328,6 +334,12 @@ def residuals(fit: JointFit, index: int) -> tuple[Array, Array]:
     index
         Which series.
     """
+    if index not in fit.known_residuals:
+        fit.known_residuals[index] = _residuals(fit, index)
+    return fit.known_residuals[index]
+
+
+def _residuals(fit: JointFit, index: int) -> tuple[Array, Array]:
     prepared = fit.prepared[index]
     series = prepared.series
     left = unexplained(prepared, fit.model)

@@ -64,27 +64,23 @@ def over_revolution(angle: Array, values: Array, parts: int) -> tuple[Array, Arr
     return low, mean, high
 
 
-def smoothed_spectrum(whitened: Array, interval: float, count: int) -> tuple[Array, Array]:
+def smoothed_spectrum(power: Array, length: float, count: int) -> tuple[Array, Array]:
     """Return frequencies (Hz) and mean power in at most `count` bands; 1 is white noise.
 
-    The periodogram |sum x exp(-i w t)|^2 / n, whose expectation is 1 for independent residuals of
-    unit variance, averaged over bands that are equally wide on a logarithmic scale.
+    The bands are equally wide on a logarithmic scale.
 
     Parameters
     ----------
-    whitened
-        In the order of time, shape (n,), n >= 3; taken as evenly spaced.
-    interval
-        Between them, s.
+    power
+        The periodogram of whitened residuals, from `counterspin.inference.diagnostics`, shape (m,).
+    length
+        Of the record, s: the inverse of the first line's frequency.
     count
         At least 1.
     """
-    n = whitened.size
-    lines = (n - 1) // 2
-    power = np.abs(np.fft.rfft(whitened)[1 : lines + 1]) ** 2 / n
-    edges = np.unique(np.geomspace(1.0, lines + 1.0, count + 1).astype(np.intp))
+    edges = np.unique(np.geomspace(1.0, power.size + 1.0, count + 1).astype(np.intp))
     first, width = edges[:-1], np.diff(edges)
-    frequency = (first + 0.5 * (width - 1)) / (n * interval)
+    frequency = (first + 0.5 * (width - 1)) / length
     return frequency, np.add.reduceat(power[: edges[-1] - 1], first - 1) / width
 
 
