@@ -412,11 +412,28 @@ def test_other_noise_of_one_accelerometer_is_the_fit_with_that_noise():
     series = [one for name in SCALES for one in three_rates(truth, accelerometer=name)]
     prepared = joint.prepare(series, model, SCALES)
     fit = joint.solve_joint(prepared, model, {"Qx": WHITE, "Qy": MIXED})
-    changed = joint.with_noise(fit, "Qy", WHITE)
+    changed = joint.with_noise(fit, {"Qy": WHITE})
     direct = joint.solve_joint(prepared, model, {"Qx": WHITE, "Qy": WHITE})
     assert changed.noise == direct.noise
     np.testing.assert_array_equal(changed.solution.covariance, direct.solution.covariance)
     assert not np.allclose(fit.solution.u[2:], direct.solution.u[2:], rtol=0.1)
+
+
+@pytest.mark.parametrize("level", [Noise(0.02), Noise(3.0, 0.0, 0.5)])
+def test_another_level_of_white_noise_is_the_fit_with_that_noise(level):
+    model = Model(unknowns(("K_F", "K_I", "K_II")), (Considered("Qx", "K_III", (0.0, 1e-7), 1e-4),))
+    # Of time stamps' noise the runs have differently much.
+    series = [
+        replace(one, jitter=0.01 * (index + 1)) for index, one in enumerate(three_rates(TRUTH))
+    ]
+    prepared = joint.prepare(series, model, SCALES)
+    changed = joint.with_noise(joint.solve_joint(prepared, model, {"Qx": WHITE}), {"Qx": level})
+    direct = joint.solve_joint(prepared, model, {"Qx": level})
+    np.testing.assert_allclose(changed.solution.covariance, direct.solution.covariance, rtol=1e-10)
+    np.testing.assert_allclose(changed.solution.estimate, direct.solution.estimate, rtol=1e-10)
+    for one, other in zip(changed.blocks, direct.blocks, strict=True):
+        assert one.rss == pytest.approx(other.rss, rel=1e-9)
+    assert changed.noise == direct.noise
 
 
 def test_residuals_are_what_was_drawn_less_what_the_fit_can_explain(paper):

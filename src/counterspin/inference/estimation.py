@@ -119,11 +119,12 @@ def estimate(
         series = find_rotation(series, plain, _scale_factors(series, plain, None), rough)
     prepared = joint.prepare(series, plain, _scale_factors(series, plain, None))
     outliers = [np.zeros(one.time.size, dtype=bool) for one in series]
+    fit = joint.solve_joint(prepared, plain, rough)
     if reject:
-        prepared = _reject(prepared, plain, rough, requests, outliers)
-
+        fit = _reject(fit, requests, outliers)
+    prepared = fit.prepared
     noise, components = _noise(prepared, plain, requests)
-    fit = joint.solve_joint(prepared, plain, noise)
+    fit = joint.with_noise(fit, noise)
     kept = [one.series for one in prepared]
     before = _scale_factors(series, plain, None)
     whole = encoder.with_encoder(plain, kept, noise)
@@ -158,35 +159,29 @@ def _scale_factors(
     return factors
 
 
-def _reject(
-    prepared: tuple[Prepared, ...],
-    model: Model,
-    rough: Mapping[str, Noise],
-    requests: Mapping[str, NoiseRequest],
-    outliers: list[Rows],
-) -> tuple[Prepared, ...]:
+def _reject(fit: JointFit, requests: Mapping[str, NoiseRequest], outliers: list[Rows]) -> JointFit:
     """Leave outliers out, refitting until there are none; marks them in `outliers`."""
-    places = [(one.series.time, np.sqrt(one.series.count)) for one in prepared]
+    places = [(one.series.time, np.sqrt(one.series.count)) for one in fit.prepared]
     for _ in range(_ROUNDS):
-        fit = joint.solve_joint(prepared, model, rough)
         found = []
-        for index, (one, mask) in enumerate(zip(prepared, outliers, strict=True)):
+        for index, (one, mask) in enumerate(zip(fit.prepared, outliers, strict=True)):
             time, weight = places[index]
             left = np.full(time.size, np.nan)
             left[~mask] = joint.residuals(fit, index)[0]
             step = requests[one.series.accelerometer].quantisation
             found.append(outlying(left, weight, step / math.sqrt(12.0), time))
         if not any(mask.any() for mask in found):
-            return prepared
+            return fit
         prepared = tuple(
             _without(one, new[~mask]) if new.any() else one
-            for one, new, mask in zip(prepared, found, outliers, strict=True)
+            for one, new, mask in zip(fit.prepared, found, outliers, strict=True)
         )
         for mask, new in zip(outliers, found, strict=True):
             mask[new] = True
+        fit = joint.solve_joint(prepared, fit.model, fit.noise)
     where = " and ".join(
         f"{one.series.run} ({one.series.accelerometer})"
-        for one, mask in zip(prepared, found, strict=True)
+        for one, mask in zip(fit.prepared, found, strict=True)
         if mask.any()
     )
     raise ConvergenceError(
@@ -271,7 +266,7 @@ def _effective_dof(fit: JointFit, components: Mapping[str, VarianceComponents]) 
     for name, component in components.items():
 
         def variances(noise: Noise, name: str = name) -> Array:
-            return np.diag(joint.with_noise(fit, name, noise).solution.covariance)
+            return np.diag(joint.with_noise(fit, {name: noise}).solution.covariance)
 
         inverse += 1.0 / variance_components.effective_dof_of(variances, component)
     with np.errstate(divide="ignore"):
@@ -296,7 +291,7 @@ def _with_unseen(
             continue
         little = _LITTLE * float(component.unseen.levels[1])
         walking = replace(fit.noise[name], random_walk=math.sqrt(little))
-        after = joint.with_noise(fit, name, walking).solution.covariance
+        after = joint.with_noise(fit, {name: walking}).solution.covariance
         slope = np.where(np.outer(known, known), (after - before) / little, 0.0)
         # Rounding may leave a coefficient that feels nothing slightly below zero.
         diagonal = np.maximum(np.diag(slope), 0.0)

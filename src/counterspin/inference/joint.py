@@ -16,6 +16,7 @@ The problem is a `Model` (`counterspin.inference.model`) beside the series
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -236,24 +237,41 @@ def solve_joint(prepared: Sequence[Prepared], model: Model, noise: Mapping[str, 
     return JointFit(model, _solve(blocks, model), tuple(prepared), blocks, noise)
 
 
-def with_noise(fit: JointFit, accelerometer: str, noise: Noise) -> JointFit:
-    """Return the fit with one accelerometer's noise changed; the others' records stay as reduced.
+def with_noise(fit: JointFit, noise: Mapping[str, Noise]) -> JointFit:
+    """Return the fit with other noise; records whose noise stays remain as they are reduced.
 
     Parameters
     ----------
     fit
         A solved problem.
-    accelerometer
-        Whose noise is another.
     noise
-        What it is.
+        By accelerometer, of those whose noise is another.
     """
-    blocks = tuple(
-        _block(one, fit.model, noise) if one.series.accelerometer == accelerometer else block
-        for one, block in zip(fit.prepared, fit.blocks, strict=True)
+    blocks = list(fit.blocks)
+    for index, one in enumerate(fit.prepared):
+        name = one.series.accelerometer
+        if name in noise:
+            before = fit.noise[name]
+            blocks[index] = _block_again(blocks[index], one, fit.model, before, noise[name])
+    solution = _solve(blocks, fit.model)
+    return JointFit(fit.model, solution, fit.prepared, tuple(blocks), {**fit.noise, **noise})
+
+
+def _block_again(
+    block: Block, prepared: Prepared, model: Model, before: Noise, after: Noise
+) -> Block:
+    """Reduce a series again; where only the level of its white noise is another, scale it."""
+    was, now = (prepared.series.total(noise) for noise in (before, after))
+    if was.random_walk > 0.0 or now.random_walk > 0.0 or now.sample_variance == 0.0:
+        return _block(prepared, model, after)
+    ratio = math.sqrt(was.sample_variance / now.sample_variance)
+    return replace(
+        block,
+        factor=ratio * block.factor,
+        target=ratio * block.target,
+        considered=ratio * block.considered,
+        rss=ratio**2 * block.rss,
     )
-    changed = {**fit.noise, accelerometer: noise}
-    return JointFit(fit.model, _solve(blocks, fit.model), fit.prepared, blocks, changed)
 
 
 def _block(prepared: Prepared, model: Model, noise: Noise) -> Block:

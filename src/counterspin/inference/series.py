@@ -121,7 +121,12 @@ class Series:
         """Return the columns of start offset and start velocity, 1 and t, shape (n, count)."""
         return np.vander(self.time, count, increasing=True)
 
+    def total(self, noise: Noise) -> Noise:
+        """Return the noise of an accelerometer with what the time stamps' noise adds here."""
+        return replace(noise, white=math.hypot(noise.white, self.jitter))
+
     def whitener(self, noise: Noise) -> Whitener:
         """Return what turns the rows into rows whose noise has unit covariance."""
-        total = replace(noise, white=math.hypot(noise.white, self.jitter))
-        return make_whitener(self.time, self.order, total, self.count, self.block_spacing)
+        return make_whitener(
+            self.time, self.order, self.total(noise), self.count, self.block_spacing
+        )
