@@ -579,7 +579,7 @@ def test_pieces_hold_every_row_once_and_in_order(lengths, size, places):
     ends = np.cumsum([0, *lengths])
     columns = [np.arange(ends[-1], dtype=float), -np.arange(ends[-1], dtype=float)]
     batches = ([x[a:b] for x in columns] for a, b in pairwise(ends))
-    pieces = [piece.copy() for piece in in_pieces(batches, places, lambda _: size)]
+    pieces = [np.array(piece) for piece in in_pieces(batches, places, lambda _: size)]
     assert [piece.shape[1] for piece in pieces[:-1]] == [size] * (len(pieces) - 1)
     if pieces:
         expected = np.array([columns[place] for place in places])

@@ -16,8 +16,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from counterspin.campaign.clock_faults import jump_words, rate_words
+from counterspin.campaign.column_file import Columns
 from counterspin.campaign.record_report import Gap
-from counterspin.campaign.spikes import middle
+from counterspin.campaign.spikes import median, middle
 from counterspin.campaign.working_array import aligned
 from counterspin.errors import RecordError
 
@@ -54,12 +55,12 @@ class ClockFindings:
 class Accepted:
     """The usable rows of a piece: `rows` are places in the piece, None when all are used.
 
-    `columns` are the piece's columns at those rows (k, n), with the angle unwrapped; `unevenness`
-    is the largest deviation of a time step from the usual one, relative to it.
+    `columns` are the piece's columns at those rows, with the angle unwrapped; `unevenness` is the
+    largest deviation of a time step from the usual one, relative to it.
     """
 
     rows: np.ndarray | None
-    columns: np.ndarray
+    columns: Columns
     unevenness: float
 
 
@@ -84,7 +85,7 @@ class Clock:
         self.found = ClockFindings()
         self._last_time = math.nan
         self._last_angle = math.nan
-        self._last_values = np.empty(0)
+        self._last_values: list[float] = []
         # The first row of a run of unfitting angles that is still open, its time, and its fault.
         self._lost: int | None = None
         self._lost_time = math.nan
@@ -113,15 +114,15 @@ class Clock:
         lag = int(np.clip(_TURN / 8 / abs(nominal * self.step), 1, max(1, len(t) // 4)))
         spans = t[lag:] - t[:-lag]
         usual = (spans > 0) & (spans < 1.5 * lag * self.step)
-        measured = float(np.median((a[lag:] - a[:-lag])[usual] / spans[usual]))
+        advances, spans = (a[lag:] - a[:-lag])[usual], spans[usual]
+        measured = median(advances / spans)
         ratio = measured / nominal
         if abs(ratio - 1) > 0.05:
             raise RecordError(f"{self._path}: {rate_words(measured, nominal)}")
-        turned = (a[lag:] - a[:-lag])[usual] - nominal * spans[usual]
-        turned -= _TURN * np.round(turned / _TURN)
-        self.rate = nominal + float(np.median(turned / spans[usual]))
+        turned = _wrap(advances - nominal * spans)
+        self.rate = nominal + median(turned / spans)
 
-    def accept(self, first_row: int, columns: np.ndarray, has_angle: bool) -> Accepted:
+    def accept(self, first_row: int, columns: Columns, has_angle: bool) -> Accepted:
         """Check one piece.
 
         Parameters
@@ -129,8 +130,7 @@ class Clock:
         first_row
             The row of the file at which the piece begins.
         columns
-            (k, n): time (s), angle (rad; if `has_angle`), then the signals; NaN where empty. The
-            angle may be unwrapped in place.
+            Time (s), angle (rad; if `has_angle`), then the signals: arrays (n,), NaN where empty.
         has_angle
             Whether the second column is the angle.
 
@@ -139,24 +139,22 @@ class Clock:
         RecordError
             Time runs backwards, a value is infinite, or the clock or the angle jumps.
         """
-        last_values = columns[:, -1].copy()  # before the angle is unwrapped in its place
         whole = self._accept_whole(first_row, columns, has_angle)
         accepted = whole or self._accept_rows(first_row, columns, has_angle)
         good = accepted.columns
-        if good.shape[1]:
-            if accepted.rows is not None:
-                last_values = columns[:, accepted.rows[-1]].copy()
-            self._last_values = last_values
-            self._last_time = float(good[0, -1])
+        if len(good[0]):
+            last = -1 if accepted.rows is None else int(accepted.rows[-1])
+            self._last_values = [float(column[last]) for column in columns]
+            self._last_time = float(good[0][-1])
             if has_angle:
-                self._last_angle = float(good[1, -1])
-                span = self._last_time - float(good[0, 0])
+                self._last_angle = float(good[1][-1])
+                span = self._last_time - float(good[0][0])
                 if abs(self.rate) * span > 1.0:
-                    self.rate = (self._last_angle - float(good[1, 0])) / span
+                    self.rate = (self._last_angle - float(good[1][0])) / span
         return accepted
 
     def _accept_whole(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
-        self, first_row: int, columns: np.ndarray, has_angle: bool
+        self, first_row: int, columns: Columns, has_angle: bool
     ) -> Accepted | None:
         """Take the piece as it stands, if nothing in it needs attention (NaN fails every test)."""
         time = columns[0]
@@ -197,11 +195,13 @@ class Clock:
                 return None
             turns = turns + before
         if len(turns) > 1 or turns[0]:
-            angle += np.repeat(_TURN * turns, np.diff(breaks, append=len(angle)))
+            lengths = np.diff(breaks, append=len(angle))
+            unwrapped = angle + np.repeat(_TURN * turns, lengths)
             self.found.wrapped = True
+            columns = [time, unwrapped, *columns[2:]]
         return Accepted(None, columns, unevenness)
 
-    def _accept_rows(self, first_row: int, columns: np.ndarray, has_angle: bool) -> Accepted:
+    def _accept_rows(self, first_row: int, columns: Columns, has_angle: bool) -> Accepted:
         """Judge a piece row by row."""
         time, clock = columns[0], columns[: 2 if has_angle else 1]
         for column, word in zip(clock, ("time", "angle"), strict=False):
@@ -224,18 +224,18 @@ class Clock:
         rows = self._drop_repeats(columns, rows, steps)
         self._note_gaps(time[rows], before)
         if has_angle:
-            has_number = ~np.isnan(columns[1, rows])
+            has_number = ~np.isnan(columns[1][rows])
             self.found.empty_angle += int((~has_number).sum())
             rows = rows[has_number]
-            good, unwrapped = self._follow(first_row, rows, time[rows], columns[1, rows])
+            good, unwrapped = self._follow(first_row, rows, time[rows], columns[1][rows])
             rows = rows[good]
-        chosen = columns[:, rows]
+        chosen = [column[rows] for column in columns]
         if has_angle:
             chosen[1] = unwrapped[good]
         unevenness = float(np.abs(np.diff(chosen[0]) / self.step - 1).max(initial=0.0))
         return Accepted(rows, chosen, unevenness)
 
-    def _drop_repeats(self, columns: np.ndarray, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    def _drop_repeats(self, columns: Columns, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
         again = np.flatnonzero(steps == 0)
         if not len(again):
             return rows

@@ -174,10 +174,10 @@ class _Reading:
         """Read the file to its end."""
         parts: list[Blocks] = []
         reducer: Reducer | None = None
-        for columns in in_pieces(self._file.batches(), self._places, self._choose_size):
+        for piece in in_pieces(self._file.batches(), self._places, self._choose_size):
             if reducer is None:
-                self.start_time = self._first_time(columns[0])
-            self._to_si(columns)
+                self.start_time = self._first_time(piece[0])
+            columns = self._in_si(piece)
             if reducer is None:
                 self._clock.start(columns[0], columns[1] if self._has_angle else None)
                 reducer = Reducer(self.block, self._clock.step, self._clock.rate)
@@ -210,19 +210,21 @@ class _Reading:
             )
         return float(finite[0])
 
-    def _to_si(self, columns: np.ndarray) -> None:
-        """Make time count from the record's start (s), the angle rad; the signals stay as filed."""
+    def _in_si(self, piece: Columns) -> Columns:
+        """Return time from the record's start (s), the angle (rad) and the signals as filed."""
+        columns = list(piece)
         if self.start_time:
-            columns[0] -= self.start_time
+            columns[0] = columns[0] - self.start_time
         for place in range(2 if self._has_angle else 1):
             factor = self._specs[place].factor
             if factor != 1:
-                columns[place] *= factor
+                columns[place] = columns[place] * factor
+        return columns
 
-    def _take(self, columns: np.ndarray, reducer: Reducer) -> Blocks | None:
+    def _take(self, columns: Columns, reducer: Reducer) -> Blocks | None:
         accepted = self._clock.accept(self._rows, columns, self._has_angle)
         good, first = accepted.columns, len(columns) - len(self._signals)
-        if not good.shape[1]:
+        if not len(good[0]):
             self._count_empty(columns[first:])
             return None
         blocks, outliers, complete = reducer.reduce(good, self._has_angle, accepted.unevenness)
@@ -232,11 +234,11 @@ class _Reading:
             if len(found):
                 rows = found if accepted.rows is None else accepted.rows[found]
                 self._note_outliers(
-                    place, rows + self._rows, good[0, found], good[first + place, found]
+                    place, rows + self._rows, good[0][found], good[first + place][found]
                 )
         return blocks
 
-    def _count_empty(self, signals: np.ndarray) -> None:
+    def _count_empty(self, signals: Columns) -> None:
         for place, signal in enumerate(signals):
             self._empty[place] += int(np.isnan(signal).sum())
             infinite = np.flatnonzero(np.isinf(signal))
@@ -334,8 +336,7 @@ class _Reading:
         parts: list[Columns] = []
         row = 0
         for batch in self._file.batches():
-            columns = np.array([batch[place] for place in self._places])
-            self._to_si(columns)
+            columns = self._in_si([batch[place] for place in self._places])
             inside = np.flatnonzero((columns[0] >= ends[0]) & (columns[0] <= ends[1]))
             if len(inside):
                 signal = columns[len(columns) - len(self._signals) + place] * spec.factor

@@ -69,7 +69,7 @@ def piece_size(block: int) -> int:
 
 def in_pieces(
     batches: Iterator[Columns], places: Sequence[int], choose_size: Callable[[Columns], int]
-) -> Iterator[np.ndarray]:
+) -> Iterator[Columns]:
     """Yield columns in pieces of a fixed number of rows, however the file was batched.
 
     Parameters
@@ -83,8 +83,8 @@ def in_pieces(
 
     Yields
     ------
-    (columns, rows)
-        The reader's to change: one array that the next piece is written over.
+    Columns
+        To be read, not changed, and only until the next piece is asked for.
     """
     head: list[Columns] = []
     for batch in batches:
@@ -95,8 +95,7 @@ def in_pieces(
         return
     first = [joined(head)[place] for place in places]
     size = choose_size(first)
-    # Few batches end where a piece does. To bring all together costs no more than fetching them
-    # from memory, and all columns can then be worked on at once.
+    # What lies across two batches is brought together in a buffer; the rest are views.
     buffer = aligned(len(places), size)
     filled = 0
     for batch in chain([first], ([batch[place] for place in places] for batch in batches)):
@@ -104,15 +103,18 @@ def in_pieces(
         start = 0
         while start < rows:
             stop = min(start + size - filled, rows)
-            for column, part in zip(buffer, batch, strict=True):
-                column[filled : filled + stop - start] = part[start:stop]
-            filled += stop - start
+            if stop - start == size:
+                yield [column[start:stop] for column in batch]
+            else:
+                for column, part in zip(buffer, batch, strict=True):
+                    column[filled : filled + stop - start] = part[start:stop]
+                filled += stop - start
             if filled == size:
-                yield buffer
+                yield list(buffer)
                 filled = 0
             start = stop
     if filled:
-        yield buffer[:, :filled]
+        yield list(buffer[:, :filled])
 
 
 def joined(batches: list[Columns]) -> Columns:
@@ -143,14 +145,14 @@ class Reducer:
         self._mean = np.full(block, 1 / block)
 
     def reduce(
-        self, columns: np.ndarray, has_angle: bool, unevenness: float
+        self, columns: Columns, has_angle: bool, unevenness: float
     ) -> tuple[Blocks, list[np.ndarray], bool]:
         """Reduce one piece.
 
         Parameters
         ----------
         columns
-            (k, n): time, s, increasing; if `has_angle`, the angle, rad, unwrapped; then the
+            Arrays (n,): time, s, increasing; if `has_angle`, the angle, rad, unwrapped; then the
             signals, NaN where empty (or infinite).
         has_angle
             Whether the second column is the angle.
@@ -172,7 +174,7 @@ class Reducer:
         clean = not any(len(places) for places in outliers)
         if self._block == 1:
             # A copy: the next piece overwrites this one.
-            points = columns.copy()
+            points = [x.copy() for x in columns]
             for x, places in zip(points[len(points) - len(signals) :], outliers, strict=True):
                 x[places] = np.nan
             alone = np.ones(len(time), dtype=int)
@@ -186,15 +188,15 @@ class Reducer:
         for mask, places in zip(usable, outliers, strict=True):
             mask[places] = False
         angle = columns[1] if has_angle else None
-        return self._means(time, angle, list(signals), usable, even), outliers, False
+        return self._means(time, angle, signals, usable, even), outliers, False
 
-    def _even_means(self, columns: np.ndarray, has_angle: bool, unevenness: float) -> Blocks:
+    def _even_means(self, columns: Columns, has_angle: bool, unevenness: float) -> Blocks:
         size, time = self._block, columns[0]
         whole = len(time) // size * size
         tail = len(time) - whole
-        means = columns[:, :whole].reshape(len(columns), -1, size) @ self._mean
+        means = [x[:whole].reshape(-1, size) @ self._mean for x in columns]
         if tail:
-            means = np.append(means, columns[:, whole:].mean(axis=1, keepdims=True), axis=1)
+            means = [np.append(m, x[whole:].mean()) for m, x in zip(means, columns, strict=True)]
         mean_time = means[0]
         count = np.full(len(mean_time), size)
         if unevenness < _EVEN:
@@ -253,6 +255,6 @@ class Reducer:
         )
 
 
-def _blocks(columns: np.ndarray, has_angle: bool, sd: np.ndarray, count: np.ndarray) -> Blocks:
+def _blocks(columns: Columns, has_angle: bool, sd: np.ndarray, count: np.ndarray) -> Blocks:
     angle = columns[1] if has_angle else None
-    return Blocks(columns[0], sd, count, angle, list(columns[2 if has_angle else 1 :]))
+    return Blocks(columns[0], sd, count, angle, columns[2 if has_angle else 1 :])
