@@ -16,7 +16,7 @@ from counterspin.campaign.result import read_result
 from counterspin.cli import main
 from counterspin.commands.calibrate import calibrate
 from counterspin.commands.simulate import simulate
-from counterspin.commands.two_stage import TwoStageOptions, two_stage
+from counterspin.commands.two_stage import TwoStageOptions, k_ii, two_stage
 from counterspin.errors import NotIdentifiableError
 
 TRIALS = 200 if os.environ.get("COUNTERSPIN_FULL") else 12
@@ -198,6 +198,33 @@ def test_degrees_of_freedom_grow_with_what_is_not_from_residuals(tmp_path):
     alone = c.dof * (c.u_noise / c.u) ** 4
     assert 17 <= alone <= 51
     assert c.u_considered > 0.1 * c.u_noise
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        PRIORS,
+        modelled('terms = ["K_F", "K_II", "K_OO"]'),  # which cannot be told apart
+        modelled('considered = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }'),
+        ('angle = { column = "angle_rad", unit = "rad" }\n', ""),
+    ],
+    ids=["plain", "alike", "considered", "nominal angle"],
+)
+def test_k_ii_alone_is_that_of_the_whole_result(tmp_path, asked):
+    campaign = read_campaign(made(tmp_path, asked))
+    observed = list(observe(campaign))
+    for accelerometer in campaign.accelerometers.values():
+        whole = two_stage(campaign, observed, accelerometer, TwoStageOptions())
+        found, second = k_ii(campaign, observed, accelerometer, TwoStageOptions())
+        expected = whole.result.coefficients["K_II"]
+        assert found.estimated == expected.estimated
+        if expected.estimated:
+            assert (found.value, found.u) == pytest.approx((expected.value, expected.u), rel=1e-9)
+        else:
+            assert (found.value, found.u) == (None, None)
+        assert second.considered == whole.second.considered
+        assert second.solution.considered_sd == pytest.approx(whole.second.solution.considered_sd)
+        assert len(second.ignored) < len(whole.second.ignored)
 
 
 # --- what cannot be told apart --------------------------------------------------------------------

@@ -27,7 +27,13 @@ from counterspin.campaign.result_parts import (
     Residual,
 )
 from counterspin.commands.method import TwoStageOptions
-from counterspin.commands.two_stage_findings import confounded, left_out, unmodelled, warnings
+from counterspin.commands.two_stage_findings import (
+    asked_only,
+    confounded,
+    left_out,
+    unmodelled,
+    warnings,
+)
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference import strobes as strobing
 from counterspin.inference.first_stage import Parabola, first_stage
@@ -156,7 +162,7 @@ def k_ii(
         As `two_stage`.
     """
     # Whether K_II is alone depends on what was asked for beside it, and on nothing else.
-    others = [s for s in unmodelled(campaign, accelerometer) if s in campaign.model.terms]
+    others = asked_only(campaign, accelerometer)
     _, second = _both_stages(campaign, observed, accelerometer, options, others)
     found = _unknowns(campaign, second, options)
     return _coefficients(campaign, accelerometer, second, found)["K_II"], second

@@ -1,6 +1,6 @@
 """What a two-stage result must say beside its numbers: what they stand for, what they leave out.
 
-- `unmodelled`: terms of which the model says nothing
+- `unmodelled`, `asked_only`: terms of which nothing is known
 - `confounded`, `left_out`: what these would do
 - `warnings`
 """
@@ -23,13 +23,16 @@ from counterspin.physics.accelerometer import TERMS, term
 _SUSPICIOUS: Final = 0.001
 
 
+def asked_only(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, ...]:
+    """Return the terms that the model asks for and that nothing is known of beforehand."""
+    known = {*accelerometer.priors, *campaign.model.priors}
+    return tuple(symbol for symbol in campaign.model.terms if symbol not in known)
+
+
 def unmodelled(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, ...]:
     """Return the terms that nothing is known of beforehand, asked for or not."""
-    model = campaign.model
-    known = {*accelerometer.priors, *model.priors}
-    asked = [symbol for symbol in model.terms if symbol not in known]
     others = [other.symbol for other in left_out_of(campaign, accelerometer.name)]
-    return tuple(dict.fromkeys([*asked, *others]))
+    return tuple(dict.fromkeys([*asked_only(campaign, accelerometer), *others]))
 
 
 def left_out(second: SecondStage) -> dict[str, LeftOut]:

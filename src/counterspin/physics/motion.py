@@ -184,4 +184,4 @@ def _vectors(east: Array, north: Array, up: Array | None = None) -> Array:
     components = np.empty((3, *east.shape))
     components[0], components[1] = east, north
     components[2] = 0.0 if up is None else up
-    return np.moveaxis(components, 0, -1)
+    return components.transpose(*range(1, components.ndim), 0)

@@ -221,7 +221,9 @@ def _at(x: Array, panel: npt.NDArray[np.intp], series: Array) -> Array:
     more rows. However the places are spread, all rows together are at most 6 n long.
     """
     order = np.argsort(panel, kind="stable")
-    occupied, counts = np.unique(panel[order], return_counts=True)
+    counts = np.bincount(panel)
+    occupied = np.flatnonzero(counts)
+    counts = counts[occupied]
     width = x.size // occupied.size + 2
     rows = -(-counts // width)
     places = np.arange(x.size) - np.repeat(np.cumsum(counts) - counts, counts)
@@ -234,7 +236,7 @@ def _at(x: Array, panel: npt.NDArray[np.intp], series: Array) -> Array:
     if occupied.size < needed.shape[0] or rows.max() > 1:
         needed = needed[np.repeat(occupied, rows)]
     found: Array = (needed @ powers).transpose(1, 0, 2)
-    return found.reshape(series.shape[0], filled.size)[:, slots]
+    return found.reshape(series.shape[0], filled.size).take(slots, axis=1)
 
 
 def _running_sum(increments: Array) -> Array:
