@@ -1,8 +1,8 @@
 """Single and double time integrals along a trajectory, to rounding, at any times.
 
 Between two panel edges the integrand is the polynomial through its values at Gauss nodes, and the
-polynomial is integrated once or twice. The result is therefore as accurate between the
-edges as at them, and costs nothing more for a million sample times than for three.
+polynomial is integrated once or twice. The result is therefore as accurate between the edges as at
+them, and the integrand is not asked more often for a million sample times than for three.
 
 - `panel_edges`: where panels begin and end
 - `sign_changes`: kinks that must be edges too
