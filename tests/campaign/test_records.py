@@ -14,6 +14,7 @@ from scipy.io import savemat
 
 from counterspin.campaign.records import ColumnSpec, Record, read_record
 from counterspin.campaign.reduction import in_pieces
+from counterspin.campaign.spikes import median
 from counterspin.campaign.working_array import aligned
 from counterspin.errors import RecordError
 
@@ -605,6 +606,33 @@ def test_an_infinite_value_is_refused_wherever_it_stands(tmp_path):
         columns[SIGNAL][row] = -np.inf
         words = refusal(write(tmp_path / "run.parquet", columns))
         assert f"row {row + 1}: column '{SIGNAL}' holds an infinite value." in words
+
+
+@pytest.mark.parametrize("size", [0.2, 3.0, 1e300])
+@pytest.mark.parametrize("row", [3, 127, 128, 20_000, 20_010])
+def test_an_outlier_is_found_wherever_it_stands(tmp_path, row, size):
+    # The last window overlaps the one before; all others are clean.
+    columns = dense(20_011)
+    columns[SIGNAL][row] += size
+    record = read(write(tmp_path / "run.parquet", columns), block=None)
+    assert [outlier.row for outlier in record.report.listed] == [row + 1]
+
+
+def test_the_last_window_is_judged_by_what_is_left_of_the_noise(tmp_path):
+    # Many outliers in all windows but the last, which has small ones: these stand out only once
+    # those are no longer counted as noise.
+    columns = table(n=1000)
+    columns[SIGNAL][np.arange(5, 880, 12)] += 3.0
+    columns[SIGNAL][[930, 980]] += 0.12
+    record = read(write(tmp_path / "run.parquet", columns), block=None)
+    found = [outlier.row - 1 for outlier in record.report.listed]
+    assert found == [*range(5, 880, 12), 930, 980]
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=40))
+def test_the_median_is_numpys(values):
+    assert median(np.array(values)) == np.median(values)
 
 
 # --- units of a signal ----------------------------------------------------------------------

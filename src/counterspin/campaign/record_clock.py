@@ -86,6 +86,7 @@ class Clock:
         self._last_time = math.nan
         self._last_angle = math.nan
         self._last_values: list[float] = []
+        self._steps = aligned(0)
         # The first row of a run of unfitting angles that is still open, its time, and its fault.
         self._lost: int | None = None
         self._lost_time = math.nan
@@ -160,7 +161,7 @@ class Clock:
         time = columns[0]
         if len(time) < 2:
             return None
-        steps = _differences(time)
+        steps = self._differences(time)
         shortest, longest = float(steps.min()), float(steps.max())
         if not (shortest > 0 and longest < 1.5 * self.step):
             return None
@@ -173,7 +174,7 @@ class Clock:
         if self._lost is not None:
             return None
         angle = columns[1]
-        advance = _differences(angle)
+        advance = self._differences(angle)
         low, high = float(advance.min()), float(advance.max())
         if not math.isfinite(low + high):
             return None
@@ -200,6 +201,14 @@ class Clock:
             self.found.wrapped = True
             columns = [time, unwrapped, *columns[2:]]
         return Accepted(None, columns, unevenness)
+
+    def _differences(self, column: np.ndarray) -> np.ndarray:
+        """Return the steps of a column, in an array that the next call writes over."""
+        if len(self._steps) < len(column) - 1:
+            self._steps = aligned(len(column) - 1)
+        steps = self._steps[: len(column) - 1]
+        np.subtract(column[1:], column[:-1], out=steps)
+        return steps
 
     def _accept_rows(self, first_row: int, columns: Columns, has_angle: bool) -> Accepted:
         """Judge a piece row by row."""
@@ -367,12 +376,6 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
         # An encoder's step shows again and again, a jump once: it must not excuse itself.
         quantum = min(quantum, _FINE)
     return _LIMIT * _MAD * middle(size) + 3 * quantum + rounding if len(size) else rounding
-
-
-def _differences(column: np.ndarray) -> np.ndarray:
-    steps = aligned(len(column) - 1)
-    np.subtract(column[1:], column[:-1], out=steps)
-    return steps
 
 
 def _wrap(angle: np.ndarray) -> np.ndarray:
