@@ -20,7 +20,7 @@ def described(folder, text='[[runs]]\nrecord = "a.csv"\n'):
     return file
 
 
-@pytest.mark.parametrize("size", [0, 1, (1 << 24) - 1, 1 << 24, (1 << 24) + 1])
+@pytest.mark.parametrize("size", [0, 1, (1 << 23) - 1, 1 << 23, (1 << 23) + 1, 20_000_000])
 def test_files_of_any_size(tmp_path, size):
     data = os.urandom(min(size, 1000)).ljust(size, b"x")
     (tmp_path / "a.csv").write_bytes(data)

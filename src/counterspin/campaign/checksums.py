@@ -21,8 +21,8 @@ from counterspin.errors import CampaignError
 
 #: Niceness of the thread: nothing waits for a checksum before the end.
 _BEHIND: Final = 10
-#: Bytes between two requests for the interpreter's lock, which imports hold for milliseconds.
-_AT_ONCE: Final = 1 << 24
+#: Bytes between two requests for the interpreter's lock, for which imports let others wait.
+_AT_ONCE: Final = 1 << 23
 
 
 class Checksums:
@@ -32,6 +32,7 @@ class Checksums:
         self._worker = ThreadPoolExecutor(1, initializer=_step_back)
         self._taken: dict[Path, Future[str]] = {}
         self._given_up = threading.Event()
+        self._buffer = bytearray()  # filled with zeros by whoever needs it first, and kept
 
     def __enter__(self) -> Checksums:
         return self
@@ -76,7 +77,8 @@ class Checksums:
             if not file.is_file():
                 return "unreadable"
             with file.open("rb", buffering=0) as stream:
-                buffer = memoryview(bytearray(min(_AT_ONCE, file.stat().st_size + 1)))
+                self._buffer = self._buffer or bytearray(_AT_ONCE)
+                buffer = memoryview(self._buffer)
                 while (read := stream.readinto(buffer)) and not self._given_up.is_set():
                     digest.update(buffer[:read])
         except OSError:
