@@ -77,3 +77,12 @@ def test_what_is_no_fault_of_the_program(error, words, monkeypatch, capsys):
     monkeypatch.setattr("counterspin.reproduction.reproduce", fail)
     assert cli.main(["reproduce"]) == 1
     assert words in capsys.readouterr().err
+
+
+def test_ctrl_c_is_acknowledged(monkeypatch, capsys):
+    def interrupted(*_):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("counterspin.commands.init.init", interrupted)
+    assert cli.main(["init", "x"]) == 130
+    assert capsys.readouterr().err == "counterspin: stopped\n"

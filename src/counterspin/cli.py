@@ -23,6 +23,7 @@ app = App(
     help="Calibrate inertial accelerometers on precision centrifuges.",
     version=__version__,
     help_format="plaintext",  # nothing there is Markdown, whose reader takes long to load
+    suppress_keyboard_interrupt=False,  # `main` has a word for it
 )
 
 OutputDirectory = Annotated[Path, Parameter(name=["--output", "-o"])]
