@@ -13,8 +13,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.inference.blocks import triangle_of
 from counterspin.physics.accelerometer import Array
+from counterspin.physics.triangles import triangle_of
 
 
 def functions(angle: Array, harmonics: int) -> Array:

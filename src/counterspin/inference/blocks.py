@@ -4,7 +4,7 @@ However long a record is, what it says about p unknowns fits into p rows. The re
 offset and start velocity are projected out on the way.
 
 - `reduce_block`: a whitened record -> `Block`
-- `triangle_of`, `dependent`: R of a QR factorisation, and what it shows
+- `dependent`: what the triangle of a QR factorisation shows
 """
 
 from __future__ import annotations
@@ -17,10 +17,9 @@ import numpy.typing as npt
 
 from counterspin.errors import NotIdentifiableError
 from counterspin.physics.accelerometer import Array
+from counterspin.physics.triangles import PART, in_parts, triangle_of
 
-#: Rows that one QR takes at a time: a cache's worth, three times faster than all rows at once.
-_PART: Final = 512
-_CHUNK: Final = 32 * _PART  #: rows copied at a time, which bounds the memory
+_CHUNK: Final = 32 * PART  #: rows copied at a time, which bounds the memory
 
 
 @dataclass(frozen=True)
@@ -102,7 +101,7 @@ def reduce_block(
     for start in range(0, n, _CHUNK):
         rows = slice(start, start + _CHUNK)
         chunk = np.column_stack([part[rows] for part in parts] + [y[rows]])
-        triangle = triangle_of(np.vstack([triangle, _in_parts(chunk)]))
+        triangle = triangle_of(np.vstack([triangle, in_parts(chunk)]))
     if not np.isfinite(triangle).all():
         raise ValueError("the columns or the observations hold numbers that are not finite")
 
@@ -121,24 +120,6 @@ def reduce_block(
         rows=n,
         nuisance=m,
     )
-
-
-def _in_parts(rows: Array) -> Array:
-    """Return the triangles of parts of the rows, one above the other, and the rows that are left.
-
-    R of these is R of all rows (Demmel et al., SIAM J. Sci. Comput. 34 (2012) A206).
-    """
-    width = rows.shape[1]
-    whole = len(rows) // _PART * _PART
-    if whole == 0:
-        return rows
-    triangles = triangle_of(rows[:whole].reshape(-1, _PART, width)).reshape(-1, width)
-    return np.concatenate([triangles, rows[whole:]])
-
-
-def triangle_of(matrix: Array) -> Array:
-    """Return R of the QR factorisation, shape (min(n, p), p); also of a stack of matrices."""
-    return np.asarray(np.linalg.qr(matrix, mode="r"))
 
 
 def dependent(triangle: Array) -> npt.NDArray[np.intp]:

@@ -15,10 +15,10 @@ from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
-from counterspin.inference.blocks import triangle_of
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.run_information import RunInformation
 from counterspin.physics.accelerometer import Array
+from counterspin.physics.triangles import triangle_of
 
 #: Relative step of the derivatives of a run's information, by central differences.
 _STEP: Final = 1e-4

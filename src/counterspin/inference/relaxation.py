@@ -30,9 +30,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.inference.blocks import triangle_of
 from counterspin.inference.design import Criterion, Limits, Predictor, RunType
 from counterspin.physics.accelerometer import Array
+from counterspin.physics.triangles import triangle_of
 
 Places = npt.NDArray[np.intp]
 

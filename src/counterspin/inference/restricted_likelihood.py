@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.blocks import triangle_of
 from counterspin.inference.noise import Differences, solve_banded_factor
+from counterspin.physics.triangles import triangle_of
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ and sine of harmonics of the revolution. The encoder's noise leaves the coeffici
 
 - `AngleError`: the coefficients, their covariance, their functions of time
 - `displaced`: what changes of the angle do to position, velocity and acceleration
-- `slow_part`, `triangular_root`: what the fit needs to state them
+- `slow_part`: what the fit needs to state them
 """
 
 from __future__ import annotations
@@ -116,14 +116,6 @@ def slow_part(monomials: Array, rate: float, start: float, span: float) -> Array
     scale = np.array([1.0, slope, 3.0 * slope**2 / rate])
     rows: Array = scale[:, None] * (legendre @ shift @ monomials)
     return rows
-
-
-def triangular_root(factor: Array) -> Array:
-    """Return the lower triangular L with L @ L.T = factor @ factor.T and no negative diagonal."""
-    upper = np.linalg.qr(factor.T, mode="r")
-    signs = np.where(np.diagonal(upper) < 0.0, -1.0, 1.0)
-    lower: Array = (signs[:, None] * upper).T
-    return lower
 
 
 def displaced(

@@ -18,14 +18,14 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.errors import ConvergenceError, NotIdentifiableError
-from counterspin.physics.angle_error import HARMONICS, AngleError, slow_part, triangular_root
+from counterspin.physics.angle_error import HARMONICS, AngleError, slow_part
+from counterspin.physics.triangles import in_parts, triangle_of, triangular_root
 
 Array = npt.NDArray[np.float64]
 
 TURN: Final = 2.0 * math.pi  #: rad
 
 MAX_HARMONICS: Final = 8  #: highest ripple harmonic that `fit_spindle` tries by itself
-_PART: Final = 512  # rows that one QR takes at a time: a cache's worth
 
 
 @dataclass(frozen=True)
@@ -285,7 +285,7 @@ def _fit(
     columns[-1] = root_weight * target
     for _ in range(20):
         _waves(w0 * time, harmonics, root_weight, columns[3:-1])
-        triangle = _triangle(columns)
+        triangle = triangle_of(in_parts(columns.T))
         r = triangle[:unknowns, :unknowns]
         # R's columns are as long as the design's.
         size = np.maximum(np.linalg.norm(r, axis=0), math.sqrt(n))
@@ -351,20 +351,6 @@ def _waves(angle: Array, harmonics: Sequence[int], size: Array, rows: Array) -> 
         if harmonic in harmonics:
             rows[place], rows[place + 1] = power.real, power.imag
             place += 2
-
-
-def _triangle(columns: Array) -> Array:
-    """Return R of the QR factorisation of the matrix with the columns (m, n), in parts.
-
-    As exact as in one go, but the parts fit the cache: R of the stacked R of all parts is that of
-    the whole (Demmel et al., SIAM J. Sci. Comput. 34 (2012) A206).
-    """
-    width, rows = columns.shape
-    whole = rows // _PART * _PART
-    parts = columns[:, :whole].reshape(width, -1, _PART).transpose(1, 2, 0)
-    triangles = np.asarray(np.linalg.qr(parts, mode="r"))
-    rest = np.concatenate([triangles.reshape(-1, width), columns[:, whole:].T])
-    return np.asarray(np.linalg.qr(rest, mode="r"))
 
 
 def _ripples(
