@@ -2,11 +2,17 @@
 
 import errno
 import shlex
+import shutil
+import subprocess
+import sys
+from pathlib import Path
 
 import pytest
 
 from counterspin import cli
 
+#: Where the command is installed: beside the interpreter.
+BESIDE = str(Path(sys.executable).parent)
 COMMANDS = [name for name in cli.app if not name.startswith("-")]
 
 
@@ -86,3 +92,15 @@ def test_ctrl_c_is_acknowledged(monkeypatch, capsys):
     monkeypatch.setattr("counterspin.commands.init.init", interrupted)
     assert cli.main(["init", "x"]) == 130
     assert capsys.readouterr().err == "counterspin: stopped\n"
+
+
+@pytest.mark.parametrize(
+    "command", [[sys.executable, "-m", "counterspin"], [shutil.which("counterspin", path=BESIDE)]]
+)
+def test_a_process_of_its_own_says_how_it_went(command):
+    def status(*words):
+        return subprocess.run([*command, *words], capture_output=True, check=False).returncode
+
+    assert status("--version") == 0
+    assert status("init") == 2
+    assert status("apply", "no-result.json", "x.csv", "--accelerometer", "Qx", "-o", "y.csv") == 1
