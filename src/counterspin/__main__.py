@@ -20,8 +20,10 @@ def run() -> int:
     # While records are read, which asks for the interpreter's lock often and briefly, modules are
     # imported that would keep it for long.
     sys.setswitchinterval(1e-4)
-    from counterspin.cli import main
-
+    try:
+        from counterspin.cli import main
+    except KeyboardInterrupt:
+        return 130  # as `main` has it; nothing has been begun
     try:
         return main()
     finally:
