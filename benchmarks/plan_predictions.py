@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 
-from counterspin.campaign.plan_description import read_plan
-from counterspin.commands.plan_search import Search
+from counterspin.planning.description import read_plan
+from counterspin.planning.search import Search
 
 BATCH = 100
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from importlib.resources import files
 
-PAPER = files("counterspin.commands") / "paper.toml"
+PAPER = files("counterspin.reproduction") / "paper.toml"
 
 GIVEN = """
 [study]

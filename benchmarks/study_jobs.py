@@ -27,16 +27,16 @@ from typing import Any
 import numpy as np
 
 import study_peers as peers
-from counterspin.campaign.study import read_study
-from counterspin.commands.study_setup import analyses_of, truth_of, world_of
-from counterspin.commands.study_work import Ledger, run_batches
-from counterspin.inference.study_choice import EngineName, prepare
-from counterspin.inference.study_draws import Draws, stream
-from counterspin.inference.study_engine import StudyEngine
-from counterspin.inference.study_tally import summarise
-from counterspin.inference.study_two_stage import TwoStageEngine
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import columns
+from counterspin.studies.choice import EngineName, prepare
+from counterspin.studies.description import read_study
+from counterspin.studies.draws import Draws, stream
+from counterspin.studies.engine import StudyEngine
+from counterspin.studies.preparation import analyses_of, truth_of, world_of
+from counterspin.studies.tally import summarise
+from counterspin.studies.two_stage import TwoStageEngine
+from counterspin.studies.work import Ledger, run_batches
 from study_campaigns import GIVEN, RESIDUALS, VARYING, campaign_of
 
 Job = Callable[[], object]

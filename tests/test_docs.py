@@ -167,8 +167,8 @@ def test_readme_lists_every_command():
 
 
 def test_picture_shows_what_the_demonstration_draws(records, tmp_path):
-    from counterspin.report.demonstration import demonstration_figure
-    from counterspin.report.figure import save
+    from counterspin.reports.figure import save
+    from counterspin.reproduction.demo_page import demonstration_figure
 
     # Not byte for byte: matplotlib versions differ in the digits of a path.
     save(demonstration_figure(cs.demo(records)), tmp_path / "now.svg")

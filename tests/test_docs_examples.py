@@ -4,10 +4,10 @@ from pathlib import Path
 
 import pytest
 
-from counterspin.campaign.result import read_result
-from counterspin.report.blocks import Paragraph
-from counterspin.report.certificate.reading import read_certificate
-from counterspin.report.document import document, identifier_of
+from counterspin.calibration.pages.full_report import document, identifier_of
+from counterspin.calibration.result import read_result
+from counterspin.certificates.reading import read_certificate
+from counterspin.reports.blocks import Paragraph
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "three-rate"
 RESULT = read_result(EXAMPLES / "result.json")

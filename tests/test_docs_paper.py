@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from counterspin.reproduction import reproduce
+from counterspin.reproduction.comparison import reproduce
 
 PAGE = (Path(__file__).parents[1] / "docs" / "paper.md").read_text(encoding="utf-8")
 

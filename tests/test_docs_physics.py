@@ -5,12 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from counterspin.physics.accelerometer import (
-    DEGREE_PER_HOUR,
-    PLATFORM_TERMS,
-    QX,
-    TERMS,
-)
+from counterspin.physics.accelerometer import DEGREE_PER_HOUR, PLATFORM_TERMS, QX, TERMS
 from counterspin.physics.observation import parabola
 
 PAGE = (Path(__file__).parents[1] / "docs" / "physics.md").read_text(encoding="utf-8")

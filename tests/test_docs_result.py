@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from counterspin.campaign import result, result_parts
+from counterspin.calibration import result, result_parts
 
 PAGE = (Path(__file__).parents[1] / "docs" / "result.md").read_text(encoding="utf-8")
 PARTS = {

@@ -41,12 +41,17 @@ def test_module_is_short_enough_to_read(module):
     assert lines <= 400
 
 
-@pytest.mark.parametrize("room", ["physics", "inference"])
+ROOMS = [path.parent for path in MODULES if path.name == "__init__.py" and path.parent != PACKAGE]
+
+
+@pytest.mark.parametrize("room", ROOMS, ids=lambda path: path.relative_to(PACKAGE).as_posix())
 def test_room_s_docstring_names_every_module(room):
-    modules = {path.stem for path in (PACKAGE / room).glob("[a-z]*.py")}
-    docstring = (PACKAGE / room / "__init__.py").read_text(encoding="utf-8")
-    listed = "".join(re.findall(r"^- (.+?):", docstring, re.MULTILINE))
-    assert set(re.findall(r"`(\w+)`", listed)) == modules
+    modules = {path.stem for path in room.glob("[a-z]*.py")}
+    modules |= {path.parent.name for path in room.glob("*/__init__.py")}
+    docstring = (room / "__init__.py").read_text(encoding="utf-8")
+    bullets = "".join(re.findall(r"^- (?:.+\n)(?:  .+\n)*", docstring, re.MULTILINE))
+    heads = "".join(re.findall(r"((?:`\w+`(?:,\s+)?)+):", bullets))
+    assert set(re.findall(r"`(\w+)`", heads)) == modules
 
 
 def terms_listed(literal):

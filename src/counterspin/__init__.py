@@ -67,39 +67,35 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from counterspin._version import __version__ as __version__
+    from counterspin.calibration.calibrate import calibrate as calibrate
+    from counterspin.calibration.options import TwoStageOptions as TwoStageOptions
+    from counterspin.calibration.pages.publishing import write_report as write_report
+    from counterspin.calibration.pages.terminal import print_result as print_result
+    from counterspin.calibration.result import Result as Result
+    from counterspin.calibration.result import read_result as read_result
+    from counterspin.calibration.result import write_result as write_result
     from counterspin.campaign.description import read_campaign as read_campaign
-    from counterspin.campaign.forecast import Forecast as Forecast
-    from counterspin.campaign.forecast import forecast as forecast
     from counterspin.campaign.resolved import Campaign as Campaign
-    from counterspin.campaign.result import Result as Result
-    from counterspin.campaign.result import read_result as read_result
-    from counterspin.campaign.result import write_result as write_result
-    from counterspin.commands.apply import Correction as Correction
-    from counterspin.commands.apply import apply as apply
-    from counterspin.commands.apply_file import apply_file as apply_file
-    from counterspin.commands.calibrate import calibrate as calibrate
-    from counterspin.commands.demo import Demonstration as Demonstration
-    from counterspin.commands.demo import demo as demo
-    from counterspin.commands.history import history as history
-    from counterspin.commands.history_result import History as History
-    from counterspin.commands.init import init as init
-    from counterspin.commands.method import TwoStageOptions as TwoStageOptions
-    from counterspin.commands.plan import Planned as Planned
-    from counterspin.commands.plan import plan as plan
-    from counterspin.commands.simulate import simulate as simulate
+    from counterspin.campaign.simulation import simulate as simulate
+    from counterspin.campaign.starter import init as init
+    from counterspin.correction.apply import Correction as Correction
+    from counterspin.correction.apply import apply as apply
+    from counterspin.correction.apply_file import apply_file as apply_file
     from counterspin.errors import CampaignError as CampaignError
     from counterspin.errors import ConvergenceError as ConvergenceError
     from counterspin.errors import CounterspinError as CounterspinError
     from counterspin.errors import NotIdentifiableError as NotIdentifiableError
     from counterspin.errors import RecordError as RecordError
-    from counterspin.inference.first_stage import Parabola as Parabola
-    from counterspin.inference.first_stage import first_stage as first_stage
-    from counterspin.inference.strobes import by_angle as strobes_by_angle  # noqa: F401
-    from counterspin.inference.strobes import by_nominal_rate as strobes_by_nominal_rate  # noqa: F401
-    from counterspin.inference.strobes import strobe_angle as strobe_angle
-    from counterspin.inference.two_stage import SecondStage as SecondStage
-    from counterspin.inference.two_stage import StrobedRun as StrobedRun
-    from counterspin.inference.two_stage import second_stage as second_stage
+    from counterspin.histories.history import history as history
+    from counterspin.histories.result import History as History
+    from counterspin.inference.two_stage.first_stage import Parabola as Parabola
+    from counterspin.inference.two_stage.first_stage import first_stage as first_stage
+    from counterspin.inference.two_stage.second_stage import SecondStage as SecondStage
+    from counterspin.inference.two_stage.second_stage import StrobedRun as StrobedRun
+    from counterspin.inference.two_stage.second_stage import second_stage as second_stage
+    from counterspin.inference.two_stage.strobes import by_angle as strobes_by_angle  # noqa: F401
+    from counterspin.inference.two_stage.strobes import by_nominal_rate as strobes_by_nominal_rate  # noqa: F401
+    from counterspin.inference.two_stage.strobes import strobe_angle as strobe_angle
     from counterspin.physics.accelerometer import PLATFORM_TERMS as PLATFORM_TERMS
     from counterspin.physics.accelerometer import QX as QX
     from counterspin.physics.accelerometer import QY as QY
@@ -114,29 +110,33 @@ if TYPE_CHECKING:
     from counterspin.physics.spindle import Ripple as Ripple
     from counterspin.physics.spindle import Spindle as Spindle
     from counterspin.physics.spindle import fit_spindle as fit_spindle
-    from counterspin.report.publishing import write_report as write_report
-    from counterspin.report.text import print_result as print_result
-    from counterspin.reproduction import Reproduction as Reproduction
-    from counterspin.reproduction import reproduce as reproduce
+    from counterspin.planning.forecast import Forecast as Forecast
+    from counterspin.planning.forecast import forecast as forecast
+    from counterspin.planning.plan import Planned as Planned
+    from counterspin.planning.plan import plan as plan
+    from counterspin.reproduction.comparison import reproduce as reproduce
+    from counterspin.reproduction.demo import Demonstration as Demonstration
+    from counterspin.reproduction.demo import demo as demo
+    from counterspin.reproduction.result import Reproduction as Reproduction
 
 #: Module -> what it offers here. The same again, for those who run the code and do not check it;
 #: a test holds the two together.
 _OFFERED = {
     "_version": ("__version__",),
     "campaign.description": ("read_campaign",),
-    "campaign.forecast": ("Forecast", "forecast"),
+    "planning.forecast": ("Forecast", "forecast"),
     "campaign.resolved": ("Campaign",),
-    "campaign.result": ("Result", "read_result", "write_result"),
-    "commands.apply": ("Correction", "apply"),
-    "commands.apply_file": ("apply_file",),
-    "commands.calibrate": ("calibrate",),
-    "commands.demo": ("Demonstration", "demo"),
-    "commands.history": ("history",),
-    "commands.history_result": ("History",),
-    "commands.init": ("init",),
-    "commands.plan": ("Planned", "plan"),
-    "commands.simulate": ("simulate",),
-    "commands.method": ("TwoStageOptions",),
+    "calibration.result": ("Result", "read_result", "write_result"),
+    "correction.apply": ("Correction", "apply"),
+    "correction.apply_file": ("apply_file",),
+    "calibration.calibrate": ("calibrate",),
+    "reproduction.demo": ("Demonstration", "demo"),
+    "histories.history": ("history",),
+    "histories.result": ("History",),
+    "campaign.starter": ("init",),
+    "planning.plan": ("Planned", "plan"),
+    "campaign.simulation": ("simulate",),
+    "calibration.options": ("TwoStageOptions",),
     "errors": (
         "CampaignError",
         "ConvergenceError",
@@ -144,9 +144,9 @@ _OFFERED = {
         "NotIdentifiableError",
         "RecordError",
     ),
-    "inference.first_stage": ("Parabola", "first_stage"),
-    "inference.strobes": ("by_angle", "by_nominal_rate", "strobe_angle"),
-    "inference.two_stage": ("SecondStage", "StrobedRun", "second_stage"),
+    "inference.two_stage.first_stage": ("Parabola", "first_stage"),
+    "inference.two_stage.strobes": ("by_angle", "by_nominal_rate", "strobe_angle"),
+    "inference.two_stage.second_stage": ("SecondStage", "StrobedRun", "second_stage"),
     "physics.accelerometer": (
         "PLATFORM_TERMS",
         "QX",
@@ -159,9 +159,10 @@ _OFFERED = {
     "physics.motion": ("Site", "Trajectory"),
     "physics.observation": ("columns", "reference"),
     "physics.spindle": ("Ripple", "Spindle", "fit_spindle"),
-    "report.publishing": ("write_report",),
-    "report.text": ("print_result",),
-    "reproduction": ("Reproduction", "reproduce"),
+    "calibration.pages.publishing": ("write_report",),
+    "calibration.pages.terminal": ("print_result",),
+    "reproduction.comparison": ("reproduce",),
+    "reproduction.result": ("Reproduction",),
 }
 
 #: Names that are too short to stand without their module.

@@ -13,9 +13,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.campaign.checking import did_you_mean
 from counterspin.campaign.quantity import parse
-from counterspin.physics.accelerometer import DIRECTIONS, Array, direction
+from counterspin.physics.accelerometer import DIRECTIONS, direction
 
 #: What an attitude may look like, for messages.
 _FORMS = '"level", "90 deg about east" or { x = "east", y = "up" }'

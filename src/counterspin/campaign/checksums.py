@@ -16,7 +16,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from counterspin.campaign.document import description_file, load_document
+from counterspin.campaign.toml_file import description_file, load_document
 from counterspin.errors import CampaignError
 
 #: Niceness of the thread: nothing waits for a checksum before the end.

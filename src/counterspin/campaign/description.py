@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 from counterspin.campaign.checking import M, Problems
-from counterspin.campaign.document import DESCRIPTION_NAME, description_file, load_document
 from counterspin.campaign.quantity import Quantity, unit_factor
 from counterspin.campaign.resolved import (
     Accelerometer,
@@ -43,6 +42,7 @@ from counterspin.campaign.settings import (
 )
 from counterspin.campaign.specification import Specifications, resolve_specifications
 from counterspin.campaign.terms import DEFAULT_TERMS, about_nominal, resolve_model
+from counterspin.campaign.toml_file import DESCRIPTION_NAME, description_file, load_document
 from counterspin.campaign.truth import TRUTH_TABLES, resolve_run_truth, resolve_simulation
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import TERMS, Mounting

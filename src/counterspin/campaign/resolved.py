@@ -13,9 +13,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from counterspin.arrays import Array
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.specification import Specifications
-from counterspin.physics.accelerometer import Array, Mounting
+from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.spindle import Spindle
 

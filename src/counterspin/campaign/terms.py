@@ -15,18 +15,12 @@ from typing import Any, Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.resolved import Model
 from counterspin.campaign.settings import ModelSettings, exact
-from counterspin.physics.accelerometer import (
-    PLATFORM_TERMS,
-    TERMS,
-    Array,
-    Mounting,
-    PlatformTerm,
-    term,
-)
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, Mounting, PlatformTerm, term
 
 #: The model of a campaign without [model] terms: the paper's.
 DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")

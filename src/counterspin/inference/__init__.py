@@ -6,31 +6,10 @@ What stands in this room:
 - `least_squares`, `plain_fit`: blocks, priors and considered terms, solved by QR; one fit alone
 - `identifiability`: what the data cannot tell apart, by name
 - `diagnostics`: whether the model fits the records
-- `noise`, `riccati`: models of a record's noise, and whitening with them
-- `variance_components`, `restricted_likelihood`: the noise's size, estimated from the records
-- `unseen_noise`: what noise that the records do not show may add to the uncertainty
-- `strobes`: the samples of a record at one angle of each revolution (Eq. 15)
-- `first_stage`, `two_stage`: the paper's method, a parabola a run and then its curvature
-  against the rate
-- `series`: one accelerometer's output in one run, with its columns and its whitening
-- `model`, `inputs`: what a joint fit estimates and considers; what uncertain inputs change
-- `encoder`: what the encoder's noise leaves open of each run's rotation
-- `joint`: full records of all runs and accelerometers, solved together
-- `estimation`: the joint estimate step by step
-- `thinning`: residuals for pictures
-- `outliers`, `rotation`: samples that noise does not explain; how runs without angles turned
-- `setup`, `angle_functions`, `run_information`: what a run of a plan would tell, as a smooth
-  function of its rate and length
-- `design`: plans, what they may be and how good they are
-- `relaxation`, `polishing`, `optimal`: the best plan, and what no plan can better
-- `study_draws`, `study_tally`: what varies in a Monte-Carlo study; what its trials amount to
-- `study_strobes`, `study_surrogate`: what errors add to a strobed run, by quadrature and as a
-  polynomial
-- `study_two_stage`, `study_joint`, `study_full`: trials by sufficient statistics, by whole records
-- `study_validity`, `study_choice`, `study_engine`: where shortcuts hold, which is taken, batches
 - `conformity`: whether a quantity meets a specification, and the risk of being wrong
-- `consistency`: whether repeated measurements agree, and whether what they measure drifts
-- `budget`, `left_out`: where the uncertainty of a coefficient comes from; what is not in it
+- `noise`: models of a record's noise, whitening, estimation of its size
+- `joint`: full records of all runs and accelerometers, solved together
+- `two_stage`: the paper's method, a parabola a run and then its curvature against the rate
 
 Glossary
 --------

@@ -15,9 +15,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from counterspin.arrays import PART, Array, in_parts, triangle_of
 from counterspin.errors import NotIdentifiableError
-from counterspin.physics.accelerometer import Array
-from counterspin.physics.triangles import PART, in_parts, triangle_of
 
 _CHUNK: Final = 32 * PART  #: rows copied at a time, which bounds the memory
 

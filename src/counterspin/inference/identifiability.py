@@ -21,9 +21,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from counterspin.arrays import Array, triangle_of
 from counterspin.inference.least_squares import Solution
-from counterspin.physics.accelerometer import Array
-from counterspin.physics.triangles import triangle_of
 
 #: What stands for "no information": a factor of 1e12 below a column's own, far enough to exceed
 #: every credible limit and still well above rounding.

@@ -22,10 +22,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from counterspin.arrays import Array, triangle_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.blocks import Block, dependent
-from counterspin.physics.accelerometer import Array
-from counterspin.physics.triangles import triangle_of
 
 #: The numerical regularisation of an unknown without a prior, in units of its credible limit.
 #: At least a factor of 1e4 above what anybody believes, it moves no determined estimate by more

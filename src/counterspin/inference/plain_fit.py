@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.blocks import reduce_block
 from counterspin.inference.least_squares import solve
-from counterspin.physics.accelerometer import Array
 
 
 @dataclass(frozen=True)

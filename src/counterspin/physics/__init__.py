@@ -2,7 +2,6 @@
 
 What stands in this room, from the ground up:
 
-- `triangles`: triangular factors of tall matrices, by which fits are solved
 - `spindle`: the angle model of the spindle (Eq. 1-4) and its fit to a recorded angle
 - `angle_error`: how far that fit may be from the true angle, and what it does to the motion
 - `accelerometer`: mountings, the error model (Eq. 7) and the one table of error terms

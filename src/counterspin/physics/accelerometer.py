@@ -22,9 +22,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from counterspin.arrays import Array
 
 DEGREE_PER_HOUR: Final = math.radians(1.0) / 3600.0  #: rad/s
 

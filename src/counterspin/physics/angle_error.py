@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from counterspin.arrays import Array
 
 #: What the three polynomials stand for.
 SLOW: Final = ("angle", "rate", "drift")

@@ -22,9 +22,8 @@ import math
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
-Array = npt.NDArray[np.float64]
+from counterspin.arrays import Array
 
 RippleModel = Literal["amplitude", "ratio"]
 

@@ -17,7 +17,8 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.physics.accelerometer import TERMS, Array, Mounting
+from counterspin.arrays import Array
+from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.inversion import NotInvertibleError, invert
 
 _EPS: Final = float(np.finfo(np.float64).eps)

@@ -15,8 +15,9 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
-from counterspin.physics.accelerometer import TERMS, Array
+from counterspin.physics.accelerometer import TERMS
 
 _EPS: Final = float(np.finfo(np.float64).eps)
 

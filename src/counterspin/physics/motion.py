@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.physics.accelerometer import Array
+from counterspin.arrays import Array
 from counterspin.physics.spindle import Spindle
 
 EARTH_RATE: Final = 7.292115e-5  #: rad/s, rotation rate of the Earth (WGS 84)

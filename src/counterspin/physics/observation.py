@@ -19,14 +19,9 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.physics import quadrature
-from counterspin.physics.accelerometer import (
-    Array,
-    Mounting,
-    PlatformTerm,
-    Term,
-    term,
-)
+from counterspin.physics.accelerometer import Mounting, PlatformTerm, Term, term
 from counterspin.physics.motion import Motion, Trajectory
 
 #: How often each observable integrates the specific force.

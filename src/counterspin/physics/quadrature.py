@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from numpy.polynomial import chebyshev, legendre
 
-from counterspin.physics.accelerometer import Array
+from counterspin.arrays import Array
 from counterspin.physics.spindle import Spindle
 
 NODES: Final = 16  #: Gauss-Legendre nodes in a panel

@@ -15,8 +15,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.physics import observation, quadrature
-from counterspin.physics.accelerometer import PLATFORM_TERMS, Array, Mounting, indicated
+from counterspin.physics.accelerometer import PLATFORM_TERMS, Mounting, indicated
 from counterspin.physics.motion import Trajectory
 
 

@@ -15,13 +15,10 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from counterspin.arrays import Array, in_parts, triangle_of, triangular_root
 from counterspin.errors import ConvergenceError, NotIdentifiableError
 from counterspin.physics.angle_error import HARMONICS, AngleError, slow_part
-from counterspin.physics.triangles import in_parts, triangle_of, triangular_root
-
-Array = npt.NDArray[np.float64]
 
 TURN: Final = 2.0 * math.pi  #: rad
 

@@ -10,8 +10,8 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.physics import as_printed
-from counterspin.physics.accelerometer import Array
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.reproduction.plan import (

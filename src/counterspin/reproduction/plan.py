@@ -13,11 +13,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from counterspin.inference.first_stage import Parabola, first_stage
-from counterspin.inference.strobes import Strobes
-from counterspin.inference.two_stage import StrobedRun
+from counterspin.arrays import Array
+from counterspin.inference.two_stage.first_stage import Parabola, first_stage
+from counterspin.inference.two_stage.second_stage import StrobedRun
+from counterspin.inference.two_stage.strobes import Strobes
 from counterspin.physics import quadrature
-from counterspin.physics.accelerometer import QX, Array, indicated
+from counterspin.physics.accelerometer import QX, indicated
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Ripple, Spindle
 

@@ -14,10 +14,16 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.inference import plain_fit
-from counterspin.inference.two_stage import RIPPLE, SecondStage, StrobedRun, second_stage
+from counterspin.inference.two_stage.second_stage import (
+    RIPPLE,
+    SecondStage,
+    StrobedRun,
+    second_stage,
+)
 from counterspin.physics import as_printed
-from counterspin.physics.accelerometer import QX, Array
+from counterspin.physics.accelerometer import QX
 from counterspin.physics.motion import Site
 from counterspin.physics.observation import parabola
 from counterspin.reproduction.plan import (

@@ -1,0 +1,15 @@
+"""The main job: from a campaign's folder to the coefficients and what may be said of them.
+
+- `calibrate`: the whole way, from a folder to a `Result`; `batch`: many campaigns
+- `options`: how a calibration is made
+- `observed`: records brought together with the rotation they were taken on
+- `assembly`: from observed runs to a `Result`, by either method
+- `joint_problem`, `joint`: the joint fit's unknowns, priors and noise; its outcome
+- `joint_parts`, `joint_checks`, `joint_traces`: its values and budgets; its checks; its residuals,
+  thinned for pictures
+- `two_stage`, `two_stage_findings`: the paper's method; what its result must say beside
+- `conformity`: whether coefficients meet their specifications
+- `result`, `result_parts`: what a calibration found, its JSON; what it is made of
+- `verdict`: whether a result is good
+- `pages`: the result as a person reads it
+"""

@@ -1,0 +1,224 @@
+"""From observed runs to a `Result`, by either method.
+
+- `calibration`: estimates, and brings together what the result says
+- `run_result`, `campaign_warnings`: what single runs showed; what a user should know
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+from counterspin._version import __version__
+from counterspin.calibration.conformity import with_conformity
+from counterspin.calibration.joint import joint
+from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.options import Method, TwoStageOptions
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import (
+    Coefficient,
+    Inputs,
+    ParabolaResult,
+    Provenance,
+    RippleResult,
+    RunResult,
+)
+from counterspin.calibration.two_stage import two_stage
+from counterspin.campaign.resolved import Campaign
+from counterspin.inference.joint.fit import ROTATION
+
+#: More outliers than this part of a run's samples are worth a warning.
+_MANY_OUTLIERS: Final = 0.05
+
+
+def calibration(
+    campaign: Campaign,
+    observed: Sequence[ObservedRun],
+    method: Method,
+    options: TwoStageOptions,
+    checksums: Callable[[], Mapping[str, str]],
+) -> Result:
+    """Estimate every coefficient, and bring together what the result says.
+
+    Parameters
+    ----------
+    campaign, observed
+        The description and its runs.
+    method, options
+        As of `counterspin.calibration.calibrate.calibrate`.
+    checksums
+        Returns file name -> checksum; called at the end, as they may take longest.
+
+    Returns
+    -------
+    Result
+
+    Raises
+    ------
+    NotIdentifiableError, ConvergenceError
+        If the runs cannot determine the unknowns.
+    """
+    estimated = (
+        _jointly(campaign, observed)
+        if method == "joint"
+        else _in_two_stages(campaign, observed, options)
+    )
+    estimated["warnings"] += _many_outliers(estimated["runs"], len(campaign.accelerometers))
+    result = Result(
+        method=method,
+        title=campaign.title,
+        inputs=Inputs(
+            gravity=campaign.gravity.value,
+            latitude=campaign.latitude.value,
+            radius=campaign.radius.value,
+        ),
+        details=dict(campaign.details),
+        provenance=Provenance(
+            version=__version__,
+            inputs=dict(checksums()),
+            options=[] if method == "joint" else ["--method=two-stage", *options.words()],
+        ),
+        **estimated,
+    )
+    if campaign.specifications is None:
+        return result
+    return with_conformity(result, campaign.specifications)
+
+
+def _jointly(campaign: Campaign, observed: Sequence[ObservedRun]) -> dict[str, Any]:
+    outcome = joint(campaign, observed)
+    return {
+        "model": "exact",
+        "accelerometers": outcome.accelerometers,
+        "platform": outcome.platform,
+        "confounded": outcome.confounded,
+        "runs": {
+            run.run.name: run_result(
+                run,
+                terms=outcome.runs[run.run.name],
+                fit=outcome.fits[run.run.name],
+                outliers=outcome.outliers[run.run.name],
+            )
+            for run in observed
+        },
+        "warnings": [*campaign_warnings(campaign, observed), *outcome.warnings],
+    }
+
+
+def _in_two_stages(
+    campaign: Campaign, observed: Sequence[ObservedRun], options: TwoStageOptions
+) -> dict[str, Any]:
+    outcomes = {
+        name: two_stage(campaign, observed, accelerometer, options)
+        for name, accelerometer in campaign.accelerometers.items()
+    }
+    return {
+        "model": options.model,
+        "accelerometers": {name: outcome.result for name, outcome in outcomes.items()},
+        "runs": {
+            run.run.name: run_result(
+                run,
+                parabolas={
+                    name: outcome.parabolas[run.run.name] for name, outcome in outcomes.items()
+                },
+            )
+            for run in observed
+        },
+        "warnings": campaign_warnings(campaign, observed),
+    }
+
+
+def run_result(
+    run: ObservedRun,
+    *,
+    parabolas: Mapping[str, ParabolaResult] | None = None,
+    terms: Mapping[str, Coefficient] | None = None,
+    fit: Mapping[str, dict[str, float | str | None]] | None = None,
+    outliers: int = 0,
+) -> RunResult:
+    """Return what one run showed of its rotation and its samples.
+
+    Parameters
+    ----------
+    run
+        The run.
+    parabolas
+        Its first stages, by accelerometer.
+    terms
+        The terms that belong to the run itself, such as its tilt.
+    fit
+        Tests of its residuals, by accelerometer.
+    outliers
+        How many samples the fit has left out beside those that reading has.
+    """
+    rotation, report = run.rotation, run.record.report
+    spindle, own = run.trajectory.spindle, dict(terms or {})
+    # Where no angle was recorded the joint fit has found the rotation.
+    found = {symbol: own.pop(symbol) for symbol in ROTATION if symbol in own}
+    _, rate, drift = (found.get(symbol) for symbol in ROTATION)
+    outliers += sum(report.outliers.values())
+    empty = sum(report.empty.values())
+    ripples = [
+        RippleResult(
+            harmonic=ripple.harmonic,
+            amplitude=ripple.amplitude,
+            u_amplitude=u_amplitude,
+            phase=ripple.phase,
+            u_phase=u_phase,
+        )
+        for ripple, (u_amplitude, u_phase) in zip(
+            spindle.ripples, rotation.u_ripples if rotation else (), strict=True
+        )
+    ]
+    return RunResult(
+        rate=rate.value if rate and rate.value is not None else spindle.rate,
+        u_rate=rotation.u_rate if rotation else rate.u if rate else None,
+        drift=drift.value if drift and drift.value is not None else spindle.drift,
+        u_drift=rotation.u_drift if rotation else drift.u if drift else None,
+        ripples=ripples,
+        angle_rms=rotation.rms if rotation else None,
+        samples=report.used,
+        rejected=report.repeated + empty + outliers,
+        counts={
+            "rows": report.rows,
+            "repeated": report.repeated,
+            "empty": empty,
+            "outliers": outliers,
+            "gaps": report.gap_count,
+            "block": report.block,
+        },
+        notes=report.notes(),
+        parabolas=dict(parabolas or {}),
+        terms=own,
+        fit=dict(fit or {}),
+    )
+
+
+def _many_outliers(runs: Mapping[str, RunResult], accelerometers: int) -> list[str]:
+    return [
+        f"{name}: {run.counts['outliers']} samples of {run.counts['rows'] * accelerometers} were "
+        "left out as outliers; what remains is only as good as the reason for it. Look at the "
+        "record."
+        for name, run in runs.items()
+        if run.counts["outliers"] > _MANY_OUTLIERS * run.counts["rows"] * accelerometers
+    ]
+
+
+def campaign_warnings(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
+    """Return what a user should know of the campaign as a whole."""
+    warnings = []
+    if campaign.angle is None:
+        warnings.append(
+            "The records have no angle: the nominal rates are taken for the rotation, and the "
+            "drift of the rate is an unknown."
+        )
+    for run in observed:
+        if run.rotation is None:
+            continue
+        rate = run.rotation.spindle.rate
+        if abs(rate / run.run.rate - 1.0) > 1e-3:
+            warnings.append(
+                f"{run.run.name}: the spindle turned at {rate:.6f} rad/s, not at the nominal "
+                f"{run.run.rate:.6f} rad/s; the recorded angle is what counts."
+            )
+    return warnings

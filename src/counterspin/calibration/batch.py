@@ -1,0 +1,164 @@
+"""`counterspin calibrate DIR1 DIR2 ...`: many campaigns, one failure stopping no other.
+
+- `calibrate_many`: all of them, on several cores or a cluster
+- `Calibrated`: what became of one
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.options import Method, TwoStageOptions
+from counterspin.calibration.result import Result
+from counterspin.errors import CounterspinError
+from counterspin.workers import crew_of
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """What became of one campaign.
+
+    Attributes
+    ----------
+    directory
+        As it was named.
+    result
+        Its result, or None.
+    error
+        Why there is none.
+    """
+
+    directory: Path
+    result: Result | None
+    error: str | None = None
+
+
+def calibrate_many(
+    directories: Sequence[Path],
+    *,
+    method: Method = "joint",
+    options: TwoStageOptions | None = None,
+    workers: int = 1,
+    cluster: str | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> tuple[Calibrated, ...]:
+    """Calibrate campaigns independently of each other.
+
+    Parameters
+    ----------
+    directories
+        Their folders; on a cluster every worker must see them under these names.
+    method, options
+        As for `counterspin.calibration.calibrate.calibrate`.
+    workers, cluster
+        As for `counterspin.studies.study.study`.
+    progress
+        Called with (campaigns done, campaigns in all).
+
+    Returns
+    -------
+    tuple of Calibrated
+        In the order of the folders.
+
+    Raises
+    ------
+    CounterspinError
+        If the cluster cannot be reached or is lost.
+    """
+    options = options or TwoStageOptions()
+    done: dict[int, Calibrated] = {}
+
+    def enter(index: int, outcome: Calibrated) -> None:
+        done[index] = outcome
+        if progress is not None:
+            progress(len(done), len(directories))
+
+    if workers < 1:
+        raise CounterspinError("--workers must be at least 1")
+    places = range(len(directories))
+    if workers == 1 and cluster is None:
+        for index in places:
+            enter(index, attempt(directories[index], method, options))
+    else:
+
+        def together(some: Sequence[int], count: int) -> list[int]:
+            jobs = {index: (directories[index], method, options) for index in some}
+            return _together(jobs, count, cluster, enter)
+
+        try:
+            # Those whose worker died, and those that were in hand beside them, are tried again,
+            # each by itself: who kills its worker then harms nobody else.
+            for index in together(places, workers):
+                if together([index], 1):
+                    died = "the process that worked on it died, twice; perhaps memory ran out"
+                    enter(index, Calibrated(directories[index], None, died))
+        except CounterspinError as error:
+            # The cluster is gone. What it has done before is not thrown away.
+            if not done:
+                raise
+            for index in places:
+                if index not in done:
+                    enter(index, Calibrated(directories[index], None, str(error)))
+    return tuple(done[index] for index in places)
+
+
+def _together(
+    jobs: Mapping[int, tuple[Path, Method, TwoStageOptions]],
+    workers: int,
+    cluster: str | None,
+    enter: Callable[[int, Calibrated], None],
+) -> list[int]:
+    """Do jobs side by side, and return those that were in hand when a worker died."""
+    suspects: list[int] = []
+    left = list(jobs)
+    died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    while left:
+        pending: dict[Future[Calibrated], int] = {}
+        try:
+            with crew_of(min(workers, len(left)), cluster, __name__) as crew:
+                died = crew.died
+                while left or pending:
+                    # No more than there are workers, so that few are suspects when one dies.
+                    while left and len(pending) < crew.size:
+                        pending[crew.executor.submit(attempt, *jobs[left[0]])] = left[0]
+                        del left[0]
+                    finished, _ = wait(pending, return_when=FIRST_COMPLETED)
+                    for future in finished:
+                        index = pending.pop(future)
+                        try:
+                            enter(index, future.result())
+                        except died:
+                            suspects.append(index)
+        except died:
+            # All processes went with the one; a cluster's others work on.
+            suspects += pending.values()
+    return suspects
+
+
+def attempt(directory: Path, method: Method, options: TwoStageOptions) -> Calibrated:
+    """Calibrate one campaign; whatever goes wrong is told and not raised."""
+    try:
+        return Calibrated(directory, calibrate(directory, method=method, options=options))
+    except CounterspinError as error:
+        return Calibrated(directory, None, str(error))
+    except Exception as error:
+        # One campaign's fault must not stop the others.
+        return Calibrated(directory, None, f"internal error ({type(error).__name__}: {error})")
+
+
+def to_json(outcomes: Sequence[Calibrated]) -> str:
+    """Return all results in one document, by folder."""
+    found: dict[str, Any] = {
+        str(one.directory): {"error": one.error}
+        if one.result is None
+        else json.loads(one.result.to_json())
+        for one in outcomes
+    }
+    return json.dumps({"schema": 1, "campaigns": found}, indent=1, ensure_ascii=False) + "\n"

@@ -1,0 +1,127 @@
+"""`counterspin calibrate`: from a campaign folder to the accelerometers' error coefficients.
+
+- `calibrate`: read the campaign, observe its runs, estimate, say how sure
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, get_args
+
+from counterspin.calibration.options import Method, TwoStageOptions
+from counterspin.campaign.checksums import Checksums
+from counterspin.errors import CampaignError
+
+if TYPE_CHECKING:
+    from counterspin.calibration.observed import ObservedRun
+    from counterspin.calibration.result import Result
+    from counterspin.campaign.resolved import Campaign
+
+
+def calibrate(
+    where: Path | str | Campaign,
+    *,
+    method: Method = "joint",
+    options: TwoStageOptions | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Result:
+    """Calibrate every accelerometer of a campaign.
+
+    Parameters
+    ----------
+    where
+        The campaign's folder, its ``campaign.toml``, or a campaign already read.
+    method
+        ``joint``: all samples of all records in one weighted fit; ``two-stage``: the paper's
+        method, on one sample a revolution.
+    options
+        Of the two-stage method.
+    progress
+        Called with (runs read, runs in all).
+
+    Returns
+    -------
+    Result
+        Coefficients in g-units of the campaign's gravity.
+
+    Raises
+    ------
+    CampaignError
+        If the campaign file is missing or wrong, the method is unknown, or the joint method is
+        given options of the other.
+    RecordError
+        If a record cannot be used.
+    NotIdentifiableError
+        If the records cannot determine the unknowns.
+    """
+    _refuse_mixed(method, options)
+    with Checksums() as checksums, ThreadPoolExecutor(1) as beside:
+        if isinstance(where, Path | str):
+            checksums.expect(where)
+        # Loaded only now: checksums need none of it, and are taken on another core meanwhile.
+        from counterspin.campaign.description import Campaign, read_campaign
+
+        campaign = where if isinstance(where, Campaign) else read_campaign(where)
+        beside.submit(_load)
+        observed = _observed(campaign, progress)
+        from counterspin.calibration.assembly import calibration
+
+        return calibration(
+            campaign,
+            observed,
+            method,
+            options or TwoStageOptions(),
+            lambda: _by_name(campaign, checksums),
+        )
+
+
+def _load() -> None:
+    """Load beside the first record what the reading needs, then what comes after it."""
+    for name in ("polars", "counterspin.calibration.assembly"):
+        import_module(name)
+
+
+def _refuse_mixed(method: str, options: TwoStageOptions | None) -> None:
+    """Refuse what would be passed over in silence: half of K_II is at stake."""
+    if method not in get_args(Method):
+        known = " or ".join(get_args(Method))
+        raise CampaignError("calibrate", [f"method: {method!r} is not {known}"])
+    if method == "joint" and options not in (None, TwoStageOptions()):
+        raise CampaignError(
+            "calibrate",
+            [
+                "the joint method has no model to choose, no sigma, bias, ripple or weights of "
+                "its own; with these options say --method two-stage"
+            ],
+        )
+
+
+def _observed(
+    campaign: Campaign, progress: Callable[[int, int], None] | None
+) -> tuple[ObservedRun, ...]:
+    from counterspin.calibration.observed import observe
+
+    observed = []
+    for run in observe(campaign):
+        observed.append(run)
+        if progress is not None:
+            progress(len(observed), len(campaign.runs))
+    return tuple(observed)
+
+
+def _by_name(campaign: Campaign, checksums: Checksums) -> dict[str, str]:
+    """Return file name -> checksum, of the description and of every record."""
+    files = [campaign.path, *(run.record for run in campaign.runs)]
+    names = (_name(campaign, file) for file in files)
+    return dict(zip(names, checksums.of(files), strict=True))
+
+
+def _name(campaign: Campaign, file: Path) -> str:
+    """Return a file's name as the campaign knows it: relative to its folder where it can be."""
+    try:
+        return file.relative_to(campaign.folder).as_posix()
+    except ValueError:
+        return str(file)

@@ -1,0 +1,126 @@
+"""Whether the coefficients of a result meet their specifications.
+
+- `with_conformity`: the result with the verdicts in it
+- `conformity`: the verdicts of one accelerometer
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult, Conformity
+from counterspin.campaign.specification import DecisionRule, Specification, Specifications
+from counterspin.inference.conformity import Judgement, judge
+
+_AS_PRINTED: Final = (
+    "the equations as printed return half the true K_II, and no verdict rests on them"
+)
+
+
+def with_conformity(result: Result, specifications: Specifications) -> Result:
+    """Return the result with `conformity` of every accelerometer that has a specification.
+
+    Parameters
+    ----------
+    result
+        Of `calibrate`, or read from its JSON.
+    specifications
+        From the campaign or the laboratory's file; those that the result has are replaced.
+    """
+    accelerometers = {
+        name: found.model_copy(
+            update={
+                "conformity": conformity(
+                    found,
+                    specifications.terms.get(name, {}),
+                    specifications.rule,
+                    model=result.model,
+                )
+            }
+        )
+        for name, found in result.accelerometers.items()
+    }
+    return result.model_copy(update={"accelerometers": accelerometers})
+
+
+def conformity(
+    found: AccelerometerResult,
+    specifications: Mapping[str, Specification],
+    rule: DecisionRule,
+    *,
+    model: str,
+) -> dict[str, Conformity]:
+    """Return the verdicts by term; undecided, with the reason, where there is no estimate.
+
+    Parameters
+    ----------
+    found
+        What was found out about the accelerometer.
+    specifications
+        By term symbol.
+    rule
+        The decision rule.
+    model
+        The result's observation model, ``exact`` or ``as-printed``.
+    """
+    return {
+        symbol: _verdict(found, symbol, specification, rule, model)
+        for symbol, specification in specifications.items()
+    }
+
+
+def _verdict(
+    found: AccelerometerResult,
+    symbol: str,
+    specification: Specification,
+    rule: DecisionRule,
+    model: str,
+) -> Conformity:
+    coefficient = found.coefficients.get(symbol)
+    if coefficient is None:
+        reason = f"{symbol} is not among the terms of the model"
+    elif not coefficient.estimated or coefficient.value is None or coefficient.u is None:
+        reason = f"the records do not determine {symbol}"
+    elif model == "as-printed":
+        reason = _AS_PRINTED
+    else:
+        judged = judge(
+            coefficient.value,
+            coefficient.u,
+            coefficient.dof,
+            specification.low,
+            specification.high,
+            rule=rule.name,
+            guard_factor=rule.guard_factor,
+            needed=rule.needed,
+        )
+        return _written(
+            specification, rule, judged, _reason(rule) if judged.verdict == "undecided" else None
+        )
+    return _written(specification, rule, None, reason)
+
+
+def _written(
+    specification: Specification, rule: DecisionRule, judged: Judgement | None, reason: str | None
+) -> Conformity:
+    return Conformity(
+        specification=specification.text,
+        low=specification.low,
+        high=specification.high,
+        unit=specification.unit,
+        rule=rule.name,
+        guard_band=judged.guard_band if judged else None,
+        needed=rule.needed if rule.name == "probability" else None,
+        verdict=judged.verdict if judged else "undecided",
+        probability=judged.probability if judged else None,
+        risk=judged.risk if judged else None,
+        reason=reason,
+    )
+
+
+def _reason(rule: DecisionRule) -> str:
+    if rule.name == "guarded":
+        return "the estimate is nearer to a tolerance limit than the guard band"
+    return f"neither conformity nor its contrary is as probable as {rule.needed:g}"

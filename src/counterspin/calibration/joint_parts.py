@@ -1,0 +1,212 @@
+"""The parts of a joint result that are read off the solution: values, budgets, correlations.
+
+- `coefficient`, `budget_lines`, `correlation`, `confounded`, `residual`, `noise_lines`
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from counterspin.calibration.result_parts import (
+    BudgetLine,
+    Coefficient,
+    Confounded,
+    Correlation,
+    NoiseLine,
+    Residual,
+)
+from counterspin.campaign.resolved import Campaign
+from counterspin.inference.diagnostics import Diagnostics
+from counterspin.inference.identifiability import Assessment
+from counterspin.inference.identifiability import Confounded as ConfoundedTerms
+from counterspin.inference.joint import fit as fitting
+from counterspin.inference.joint.budget import ENCODER, NOISE, UNSEEN, Line, budget
+from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.fit import ROTATION, TIMING, Unknown
+from counterspin.physics.accelerometer import TERMS, term
+
+_UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True)) | {
+    "centrifuge.radius": "m",
+    "site.gravity": "m/s^2",
+    "site.latitude": "rad",
+    TIMING: "s",
+}
+WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of a random-walk coefficient
+_ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}  # a ripple: rad/s
+_OBSERVED_UNITS: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
+
+
+def unit_of(symbol: str) -> str:
+    """Return the unit of a term, of an unknown of the rotation or of an uncertain input."""
+    return _UNITS.get(symbol) or term(symbol).unit
+
+
+def coefficient(found: Estimate, assessment: Assessment, index: int) -> Coefficient:
+    """Return one unknown as the result shows it: estimated, or its prior, or nothing."""
+    unknown, solution = found.fit.model.unknowns[index], found.fit.solution
+    unit = unit_of(unknown.symbol)
+    if not assessment.determined[unknown.name]:
+        known = math.isfinite(unknown.prior[1])
+        return Coefficient(
+            value=unknown.prior[0] if known else None,
+            u=unknown.prior[1] if known else None,
+            unit=unit,
+            estimated=False,
+        )
+    noise, prior, considered = (
+        math.sqrt(max(0.0, float(part[index, index])))
+        for part in (
+            solution.covariance_noise,
+            solution.covariance_prior,
+            solution.covariance_considered,
+        )
+    )
+    if solution.covariance_unseen is not None:
+        noise = math.hypot(noise, math.sqrt(float(solution.covariance_unseen[index, index])))
+    dof = float(found.dof[index])
+    return Coefficient(
+        value=float(solution.estimate[index]) + unknown.nominal,
+        u=math.hypot(noise, prior, considered),
+        u_noise=noise,
+        u_prior=prior,
+        u_considered=considered,
+        dof=dof if math.isfinite(dof) else None,
+        unit=unit,
+        estimated=True,
+    )
+
+
+def budget_lines(found: Estimate, index: int, name: str) -> list[BudgetLine]:
+    """Return the budget of one unknown, in the words of the accelerometer that it belongs to."""
+    return [
+        BudgetLine(
+            source=_words(line, name),
+            u=line.u,
+            unit=_unit_of_line(found, line),
+            sensitivity=line.sensitivity,
+            contribution=line.contribution,
+            share=line.share,
+        )
+        for line in budget(found.fit, index)
+    ]
+
+
+def _words(line: Line, name: str) -> str:
+    if line.kind == NOISE:
+        return f"noise of {line.source}"
+    if line.kind == UNSEEN:
+        return f"noise of {line.source} that does not show"
+    return f"{line.source.removeprefix(name + '.')} ({line.kind})"
+
+
+def _unit_of_line(found: Estimate, line: Line) -> str:
+    if line.kind == NOISE:
+        return ""
+    if line.kind == UNSEEN:
+        return WALK_UNIT
+    if line.kind == ENCODER:
+        return _ENCODER_UNITS.get(line.source.split(".")[-1], "rad/s")
+    return unit_of(_symbol(found, line.source))
+
+
+def _symbol(found: Estimate, source: str) -> str:
+    model = found.fit.model
+    for other in (*model.unknowns, *model.considered):
+        if other.name == source:
+            return other.symbol
+    return source
+
+
+def correlation(
+    found: Estimate, coefficients: Mapping[Unknown, Coefficient], name: str
+) -> Correlation | None:
+    """Return the correlations of an accelerometer's own and the platform's coefficients."""
+    chosen = [
+        (index, unknown)
+        for index, (unknown, c) in enumerate(coefficients.items())
+        if c.estimated and (unknown.owner == name or unknown.symbol not in TERMS)
+    ]
+    if not chosen:
+        return None
+    index = [i for i, _ in chosen]
+    covariance = found.fit.solution.covariance[np.ix_(index, index)]
+    u = np.sqrt(np.diag(covariance))
+    return Correlation(
+        terms=[unknown.name.removeprefix(name + ".") for _, unknown in chosen],
+        matrix=(covariance / np.outer(u, u)).tolist(),
+    )
+
+
+def confounded(assessment: Assessment, name: str) -> list[Confounded]:
+    """Return the sets with terms of an accelerometer's own, its name left out."""
+    own = f"{name}."
+    return [
+        _written(item, own)
+        for item in assessment.confounded
+        if any(symbol.startswith(own) for symbol in item.terms)
+    ]
+
+
+def confounded_platform(assessment: Assessment) -> list[Confounded]:
+    """Return the sets of platform terms alone, those of a run's own rotation left out."""
+    return [
+        _written(item, "")
+        for item in assessment.confounded
+        if all("platform." in symbol for symbol in item.terms)
+    ]
+
+
+def _written(item: ConfoundedTerms, own: str) -> Confounded:
+    return Confounded(
+        terms=[symbol.removeprefix(own) for symbol in item.terms],
+        correlation=item.correlation,
+        determined=item.determined.replace(own, "") if own else item.determined,
+        value=item.value,
+        u=item.u,
+    )
+
+
+def residual(campaign: Campaign, found: Estimate, name: str, diagnostics: Diagnostics) -> Residual:
+    """Return the size of an accelerometer's residuals, a sample, and how well the model fits."""
+    squares, samples = 0.0, 0.0
+    for index, one in enumerate(found.fit.prepared):
+        if one.series.accelerometer == name:
+            left, _ = fitting.residuals(found.fit, index)
+            squares += float(np.sum(left**2 * one.series.count))
+            samples += left.size
+    return Residual(
+        rms=math.sqrt(squares / samples),
+        unit=_OBSERVED_UNITS[campaign.accelerometers[name].observable],
+        dof=diagnostics.dof,
+        chi2=diagnostics.chi2 if diagnostics.noise_given else None,
+        lack_of_fit_p=diagnostics.lack_of_fit_p,
+    )
+
+
+def noise_lines(campaign: Campaign, found: Estimate, name: str) -> dict[str, NoiseLine]:
+    """Return the noise used, component by component, given or estimated."""
+    noise = found.fit.noise[name]
+    components = found.components.get(name)
+    observable = campaign.accelerometers[name].observable
+    unit = _OBSERVED_UNITS[observable]
+    lines = {}
+    for place, (part, label, its_unit) in enumerate(
+        (("white", observable, unit), ("random_walk", "acceleration", WALK_UNIT))
+    ):
+        size = float(getattr(noise, part))
+        estimated = components is not None and part in components.estimated
+        dropped = components is not None and part in components.dropped
+        if size == 0.0 and not dropped:
+            continue
+        u = None
+        if components is not None and estimated and size > 0.0:
+            # From the variance of a variance to that of its root.
+            u = 0.5 * math.sqrt(float(components.covariance[place, place])) / size
+        lines[label] = NoiseLine(value=size, u=u, unit=its_unit, estimated=estimated or dropped)
+    if noise.quantisation > 0.0:
+        lines["quantisation"] = NoiseLine(value=noise.quantisation, unit=unit, estimated=False)
+    return lines

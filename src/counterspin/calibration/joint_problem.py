@@ -1,0 +1,168 @@
+"""From a campaign to the joint fit's problem: series, unknowns, priors, noise.
+
+- `series_of`: the data
+- `model_of`: what is estimated, considered and uncertain
+- `left_out_of`: what the model says nothing of
+- `noise_of`: what is known of the noise
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from counterspin.calibration.observed import ObservedRun
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.resolved import Accelerometer, Campaign, Run
+from counterspin.campaign.terms import acts
+from counterspin.inference.joint.estimation import NoiseRequest
+from counterspin.inference.joint.fit import ROTATION, TIMING, Considered, Model, Unknown
+from counterspin.inference.joint.series import Series
+from counterspin.physics import observation
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
+
+#: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
+_ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
+
+_NOTHING: Final = (0.0, math.inf)
+
+
+def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Series, ...]:
+    """Return one series for each run and accelerometer, missing samples left out."""
+    found = []
+    for run in observed:
+        for name, signal in run.signals.items():
+            keep = np.isfinite(signal.error)
+            accelerometer = signal.accelerometer
+            found.append(
+                Series(
+                    accelerometer=name,
+                    run=run.run.name,
+                    trajectory=run.trajectory,
+                    mounting=accelerometer.mounting,
+                    observable=accelerometer.observable,
+                    attitude=run.run.attitude,
+                    time=run.record.time[keep],
+                    spread=run.record.time_sd[keep],
+                    count=run.record.count[keep].astype(float),
+                    spacing=run.record.report.step,
+                    error=signal.error[keep],
+                    in_g=accelerometer.channel.unit.endswith("g"),
+                    jitter=_jitter(campaign, run.run, accelerometer),
+                    angle_error=run.rotation.error if run.rotation else None,
+                )
+            )
+    return tuple(found)
+
+
+def _jitter(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> float:
+    """Return what noise of the time stamps adds to each sample: its slope's rms times the noise."""
+    timing = campaign.noise.timing if campaign.noise else 0.0
+    if not isinstance(timing, float) or timing == 0.0:
+        return 0.0
+    power = 3 - observation.ORDERS[accelerometer.observable]
+    return timing * campaign.radius.value * abs(run.rate) ** power / math.sqrt(2.0)
+
+
+def model_of(campaign: Campaign) -> Model:
+    """Return the unknowns and considered terms that a campaign asks for.
+
+    What is known beforehand of a term that the campaign neither estimates nor considers is
+    considered all the same: its value is taken away and its uncertainty carried.
+    """
+    unknowns: list[Unknown] = []
+    considered: list[Considered] = []
+    model = campaign.model
+    for name, accelerometer in campaign.accelerometers.items():
+        for symbol in TERMS:
+            prior = _pair(accelerometer.priors.get(symbol))
+            if symbol in model.terms:
+                unknowns.append(Unknown(name, symbol, prior, model.limits[symbol]))
+            elif prior is not _NOTHING:
+                considered.append(Considered(name, symbol, prior, model.limits[symbol]))
+    platform = [s for s in (*model.terms, *model.considered) if s not in TERMS]
+    for symbol in platform:
+        prior = _pair(model.priors.get(symbol))
+        owners = [run.name for run in campaign.runs] if term(symbol).per_run else [""]
+        for owner in owners:
+            if symbol in model.terms:
+                unknowns.append(Unknown(owner, symbol, prior, model.limits[symbol]))
+            else:
+                considered.append(Considered(owner, symbol, prior, model.limits[symbol]))
+    if campaign.angle is None:
+        unknowns += [
+            Unknown(run.name, symbol, _NOTHING, limit)
+            for run in campaign.runs
+            for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
+        ]
+    return Model(tuple(unknowns), tuple(considered), _uncertain_inputs(campaign))
+
+
+def left_out_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
+    """Return the terms that could reach an accelerometer and that its model says nothing of.
+
+    Each is taken as a considered term without uncertainty; a tilt is one term for each run.
+    """
+    accelerometer, model = campaign.accelerometers[name], campaign.model
+    known = {*model.terms, *model.considered, *accelerometer.priors}
+    terms = [
+        Considered(name, row.symbol, (row.nominal, 0.0), model.limits[row.symbol])
+        for row in TERMS.values()
+        if row.symbol not in known
+    ]
+    for row in PLATFORM_TERMS.values():
+        reached = [run for run in campaign.runs if acts(row, accelerometer.mounting, run.attitude)]
+        if row.symbol not in known and reached:
+            owners = [run.name for run in reached] if row.per_run else [""]
+            limit = model.limits[row.symbol]
+            terms += [Considered(owner, row.symbol, (0.0, 0.0), limit) for owner in owners]
+    return tuple(terms)
+
+
+def _pair(quantity: Quantity | None) -> tuple[float, float]:
+    return (quantity.value, quantity.u) if quantity else _NOTHING
+
+
+def _uncertain_inputs(campaign: Campaign) -> Mapping[str, float]:
+    inputs: dict[str, Quantity | None] = {
+        "centrifuge.radius": campaign.radius,
+        "site.gravity": campaign.gravity,
+        "site.latitude": campaign.latitude,
+        TIMING: campaign.timing_offset,
+    }
+    return {name: q.u for name, q in inputs.items() if q is not None and q.u > 0.0}
+
+
+def noise_of(campaign: Campaign) -> dict[str, NoiseRequest]:
+    """Return what is known of each accelerometer's noise; None stands for "to be estimated".
+
+    Without [noise], or where it says nothing of an accelerometer's record, all is estimated. In
+    a record of specific force the accelerometer's white noise cannot be told from that of the
+    record: only one of the two is estimated.
+    """
+    requests = {}
+    for name, accelerometer in campaign.accelerometers.items():
+        integrated = observation.ORDERS[accelerometer.observable] > 0
+        everything = NoiseRequest(None, None if integrated else 0.0)
+        noise = campaign.noise
+        if noise is None:
+            requests[name] = everything
+            continue
+        white = _given(getattr(noise, accelerometer.observable))
+        walk = _given(noise.acceleration)
+        if not integrated and walk is None:
+            white, walk = None, 0.0
+        displacement = accelerometer.observable == "displacement"
+        step = noise.quantisation if displacement else 0.0
+        quantisation = step if isinstance(step, float) else 0.0
+        # A record without any noise cannot be weighted: then the residuals have to say.
+        silent = white == 0.0 and walk == 0.0 and quantisation == 0.0
+        requests[name] = everything if silent else NoiseRequest(white, walk, quantisation)
+    return requests
+
+
+def _given(size: float | str) -> float | None:
+    return size if isinstance(size, float) else None

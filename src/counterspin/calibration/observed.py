@@ -1,0 +1,127 @@
+"""What was observed: records brought together with the rotation they were taken on.
+
+- `observe`: reads every run of a campaign, identifies its rotation, takes the reference away
+- `ObservedRun`, `Signal`: what comes out
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+from counterspin.arrays import Array
+from counterspin.campaign.resolved import Accelerometer, Campaign, Channel, Run
+from counterspin.physics import observation
+from counterspin.physics.motion import Trajectory
+from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
+from counterspin.records.reading import ColumnSpec, Record, read_record
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One accelerometer's output in one run, less what a perfect system would have recorded.
+
+    Attributes
+    ----------
+    accelerometer
+        Whose it is.
+    error
+        S - S_ref in m, m/s or m/s^2, shape (n,), at the record's times; NaN where it is missing.
+    """
+
+    accelerometer: Accelerometer
+    error: Array
+
+
+@dataclass(frozen=True)
+class ObservedRun:
+    """One run as the estimators see it.
+
+    Attributes
+    ----------
+    run
+        Its description.
+    record
+        The cleaned record: times from the first sample, block means where it was dense.
+    rotation
+        The spindle identified from the recorded angle; None where the nominal rate is taken.
+    trajectory
+        The motion along which reference and columns are taken.
+    signals
+        By accelerometer.
+    """
+
+    run: Run
+    record: Record
+    rotation: SpindleFit | None
+    trajectory: Trajectory
+    signals: Mapping[str, Signal]
+
+
+def observe(campaign: Campaign) -> Iterator[ObservedRun]:
+    """Read the campaign's runs one after the other.
+
+    Parameters
+    ----------
+    campaign
+        The description; its truth is not looked at.
+
+    Yields
+    ------
+    ObservedRun
+        In the order of the description.
+
+    Raises
+    ------
+    RecordError
+        If a record cannot be used; the message names file and line.
+    """
+    for run in campaign.runs:
+        record = read_record(
+            run.record,
+            _column(campaign.time),
+            _column(campaign.angle) if campaign.angle else None,
+            {name: _column(a.channel) for name, a in campaign.accelerometers.items()},
+            nominal_rate=run.rate,
+            radius=campaign.radius.value,
+            input_axes={
+                name: a.mounting.turned(run.attitude).input_axis
+                for name, a in campaign.accelerometers.items()
+                if a.observable == "displacement"
+            },
+        )
+        yield observe_run(campaign, run, record)
+
+
+def _column(channel: Channel) -> ColumnSpec:
+    return ColumnSpec(channel.column, channel.factor)
+
+
+def observe_run(campaign: Campaign, run: Run, record: Record) -> ObservedRun:
+    """Identify the rotation of one run and take the reference displacement away.
+
+    Parameters
+    ----------
+    campaign, run
+        The description and one of its runs.
+    record
+        The run's record.
+    """
+    rotation = None
+    if record.angle is not None:
+        late = campaign.timing_offset.value if campaign.timing_offset else 0.0
+        # The angle of a row was sampled `timing_offset` after its displacement.
+        rotation = fit_spindle(record.time + late, record.angle, run.rate, weights=record.count)
+    spindle = rotation.spindle if rotation else Spindle(run.rate)
+    trajectory = Trajectory(spindle, campaign.radius.value, campaign.site)
+    signals = {}
+    for name, accelerometer in campaign.accelerometers.items():
+        reference = observation.over_blocks(
+            lambda t, a=accelerometer: observation.reference(  # type: ignore[misc]
+                trajectory, a.mounting, t, a.observable, run.attitude
+            ),
+            record.time,
+            record.time_sd,
+        )
+        signals[name] = Signal(accelerometer, record.signals[name] - reference)
+    return ObservedRun(run, record, rotation, trajectory, signals)

@@ -1,0 +1,316 @@
+"""What was found out about one accelerometer, as blocks of a report.
+
+- `accelerometer_blocks`: coefficients, what cannot be told apart, fit, noise, checks
+- `budget_blocks`: where the uncertainty of its coefficients comes from
+- `coefficient_table`, `in_field_units`: coefficients of any kind
+- `rests_on`: what cannot be told apart, and what is taken to be zero
+- `noticed_if_left_out`: terms outside the model that would matter
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from counterspin.calibration.result_parts import (
+    AccelerometerResult,
+    BudgetLine,
+    Coefficient,
+    Comparison,
+    Confounded,
+    Jackknife,
+    NoiseLine,
+)
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.numbers import (
+    NOT_DETERMINED,
+    field_unit,
+    format_count,
+    format_estimate,
+    format_number,
+    format_share,
+    format_uncertainty,
+    round_to_uncertainty,
+)
+
+#: Up to this many standard uncertainties two methods agree; good campaigns exceed it in 0.3 %.
+AGREES: Final = 3.0
+
+#: Above this correlation, estimates are named as moving together.
+_STRONG: Final = 0.9
+
+#: Unknowns of the two-stage method that are the spindle's, and so in neither table of terms:
+#: symbol and words.
+_SPINDLE: Final = {
+    "spindle.drift": ("C", "drift of the rate, common to all runs"),
+    "spindle.ripple": ("w_p", "ripple as in Eq. 26, common to all runs"),
+}
+
+
+def accelerometer_blocks(
+    name: str, found: AccelerometerResult, gravity: float, *, details: bool
+) -> Iterator[Block]:
+    """Yield what was found; gravity in m/s^2 is for noise in micro-g, `details` as in a report."""
+    yield Heading(f"Accelerometer {name}")
+    yield coefficient_table({**found.coefficients, **found.second_unknown})
+    for warning in found.warnings:
+        yield Paragraph(f"Warning: {warning.removeprefix(f'{name}: ')}", "warning")
+    for sentence in rests_on(found):
+        yield Paragraph(sentence)
+    yield Paragraph(_residual(found))
+    if found.noise:
+        yield Paragraph(_noise(found.noise, gravity))
+    if found.two_stage is not None:
+        yield Paragraph(_comparison(found.two_stage, found.coefficients.get("K_II")))
+    if found.jackknife:
+        yield from _jackknife(found.jackknife, found.coefficients["K_II"])
+    if details:
+        yield from _correlations(found)
+
+
+def in_field_units(coefficient: Coefficient) -> tuple[float | None, float | None, str]:
+    """Return value, standard uncertainty and unit as the field reads them."""
+    unit, factor = field_unit(coefficient.unit)
+    value, u = coefficient.value, coefficient.u
+    return None if value is None else value * factor, None if u is None else u * factor, unit
+
+
+def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
+    """Return one row for each coefficient; the first column is its symbol, the second its words."""
+    rows = [
+        (*_names(symbol), *_cells(coefficient), _origin(coefficient))
+        for symbol, coefficient in coefficients.items()
+    ]
+    return Table(
+        columns=(
+            Column("Symbol"),
+            Column("Coefficient", wraps=True),
+            Column("Value", "right"),
+            Column("u (k = 1)"),
+            Column("Unit"),
+            Column("u comes from", wraps=True),
+        ),
+        rows=tuple(rows),
+        quiet=frozenset(i for i, c in enumerate(coefficients.values()) if not c.estimated),
+    )
+
+
+def _names(symbol: str) -> tuple[str, str]:
+    """Return symbol and words of a term; a run's own term keeps the run's name in brackets."""
+    bare, bracket, run = symbol.partition(" (")
+    row = TERMS.get(bare) or PLATFORM_TERMS.get(bare)
+    return (symbol, row.words + bracket + run) if row else _SPINDLE.get(bare, (symbol, ""))
+
+
+def _cells(coefficient: Coefficient) -> tuple[str, str, str]:
+    """Return value, uncertainty and unit; the unit carries the power of ten, if there is one."""
+    value, u, unit = in_field_units(coefficient)
+    if value is None:
+        return "-", "", unit
+    if u is None or u == 0.0:
+        return format_number(value, 12), "exact" if u == 0.0 else "", unit
+    both = round_to_uncertainty(value, u)
+    if both is None:
+        return format_number(value, 17), f"± {format_number(u, 2)}", unit
+    return both.value, f"± {both.u}", f"1e{both.exponent} {unit}" if both.exponent else unit
+
+
+def _origin(coefficient: Coefficient) -> str:
+    if coefficient.value is None:
+        return NOT_DETERMINED
+    if not coefficient.estimated:
+        return "prior alone"
+    parts = {
+        "noise": coefficient.u_noise,
+        "priors": coefficient.u_prior,
+        "considered": coefficient.u_considered,
+    }
+    total = sum(u * u for u in parts.values() if u is not None)
+    if total == 0.0:
+        return ""
+    shares = {name: (u or 0.0) ** 2 / total for name, u in parts.items()}
+    return ", ".join(
+        f"{name} {format_share(share)}" for name, share in shares.items() if share >= 0.005
+    )
+
+
+def _confounded(found: Confounded) -> str:
+    names = ", ".join(found.terms[:-1]) + " and " + found.terms[-1]
+    apart = "cannot be told apart" if abs(found.correlation) > 0.999 else "are hardly told apart"
+    text = (
+        f"{names} {apart} by these records (correlation {_correlation(found.correlation)}); "
+        f"determined: {found.determined}"
+    )
+    if found.value is None:
+        return text + "."
+    row = TERMS.get(found.terms[0]) or PLATFORM_TERMS.get(found.terms[0].partition(" (")[0])
+    unit, factor = field_unit(row.unit if row else "")
+    u = None if found.u is None else found.u * factor
+    return f"{text} = {format_estimate(found.value * factor, u, unit)}."
+
+
+def rests_on(found: AccelerometerResult) -> Iterator[str]:
+    """Yield, in sentences, what the records cannot tell apart and what the model leaves out."""
+    yield from map(_confounded, found.confounded)
+    if sentence := _left_out(found):
+        yield sentence
+
+
+def noticed_if_left_out(found: AccelerometerResult) -> dict[str, str]:
+    """Return the terms that the model leaves out and whose one unit K_II would show.
+
+    By symbol, in words what that unit would do; one unit is 1 ug/g^2, 1 arcsec, 1 deg/h and so on.
+    """
+    k_ii = found.coefficients.get("K_II")
+    if k_ii is None or k_ii.u is None:
+        return {}
+    noticed = {}
+    for symbol, term_left_out in found.left_out.items():
+        unit, factor = field_unit(term_left_out.unit)
+        shift = abs(term_left_out.sensitivity) / factor
+        if shift > 0.5 * k_ii.u:
+            shown, to_shown = field_unit(k_ii.unit)
+            words = f"1 {unit} of {symbol} by {format_number(shift * to_shown, 2)} {shown}"
+            noticed[symbol] = words
+    return noticed
+
+
+def _left_out(found: AccelerometerResult) -> str:
+    noticed = noticed_if_left_out(found)
+    if not noticed:
+        return ""
+    terms = "; ".join(noticed.values())
+    return f"Not in the model, and so not in u: K_II would move with {terms}."
+
+
+def _correlation(r: float) -> str:
+    """Write a correlation; what would round to one is written by how much it misses."""
+    if 0.0 < 1.0 - abs(r) < 5e-5:
+        missing = format_number(1.0 - abs(r), 1)
+        return f"1 - {missing}" if r > 0.0 else f"-1 + {missing}"
+    return f"{r:.4f}"
+
+
+def _residual(found: AccelerometerResult) -> str:
+    residual = found.residual
+    text = (
+        f"Residuals: rms {format_number(residual.rms)} {residual.unit} with "
+        f"{format_count(residual.dof)} degrees of freedom"
+    )
+    if residual.chi2 is not None and residual.dof > 0.0:
+        text += f"; chi-square/dof {format_number(residual.chi2 / residual.dof, 4)}"
+    if residual.lack_of_fit_p is not None:
+        # Noise that was estimated fits by its size; only the pattern of the residuals can tell.
+        what = "a worse fit" if residual.chi2 is not None else "a stranger pattern in them"
+        text += f", probability of {what} {format_number(residual.lack_of_fit_p, 2)}"
+    return text + "."
+
+
+def _noise(noise: dict[str, NoiseLine], gravity: float) -> str:
+    lines = []
+    for name, line in noise.items():
+        value, u, unit = line.value, line.u, line.unit
+        if unit.startswith("m/s^2/"):
+            # The campaign file, and every data sheet, says it in micro-g.
+            scale = 1e6 / gravity
+            value, u, unit = value * scale, None if u is None else u * scale, f"ug{unit[5:]}"
+        words = name.replace("_", " ")
+        if line.estimated and value == 0.0:
+            lines.append(f"{words} none (the records show none)")
+            continue
+        how = "estimated from the residuals" if line.estimated else "as given"
+        lines.append(f"{words} {format_estimate(value, u or None, unit)} ({how})")
+    return f"Noise: {'; '.join(lines)}."
+
+
+def _comparison(found: Comparison, coefficient: Coefficient | None) -> str:
+    unit, factor = field_unit(coefficient.unit if coefficient else "")
+    agree = "they agree" if abs(found.z) <= AGREES else "they do not agree"
+    value = format_estimate(found.value * factor, found.u * factor, unit)
+    difference = format_estimate(found.difference * factor, found.u_difference * factor, unit)
+    return (
+        f"The two-stage method gives K_II = {value}; the difference is {difference}, or "
+        f"{format_number(found.z)} of its standard uncertainties: {agree}."
+    )
+
+
+def _jackknife(lines: Sequence[Jackknife], coefficient: Coefficient) -> Iterator[Block]:
+    value, u, unit = in_field_units(coefficient)
+    _, factor = field_unit(coefficient.unit)
+    # Without one run the estimate is written to the place of the whole one, to be compared.
+    both = round_to_uncertainty(value, u) if value is not None and u else None
+    if both is not None and both.exponent:
+        unit = f"1e{both.exponent} {unit}"
+
+    def write(number: float | None) -> str:
+        if number is None:
+            return NOT_DETERMINED
+        shown = number * factor
+        return both.write(shown) if both is not None else format_number(shown, 6)
+
+    yield Table(
+        columns=(
+            Column("Run left out", wraps=True),
+            Column(f"K_II, {unit}", "right"),
+            Column(f"shift, {unit}", "right"),
+            Column("shift / its u", "right"),
+        ),
+        rows=tuple(
+            (
+                line.run,
+                write(line.value),
+                write(line.shift),
+                "-" if line.z is None else f"{line.z:.2f}",
+            )
+            for line in lines
+        ),
+    )
+
+
+def _correlations(found: AccelerometerResult) -> Iterator[Block]:
+    if found.correlation is None:
+        return
+    terms, matrix = found.correlation.terms, found.correlation.matrix
+    pairs = [
+        (terms[i], terms[j], matrix[i][j])
+        for i in range(len(terms))
+        for j in range(i)
+        if abs(matrix[i][j]) >= _STRONG
+    ]
+    pairs.sort(key=lambda pair: -abs(pair[2]))
+    text = "; ".join(f"{b} and {a} {_correlation(r)}" for a, b, r in pairs)
+    yield Paragraph(f"Estimates that move together (correlation): {text or 'none beyond 0.9'}.")
+
+
+def budget_blocks(name: str, found: AccelerometerResult) -> Iterator[Block]:
+    """Yield a table for each coefficient that has a budget, K_II first."""
+    for symbol, lines in sorted(found.budget.items(), key=lambda item: item[0] != "K_II"):
+        coefficient = found.coefficients.get(symbol)
+        unit, factor = field_unit(coefficient.unit if coefficient else "")
+        yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
+        total = math.sqrt(sum(line.contribution**2 for line in lines))
+        rows = [_budget_row(line, factor) for line in lines]
+        rows.append(("combined", "", "", format_uncertainty(total * factor), ""))
+        yield Table(
+            columns=(
+                Column("Source", wraps=True),
+                Column("Its u", "right"),
+                Column(f"Sensitivity, {unit} per unit", "right", wraps=True),
+                Column(f"Contribution, {unit}", "right", wraps=True),
+                Column("Share of u^2", "right", wraps=True),
+            ),
+            rows=tuple(rows),
+        )
+
+
+def _budget_row(line: BudgetLine, factor: float) -> tuple[str, ...]:
+    unit, source = field_unit(line.unit)
+    return (
+        line.source,
+        "" if line.u is None else f"{format_number(line.u * source, 2)} {unit}",
+        "" if line.sensitivity is None else format_number(line.sensitivity * factor / source),
+        format_uncertainty(line.contribution * factor),
+        format_share(line.share),
+    )

@@ -1,0 +1,114 @@
+"""The method of a result, as a report states it: equations as used, and how to do it again.
+
+- `model_blocks`: what the output was taken to be, term by term from the table
+- `origin_blocks`: inputs with checksums, version, the command
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from typing import Final
+
+from counterspin.calibration.result import Result
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, Term
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.numbers import format_number
+
+_OBSERVED: Final = {
+    "displacement": "S(t) = S₀ + V₀ t + ∬ (g a_ind − a_h) dt dt",
+    "velocity": "V(t) = V₀ + ∫ (g a_ind − a_h) dt",
+    "specific_force": "f(t) = g a_ind",
+}
+
+
+def model_blocks(result: Result) -> Iterator[Block]:
+    """Yield the equations of the fit with the terms that it had."""
+    yield Heading("Model")
+    yield Paragraph(
+        "What an accelerometer indicates, in g, with the specific force a along its input, "
+        "pendulous and output axes I, P and O:"
+    )
+    for name, found in result.accelerometers.items():
+        # A term without a value was not in the fit.
+        known = {**found.known, **found.coefficients}
+        symbols = {symbol for symbol, c in known.items() if c.value is not None}
+        used = [TERMS[symbol] for symbol in TERMS if symbol in symbols]
+        yield Paragraph(f"{name}: a_ind = {_sum(used)}", "equation")
+    platform = dict.fromkeys(
+        [*result.platform, *(symbol for run in result.runs.values() for symbol in run.terms)]
+    )
+    if rows := [PLATFORM_TERMS[symbol] for symbol in platform if symbol in PLATFORM_TERMS]:
+        yield Paragraph(
+            "The platform's small attitude error ψ turns what is sensed, f − ψ × f, and grows by "
+            f"dψ/dt = drift + D f/g; taken into account: {_list(row.symbol for row in rows)}."
+        )
+    observables = {found.observable or "displacement" for found in result.accelerometers.values()}
+    yield Paragraph(
+        "What was recorded, a_h being the harmful acceleration (gravity, Coriolis and centrifugal) "
+        "that the system takes away; fitted along the motion of the spindle:"
+    )
+    for observable in sorted(observables):
+        yield Paragraph(_OBSERVED[observable], "equation")
+    yield Paragraph(
+        "θ(t) = θ₀ + ω (t + C t²/2) + ripple by harmonics of the revolution", "equation"
+    )
+    yield Paragraph(_method(result))
+
+
+def _method(result: Result) -> str:
+    if result.model == "as-printed":
+        return (
+            "The observation model is the paper's as printed, which returns half the true K_II; it "
+            "serves comparison only."
+        )
+    if result.method == "two-stage":
+        return (
+            "Two stages, as in the paper: a parabola through one sample a revolution where the "
+            "reference displacement is zero, then its curvature against the rate."
+        )
+    return (
+        "All samples of all runs and accelerometers in one weighted least-squares fit, with what "
+        "was known beforehand as further observations; what is considered and not estimated "
+        "enters u by its sensitivity. Each run has a start offset and a start velocity of its own."
+    )
+
+
+def _sum(terms: Iterable[Term]) -> str:
+    parts = []
+    for term in terms:
+        product = term.product.replace("*", " ")
+        sign = "−" if term.sign < 0.0 else "+"
+        parts.append(f"{sign} {term.symbol}" + ("" if product == "1" else f" {product}"))
+    return " ".join(parts).removeprefix("+ ")
+
+
+def _list(words: Iterable[str]) -> str:
+    return ", ".join(words)
+
+
+def origin_blocks(result: Result) -> Iterator[Block]:
+    """Yield what the result was made from and how to make it again."""
+    yield Heading("Inputs and reproduction")
+    inputs = result.inputs
+    latitude = format_number(math.degrees(inputs.latitude), 8)
+    yield Paragraph(
+        f"Gravity {format_number(inputs.gravity, 9)} m/s^2, latitude {latitude} deg, radius "
+        f"{inputs.radius:.10g} m."
+    )
+    yield Table(
+        columns=(Column("File"), Column("SHA-256")),
+        rows=tuple(
+            (file, checksum.removeprefix("sha256:"))
+            for file, checksum in result.provenance.inputs.items()
+        ),
+    )
+    yield Paragraph(
+        f"Made by counterspin {result.provenance.version}. In the folder that holds these files, "
+        "the same result comes from"
+    )
+    options = list(result.provenance.options)
+    if result.method == "two-stage" and not any("--method" in option for option in options):
+        # Once this method was the default, and did not have to be asked for.
+        options.insert(0, "--method=two-stage")
+    yield Paragraph(" ".join(("counterspin calibrate .", *options)), "command")

@@ -1,0 +1,94 @@
+"""The full report of a result, for paper and screen: the answer first, then what it rests on.
+
+- `document`: a result as blocks, pictures among them
+- `identifier_of`: what the report is known by, where nobody has named it
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator
+
+from counterspin.calibration.pages.accelerometer import accelerometer_blocks, budget_blocks
+from counterspin.calibration.pages.basis import model_blocks, origin_blocks
+from counterspin.calibration.pages.conformity import conformity_blocks
+from counterspin.calibration.pages.pictures import (
+    budget_bars,
+    correlation_map,
+    jackknife_plot,
+    residual_plots,
+    ripple_plot,
+)
+from counterspin.calibration.pages.sections import answer_blocks, platform_blocks, run_blocks
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult
+from counterspin.calibration.verdict import verdict
+from counterspin.reports.blocks import Block, Heading, Paragraph, Picture
+from counterspin.reports.typography import typeset_block
+
+
+def document(result: Result) -> list[Block]:
+    """Return the full report of a result.
+
+    Parameters
+    ----------
+    result
+        What `calibrate` returned, or what was read from its JSON.
+    """
+    found = (
+        *answer_blocks(result, in_g=True),
+        *_verdicts(result),
+        *conformity_blocks(result),
+        *_chapters(result),
+        *platform_blocks(result),
+        *run_blocks(result.runs, details=True),
+        *_drawn(ripple_plot(result.runs)),
+        *model_blocks(result),
+    )
+    # Names of files and checksums are left as they are.
+    heading, inputs, *origin = origin_blocks(result)
+    return [*map(typeset_block, (*found, heading, inputs)), *origin]
+
+
+def identifier_of(result: Result) -> str:
+    """Return an identifier that follows from the result alone; another result has another."""
+    return f"CS-{hashlib.sha256(result.to_json().encode()).hexdigest()[:12]}"
+
+
+def _verdicts(result: Result) -> Iterator[Block]:
+    yield Heading("Is it good?")
+    for name, found in result.accelerometers.items():
+        judged = verdict(found, result.model)
+        style = "plain" if judged.grade == "good" else "warning"
+        yield Paragraph(judged.sentence(name), style)  # type: ignore[arg-type]
+        for warning in found.warnings:
+            yield Paragraph(f"Warning: {name}: {warning.removeprefix(f'{name}: ')}", "warning")
+
+
+def _chapters(result: Result) -> Iterator[Block]:
+    for name, found in result.accelerometers.items():
+        yield from _without_warnings(
+            accelerometer_blocks(name, found, result.inputs.gravity, details=True)
+        )
+        yield from _drawn(jackknife_plot(name, found), correlation_map(name, found))
+        yield from _budget(name, found)
+        plots = list(residual_plots(name, found))
+        if plots:
+            yield Heading(f"Residuals of {name}", 3)
+            yield from plots
+
+
+def _budget(name: str, found: AccelerometerResult) -> Iterator[Block]:
+    yield from _drawn(budget_bars(name, found))
+    yield from budget_blocks(name, found)
+
+
+def _without_warnings(blocks: Iterable[Block]) -> Iterator[Block]:
+    # They stand at the beginning already, where nobody misses them.
+    for block in blocks:
+        if not (isinstance(block, Paragraph) and block.style == "warning"):
+            yield block
+
+
+def _drawn(*pictures: Picture | None) -> Iterator[Picture]:
+    yield from (picture for picture in pictures if picture is not None)

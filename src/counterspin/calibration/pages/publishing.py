@@ -1,0 +1,113 @@
+"""A report as a file: HTML, PDF or Markdown, by the ending of its name.
+
+- `write_report`: a result's report to a file
+- `issue_date`: when it is said to have been made
+"""
+
+from __future__ import annotations
+
+import os
+from datetime import UTC, date, datetime, time
+from pathlib import Path
+from typing import Final
+
+from counterspin.calibration.pages.full_report import document, identifier_of
+from counterspin.calibration.result import Result
+from counterspin.errors import CampaignError
+from counterspin.output import write_text, write_whole
+from counterspin.reports.blocks import Paragraph
+
+#: Endings of the files that are written.
+FORMATS: Final = (".html", ".pdf", ".md")
+
+
+def check_format(path: Path) -> str:
+    """Return the format that a file's name asks for; CampaignError if there is no such format."""
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise CampaignError("report", [f"{path}: name the file .html, .pdf or .md"])
+    return suffix
+
+
+def write_report(
+    result: Result,
+    path: Path | str,
+    *,
+    identifier: str | None = None,
+    issued: datetime | None = None,
+) -> None:
+    """Write the full report of a result.
+
+    Parameters
+    ----------
+    result
+        What `calibrate` returned, or what was read from its JSON.
+    path
+        The file; its ending says the format: .html, .pdf or .md.
+    identifier
+        What the report is known by; None: one that follows from the result.
+    issued
+        When it was made, with its time zone; None: as `issue_date` has it.
+
+    Raises
+    ------
+    CampaignError
+        If there is no such format.
+    CounterspinError
+        If the file cannot be written; nothing is left behind then.
+    """
+    path = Path(path)
+    suffix = check_format(path)
+    blocks = document(result)
+    known_by = identifier or identifier_of(result)
+    made = issued or issue_date()
+    title = result.title or "Calibration"
+    if suffix == ".html":
+        from counterspin.reports.html import html
+
+        version = result.provenance.version
+        write_text(path, html(blocks, title=title, identifier=known_by, date=made, version=version))
+    elif suffix == ".pdf":
+        from counterspin.reports.pdf import pdf
+
+        data = pdf(blocks, title=title, identifier=known_by, date=made)
+        write_whole(path, lambda part: part.write_bytes(data))
+    else:
+        from counterspin.reports.markdown import markdown
+
+        end = Paragraph(f"End of {known_by}, {made.astimezone(UTC):%Y-%m-%d %H:%M} UTC.", "quiet")
+        write_text(path, markdown([*blocks, end]))
+
+
+def issue_date(text: str | None = None) -> datetime:
+    """Return when a document is said to have been made.
+
+    Parameters
+    ----------
+    text
+        A date or a date and time by ISO 8601, without a time zone in UTC. None: the seconds in
+        ``SOURCE_DATE_EPOCH`` of the environment (reproducible-builds.org), or else now.
+
+    Raises
+    ------
+    CampaignError
+        If it is no such date.
+    """
+    epoch = os.environ.get("SOURCE_DATE_EPOCH")
+    try:
+        if text is not None:
+            if "T" not in text and " " not in text.strip():
+                return datetime.combine(date.fromisoformat(text.strip()), time(), UTC)
+            given = datetime.fromisoformat(text.strip())
+            given = given if given.tzinfo else given.replace(tzinfo=UTC)
+            # It is shown in UTC, where the year may be one that no calendar has.
+            given.astimezone(UTC)
+            return given
+        if epoch:
+            return datetime.fromtimestamp(int(epoch), UTC)
+    except (ValueError, OverflowError, OSError) as error:
+        what = f"--date {text!r}" if text is not None else f"SOURCE_DATE_EPOCH {epoch!r}"
+        raise CampaignError(
+            "date", [f"{what} is no date: write 2026-03-01 or 2026-03-01T14:30:00+01:00"]
+        ) from error
+    return datetime.now(UTC).replace(microsecond=0)

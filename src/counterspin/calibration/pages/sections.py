@@ -1,0 +1,252 @@
+"""What a report of a result says, in order: the answer first, then what it rests on.
+
+- `sections`: a result as blocks
+- `answer_blocks`, `platform_blocks`, `run_blocks`: parts of it
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+from counterspin.calibration.pages.accelerometer import (
+    accelerometer_blocks,
+    budget_blocks,
+    coefficient_table,
+    in_field_units,
+)
+from counterspin.calibration.pages.conformity import conformity_blocks
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Coefficient, RunResult
+from counterspin.inference.conformity import expanded_uncertainty
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.numbers import (
+    NOT_DETERMINED,
+    field_unit,
+    format_compact,
+    format_count,
+    format_estimate,
+    format_interval,
+    format_number,
+)
+
+#: Titles of what a fit is judged by; other keys are their own.
+_TESTS: Final = {
+    "chi2": "chi-square",
+    "chi2_p": "its p",
+    "sign_p": "p of signs",
+    "peak_frequency_hz": "peak, Hz",
+    "peak_p": "its p",
+}
+
+
+def sections(result: Result, *, budget: bool = False, details: bool = False) -> list[Block]:
+    """Return a result as blocks, the answer first.
+
+    Parameters
+    ----------
+    result
+        What `calibrate` returned, or what was read from its JSON.
+    budget
+        Whether the uncertainty budgets are written.
+    details
+        Whether strong correlations, run counts, input files and their checksums are written.
+    """
+    blocks: list[Block] = [*answer_blocks(result), *conformity_blocks(result)]
+    for name, accelerometer in result.accelerometers.items():
+        blocks += accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=details)
+        if budget:
+            blocks += budget_blocks(name, accelerometer)
+    blocks += platform_blocks(result)
+    blocks += run_blocks(result.runs, details=details)
+    if details:
+        blocks += _details(result)
+    return blocks
+
+
+# The answer
+
+
+def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
+    """Yield title, K_II of each accelerometer, warnings about the whole and conventions.
+
+    Parameters
+    ----------
+    result
+        The result.
+    in_g
+        Whether K_II is given in g/g^2 beside ug/g^2.
+    """
+    yield Heading(result.title or "Calibration", 1)
+    for name, accelerometer in result.accelerometers.items():
+        if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
+            yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g)
+    for warning in result.warnings:
+        yield Paragraph(f"Warning: {warning}", "warning")
+    known = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
+    if line := "; ".join(known):
+        yield Paragraph(f"{line}.", "quiet")
+    gravity = format_number(result.inputs.gravity, 9)
+    yield Paragraph(
+        f"{result.method.capitalize()} method, {result.model} model. ± is one standard uncertainty "
+        f"(k = 1). Coefficients are in units of the site's own gravity, g = {gravity} m/s^2, and "
+        "of an error model that is not divided by K_I: IEEE Std 1293 divides by it, so that its "
+        "K2 is K_II/K_I.",
+        "quiet",
+    )
+
+
+def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool) -> Paragraph:
+    value, u, unit = in_field_units(coefficient)
+    if not coefficient.estimated or value is None or u is None:
+        prior = (
+            f"; known beforehand: {format_estimate(value, u, unit)}" if value is not None else ""
+        )
+        return Paragraph(f"{name}: {NOT_DETERMINED} by these records{prior}", "warning")
+    text = f"{name} = {format_estimate(value, u, unit)}"
+    if in_g:
+        text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
+    if u > 0.0:
+        half = expanded_uncertainty(u, coefficient.dof)
+        interval = format_interval(value, u, half, unit if in_g else "")
+        dof = f", {format_count(coefficient.dof)} dof" if coefficient.dof is not None else ""
+        text += f"   (95 %: {interval}{dof})"
+    return Paragraph(text, "answer")
+
+
+# Platform and runs
+
+
+def platform_blocks(result: Result) -> Iterator[Block]:
+    """Yield a table of the platform's terms, those of single runs among them, if there are any."""
+    terms = dict(result.platform)
+    for name, run in result.runs.items():
+        terms |= {f"{symbol} ({name})": found for symbol, found in run.terms.items()}
+    if terms:
+        yield Heading("Platform")
+        table = coefficient_table(terms)
+        yield Table(table.columns[1:], tuple(row[1:] for row in table.rows), table.quiet)
+
+
+def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
+    """Yield what the runs showed: rotation, samples, fits; with `details`, counts of each kind."""
+    yield Heading("Runs")
+    yield Table(
+        columns=(
+            Column("Run", wraps=True),
+            Column("Rate, rad/s"),
+            Column("Drift, ppm/h"),
+            Column("Ripple, ppm of rate"),
+            Column("Used", "right"),
+            Column("Rejected", "right"),
+        ),
+        rows=tuple(
+            (
+                name,
+                format_compact(run.rate, run.u_rate),
+                format_compact(
+                    run.drift * field_unit("1/s")[1],
+                    None if run.u_drift is None else run.u_drift * field_unit("1/s")[1],
+                ),
+                _ripples(run),
+                str(run.samples),
+                str(run.rejected),
+            )
+            for name, run in runs.items()
+        ),
+    )
+    yield Paragraph("Digits in brackets: standard uncertainty of the last digits.", "quiet")
+    yield from _parabolas(runs)
+    yield from _fits(runs)
+    for name, run in runs.items():
+        for note in run.notes:
+            yield Paragraph(note if note.startswith(name) else f"{name}: {note}")
+    if details:
+        yield from _counts(runs)
+
+
+def _counts(runs: dict[str, RunResult]) -> Iterator[Block]:
+    for name, run in runs.items():
+        counts = ", ".join(f"{key.replace('_', ' ')} {count}" for key, count in run.counts.items())
+        if counts:
+            yield Paragraph(f"{name}: {counts}.")
+        if run.angle_rms is not None:
+            unit, factor = field_unit("rad")
+            rms = format_number(run.angle_rms * factor)
+            yield Paragraph(f"{name}: recorded angle less its model, rms {rms} {unit}.")
+
+
+def _ripples(run: RunResult) -> str:
+    if not run.ripples:
+        return "-"
+    # parts per million of the rate, whichever way it turns
+    scale = 1e6 / abs(run.rate)
+    return "\n".join(
+        f"{ripple.harmonic}: {format_compact(ripple.amplitude * scale, ripple.u_amplitude * scale)}"
+        for ripple in run.ripples
+    )
+
+
+def _parabolas(runs: dict[str, RunResult]) -> Iterator[Block]:
+    rows = [
+        (
+            name,
+            accelerometer,
+            str(fitted.strobes),
+            format_compact(fitted.b2, fitted.u_b2),
+            f"{format_number(fitted.sigma)} {'fitted' if fitted.sigma_from_residuals else 'given'}",
+        )
+        for name, run in runs.items()
+        for accelerometer, fitted in run.parabolas.items()
+    ]
+    if rows:
+        yield Table(
+            columns=(
+                Column("First stage", wraps=True),
+                Column("", wraps=True),
+                Column("Strobes", "right"),
+                Column("b2, m/s^2"),
+                Column("sigma, m"),
+            ),
+            rows=tuple(rows),
+        )
+
+
+def _fits(runs: dict[str, RunResult]) -> Iterator[Block]:
+    """Write whatever each run's fit is judged by, a column for each key."""
+    fits = [
+        (name, accelerometer, fit)
+        for name, run in runs.items()
+        for accelerometer, fit in run.fit.items()
+    ]
+    keys = tuple(dict.fromkeys(key for _, _, fit in fits for key in fit))
+    titles = [_TESTS.get(key, key.replace("_", " ")) for key in keys]
+    if keys:
+        yield Table(
+            columns=(
+                Column("Fit", wraps=True),
+                Column("", wraps=True),
+                *(Column(title, "right", wraps=True) for title in titles),
+            ),
+            rows=tuple(
+                (name, accelerometer, *(_plain(fit.get(key)) for key in keys))
+                for name, accelerometer, fit in fits
+            ),
+        )
+
+
+def _plain(value: float | str | None) -> str:
+    if value is None or isinstance(value, str):
+        return value or "-"
+    return format_count(value)
+
+
+def _details(result: Result) -> Iterator[Block]:
+    yield Heading("Details")
+    inputs = result.inputs
+    latitude = format_number(math.degrees(inputs.latitude), 8)
+    yield Paragraph(f"Radius {inputs.radius:.10g} m, latitude {latitude} deg.")
+    for file, checksum in result.provenance.inputs.items():
+        yield Paragraph(f"{file} {checksum}", "quiet")
+    yield Paragraph(f"counterspin {result.provenance.version}", "quiet")

@@ -1,0 +1,343 @@
+"""The parts that a result is made of; `counterspin.calibration.result` puts them together.
+
+Coefficients are in g-units of the stated gravity; everything else is SI unless its unit stands
+beside it.
+
+- `Coefficient`, `Correlation`, `Confounded`, `Residual`, `NoiseLine`: what was estimated
+- `BudgetLine`, `Jackknife`, `Comparison`, `LeftOut`, `Conformity`: what it rests on
+- `Trace` and its parts: the residuals of a run, thinned for pictures
+- `AccelerometerResult`, `RunResult`, `Inputs`, `Provenance`: what holds these
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+
+class Part(BaseModel):
+    """A part of the result; unknown keys are kept out so that a slip is seen at once."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")
+
+
+class Coefficient(Part):
+    """One coefficient and where its uncertainty comes from.
+
+    Attributes
+    ----------
+    value, u
+        Estimate and combined standard uncertainty; None if the data do not determine the
+        coefficient and nothing is known beforehand. If not `estimated`, the prior.
+    u_noise, u_prior, u_considered
+        Parts of `u` from the records' noise, from priors of estimated terms, and from considered
+        terms and uncertain inputs; u^2 is the sum of their squares.
+    dof
+        Effective degrees of freedom; None is infinite. Intervals use Student's t.
+    unit
+        g-units, or SI for platform terms.
+    estimated
+        Whether the data determine it.
+    """
+
+    value: float | None
+    u: float | None
+    u_noise: float | None = None
+    u_prior: float | None = None
+    u_considered: float | None = None
+    dof: float | None = None
+    unit: str
+    estimated: bool
+
+
+class Correlation(Part):
+    """Correlation matrix of the estimated coefficients, rows in the order of `terms`."""
+
+    terms: list[str]
+    matrix: list[list[float]]
+
+
+class Confounded(Part):
+    """Terms that the data cannot tell apart, or hardly, and the combination they do determine.
+
+    `correlation` is that of the data alone, priors left aside.
+    """
+
+    terms: list[str]
+    correlation: float
+    determined: str
+    value: float | None = None
+    u: float | None = None
+
+
+class Residual(Part):
+    """Size of the residuals and how well the model fits.
+
+    `chi2` and `lack_of_fit_p` need a noise that was given; they are None where it was estimated
+    from these residuals.
+    """
+
+    rms: float
+    unit: str
+    dof: float
+    chi2: float | None = None
+    lack_of_fit_p: float | None = None
+
+
+class BudgetLine(Part):
+    """One source of uncertainty: contribution = |sensitivity| x u; share of u^2.
+
+    For noise the sensitivity is None: it is a different one for every sample.
+    """
+
+    source: str
+    u: float | None
+    unit: str
+    sensitivity: float | None
+    contribution: float
+    share: float
+
+
+class NoiseLine(Part):
+    """One noise component: its size, whether it was estimated, and its uncertainty then."""
+
+    value: float
+    u: float | None = None
+    unit: str
+    estimated: bool
+
+
+class Jackknife(Part):
+    """K_II with one run left out; `z` is its shift over the shift's standard uncertainty."""
+
+    run: str
+    value: float | None
+    shift: float | None
+    z: float | None
+
+
+class Comparison(Part):
+    """K_II by the two-stage method beside the joint fit; `z` is the difference over its u."""
+
+    value: float
+    u: float
+    difference: float
+    u_difference: float
+    z: float
+
+
+class LeftOut(Part):
+    """A term that the model leaves out: what one unit of it would move K_II by, in g/g^2."""
+
+    sensitivity: float
+    unit: str
+
+
+class Conformity(Part):
+    """Whether a coefficient meets its specification, by a stated decision rule (JCGM 106).
+
+    Attributes
+    ----------
+    specification
+        As it was written, such as ``abs <= 5e-5 g/g^2``.
+    low, high
+        Tolerance limits in `unit`; None where there is no such limit.
+    unit
+        Of the limits: that of the coefficient.
+    rule
+        Decision rule: ``simple``, ``guarded`` or ``probability``.
+    guard_band
+        Width in `unit` by which the acceptance limits lie inside the tolerance limits; None
+        without an estimate.
+    needed
+        Probability that the rule asks for; None where it asks for none.
+    verdict
+        What the rule says.
+    probability
+        That the coefficient conforms, given the estimate and its uncertainty.
+    risk
+        Probability that the verdict is wrong; None if it is undecided.
+    reason
+        Why it is undecided; None if it is not.
+    """
+
+    specification: str
+    low: float | None
+    high: float | None
+    unit: str
+    rule: Literal["simple", "guarded", "probability"]
+    guard_band: float | None
+    needed: float | None = None
+    verdict: Literal["pass", "fail", "undecided"]
+    probability: float | None
+    risk: float | None
+    reason: str | None = None
+
+
+class Fold(Part):
+    """Residuals against the spindle's angle: equal parts of a revolution from angle 0 on.
+
+    A part without a sample has None.
+    """
+
+    low: list[float | None]
+    mean: list[float | None]
+    high: list[float | None]
+
+
+class Spectrum(Part):
+    """Spectrum of whitened residuals; frequency in Hz, power 1 for white noise."""
+
+    frequency: list[float]
+    power: list[float]
+
+
+class Quantiles(Part):
+    """Ordered whitened residuals beside what a standard normal distribution would show."""
+
+    normal: list[float]
+    found: list[float]
+
+
+class Trace(Part):
+    """The residuals of one accelerometer in one run, thinned for pictures.
+
+    Attributes
+    ----------
+    time
+        Middle of each stretch, s from the start of the run.
+    low, high
+        Smallest and largest residual in it, in the observable's unit.
+    left_out
+        Time and residual of samples judged outliers, the largest ones if there are many.
+    by_angle
+        The residuals over the revolution.
+    spectrum, quantiles
+        Of the whitened residuals.
+    """
+
+    time: list[float]
+    low: list[float]
+    high: list[float]
+    left_out: list[tuple[float, float]] = []
+    by_angle: Fold | None = None
+    spectrum: Spectrum | None = None
+    quantiles: Quantiles | None = None
+
+
+class AccelerometerResult(Part):
+    """All that was found out about one accelerometer.
+
+    Attributes
+    ----------
+    serial_number
+        As the campaign states it.
+    coefficients
+        The terms that the campaign asked for.
+    known
+        Further terms of which something is known beforehand, as the campaign states it; the fit
+        has taken their values away.
+    axes
+        Where the input, pendulous and output axes point, as rows, in east-north-up while the
+        platform is level.
+    observable
+        What was recorded: ``displacement``, ``velocity`` or ``specific_force``.
+    conformity
+        By term: where the campaign states a specification.
+    traces
+        By run: residuals for pictures.
+    """
+
+    serial_number: str | None = None
+    coefficients: dict[str, Coefficient]
+    known: dict[str, Coefficient] = {}
+    axes: list[tuple[float, float, float]] | None = None
+    observable: str | None = None
+    correlation: Correlation | None
+    confounded: list[Confounded] = []
+    residual: Residual
+    noise: dict[str, NoiseLine] = {}
+    budget: dict[str, list[BudgetLine]] = {}
+    second_unknown: dict[str, Coefficient] = {}
+    jackknife: list[Jackknife] = []
+    two_stage: Comparison | None = None
+    left_out: dict[str, LeftOut] = {}
+    conformity: dict[str, Conformity] = {}
+    traces: dict[str, Trace] = {}
+    warnings: list[str] = []
+
+
+class RippleResult(Part):
+    """One ripple of the rate; amplitude in rad/s, phase in rad."""
+
+    harmonic: int
+    amplitude: float
+    u_amplitude: float
+    phase: float
+    u_phase: float | None
+
+
+class ParabolaResult(Part):
+    """First stage of the two-stage method: b0 (m), b1 (m/s), b2 (m/s^2) of one accelerometer."""
+
+    b0: float
+    b1: float
+    b2: float
+    u_b2: float
+    sigma: float
+    sigma_from_residuals: bool
+    strobes: int
+
+
+class RunResult(Part):
+    """What one run showed: its rotation, its samples, its own terms.
+
+    `rejected` counts every sample, of any accelerometer, that was recorded but not used: repeated
+    rows, empty cells and outliers; `counts` says how many of each.
+    """
+
+    rate: float
+    u_rate: float | None = None
+    rate_unit: Literal["rad/s"] = "rad/s"
+    drift: float
+    u_drift: float | None = None
+    drift_unit: Literal["1/s"] = "1/s"
+    ripples: list[RippleResult] = []
+    angle_rms: float | None = None
+    samples: int
+    rejected: int
+    counts: dict[str, int] = {}
+    notes: list[str] = []
+    terms: dict[str, Coefficient] = {}
+    parabolas: dict[str, ParabolaResult] = {}
+    fit: dict[str, dict[str, float | str | None]] = {}
+
+
+class Inputs(Part):
+    """What the result depends on beside the records."""
+
+    gravity: float
+    gravity_unit: Literal["m/s^2"] = "m/s^2"
+    latitude: float
+    latitude_unit: Literal["rad"] = "rad"
+    radius: float
+    radius_unit: Literal["m"] = "m"
+
+
+class Provenance(Part):
+    """What made the result: program, options and inputs.
+
+    Attributes
+    ----------
+    version
+        Of counterspin.
+    inputs
+        By file, its SHA-256.
+    options
+        Of the command, as they are typed, where they are not the defaults.
+    """
+
+    version: str
+    inputs: dict[str, str]
+    options: list[str] = []

@@ -1,0 +1,355 @@
+"""`--method two-stage`: from observed runs to the paper's result for each accelerometer.
+
+- `two_stage`, `TwoStageOutcome`: all of it
+- `k_ii`: its K_II alone
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.options import TwoStageOptions
+from counterspin.calibration.result import described
+from counterspin.calibration.result_parts import (
+    AccelerometerResult,
+    Coefficient,
+    Correlation,
+    NoiseLine,
+    ParabolaResult,
+    Residual,
+)
+from counterspin.calibration.two_stage_findings import (
+    asked_only,
+    confounded,
+    left_out,
+    unmodelled,
+    warnings,
+)
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.errors import NotIdentifiableError
+from counterspin.inference.two_stage import strobes as strobing
+from counterspin.inference.two_stage.first_stage import Parabola, first_stage
+from counterspin.inference.two_stage.second_stage import (
+    DRIFT,
+    RIPPLE,
+    SecondStage,
+    StrobedRun,
+    second_stage,
+)
+from counterspin.physics.accelerometer import TERMS, term
+
+_NOTHING: Final = (0.0, math.inf)  #: known of a term beforehand
+
+
+@dataclass(frozen=True)
+class TwoStageOutcome:
+    """Both stages of one accelerometer: what the result says, and what it says it from."""
+
+    result: AccelerometerResult
+    parabolas: Mapping[str, ParabolaResult]
+    runs: tuple[StrobedRun, ...]
+    second: SecondStage
+
+
+def two_stage(
+    campaign: Campaign,
+    observed: Sequence[ObservedRun],
+    accelerometer: Accelerometer,
+    options: TwoStageOptions,
+) -> TwoStageOutcome:
+    """Apply the two-stage method to one accelerometer.
+
+    Parameters
+    ----------
+    campaign, accelerometer
+        The description and one of its accelerometers.
+    observed
+        The campaign's runs.
+    options
+        Model, weighting and so on.
+
+    Returns
+    -------
+    TwoStageOutcome
+
+    Raises
+    ------
+    NotIdentifiableError
+        If the accelerometer's record is not a displacement along a horizontal axis, or there are
+        fewer rates than unknowns.
+    RecordError
+        If a run has too few strobes.
+    """
+    runs, second = _both_stages(
+        campaign, observed, accelerometer, options, unmodelled(campaign, accelerometer)
+    )
+    found = _unknowns(campaign, second, options)
+    coefficients = _coefficients(campaign, accelerometer, second, found)
+    _, walk = _noise(campaign, options)
+    parabolas = [run.parabola for run in runs]
+    result = AccelerometerResult(
+        coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
+        second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
+        correlation=_correlation(second, coefficients),
+        confounded=confounded(second, found),
+        residual=_residual(parabolas, walk),
+        noise=_noise_lines(parabolas, walk),
+        left_out=left_out(second) if options.model == "exact" else {},
+        warnings=warnings(campaign, accelerometer, runs, second, coefficients, options.model),
+        **described(accelerometer, coefficients),
+    )
+    return TwoStageOutcome(
+        result, {run.name: _parabola(run.parabola) for run in runs}, runs, second
+    )
+
+
+def _both_stages(
+    campaign: Campaign,
+    observed: Sequence[ObservedRun],
+    accelerometer: Accelerometer,
+    options: TwoStageOptions,
+    ignored: Sequence[str],
+) -> tuple[tuple[StrobedRun, ...], SecondStage]:
+    """Strobe the runs of one accelerometer, fit parabolas and resolve them.
+
+    `ignored` are terms of which nothing is known and whose effects are wanted.
+    """
+    if accelerometer.observable != "displacement":
+        raise NotIdentifiableError(
+            f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
+            f"is of {accelerometer.observable.replace('_', ' ')}; use --method joint"
+        )
+    sigma, walk = _noise(campaign, options)
+    runs = tuple(_strobed(run, accelerometer, sigma, walk) for run in observed)
+    priors = _priors(campaign, accelerometer)
+    scale_factor = priors.pop("K_I", (TERMS["K_I"].nominal, 0.0))
+    bias = priors.pop("K_F", _NOTHING)
+    resolve = partial(
+        second_stage,
+        mounting=accelerometer.mounting,
+        model=options.model,
+        scale_factor=scale_factor,
+        bias=bias,
+        second_order=priors.pop("K_II", _NOTHING),
+        fit_bias=options.fit_bias,
+        nominal_angle=campaign.angle is None,
+        ripple=options.ripple,
+        considered=priors,
+        ignored=ignored,
+        weighted=options.weighted,
+    )
+    second = resolve(runs)
+    if DRIFT in second.symbols:
+        # K_II grows with the rate's fourth power, and so along a drift that is now known.
+        runs = tuple(_drifting(run, second.estimate(DRIFT)[0]) for run in runs)
+        second = resolve(runs)
+    return runs, second
+
+
+def k_ii(
+    campaign: Campaign,
+    observed: Sequence[ObservedRun],
+    accelerometer: Accelerometer,
+    options: TwoStageOptions,
+) -> tuple[Coefficient, SecondStage]:
+    """Return the K_II of `two_stage` and where it comes from, without the rest of its result.
+
+    Raises
+    ------
+    NotIdentifiableError, RecordError
+        As `two_stage`.
+    """
+    # Whether K_II is alone depends on what was asked for beside it, and on nothing else.
+    others = asked_only(campaign, accelerometer)
+    _, second = _both_stages(campaign, observed, accelerometer, options, others)
+    found = _unknowns(campaign, second, options)
+    return _coefficients(campaign, accelerometer, second, found)["K_II"], second
+
+
+def _drifting(run: StrobedRun, drift: float) -> StrobedRun:
+    spindle = replace(run.trajectory.spindle, drift=drift)
+    return replace(run, trajectory=replace(run.trajectory, spindle=spindle))
+
+
+def _noise(campaign: Campaign, options: TwoStageOptions) -> tuple[float | None, float]:
+    """Return the displacement noise of a sample (None: from residuals) and the random walk."""
+    noise = campaign.noise
+    if noise is None or options.from_residuals:
+        return None, 0.0
+    walk = noise.acceleration if isinstance(noise.acceleration, float) else 0.0
+    step = noise.quantisation if isinstance(noise.quantisation, float) else 0.0
+    if not isinstance(noise.displacement, float):
+        return None, walk
+    sigma = math.hypot(noise.displacement, step / math.sqrt(12.0))
+    return sigma or None, walk
+
+
+def _strobed(
+    run: ObservedRun, accelerometer: Accelerometer, sigma: float | None, walk: float
+) -> StrobedRun:
+    error = run.signals[accelerometer.name].error
+    turned = accelerometer.mounting.turned(run.run.attitude)
+    phase = strobing.strobe_angle(turned.input_axis)
+    time, count = run.record.time, run.record.count
+    if run.rotation is None:
+        found = strobing.by_nominal_rate(time, run.run.rate, error, phase, count)
+    else:
+        angle = run.trajectory.spindle.angle(time)
+        found = strobing.by_angle(time, angle, error, phase, count)
+    parabola = first_stage(found, sigma, walk)
+    return StrobedRun(run.run.name, run.trajectory, parabola, run.run.attitude)
+
+
+def _asked(campaign: Campaign) -> tuple[str, ...]:
+    return (*campaign.model.terms, *campaign.model.considered)
+
+
+def _priors(campaign: Campaign, accelerometer: Accelerometer) -> dict[str, tuple[float, float]]:
+    """Return what is known beforehand, the platform's terms of the model included."""
+    known: dict[str, Quantity] = dict(accelerometer.priors)
+    known |= {s: q for s, q in campaign.model.priors.items() if s in _asked(campaign)}
+    return {symbol: (q.value, q.u) for symbol, q in known.items()}
+
+
+def _unknowns(
+    campaign: Campaign, second: SecondStage, options: TwoStageOptions
+) -> dict[str, Coefficient]:
+    """Return the estimates of the second stage, determined or not."""
+    found = {}
+    solution = second.solution
+    for index, symbol in enumerate(second.symbols):
+        value = float(solution.estimate[index])
+        noise, prior, considered = (
+            math.sqrt(float(part[index, index]))
+            for part in (
+                solution.covariance_noise,
+                solution.covariance_prior,
+                solution.covariance_considered,
+            )
+        )
+        considered = math.hypot(considered, *_from_inputs(campaign, symbol, value))
+        u = math.hypot(noise, prior, considered)
+        # What does not come from the residuals has no degrees of freedom to lose (GUM G.4.1).
+        dof = float(second.dof[index]) * (u / noise) ** 4 if noise > 0.0 else math.inf
+        limit = campaign.model.limits.get(symbol, math.inf)
+        known = float(solution.prior_sd[index])
+        ratio = symbol == RIPPLE and options.ripple == "ratio"
+        found[symbol] = Coefficient(
+            value=value,
+            u=u,
+            u_noise=noise,
+            u_prior=prior,
+            u_considered=considered,
+            dof=dof if math.isfinite(dof) else None,
+            unit="1" if ratio else _unit(symbol),
+            estimated=u < limit and not (math.isfinite(known) and u * u > 0.9 * known**2),
+        )
+    return found
+
+
+def _coefficients(
+    campaign: Campaign,
+    accelerometer: Accelerometer,
+    second: SecondStage,
+    unknowns: Mapping[str, Coefficient],
+) -> dict[str, Coefficient]:
+    """Return what is determined, then the other terms of the model with what is known of them."""
+    found = {}
+    for symbol, estimate in unknowns.items():
+        # Asked to tell it from a term that acts exactly alike, the records say nothing.
+        alone = not set(second.alike(symbol)) & set(campaign.model.terms)
+        found[symbol] = estimate if estimate.estimated and alone else _known(accelerometer, symbol)
+    for symbol in campaign.model.terms:
+        if symbol in TERMS and symbol not in found:
+            found[symbol] = _known(accelerometer, symbol)
+    return found
+
+
+def _known(accelerometer: Accelerometer, symbol: str) -> Coefficient:
+    """Return a coefficient that the data do not determine: its prior, or nothing."""
+    prior = accelerometer.priors.get(symbol)
+    return Coefficient(
+        value=prior.value if prior else None,
+        u=prior.u if prior else None,
+        unit=_unit(symbol),
+        estimated=False,
+    )
+
+
+def _unit(symbol: str) -> str:
+    units = {DRIFT: "1/s", RIPPLE: "rad/s"}
+    return units.get(symbol) or term(symbol).unit
+
+
+def _from_inputs(campaign: Campaign, symbol: str, value: float) -> tuple[float, float]:
+    """Return what uncertain radius and gravity add: a b2 of R^n g^(1-n) per unit coefficient."""
+    if symbol not in TERMS:
+        return (0.0, 0.0)
+    degree = len(TERMS[symbol].factors)
+    radius, gravity = campaign.radius, campaign.gravity
+    return (
+        degree * value * radius.u / radius.value,
+        (degree - 1) * value * gravity.u / gravity.value,
+    )
+
+
+def _correlation(
+    second: SecondStage, coefficients: Mapping[str, Coefficient]
+) -> Correlation | None:
+    chosen = [i for i, symbol in enumerate(second.symbols) if coefficients[symbol].estimated]
+    if not chosen:
+        return None
+    covariance = second.solution.covariance[np.ix_(chosen, chosen)]
+    u = np.sqrt(np.diag(covariance))
+    matrix = covariance / np.outer(u, u)
+    return Correlation(terms=[second.symbols[i] for i in chosen], matrix=matrix.tolist())
+
+
+def _residual(parabolas: Sequence[Parabola], walk: float) -> Residual:
+    from scipy.special import chdtrc
+
+    weighted = [p.residuals / p.strobes.noise_factor for p in parabolas]
+    dof = sum(p.dof for p in parabolas)
+    rms = math.sqrt(sum(float(np.sum(w**2)) for w in weighted) / dof)
+    if walk > 0.0 or any(p.sigma_from_residuals for p in parabolas):
+        return Residual(rms=rms, unit="m", dof=dof)
+    chi2 = sum(p.chi2 for p in parabolas)
+    return Residual(rms=rms, unit="m", dof=dof, chi2=chi2, lack_of_fit_p=float(chdtrc(dof, chi2)))
+
+
+def _noise_lines(parabolas: Sequence[Parabola], walk: float) -> dict[str, NoiseLine]:
+    estimated = parabolas[0].sigma_from_residuals
+    dof = sum(p.dof for p in parabolas)
+    sigma = math.sqrt(sum(p.sigma**2 * p.dof for p in parabolas) / dof)
+    lines = {
+        "displacement": NoiseLine(
+            value=sigma,
+            u=sigma / math.sqrt(2.0 * dof) if estimated else None,
+            unit="m",
+            estimated=estimated,
+        )
+    }
+    if walk > 0.0:
+        lines["acceleration"] = NoiseLine(value=walk, unit="m/s^2/Hz^0.5", estimated=False)
+    return lines
+
+
+def _parabola(parabola: Parabola) -> ParabolaResult:
+    b0, b1, b2 = (float(b) for b in parabola.coefficients)
+    return ParabolaResult(
+        b0=b0,
+        b1=b1,
+        b2=b2,
+        u_b2=parabola.u_b2,
+        sigma=parabola.sigma,
+        sigma_from_residuals=parabola.sigma_from_residuals,
+        strobes=parabola.strobes.time.size,
+    )

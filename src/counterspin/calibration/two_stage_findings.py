@@ -1,0 +1,173 @@
+"""What a two-stage result must say beside its numbers: what they stand for, what they leave out.
+
+- `unmodelled`, `asked_only`: terms of which nothing is known
+- `confounded`, `left_out`: what these would do
+- `warnings`
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from counterspin.calibration.joint_problem import left_out_of
+from counterspin.calibration.result_parts import Coefficient, Confounded, LeftOut
+from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.inference.identifiability import assess
+from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
+from counterspin.physics.accelerometer import TERMS, term
+
+#: Below this probability a misfit is no accident.
+_SUSPICIOUS: Final = 0.001
+
+
+def asked_only(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, ...]:
+    """Return the terms that the model asks for and that nothing is known of beforehand."""
+    known = {*accelerometer.priors, *campaign.model.priors}
+    return tuple(symbol for symbol in campaign.model.terms if symbol not in known)
+
+
+def unmodelled(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, ...]:
+    """Return the terms that nothing is known of beforehand, asked for or not."""
+    others = [other.symbol for other in left_out_of(campaign, accelerometer.name)]
+    return tuple(dict.fromkeys([*asked_only(campaign, accelerometer), *others]))
+
+
+def left_out(second: SecondStage) -> dict[str, LeftOut]:
+    """Return what the terms would move K_II by of which nothing is known."""
+    return {
+        symbol: LeftOut(sensitivity=float(second.shift(symbol)[0]), unit=term(symbol).unit)
+        for symbol in second.ignored
+    }
+
+
+def confounded(second: SecondStage, estimates: Mapping[str, Coefficient]) -> list[Confounded]:
+    """Return what the estimates really are of: sums with terms that act exactly alike.
+
+    Parameters
+    ----------
+    second
+        The second stage.
+    estimates
+        Of its unknowns.
+    """
+    found = [
+        Confounded(
+            terms=list(item.terms),
+            correlation=item.correlation,
+            determined=item.determined,
+            value=item.value,
+            u=item.u,
+        )
+        for item in assess(second.solution, second.symbols).confounded
+    ]
+    for symbol in second.symbols:
+        if alike := second.alike(symbol):
+            found.append(
+                Confounded(
+                    terms=[symbol, *alike],
+                    # Estimates of terms that act the same way work against each other.
+                    correlation=-1.0 if next(iter(alike.values())) > 0.0 else 1.0,
+                    determined=_sum({symbol: 1.0, **alike}),
+                    value=estimates[symbol].value,
+                    u=estimates[symbol].u,
+                )
+            )
+    return found
+
+
+def _sum(weights: Mapping[str, float]) -> str:
+    """Write a combination, its weights with four digits."""
+    text = ""
+    for symbol, weight in weights.items():
+        size = f"{abs(weight):.4g}"
+        text += " - " if weight < 0.0 else " + "
+        text += symbol if size == "1" else f"{size} {symbol}"
+    return text.removeprefix(" + ")
+
+
+def warnings(
+    campaign: Campaign,
+    accelerometer: Accelerometer,
+    runs: Sequence[StrobedRun],
+    second: SecondStage,
+    coefficients: Mapping[str, Coefficient],
+    model: str,
+) -> list[str]:
+    """Return what the user should know before using the numbers.
+
+    Parameters
+    ----------
+    campaign, accelerometer, runs, second
+        What was asked and what was found.
+    coefficients
+        As the result shows them.
+    model
+        ``exact`` or ``as-printed``.
+    """
+    found = []
+    if model == "as-printed":
+        found.append(
+            "The equations are used as printed: their K_II term is twice the exact one, so K_II "
+            "is half of what the accelerometer has. Use --model exact for a calibration."
+        )
+    else:
+        found += _undetermined(second, coefficients)
+        found += _unknown(campaign, second)
+    found += [
+        f"The columns of {a} and {b} are nearly collinear at these rates (correlation {r:.4f})."
+        for a, b, r in second.near_collinear
+    ]
+    found += _misfit(runs, second)
+    lost = sum(run.parabola.strobes.lost for run in runs)
+    if lost:
+        found.append(f"{lost} strobes fell into gaps of the record and were left out.")
+    return [f"{accelerometer.name}: {warning}" for warning in found]
+
+
+def _undetermined(second: SecondStage, coefficients: Mapping[str, Coefficient]) -> list[str]:
+    return [
+        f"The runs do not determine {symbol}, and nothing is known of it beforehand."
+        for symbol in second.symbols
+        if coefficients[symbol].value is None
+    ]
+
+
+def _unknown(campaign: Campaign, second: SecondStage) -> list[str]:
+    """Name the accelerometer's terms, and what else was asked for, that could spoil K_II."""
+    alike = {other for symbol in second.symbols for other in second.alike(symbol)}
+    _, u = second.estimate("K_II")
+    found = []
+    for symbol in second.ignored:
+        if symbol in alike or (symbol not in TERMS and symbol not in campaign.model.terms):
+            continue
+        limit = campaign.model.limits[symbol]
+        shift = abs(float(second.shift(symbol)[0])) * limit
+        if shift > u:
+            found.append(
+                f"{symbol} is neither estimated nor known beforehand; at its largest credible "
+                f"size, {limit:.3g} {term(symbol).unit}, it would move K_II by {shift:.2g} g/g^2, "
+                "more than its uncertainty. Give it a prior, or use --method joint."
+            )
+    return found
+
+
+def _misfit(runs: Sequence[StrobedRun], second: SecondStage) -> list[str]:
+    from scipy.special import chdtrc
+
+    solution = second.solution
+    dof = len(runs) - int(np.sum(np.isinf(solution.prior_sd)))
+    # Without weights the sum of squares is not distributed like chi-square.
+    if dof < 1 or not second.weighted or solution.chi2 <= 0.0:
+        return []
+    probability = float(chdtrc(dof, solution.chi2))
+    if probability > _SUSPICIOUS:
+        return []
+    worst = runs[int(np.argmax(np.abs(second.misfit)))].name
+    return [
+        f"The runs do not agree with the model (chi-square {solution.chi2:.1f} with {dof} "
+        f"degrees of freedom, p = {probability:.1g}; {worst} is farthest off): a term is missing, "
+        "a prior is wrong, or the noise is larger than stated."
+    ]

@@ -1,0 +1,147 @@
+"""The bricks of a Digital Calibration Certificate: elements of DCC and D-SI.
+
+Numbers are written with all digits of a double, so that a machine reads back what was computed;
+`significantDigit` tells where they are to be rounded, and the words beside them are rounded.
+
+- `dcc`, `si`: an element of either name space; `DCC`, `SI`, `NAMESPACES`
+- `text`, `rich`: words with their language; `attached`: a file
+- `real`: a number with its uncertainty; `number`, `factor`: how numbers are spelt
+- `clean`: text that XML can hold
+"""
+
+from __future__ import annotations
+
+import re
+from base64 import b64encode
+from typing import Any, Final
+
+from lxml import etree
+
+from counterspin.certificates.coverage import coverage_factor
+from counterspin.certificates.units import SiUnit
+from counterspin.inference.conformity import COVERAGE
+from counterspin.reports.numbers import round_to_uncertainty
+
+DCC: Final = "https://ptb.de/dcc"
+SI: Final = "https://ptb.de/si"
+NAMESPACES: Final = {"dcc": DCC, "si": SI}
+
+#: The language of every word that counterspin writes itself.
+ENGLISH: Final = "en"
+
+# What XML 1.0 cannot hold even as a character reference (clause 2.2).
+_FORBIDDEN: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
+
+Element = Any  # lxml carries no types
+Child = Element | str | None
+
+
+def dcc(tag: str, *children: Child, **attributes: str | None) -> Element:
+    """Return an element of DCC; children and attributes that are None are left out."""
+    return _element(DCC, tag, children, attributes)
+
+
+def si(tag: str, *children: Child) -> Element:
+    """Return an element of D-SI; children that are None are left out."""
+    return _element(SI, tag, children, {})
+
+
+def _element(
+    space: str, tag: str, children: tuple[Child, ...], attributes: dict[str, str | None]
+) -> Element:
+    made = etree.Element(f"{{{space}}}{tag}", nsmap=NAMESPACES)
+    for key, value in attributes.items():
+        if value is not None:
+            made.set(key, value)
+    for child in children:
+        if isinstance(child, str):
+            made.text = (made.text or "") + clean(child)
+        elif child is not None:
+            made.append(child)
+    return made
+
+
+def clean(words: str) -> str:
+    """Return text with every character that XML cannot hold replaced, and no blanks around it."""
+    return _FORBIDDEN.sub("\ufffd", words).strip()
+
+
+def text(tag: str, words: str, language: str = ENGLISH, **attributes: str | None) -> Element:
+    """Return an element that holds words, such as a name."""
+    return dcc(tag, dcc("content", words, lang=language), **attributes)
+
+
+def rich(tag: str, *lines: str, language: str = ENGLISH) -> Element:
+    """Return an element that holds paragraphs."""
+    return dcc(tag, *(dcc("content", line, lang=language) for line in lines))
+
+
+def attached(tag: str, name: str, media_type: str, data: bytes, description: str) -> Element:
+    """Return an element that holds a file."""
+    return dcc(
+        tag,
+        rich("description", description),
+        dcc("fileName", name),
+        dcc("mimeType", media_type),
+        dcc("dataBase64", b64encode(data).decode("ascii")),
+    )
+
+
+def number(value: float) -> str:
+    """Spell a number so that it reads back as the same double."""
+    return repr(float(value))
+
+
+def factor(value: float) -> str:
+    """Spell a coverage factor or a probability, which must have no power of ten."""
+    return f"{value:.4f}".rstrip("0").rstrip(".")
+
+
+def real(
+    value: float,
+    unit: SiUnit | str,
+    *,
+    label: str | None = None,
+    u: float | None = None,
+    dof: float | None = None,
+) -> Element:
+    """Return a quantity with its expanded uncertainty.
+
+    Parameters
+    ----------
+    value
+        In `unit`.
+    unit
+        Of value and uncertainty; as text: as D-SI writes it.
+    label
+        What it is called in formulas.
+    u
+        Standard uncertainty; None or 0: none is stated.
+    dof
+        Its effective degrees of freedom; None is infinite.
+    """
+    digits = round_to_uncertainty(value, u) if u else None
+    return si(
+        "real",
+        None if label is None else si("label", label),
+        si("value", number(value)),
+        si("unit", unit if isinstance(unit, str) else unit.text),
+        None if digits is None else si("significantDigit", str(digits.place)),
+        si("measurementUncertaintyUnivariate", _expanded(u, dof)) if u else None,
+    )
+
+
+def _expanded(u: float, dof: float | None) -> Element:
+    k = coverage_factor(dof)
+    return si(
+        "expandedMU",
+        si("valueExpandedMU", number(k * u)),
+        si("coverageFactor", factor(k)),
+        si("coverageProbability", factor(COVERAGE)),
+        si("distribution", distribution(dof)),
+    )
+
+
+def distribution(dof: float | None) -> str:
+    """Return what the coverage factor comes from."""
+    return "normal" if dof is None else "t"

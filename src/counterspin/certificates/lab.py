@@ -1,0 +1,285 @@
+"""What a laboratory says about a calibration beside its result: ``LAB.toml``.
+
+ISO/IEC 17025 7.8.2 and the administrative data of the certificate ask for it. A certificate is
+not made from what is missing: every gap is told at once, by its key.
+
+- `Lab` and its sections: what may stand in the file
+- `read_lab`: the file, checked by itself and against the result
+- `write_example`: a commented one to start from; `example_keys`: what of it is still left
+"""
+
+from __future__ import annotations
+
+import datetime
+import re
+from collections.abc import Iterator, Mapping
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import AfterValidator, Field, PlainValidator
+
+from counterspin.calibration.result import Result
+from counterspin.campaign.checking import Path as KeyPath
+from counterspin.campaign.checking import Problems, did_you_mean, key_path
+from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.settings import Section
+from counterspin.campaign.specification import Specifications, resolve_specifications
+from counterspin.campaign.toml_file import load_document
+from counterspin.certificates.elements import clean
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.output import write_text
+
+#: Where a calibration may take place, in the words of the schema.
+_PLACES: Final = ("laboratory", "customer", "laboratoryBranch", "customerBranch", "other")
+
+_CELSIUS: Final = re.compile(r"(.*?)\s*(?:degC|°C)")
+
+
+def _words(value: str) -> str:
+    stripped = " ".join(value.split())
+    if not stripped:
+        raise ValueError("must not be empty")
+    if clean(stripped) != stripped:
+        raise ValueError("holds a control character, which a certificate cannot")
+    return stripped
+
+
+def _code(pattern: str, what: str) -> AfterValidator:
+    def check(value: str) -> str:
+        if not re.fullmatch(pattern, value):
+            raise ValueError(f"{value!r} is not {what}")
+        return value
+
+    return AfterValidator(check)
+
+
+def _place(value: str) -> str:
+    if value not in _PLACES:
+        raise ValueError(f"{value!r} is no such place" + did_you_mean(value, _PLACES))
+    return value
+
+
+def _temperature(text: object) -> Quantity:
+    match = _CELSIUS.fullmatch(text.strip()) if isinstance(text, str) else None
+    if match is None:
+        raise ValueError('must be a temperature, such as "20.0 ± 0.3 degC"')
+    found = parse(f"{match[1]} 1", "1")
+    return Quantity(found.value, found.u, "degC")
+
+
+Words = Annotated[str, AfterValidator(_words)]
+Country = Annotated[str, _code(r"[A-Z]{2}", "a country's two letters (ISO 3166-1), such as DE")]
+
+
+class CertificateSettings(Section):
+    """[certificate]: what it is called, when and where the calibration took place."""
+
+    identifier: Words | None = None
+    language: Annotated[str, _code(r"[a-z]{2}", "a language's two letters (ISO 639-1)")] = "en"
+    begin: datetime.date
+    end: datetime.date
+    place: Annotated[str, AfterValidator(_place)] = "laboratory"
+    received: datetime.date | None = None
+    issued: datetime.date | None = None
+    traceability: Words
+    remarks: list[Words] = Field(default=[])
+    accelerometers: list[Words] | None = None
+
+
+class Contact(Section):
+    """Somebody's name and address."""
+
+    name: Words
+    street: Words | None = None
+    number: Words | None = None
+    post_code: Words | None = None
+    city: Words
+    country: Country | None = None
+    email: Words | None = None
+    phone: Words | None = None
+
+
+class Laboratory(Contact):
+    """[laboratory]: who has calibrated; `code` is that of the accreditation."""
+
+    country: Country
+    code: Words | None = None
+
+
+class Item(Section):
+    """[item]: what was calibrated."""
+
+    name: Words
+    manufacturer: Words
+    model: Words
+    serial_number: Words
+    inventory_number: Words | None = None
+
+
+class Part(Section):
+    """[accelerometers.NAME]: an accelerometer in the item, where it is a thing of its own."""
+
+    manufacturer: Words | None = None
+    model: Words | None = None
+    serial_number: Words | None = None
+
+
+class Person(Section):
+    """[[persons]]: who answers for the results."""
+
+    name: Words
+    role: Words
+    email: Words | None = None
+
+
+class Conditions(Section):
+    """[conditions]: of the laboratory during the calibration."""
+
+    temperature: Annotated[Quantity, PlainValidator(_temperature)] | None = None
+
+
+class Lab(Section):
+    """The whole file."""
+
+    schema_version: Literal[1] = Field(alias="schema")
+    certificate: CertificateSettings
+    laboratory: Laboratory
+    customer: Contact
+    item: Item
+    accelerometers: dict[str, Part] = Field(default={})
+    persons: list[Person] = Field(min_length=1)
+    conditions: Conditions = Conditions()
+    specification: dict[str, Any] | None = None
+
+    def certified(self, result: Result) -> list[str]:
+        """Return the names of the result's accelerometers that the certificate is about."""
+        chosen = self.certificate.accelerometers
+        return list(result.accelerometers) if chosen is None else chosen
+
+    def serial_number(self, name: str, result: Result) -> str | None:
+        """Return an accelerometer's own serial number: as stated here, or in the result."""
+        part = self.accelerometers.get(name, Part())
+        return part.serial_number or result.accelerometers[name].serial_number
+
+
+def read_lab(path: Path | str, result: Result) -> tuple[Lab, Specifications | None]:
+    """Read the file and check it against the result that is to be certified.
+
+    Returns
+    -------
+    Lab, Specifications or None
+        The file, and what its [specification] says; None without one.
+
+    Raises
+    ------
+    CampaignError
+        With every gap and mistake, each with the path of its key; or that the file is missing,
+        not UTF-8 or not TOML.
+    """
+    path = Path(path)
+    raw = load_document(path, advice=f"`counterspin certificate --init {path.name}` makes one")
+    problems = Problems(raw)
+    # An absent table lacks each of its keys: they are told one by one.
+    empty: dict[str, Any] = {"persons": [{}]}
+    empty |= {key: {} for key in ("certificate", "laboratory", "customer", "item")}
+    lab = problems.check(Lab, empty | raw, ())
+    if lab is not None:
+        _check_dates(lab.certificate, problems)
+    _check_accelerometers(raw, result, problems)
+    specifications = None
+    if isinstance(raw.get("specification"), dict):
+        specifications = resolve_specifications(
+            raw["specification"],
+            result.accelerometers,
+            problems=problems,
+            gravity=result.inputs.gravity,
+        )
+    if lab is None or problems.lines:
+        raise CampaignError(str(path), problems.lines)
+    return lab, specifications
+
+
+def _check_dates(settings: CertificateSettings, problems: Problems) -> None:
+    if settings.end < settings.begin:
+        problems.add(("certificate", "end"), "lies before certificate.begin")
+    if settings.received is not None and settings.received > settings.begin:
+        problems.add(("certificate", "received"), "lies after certificate.begin")
+    if settings.issued is not None and settings.issued < settings.end:
+        problems.add(("certificate", "issued"), "lies before certificate.end")
+
+
+def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Problems) -> None:
+    """Note names that the result does not have, and serial numbers that contradict it."""
+    known = result.accelerometers
+    settings, parts = (
+        table if isinstance(table := raw.get(key), dict) else {}
+        for key in ("certificate", "accelerometers")
+    )
+    chosen = settings.get("accelerometers")
+    if chosen == []:
+        problems.add(("certificate", "accelerometers"), "must have at least one entry")
+    places: list[tuple[KeyPath, object]] = [
+        *(
+            (("certificate", "accelerometers", place), name)
+            for place, name in enumerate(chosen if isinstance(chosen, list) else ())
+        ),
+        *((("accelerometers", name), name) for name in parts),
+    ]
+    for place, name in places:
+        if isinstance(name, str) and name not in known:
+            problems.add(place, f'the result has no "{name}"' + did_you_mean(name, known))
+    for name, part in parts.items():
+        stated = known[name].serial_number if name in known else None
+        given = part.get("serial_number") if isinstance(part, dict) else None
+        if stated and given and given != stated:
+            problems.add(
+                ("accelerometers", name, "serial_number"),
+                f'is "{given}", but the result is that of "{stated}"',
+            )
+
+
+# The example
+
+
+def write_example(path: Path | str) -> Path:
+    """Write a commented example; CounterspinError if the file is there or cannot be written."""
+    path = Path(path)
+    if path.exists():
+        raise CounterspinError(f"{path} exists; edit it, or choose another name")
+    write_text(path, _example())
+    return path
+
+
+def example_keys(lab: Lab) -> list[str]:
+    """Return the keys that still say what the example says, where that can hardly be true."""
+    import tomllib
+
+    ours = lab.model_dump(exclude={"conditions"})
+    return [
+        key_path(path)
+        for path, words in _leaves(tomllib.loads(_example()), ())
+        if "xample" in words.lower() and _at(ours, path) == words
+    ]
+
+
+def _example() -> str:
+    return (files("counterspin.certificates") / "starter.toml").read_text("utf-8")
+
+
+def _leaves(value: Any, path: KeyPath) -> Iterator[tuple[KeyPath, str]]:
+    """Yield all text in a document with its place."""
+    if isinstance(value, str):
+        yield path, " ".join(value.split())
+    elif isinstance(value, dict):
+        for key, inner in value.items():
+            yield from _leaves(inner, (*path, key))
+    elif isinstance(value, list):
+        for place, inner in enumerate(value):
+            yield from _leaves(inner, (*path, place))
+
+
+def _at(value: Any, path: KeyPath) -> Any:
+    for part in path:
+        value = value[part]
+    return value

@@ -1,0 +1,305 @@
+"""The measurement results of a certificate: methods, conditions, coefficients (DCC, second ring).
+
+- `measurement_results`: the element
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
+from counterspin.certificates import wording
+from counterspin.certificates.administrative import item_id, software
+from counterspin.certificates.coverage import region_factor
+from counterspin.certificates.elements import (
+    Element,
+    attached,
+    dcc,
+    distribution,
+    factor,
+    number,
+    real,
+    rich,
+    si,
+    text,
+)
+from counterspin.certificates.lab import Lab
+from counterspin.certificates.statements import quantity_id
+from counterspin.certificates.units import SiUnit, si_unit, to_si
+from counterspin.inference.conformity import COVERAGE
+from counterspin.physics.accelerometer import PLATFORM_TERMS
+
+
+def measurement_results(lab: Lab, result: Result) -> Element:
+    """Return ``dcc:measurementResults``, with the result file itself among the meta data."""
+    return dcc(
+        "measurementResults",
+        dcc("usedMethods", *_methods(result)),
+        dcc("usedSoftware", software(result.provenance.version)),
+        dcc("influenceConditions", *_conditions(lab, result)),
+        dcc("measurementMetaData", _result_file(result), _input_files(result)),
+        *(_accelerometer(lab, result, name) for name in lab.certified(result)),
+    )
+
+
+# Methods and conditions
+
+
+def _methods(result: Result) -> Iterator[Element]:
+    yield dcc(
+        "usedMethod",
+        text("name", wording.method_name(result)),
+        rich("description", *wording.method_lines(result)),
+        dcc("norm", "IEEE Std 1293"),
+    )
+    yield dcc(
+        "usedMethod",
+        text("name", "Measurement uncertainty"),
+        rich("description", wording.uncertainty_statement()),
+        dcc("norm", "JCGM 100:2008"),
+        dcc("norm", "JCGM 102:2011"),
+        refType="basic_methodMeasurementUncertainty",
+    )
+
+
+def _conditions(lab: Lab, result: Result) -> Iterator[Element]:
+    inputs = result.inputs
+    for name, value, unit in (
+        ("Local gravity", inputs.gravity, inputs.gravity_unit),
+        ("Geographic latitude", inputs.latitude, inputs.latitude_unit),
+        ("Radius of the centrifuge", inputs.radius, inputs.radius_unit),
+    ):
+        yield _condition(name, _quantity(real(value, si_unit(unit)[0])))
+    yield _condition(
+        "Rotation rate of each run",
+        *(
+            _quantity(real(run.rate, si_unit(run.rate_unit)[0], u=run.u_rate), name)
+            for name, run in result.runs.items()
+        ),
+    )
+    platform = {
+        symbol: c
+        for symbol, c in result.platform.items()
+        if symbol in PLATFORM_TERMS and wording.is_determined(c)
+    }
+    if platform:
+        yield _condition(
+            "Platform, as estimated with the coefficients",
+            *(_platform_term(symbol, c, inputs.gravity) for symbol, c in platform.items()),
+        )
+    temperature = lab.conditions.temperature
+    if temperature is not None:
+        quantity = real(temperature.value, r"\degreecelsius", u=temperature.u)
+        yield _condition("Temperature", _quantity(quantity), ref_type="basic_temperature")
+
+
+def _condition(name: str, *quantities: Element, ref_type: str | None = None) -> Element:
+    return dcc(
+        "influenceCondition",
+        text("name", name),
+        dcc("data", *quantities),
+        refType=ref_type,
+    )
+
+
+def _quantity(value: Element, name: str | None = None) -> Element:
+    return dcc("quantity", None if name is None else text("name", name), value)
+
+
+def _platform_term(symbol: str, coefficient: Coefficient, gravity: float) -> Element:
+    return dcc(
+        "quantity",
+        text("name", symbol),
+        rich("description", PLATFORM_TERMS[symbol].words),
+        _coefficient_in_si(symbol, coefficient, gravity),
+    )
+
+
+# What the result rests on
+
+
+def _result_file(result: Result) -> Element:
+    return dcc(
+        "metaData",
+        text("name", "Complete result"),
+        dcc(
+            "data",
+            attached(
+                "byteData",
+                "result.json",
+                "application/json",
+                result.to_json().encode(),
+                "The calibration's result with budget, noise and residuals, which counterspin and "
+                "other programs read.",
+            ),
+        ),
+    )
+
+
+def _input_files(result: Result) -> Element:
+    lines = [f"{file} {checksum}" for file, checksum in result.provenance.inputs.items()]
+    return dcc(
+        "metaData",
+        text("name", "Input files and their checksums"),
+        rich("declaration", *lines) if lines else None,
+    )
+
+
+# One accelerometer
+
+
+def _accelerometer(lab: Lab, result: Result, name: str) -> Element:
+    found = result.accelerometers[name]
+    certified = {s: c for s, c in found.coefficients.items() if wording.is_determined(c)}
+    item = item_id(lab, result, name)
+    gravity = result.inputs.gravity
+    return dcc(
+        "measurementResult",
+        text("name", f"Accelerometer {name}"),
+        dcc(
+            "results",
+            _coefficients(lab, result, name, certified),
+            _covariance(found, certified, gravity),
+        ),
+        _warnings(found),
+        id=f"result-{item}",
+        refId=item,
+    )
+
+
+def _coefficients(
+    lab: Lab, result: Result, name: str, certified: Mapping[str, Coefficient]
+) -> Element:
+    if not certified:
+        return dcc(
+            "result",
+            text("name", "Coefficients"),
+            dcc("data", rich("text", "The records determine none of the coefficients.")),
+        )
+    return dcc(
+        "result",
+        text("name", "Coefficients"),
+        dcc(
+            "data",
+            *(
+                dcc(
+                    "quantity",
+                    text("name", symbol),
+                    rich("description", wording.coefficient_line(symbol, c)),
+                    _coefficient_in_si(symbol, c, result.inputs.gravity),
+                    _degrees_of_freedom(c),
+                    id=quantity_id(lab, result, name, symbol),
+                    refType="basic_measuredValue",
+                )
+                for symbol, c in certified.items()
+            ),
+        ),
+    )
+
+
+def _coefficient_in_si(symbol: str, c: Coefficient, gravity: float) -> Element:
+    assert c.value is not None
+    assert c.u is not None
+    return real(
+        to_si(c.value, c.unit, gravity),
+        si_unit(c.unit)[0],
+        label=symbol,
+        u=to_si(c.u, c.unit, gravity),
+        dof=c.dof,
+    )
+
+
+def _degrees_of_freedom(c: Coefficient) -> Element:
+    name = text("name", "Effective degrees of freedom")
+    if c.dof is None:
+        data = dcc("metaData", name, rich("declaration", "Infinite."))
+    else:
+        data = dcc("metaData", name, dcc("data", _quantity(real(c.dof, SiUnit()))))
+    return dcc("measurementMetaData", data)
+
+
+def _covariance(
+    found: AccelerometerResult, certified: Mapping[str, Coefficient], gravity: float
+) -> Element | None:
+    """Return the covariance of the certified coefficients, where there are two or more."""
+    if found.correlation is None:
+        return None
+    places = [i for i, symbol in enumerate(found.correlation.terms) if symbol in certified]
+    symbols = [found.correlation.terms[place] for place in places]
+    if len(symbols) < 2:
+        return None
+    matrix = found.correlation.matrix
+    in_si = [_in_si(certified[symbol], gravity) for symbol in symbols]
+    columns = [
+        si(
+            "columnXMLList",
+            *(
+                si(
+                    "covarianceXMLList",
+                    si(
+                        "valueXMLList",
+                        number(_product(matrix, i, j, u_i, u_j)),
+                    ),
+                    si("unitXMLList", (unit_i * unit_j).text),
+                )
+                for i, (_, u_i, unit_i) in zip(places, in_si, strict=True)
+            ),
+        )
+        for j, (_, u_j, unit_j) in zip(places, in_si, strict=True)
+    ]
+    # Of several degrees of freedom the fewest: the region is then rather too large.
+    dof = min((d for s in symbols if (d := certified[s].dof) is not None), default=None)
+    return dcc(
+        "result",
+        text("name", "Coefficients together"),
+        rich(
+            "description",
+            "The same estimates as a list, with their covariance matrix: of the standard "
+            "uncertainties, in the order of the labels.",
+        ),
+        dcc(
+            "data",
+            dcc(
+                "quantity",
+                si(
+                    "realListXMLList",
+                    si("labelXMLList", " ".join(symbols)),
+                    si("valueXMLList", " ".join(number(value) for value, _, _ in in_si)),
+                    si("unitXMLList", " ".join(unit.text for _, _, unit in in_si)),
+                    si(
+                        "measurementUncertaintyMultivariateXMLList",
+                        si(
+                            "ellipsoidalRegionMUXMLList",
+                            si("covarianceMatrixXMLList", *columns),
+                            si("coverageFactorXMLList", factor(region_factor(len(symbols), dof))),
+                            si("coverageProbabilityXMLList", factor(COVERAGE)),
+                            si("distributionXMLList", distribution(dof)),
+                        ),
+                    ),
+                ),
+            ),
+        ),
+    )
+
+
+def _in_si(c: Coefficient, gravity: float) -> tuple[float, float, SiUnit]:
+    assert c.value is not None
+    assert c.u is not None
+    value, u = (to_si(one, c.unit, gravity) for one in (c.value, c.u))
+    return value, u, si_unit(c.unit)[0]
+
+
+def _product(matrix: Sequence[Sequence[float]], i: int, j: int, u: float, v: float) -> float:
+    # On the diagonal the correlation is 1, but perhaps not in its last digit; off it the product
+    # must not depend on the order, or the covariance would not be symmetric in its last digit.
+    return u * v if i == j else matrix[max(i, j)][min(i, j)] * (u * v)
+
+
+def _warnings(found: AccelerometerResult) -> Element | None:
+    if not found.warnings:
+        return None
+    return dcc(
+        "measurementMetaData",
+        dcc("metaData", text("name", "Warnings"), rich("declaration", *found.warnings)),
+    )

@@ -1,0 +1,144 @@
+"""The numbers of a certificate, read back from its XML.
+
+- `Certified`, `CertifiedAccelerometer`: identifier, g, coefficients and their covariance
+- `read_certificate`: from the bytes of the document
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.calibration.result_parts import Coefficient
+from counterspin.certificates.elements import NAMESPACES, Element
+from counterspin.certificates.schema import parse
+from counterspin.certificates.units import from_si
+from counterspin.errors import RecordError
+from counterspin.physics.accelerometer import TERMS
+
+_RESULT: Final = "dcc:measurementResults/dcc:measurementResult"
+_GRAVITY: Final = (
+    "dcc:measurementResults/dcc:influenceConditions/dcc:influenceCondition"
+    "[dcc:name/dcc:content='Local gravity']/dcc:data/dcc:quantity/si:real/si:value"
+)
+_QUANTITY: Final = "dcc:results/dcc:result/dcc:data/dcc:quantity"
+_EXPANDED: Final = "si:measurementUncertaintyUnivariate/si:expandedMU"
+_REGION: Final = "si:measurementUncertaintyMultivariateXMLList/si:ellipsoidalRegionMUXMLList"
+_COLUMN: Final = f"{_REGION}/si:covarianceMatrixXMLList/si:columnXMLList"
+_DOF: Final = "dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:real/si:value"
+
+
+@dataclass(frozen=True)
+class CertifiedAccelerometer:
+    """What a certificate says of one accelerometer, in g-units of its g.
+
+    Attributes
+    ----------
+    coefficients
+        Value, u = U/k, degrees of freedom.
+    terms, covariance
+        Of the coefficients together, shape (n, n); empty where the certificate states none.
+    """
+
+    coefficients: dict[str, Coefficient]
+    terms: tuple[str, ...]
+    covariance: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Certified:
+    """The numbers of a certificate; gravity in m/s^2."""
+
+    identifier: str
+    gravity: float
+    accelerometers: dict[str, CertifiedAccelerometer]
+
+
+def read_certificate(document: bytes, source: str) -> Certified:
+    """Read the numbers of a certificate that counterspin has written.
+
+    Raises
+    ------
+    RecordError
+        If it is not XML, or not such a certificate.
+    """
+    root = parse(document, source)
+    try:
+        gravity = float(_one(root, _GRAVITY))
+        return Certified(
+            identifier=_one(root, "dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier"),
+            gravity=gravity,
+            accelerometers={
+                _designation(root, part): _accelerometer(part, gravity)
+                for part in _all(root, _RESULT)
+            },
+        )
+    except (ArithmeticError, KeyError, ValueError) as error:
+        raise RecordError(
+            f"{source}: is not a calibration certificate that counterspin has written ({error})"
+        ) from error
+
+
+def _accelerometer(part: Element, gravity: float) -> CertifiedAccelerometer:
+    coefficients = {}
+    terms: tuple[str, ...] = ()
+    covariance = np.empty((0, 0))
+    for quantity in _all(part, _QUANTITY):
+        for real in _all(quantity, "si:real"):
+            coefficients[_one(real, "si:label")] = _coefficient(quantity, real, gravity)
+        for together in _all(quantity, "si:realListXMLList"):
+            terms = tuple(_one(together, "si:labelXMLList").split())
+            covariance = _covariance(together, terms, gravity)
+    return CertifiedAccelerometer(coefficients, terms, covariance)
+
+
+def _coefficient(quantity: Element, real: Element, gravity: float) -> Coefficient:
+    unit = TERMS[_one(real, "si:label")].unit
+    u = None
+    if _all(real, _EXPANDED):
+        expanded = float(_one(real, f"{_EXPANDED}/si:valueExpandedMU"))
+        k = float(_one(real, f"{_EXPANDED}/si:coverageFactor"))
+        u = from_si(expanded / k, unit, gravity)
+    dof = _all(quantity, _DOF)
+    return Coefficient(
+        value=from_si(float(_one(real, "si:value")), unit, gravity),
+        u=u,
+        dof=float(dof[0].text) if dof else None,
+        unit=unit,
+        estimated=True,
+    )
+
+
+def _covariance(
+    together: Element, terms: tuple[str, ...], gravity: float
+) -> npt.NDArray[np.float64]:
+    in_si = np.array(
+        [
+            [float(one.text) for one in _all(column, "si:covarianceXMLList/si:valueXMLList")]
+            for column in _all(together, _COLUMN)
+        ]
+    ).T
+    scale = np.array([from_si(1.0, TERMS[symbol].unit, gravity) for symbol in terms])
+    if in_si.shape != (len(terms), len(terms)):
+        raise ValueError("the covariance matrix has another size than the list")
+    return in_si * np.outer(scale, scale)
+
+
+def _designation(root: Element, part: Element) -> str:
+    """Return the accelerometer's name in the result, which its item bears."""
+    item = f".//dcc:item[@id='{part.get('refId')}']/dcc:identifications/dcc:identification"
+    return _one(root, f"{item}[dcc:issuer='calibrationLaboratory']/dcc:value")
+
+
+def _all(element: Element, path: str) -> list[Any]:
+    return list(element.xpath(path, namespaces=NAMESPACES))
+
+
+def _one(element: Element, path: str) -> str:
+    found = _all(element, path)
+    if not found or not found[0].text:
+        raise ValueError(f"there is no {path.rpartition('/')[2]}")
+    return str(found[0].text)

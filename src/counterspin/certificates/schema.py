@@ -1,0 +1,154 @@
+"""Whether a certificate keeps to the schema: DCC's own files, from a folder, never the network.
+
+The files that PTB publishes name each other by addresses. Here whatever they import is taken from
+the folder, by the name space that a file there declares.
+
+- `check_schema`: raises with the first faults in words
+- `parse`: a document as a tree, without fetching or replacing anything
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import urljoin
+
+from lxml import etree
+
+from counterspin.certificates.elements import DCC, NAMESPACES
+from counterspin.errors import CounterspinError, RecordError
+
+_XS: Final = "{http://www.w3.org/2001/XMLSchema}"
+
+#: So many faults are told; the others mostly follow from them.
+_SHOWN: Final = 5
+
+
+def check_schema(document: bytes, schema: Path, source: str) -> None:
+    """Validate a certificate.
+
+    Parameters
+    ----------
+    document
+        The XML.
+    schema
+        ``dcc.xsd``, or a folder in which it is, perhaps deeper; what it imports is looked for in
+        that folder (of a file: in the folder above the file's own as well).
+    source
+        What the certificate is called in messages.
+
+    Raises
+    ------
+    RecordError
+        If the certificate is not XML, or does not keep to the schema; the first faults, with
+        their lines.
+    CounterspinError
+        If there is no schema, or it is not complete.
+    """
+    faults = load_schema(schema)
+    root = parse(document, source)
+    if faults.validate(root):
+        return
+    log = list(faults.error_log)
+    lines = [f"line {entry.line}: {_plain(entry.message)}" for entry in log[:_SHOWN]]
+    more = f"\n  and {len(log) - _SHOWN} more" if len(log) > _SHOWN else ""
+    raise RecordError(
+        f"{source}: does not keep to the schema in {schema}\n  " + "\n  ".join(lines) + more
+    )
+
+
+def parse(document: bytes, source: str) -> Any:
+    """Return the root of a document called `source`; RecordError if it is not XML."""
+    try:
+        return etree.fromstring(document, parser())
+    except etree.LxmlError as error:
+        raise RecordError(f"{source}: is not XML, or a damaged one ({error})") from error
+
+
+def parser(**options: Any) -> Any:
+    """Return a parser that fetches nothing and replaces no entities."""
+    return etree.XMLParser(no_network=True, resolve_entities=False, huge_tree=True, **options)
+
+
+def load_schema(schema: Path) -> Any:
+    """Return the schema, ready to validate; raises as `check_schema` does."""
+    main = _main_file(schema)
+    # The published files stand in folders beside each other: dcc/v3.3.0, dsi, qudt.
+    folders = [schema] if schema.is_dir() else [main.parent, main.parent.parent]
+    reader = parser()
+    reader.resolvers.add(_Local(_imports(folders)))
+    try:
+        return etree.XMLSchema(etree.parse(str(main), reader))
+    except (etree.LxmlError, OSError) as error:
+        raise CounterspinError(
+            f"{main}: is not a schema, or files that it imports are not in the folder ({error}); "
+            "get all of dcc.xsd, the D-SI schema, QUDT's and xmldsig-core-schema.xsd"
+        ) from error
+
+
+def _main_file(schema: Path) -> Path:
+    if schema.is_file():
+        return schema
+    if not schema.is_dir():
+        raise CounterspinError(f"{schema}: there is no such file or folder")
+    found = [path for path in sorted(schema.rglob("*.xsd")) if _space(path) == DCC]
+    if len(found) == 1:
+        return found[0]
+    what = "several schemas of DCC, give one of them" if found else "no schema of DCC (dcc.xsd)"
+    raise CounterspinError(f"{schema}: holds {what}")
+
+
+class _Local(etree.Resolver):  # type: ignore[misc]  # lxml carries no types
+    """Answers an address with a file of the folder, and any other address not at all."""
+
+    def __init__(self, places: dict[str, Path]) -> None:
+        self._places = places
+
+    def resolve(self, url: str, _public_id: str | None, context: Any) -> Any:
+        place = self._places.get(url)
+        if place is not None:
+            return self.resolve_filename(str(place), context)
+        if "://" in url and not url.startswith("file:"):
+            return self.resolve_empty(context)
+        return None
+
+
+def _imports(folders: list[Path]) -> dict[str, Path]:
+    """Return for every address that a schema in the folders imports the file that answers it."""
+    paths = [path for folder in folders for path in sorted(folder.rglob("*.xsd"))]
+    by_space = {space: path for path in reversed(paths) if (space := _space(path)) is not None}
+    places = {}
+    for path in paths:
+        for location, space in _named_imports(path):
+            if space in by_space:
+                places[location] = by_space[space]
+                places[urljoin(str(path), location)] = by_space[space]
+    return places
+
+
+def _space(path: Path) -> str | None:
+    try:
+        space: str | None = etree.parse(str(path), parser()).getroot().get("targetNamespace")
+    except (etree.LxmlError, OSError):
+        return None
+    return space
+
+
+def _named_imports(path: Path) -> Iterator[tuple[str, str]]:
+    try:
+        root = etree.parse(str(path), parser()).getroot()
+    except (etree.LxmlError, OSError):
+        return
+    for found in root.iter(f"{_XS}import"):
+        location, space = found.get("schemaLocation"), found.get("namespace")
+        if location and space:
+            yield location, space
+
+
+def _plain(message: str) -> str:
+    """Return a fault with prefixes in the place of whole name spaces."""
+    for prefix, space in NAMESPACES.items():
+        message = message.replace(f"{{{space}}}", f"{prefix}:")
+    return re.sub(r"\s+", " ", message)

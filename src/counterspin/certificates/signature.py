@@ -1,0 +1,149 @@
+"""The electronic signature of a certificate: enveloped XML signature with a key of one's own.
+
+- `Signer`, `read_signer`: key and certificate of who signs
+- `sign`: a certificate with its signature
+- `verify`: whether a certificate is as it was signed, and by whom it must be
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.certificates.elements import Element
+from counterspin.errors import CounterspinError, RecordError
+
+_SIGNATURE: Final = "{http://www.w3.org/2000/09/xmldsig#}Signature"
+
+_NEEDED: Final = (
+    "signatures need the package signxml, which is not installed; it comes with "
+    "`pip install counterspin[signature]`"
+)
+
+
+@dataclass(frozen=True)
+class Signer:
+    """Who signs.
+
+    Attributes
+    ----------
+    key
+        Private key, RSA or elliptic curve.
+    certificates
+        X.509: the signer's, then those up to the root's, if given.
+    """
+
+    key: Any
+    certificates: list[Any]
+
+
+def read_signer(key: Path, certificate: Path) -> Signer:
+    """Read a private key and the certificate that belongs to it, both PEM.
+
+    Raises
+    ------
+    CounterspinError
+        If signxml is not installed, a file is missing or not what it should be, the key is
+        encrypted or of a kind that XML signatures do not know, or the two do not belong together.
+    """
+    _signxml()
+    from cryptography.hazmat.primitives.asymmetric import ec, rsa
+    from cryptography.hazmat.primitives.serialization import load_pem_private_key
+
+    try:
+        private: Any = load_pem_private_key(_read(key), password=None)
+    except TypeError as error:
+        raise CounterspinError(
+            f"{key}: is encrypted; give a key without a passphrase, such as "
+            "`openssl pkey -in KEY.pem -out OPEN.pem` writes, and keep it safe"
+        ) from error
+    except ValueError as error:
+        raise CounterspinError(f"{key}: is not a private key in PEM form") from error
+    if not isinstance(private, rsa.RSAPrivateKey | ec.EllipticCurvePrivateKey):
+        raise CounterspinError(f"{key}: must be an RSA or an elliptic-curve key")
+    certificates = _read_certificates(certificate)
+    if certificates[0].public_key() != private.public_key():
+        raise CounterspinError(f"{certificate}: is not the certificate of the key {key}")
+    return Signer(private, certificates)
+
+
+def sign(root: Element, signer: Signer) -> Element:
+    """Return the certificate with its signature as the last element."""
+    signxml = _signxml()
+    from cryptography.hazmat.primitives.asymmetric import rsa
+
+    method = "rsa-sha256" if isinstance(signer.key, rsa.RSAPrivateKey) else "ecdsa-sha256"
+    signing = signxml.XMLSigner(signature_algorithm=method)
+    return signing.sign(root, key=signer.key, cert=signer.certificates)
+
+
+def verify(document: bytes, certificate: Path, source: str) -> bytes:
+    """Check a certificate's signature against who should have signed.
+
+    Parameters
+    ----------
+    document
+        The certificate as it was received.
+    certificate
+        X.509 certificate of the signer, PEM, known from elsewhere: what stands in the document
+        itself proves nothing.
+    source
+        What the document is called in messages.
+
+    Returns
+    -------
+    bytes
+        The part of the document that the signature covers: all of it but the signature.
+
+    Raises
+    ------
+    RecordError
+        If it is not signed, or was changed, or somebody else has signed it.
+    CounterspinError
+        If signxml is not installed or the certificate cannot be read.
+    """
+    signxml = _signxml()
+    from counterspin.certificates.schema import parse
+
+    trusted = _read_certificates(certificate)[0]
+    root = parse(document, source)
+    if root.find(_SIGNATURE) is None:
+        raise RecordError(f"{source}: is not signed")
+    # Where it is found matters: a signature deeper down could cover something else.
+    expected = signxml.SignatureConfiguration(location="./", expect_references=1)
+    try:
+        found = signxml.XMLVerifier().verify(root, x509_cert=trusted, expect_config=expected)
+    except (signxml.InvalidSignature, signxml.InvalidInput) as error:
+        raise RecordError(
+            f"{source}: the signature is not valid: the document was changed after it was signed, "
+            f"or another than the holder of {certificate} has signed it ({error})"
+        ) from error
+    covered: Any = found.signed_xml
+    if covered is None or covered.tag != root.tag:
+        raise RecordError(f"{source}: the signature does not cover the whole document")
+    return bytes(found.signed_data)
+
+
+def _signxml() -> Any:
+    try:
+        import signxml
+    except ImportError as error:
+        raise CounterspinError(_NEEDED) from error
+    return signxml
+
+
+def _read_certificates(path: Path) -> list[Any]:
+    from cryptography.x509 import load_pem_x509_certificates
+
+    try:
+        return load_pem_x509_certificates(_read(path))
+    except ValueError as error:
+        raise CounterspinError(f"{path}: is not an X.509 certificate in PEM form") from error
+
+
+def _read(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise CounterspinError(f"{path}: cannot be read ({error.strerror})") from error

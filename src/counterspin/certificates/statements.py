@@ -1,0 +1,137 @@
+"""The statements of a certificate: what it claims, in words that a machine can find.
+
+- `statements`: all of them as ``dcc:statement`` elements
+- `quantity_id`: the id of a certified coefficient, to which statements refer
+- `Verdicts`: conformity by accelerometer and term
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from counterspin.calibration.pages.accelerometer import rests_on
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Coefficient, Conformity
+from counterspin.certificates import wording
+from counterspin.certificates.administrative import item_id
+from counterspin.certificates.elements import Element, dcc, rich, text
+from counterspin.certificates.lab import Lab
+
+Verdicts = Mapping[str, Mapping[str, Conformity]]
+
+
+def quantity_id(lab: Lab, result: Result, name: str, symbol: str) -> str:
+    """Return the id of a coefficient."""
+    return f"{item_id(lab, result, name)}.{symbol}"
+
+
+def statements(lab: Lab, result: Result, verdicts: Verdicts) -> list[Element]:
+    """Return every statement, in the order in which they are read."""
+    gravity = result.inputs.gravity
+    found = [
+        _traceability(lab),
+        dcc(
+            "statement",
+            text("name", "Measurement uncertainty"),
+            dcc("norm", "JCGM 100:2008"),
+            dcc("norm", "JCGM 102:2011"),
+            rich("declaration", wording.uncertainty_statement()),
+            refType="basic_methodMeasurementUncertainty",
+        ),
+        dcc(
+            "statement",
+            text("name", "Units"),
+            rich("declaration", wording.unit_statement(gravity)),
+            dcc("nonSIDefinition", f"1 g = {gravity!r} m/s^2, the local gravity of the site"),
+            dcc("nonSIUnit", "g"),
+        ),
+        *_missing(lab, result),
+        *_assumptions(lab, result),
+        *_conformity(lab, result, verdicts),
+        dcc(
+            "statement",
+            text("name", "Scope"),
+            dcc("norm", "ISO/IEC 17025:2017"),
+            rich("declaration", wording.scope_statement()),
+        ),
+    ]
+    if lab.certificate.remarks:
+        found.append(
+            dcc(
+                "statement",
+                text("name", "Remarks"),
+                rich("declaration", *lab.certificate.remarks, language=lab.certificate.language),
+            )
+        )
+    return found
+
+
+def _traceability(lab: Lab) -> Element:
+    settings = lab.certificate
+    return dcc(
+        "statement",
+        text("name", "Metrological traceability"),
+        dcc("traceable", "true"),
+        rich("declaration", settings.traceability, language=settings.language),
+    )
+
+
+def _missing(lab: Lab, result: Result) -> Iterator[Element]:
+    for name in lab.certified(result):
+        if lines := wording.not_determined(name, result.accelerometers[name]):
+            yield dcc(
+                "statement",
+                text("name", f"Not determined, accelerometer {name}"),
+                rich("declaration", *lines),
+                refId=item_id(lab, result, name),
+            )
+
+
+def _assumptions(lab: Lab, result: Result) -> Iterator[Element]:
+    for name in lab.certified(result):
+        if lines := list(rests_on(result.accelerometers[name])):
+            yield dcc(
+                "statement",
+                text("name", f"What the result rests on, accelerometer {name}"),
+                rich("declaration", *lines),
+                refId=item_id(lab, result, name),
+            )
+
+
+def _conformity(lab: Lab, result: Result, verdicts: Verdicts) -> Iterator[Element]:
+    for name, by_symbol in verdicts.items():
+        for symbol, found in by_symbol.items():
+            coefficient = result.accelerometers[name].coefficients.get(symbol)
+            certified = coefficient is not None and wording.is_determined(coefficient)
+            yield dcc(
+                "statement",
+                text("name", f"Conformity, {symbol} of {name}"),
+                dcc("norm", "JCGM 106:2012"),
+                rich(
+                    "declaration",
+                    wording.verdict(symbol, name, found),
+                    wording.decision_rule(found),
+                ),
+                _dcc_verdict(found, coefficient),
+                refId=quantity_id(lab, result, name, symbol)
+                if certified
+                else item_id(lab, result, name),
+            )
+
+
+def _dcc_verdict(found: Conformity, coefficient: Coefficient | None) -> Element | None:
+    """Return the verdict as DCC knows it.
+
+    For an undecided one it has words only beside a guard band: conditional pass inside the
+    tolerance limits, conditional fail outside (ILAC-G8:09/2019, 4.2.3).
+    """
+    if found.verdict != "undecided":
+        return dcc("conformity", found.verdict)
+    if found.guard_band is None or found.rule != "guarded":
+        return None
+    assert coefficient is not None
+    assert coefficient.value is not None
+    low, high = found.low, found.high
+    value = coefficient.value
+    within = (low is None or value >= low) and (high is None or value <= high)
+    return dcc("conformity", "conditionalPass" if within else "conditionalFail")

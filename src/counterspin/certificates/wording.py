@@ -1,0 +1,156 @@
+"""What a certificate says in words, one sentence each, for people and machines alike.
+
+- `uncertainty_statement`, `unit_statement`, `scope_statement`: what holds for all of it
+- `method_name`, `method_lines`: how the coefficients were found
+- `coefficient_line`: one coefficient in g-units
+- `not_determined`: coefficients of which nothing is certified
+- `is_determined`: whether something is
+- `decision_rule`, `verdict`: conformity
+"""
+
+from __future__ import annotations
+
+from typing import Final
+
+from counterspin.calibration.pages.basis import model_blocks
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Conformity
+from counterspin.certificates.coverage import coverage_factor
+from counterspin.certificates.elements import factor
+from counterspin.certificates.units import si_unit
+from counterspin.inference.conformity import COVERAGE
+from counterspin.physics.accelerometer import TERMS
+from counterspin.reports.blocks import Paragraph
+from counterspin.reports.numbers import format_estimate, format_number, format_share
+
+_METHODS: Final = {
+    "joint": "Joint weighted least squares",
+    "two-stage": "Two-stage fit with the exact observation model",
+}
+
+_RULES: Final = {
+    "simple": "simple acceptance: pass if the estimate lies within the tolerance limits, else fail",
+    "guarded": "guarded acceptance: pass if the estimate lies within the tolerance limits by at "
+    "least the guard band, fail if it lies outside by more than that, else undecided",
+    "probability": "by probability: pass if the coefficient conforms with the probability needed, "
+    "fail if it does not conform with that probability, else undecided",
+}
+
+#: JCGM 106 speaks of the probability of conformity; nothing is said of it beyond these digits.
+_PROBABILITY_DIGITS: Final = 3
+
+
+def is_determined(coefficient: Coefficient) -> bool:
+    """Return whether the records determine a coefficient, so that it can be certified."""
+    return coefficient.estimated and coefficient.value is not None and coefficient.u is not None
+
+
+# What holds for the whole certificate
+
+
+def uncertainty_statement() -> str:
+    """Return how the expanded uncertainties are to be read."""
+    return (
+        "The expanded uncertainty U stated is the combined standard uncertainty multiplied by the "
+        "coverage factor k stated beside it, evaluated by the GUM (JCGM 100). k is that of "
+        "Student's t-distribution for the effective degrees of freedom (Welch-Satterthwaite), or "
+        "of the normal distribution where these are infinite, for a coverage probability of "
+        f"{format_share(COVERAGE)}. In the XML, numbers have all digits of the computation; "
+        "significantDigit is the power of ten of the last digit that the uncertainty supports. "
+        "The ellipsoidal region is the set of all d with d' V^-1 d <= k^2 about the estimates, V "
+        "being the covariance matrix of the standard uncertainties, for the same probability of "
+        "all quantities together."
+    )
+
+
+def unit_statement(gravity: float) -> str:
+    """Return what g is, and how g-units and SI units convert into each other."""
+    g = format_number(gravity, 12)
+    return (
+        f"g is the local gravity of the site, g = {g} m/s^2, taken as exact for the conversion. A "
+        "coefficient that multiplies the n-th power of specific force is g^(1-n) times as large "
+        "in SI units as in g-units: K_F in m/s^2 is K_F in g times g, K_II in s^2/m is K_II in "
+        "g/g^2 divided by g. What an uncertainty of g contributes, where the campaign states one, "
+        "is part of the coefficients' uncertainties."
+    )
+
+
+def scope_statement() -> str:
+    """Return what the results are about (ISO/IEC 17025 7.8.2.1 l)."""
+    return "The results relate only to the items calibrated."
+
+
+# The method
+
+
+def method_name(result: Result) -> str:
+    """Return what the method is called."""
+    return _METHODS.get(result.method, result.method)
+
+
+def method_lines(result: Result) -> list[str]:
+    """Return what was observed, how the coefficients follow, and the accelerometers' model."""
+    return [
+        "The item was carried round by a double turntable centrifuge at the rates stated.",
+        *(block.text for block in model_blocks(result) if isinstance(block, Paragraph)),
+        "The model is not divided by K_I: IEEE Std 1293 divides by it, so that its K2 is K_II/K_I.",
+    ]
+
+
+# Coefficients
+
+
+def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
+    """Return a coefficient that is determined, with U and k, in g-units and its SI unit."""
+    assert coefficient.value is not None
+    assert coefficient.u is not None
+    k = coverage_factor(coefficient.dof)
+    row = TERMS.get(symbol)
+    words = "" if row is None else f"{row.words[:1].upper()}{row.words[1:]}"
+    what = "" if row is None else f"{words} ({row.ieee} in IEEE Std 1293); "
+    shown = format_estimate(coefficient.value, k * coefficient.u, coefficient.unit)
+    return (
+        f"{what}{symbol} = {shown} (U, k = {factor(k)}); stated here in "
+        f"{si_unit(coefficient.unit)[0].words}."
+    )
+
+
+def not_determined(name: str, found: AccelerometerResult) -> list[str]:
+    """Return a sentence for each coefficient that is not certified, and why."""
+    return [
+        f"{symbol} of {name}: {_why(c)}; no value is certified."
+        for symbol, c in found.coefficients.items()
+        if not is_determined(c)
+    ]
+
+
+def _why(coefficient: Coefficient) -> str:
+    if coefficient.value is None:
+        return "not determined by the records"
+    known = format_estimate(coefficient.value, coefficient.u, coefficient.unit)
+    return f"not determined by the records, taken as {known} (k = 1), which was known beforehand"
+
+
+# Conformity
+
+
+def decision_rule(found: Conformity) -> str:
+    """Return the rule by which a verdict was found."""
+    text = f"Decision rule: {_RULES[found.rule]}"
+    if found.guard_band:
+        text += f"; guard band {format_number(found.guard_band)} {found.unit}"
+    if found.needed is not None:
+        text += f"; probability needed {format_number(found.needed)}"
+    return f"{text}."
+
+
+def verdict(symbol: str, name: str, found: Conformity) -> str:
+    """Return what the rule says of a coefficient."""
+    text = f"{symbol} of {name}, specified as {found.specification}: {found.verdict}"
+    text += f" ({found.reason})." if found.reason else "."
+    if found.probability is not None:
+        text += f" Probability to conform {format_number(found.probability, _PROBABILITY_DIGITS)}"
+        if found.risk is not None:
+            text += f", that the verdict is wrong {format_number(found.risk, _PROBABILITY_DIGITS)}"
+        text += "."
+    return text

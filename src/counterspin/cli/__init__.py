@@ -1,0 +1,93 @@
+"""The command line: words to calls, errors to one paragraph, nothing else.
+
+Each command has a module of its own, and imports what it uses when it runs, so that `--help`
+answers at once.
+
+- `init`, `simulate`, `calibrate`, `report`, `certificate`, `history`, `apply`, `plan`, `study`,
+  `demo`, `reproduce`: the commands
+- `words`: what several of them share
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from errno import ENOSPC
+
+from cyclopts import App, CycloptsError
+
+from counterspin._version import __version__
+from counterspin.cli import (
+    apply,
+    calibrate,
+    certificate,
+    demo,
+    history,
+    init,
+    plan,
+    report,
+    reproduce,
+    simulate,
+    study,
+)
+from counterspin.errors import CampaignError, CounterspinError
+
+app = App(
+    name="counterspin",
+    help="Calibrate inertial accelerometers on precision centrifuges.",
+    version=__version__,
+    help_format="plaintext",  # nothing there is Markdown, whose reader takes long to load
+    suppress_keyboard_interrupt=False,  # `main` has a word for it
+)
+
+for _command in (
+    init.init,
+    simulate.simulate,
+    calibrate.calibrate,
+    report.report,
+    certificate.certificate,
+    history.history,
+    apply.apply,
+    plan.plan,
+    study.study,
+    demo.demo,
+    reproduce.reproduce,
+):
+    app.command(_command)
+
+
+def _unforeseen(error: Exception) -> str:
+    """Return in words what nothing before has caught: mostly, but not always, our own fault."""
+    if isinstance(error, MemoryError):
+        return "there is not enough memory for this"
+    if isinstance(error, OSError) and error.errno == ENOSPC:
+        return "the output cannot be written: there is no space left"
+    return (
+        f"internal error ({type(error).__name__}: {error}). This is a fault of counterspin, not "
+        "of your files: please report it, with the output that COUNTERSPIN_DEBUG=1 gives."
+    )
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line and return the exit status: 0 done, 1 failed, 2 wrong usage."""
+    try:
+        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+    except CounterspinError as error:
+        print(f"counterspin: {error}", file=sys.stderr)
+        return error.exit_status
+    except CycloptsError as error:
+        print(f"counterspin: {error}\nTry counterspin --help.", file=sys.stderr)
+        return CampaignError.exit_status
+    except KeyboardInterrupt:
+        print("counterspin: stopped", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+    except Exception as error:
+        # Never a traceback for a user; with this variable set, one for whoever mends it.
+        if os.environ.get("COUNTERSPIN_DEBUG"):
+            raise
+        print(f"counterspin: {_unforeseen(error)}", file=sys.stderr)
+        return 1
+    return 0

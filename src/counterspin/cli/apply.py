@@ -1,0 +1,69 @@
+"""`counterspin apply`: indicated specific force, corrected with a result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from counterspin.cli.words import OutputFolder
+
+
+def apply(
+    result: Path,
+    file: Path,
+    /,
+    *,
+    accelerometer: str,
+    output: OutputFolder,
+    column: Annotated[str | None, Parameter(name="--input")] = None,
+    unit: str = "g",
+    pendulous: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    output_axis: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
+    others: str | None = None,
+    force: bool = False,
+) -> None:
+    """Correct indicated specific force for a calibrated accelerometer.
+
+    Parameters
+    ----------
+    result
+        Result that `counterspin calibrate --json` wrote.
+    file
+        Table with a column of indicated specific force, .csv or .parquet.
+    accelerometer
+        Which of the result's accelerometers it is.
+    output
+        File to write: the table and two more columns, corrected force and its uncertainty.
+    column
+        The column to correct; may be left out where only one is possible.
+    unit
+        Unit of the table's forces: g, m/s^2, mg.
+    pendulous
+        Specific force along the pendulous axis: a column, or a constant such as "-1 g".
+    output_axis
+        Specific force along the output axis, likewise.
+    others
+        Accelerometers beside it, from which both follow: Qy=COLUMN,Qz=COLUMN.
+    force
+        Apply even a result of the equations as printed, whose K_II is half the true one.
+    """
+    from counterspin.calibration.result import read_result
+    from counterspin.correction.apply_file import apply_file, parse_others
+    from counterspin.correction.page import render_application
+    from counterspin.reports.text import report_console
+
+    done = apply_file(
+        read_result(result),
+        accelerometer,
+        file,
+        output,
+        column=column,
+        unit=unit,
+        pendulous=pendulous,
+        output_axis=output_axis,
+        others=parse_others(others),
+        force=force,
+    )
+    report_console().print(render_application(done))

@@ -1,0 +1,69 @@
+"""`counterspin certificate`: a result as Digital Calibration Certificate."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from counterspin.cli.words import OutputFile
+from counterspin.errors import CampaignError
+
+
+def certificate(
+    result: Path | None = None,
+    lab: Path | None = None,
+    /,
+    *,
+    output: OutputFile = None,
+    schema: Path | None = None,
+    key: Path | None = None,
+    cert: Path | None = None,
+    init: Path | None = None,
+    verify: Path | None = None,
+) -> None:
+    """Write the Digital Calibration Certificate of a result, or check one.
+
+    Parameters
+    ----------
+    result
+        Result that `counterspin calibrate --json` wrote.
+    lab
+        What the laboratory says: LAB.toml.
+    output
+        The certificate: .xml, or .pdf with the XML attached (PDF/A-3).
+    schema
+        Folder or file of the schema of DCC, to validate against.
+    key
+        Private key (PEM) to sign with, not encrypted.
+    cert
+        X.509 certificate (PEM): of the key, or with --verify of who must have signed.
+    init
+        In place of all else: write a commented example of LAB.toml to this file.
+    verify
+        In place of a result: a certificate, to check it and print its numbers.
+    """
+    from counterspin.certificates.issuing import (
+        certificate_blocks,
+        check_certificate,
+        issue_certificate,
+    )
+    from counterspin.certificates.lab import write_example
+    from counterspin.reports.text import Report, report_console
+
+    if sum(given is not None for given in (result, init, verify)) != 1:
+        raise CampaignError(
+            "certificate", ["give RESULT and LAB.toml, or --init LAB.toml, or --verify FILE.xml"]
+        )
+    if init is not None:
+        print(f"Wrote {write_example(init)}. Fill it in; all of it is an example.")
+        return
+    if verify is not None:
+        found = check_certificate(verify, schema=schema, cert=cert)
+        report_console().print(Report(list(certificate_blocks(found))))
+        print("\nThe signature is valid." if cert is not None else "\nNo signature was checked.")
+        return
+    if result is None or lab is None or output is None:
+        raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
+    done = issue_certificate(result, lab, output, schema=schema, key=key, cert=cert)
+    print(f"Wrote {output}: certificate {done.identifier} of {', '.join(done.accelerometers)}.")
+    for note in done.notes:
+        print(note)

@@ -1,0 +1,53 @@
+"""`counterspin history`: results of instruments over time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from counterspin.cli.words import JsonFile
+from counterspin.errors import CampaignError, CounterspinError
+
+
+def history(
+    *paths: Path,
+    term: str = "K_II",
+    serial: str | None = None,
+    json: JsonFile = None,
+    figure: Path | None = None,
+) -> None:
+    """Follow a coefficient of each instrument through its results: drift, and whether they agree.
+
+    Parameters
+    ----------
+    paths
+        Result files, and folders in which all are found.
+    term
+        The coefficient.
+    serial
+        Only the instrument with this serial number.
+    json
+        Write the history to this file too.
+    figure
+        Draw a control chart of one instrument: .svg, .png or .pdf.
+    """
+    from counterspin.histories.history import history as run
+    from counterspin.histories.page import history_figure, render_history
+    from counterspin.output import write_text
+    from counterspin.reports.figure import check_format, save
+    from counterspin.reports.text import report_console
+
+    if not paths:
+        raise CampaignError("history", ["give result files, or folders that hold them"])
+    if figure is not None:
+        check_format(figure)
+    found = run(paths, term=term, serial=serial)
+    report_console().print(render_history(found))
+    if json is not None:
+        write_text(json, found.to_json())
+    if figure is not None:
+        save(history_figure(found), figure)
+    if found.damaged:
+        raise CounterspinError(
+            f"{len(found.damaged)} of the files are results that cannot be read; the history is "
+            "without them"
+        )

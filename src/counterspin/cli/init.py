@@ -1,0 +1,25 @@
+"""`counterspin init`: a commented campaign to start from."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from counterspin.cli.words import shell_word
+
+
+def init(directory: Path, /) -> None:
+    """Write a commented example campaign to start from.
+
+    Parameters
+    ----------
+    directory
+        Folder for campaign.toml; made if it is not there.
+    """
+    from counterspin.campaign.starter import init as run
+
+    written = run(directory)
+    print(
+        f"Wrote {written}. Edit it, or try it:\n"
+        f"  counterspin simulate {shell_word(written)} -o {shell_word(directory / 'simulated')}\n"
+        f"  counterspin calibrate {shell_word(directory / 'simulated')}"
+    )

@@ -1,0 +1,77 @@
+"""`counterspin plan`: which runs to make, and what a campaign will tell."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from counterspin.cli.words import JsonFile, OutputFile
+from counterspin.errors import CampaignError
+
+
+def plan(
+    file: Path | None = None,
+    *,
+    check: Path | None = None,
+    init: Path | None = None,
+    output: OutputFile = None,
+    json: JsonFile = None,
+    figures: Path | None = None,
+    sampling_rate: str | None = None,
+    revolutions: float | None = None,
+) -> None:
+    """Choose rates, lengths, senses and attitudes of the runs, and predict what they will tell.
+
+    Parameters
+    ----------
+    file
+        The plan: limits and goal.
+    check
+        In place of a plan: a campaign's folder, to predict what it will tell without its records.
+    init
+        In place of a plan: write a commented example to this file.
+    output
+        Folder for the planned campaign's campaign.toml, ready for recording and for `simulate`.
+    json
+        Write the result to this file too.
+    figures
+        Folder for figures: u against time, against the highest rate, and its sources.
+    sampling_rate
+        With --check: of the records, such as "50 Hz", where the campaign does not say it.
+    revolutions
+        With --check: of each run for which the campaign says no length.
+    """
+    from counterspin.campaign.settings import exact
+    from counterspin.planning.figures import save_figures
+    from counterspin.planning.page import render_plan
+    from counterspin.planning.plan import check as forecast
+    from counterspin.planning.plan import plan as search
+    from counterspin.planning.plan import write_campaign, write_example
+    from counterspin.planning.result import write_plan_result
+    from counterspin.reports.text import report_console
+
+    if sum(given is not None for given in (file, check, init)) != 1:
+        raise CampaignError("plan", ["give a plan's file, or --check DIR, or --init FILE"])
+    if init is not None:
+        print(f"Wrote {write_example(init)}. Edit it, or try it:\n  counterspin plan {init}")
+        return
+    if check is not None:
+        if output is not None or figures is not None:
+            raise CampaignError("plan", ["--output and --figures need a plan, not --check"])
+        try:
+            rate = None if sampling_rate is None else exact(sampling_rate, "Hz")
+        except ValueError as error:
+            raise CampaignError("--sampling-rate", [str(error)]) from error
+        result = forecast(check, sampling_rate=rate, revolutions=revolutions)
+    else:
+        assert file is not None  # one of the three is
+        planned = search(file, curves=figures is not None)
+        result = planned.result
+    if json is not None:
+        write_plan_result(result, json)
+    report_console().print(render_plan(result))
+    if output is not None:
+        written = write_campaign(planned, output)
+        print(f"\nWrote {written}. Record its runs, or try them:")
+        print(f"  counterspin simulate {written} -o {output}/simulated")
+    if figures is not None:
+        print(f"\nWrote {', '.join(p.name for p in save_figures(result, figures))} to {figures}.")

@@ -1,0 +1,51 @@
+"""`counterspin report`: a result as HTML, PDF, Markdown or in the terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from counterspin.cli.words import OutputFile
+
+
+def report(
+    source: Path,
+    /,
+    *,
+    output: OutputFile = None,
+    identifier: str | None = None,
+    date: str | None = None,
+) -> None:
+    """Write the full report of a result: answer, checks, budget, residuals, origin.
+
+    Parameters
+    ----------
+    source
+        Result file, or a campaign's folder or description, which is calibrated first.
+    output
+        The report: .html, .pdf or .md; without it, the report is printed.
+    identifier
+        What it is known by; else it follows from the result.
+    date
+        When it was made, such as 2026-03-01; else SOURCE_DATE_EPOCH or now.
+    """
+    from counterspin.calibration.pages.full_report import document
+    from counterspin.calibration.pages.publishing import check_format, issue_date, write_report
+    from counterspin.calibration.result import read_result
+    from counterspin.reports.text import Report, report_console
+
+    issued = issue_date(date)
+    if output is not None:
+        check_format(output)
+    if source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml"):
+        found = read_result(source)
+    else:
+        from counterspin.calibration.calibrate import calibrate
+        from counterspin.reports.progress import progress
+
+        with progress() as advance:
+            found = calibrate(source, progress=advance)
+    if output is None:
+        report_console().print(Report(document(found)))
+        return
+    write_report(found, output, identifier=identifier, issued=issued)
+    print(f"Wrote {output}.")

@@ -1,0 +1,81 @@
+"""`counterspin study`: a campaign and its analyses, tried on many simulated ones."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Literal
+
+from counterspin.cli.words import JsonFile, OutputFile
+
+
+def study(
+    campaign: Path,
+    *,
+    trials: int | None = None,
+    seed: int | None = None,
+    engine: Literal["auto", "surrogate", "exact", "full"] = "auto",
+    workers: int = 1,
+    cluster: str | None = None,
+    output: OutputFile = None,
+    keep_trials: bool = False,
+    resume: bool = False,
+    json: JsonFile = None,
+) -> None:
+    """Try analyses on many simulated campaigns: bias, scatter, and whether claims hold.
+
+    Parameters
+    ----------
+    campaign
+        Campaign with [truth] and perhaps [study], its folder, or a study's own file.
+    trials
+        How many, in place of the study's own number.
+    seed
+        Of the random numbers, in place of the study's own.
+    engine
+        How trials are made; auto takes the fastest that is valid.
+    workers
+        Processes; the result is the same for any number.
+    cluster
+        Address of a Dask scheduler, such as tcp://HOST:8786.
+    output
+        Folder for study.json, figures, and what --resume needs.
+    keep_trials
+        Write every trial to trials.parquet in that folder.
+    resume
+        Go on with the study that was begun in that folder.
+    json
+        Write the result to this file too.
+    """
+    from json import dumps
+
+    from counterspin.output import write_text
+    from counterspin.reports.progress import work_progress
+    from counterspin.reports.text import report_console
+    from counterspin.studies.page import render_study
+    from counterspin.studies.study import study as run
+
+    with work_progress("Trials") as advance:
+        result = run(
+            campaign,
+            trials=trials,
+            seed=seed,
+            engine=engine,
+            workers=workers,
+            cluster=cluster,
+            output=output,
+            keep_trials=keep_trials,
+            resume=resume,
+            progress=advance,
+        )
+    if json is not None:
+        write_text(json, dumps(result.to_dict(), indent=1) + "\n")
+    if output is not None:
+        from counterspin.studies.figures import write_figures
+
+        write_figures(result, output)
+    report_console().print(render_study(result))
+    if not result.complete:
+        if output is not None:
+            print("counterspin: stopped; the same command with --resume goes on", file=sys.stderr)
+        raise KeyboardInterrupt

@@ -1,0 +1,6 @@
+"""Applying a result: indicated specific force, corrected.
+
+- `apply`: in memory
+- `apply_file`: a column of a file, corrected in a new file
+- `page`: what was done, as a person reads it
+"""

@@ -1,0 +1,302 @@
+"""Corrects indicated specific force for a calibrated error model, in memory.
+
+- `apply`: indications to specific force, with its standard uncertainty (`Correction`)
+- `instrument_of`: a calibrated accelerometer as its result describes it
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
+from counterspin.campaign.quantity import parse, unit_factor
+from counterspin.errors import CampaignError
+from counterspin.physics.accelerometer import TERMS, Mounting
+from counterspin.physics.correction import Instrument, Known, correct, missing_axes
+
+_SOURCE: Final = "apply"  #: what the command's own refusals begin with
+
+#: Axes of an accelerometer on its own, whose place on the platform then does not matter.
+_ALONE: Final = Mounting.from_axes("east", "north")
+
+#: Axis -> its name, and the option that gives the specific force along it.
+_AXES: Final = {"P": ("pendulous", "--pendulous"), "O": ("output", "--output-axis")}
+
+#: How far beyond the calibration's largest specific force an indication may go unremarked; bias
+#: and scale factor alone bring it there.
+_BEYOND: Final = 1.05
+
+#: Specific force along an axis: numbers in the unit of the indication, or text with a unit.
+Force = npt.ArrayLike | str
+
+
+@dataclass(frozen=True, eq=False)
+class Correction:
+    """Corrected specific force along an accelerometer's input axis.
+
+    Attributes
+    ----------
+    corrected
+        Specific force, shape (n,); NaN where something was missing.
+    u
+        Its standard uncertainty (k = 1) from coefficients and constants, shape (n,). The noise
+        of the indication itself is no part of it.
+    unit
+        Of both: that of the indication.
+    dof
+        The fewest effective degrees of freedom of a coefficient that was applied; infinite
+        where the noise was given.
+    notes
+        What was applied, in sentences.
+    warnings
+        What was not, and where the model is stretched.
+    """
+
+    corrected: Array
+    u: Array
+    unit: str
+    dof: float
+    notes: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def apply(
+    result: Result,
+    accelerometer: str,
+    indicated: npt.ArrayLike,
+    *,
+    unit: str = "g",
+    pendulous: Force | None = None,
+    output_axis: Force | None = None,
+    others: Mapping[str, npt.ArrayLike] | None = None,
+    force: bool = False,
+) -> Correction:
+    """Correct indicated specific force for the calibrated model: the inverse of Eq. 7.
+
+    Parameters
+    ----------
+    result
+        A calibration's result.
+    accelerometer
+        Its name there.
+    indicated
+        Indicated specific force, shape (n,).
+    unit
+        Its unit: g (that of the calibration's site), m/s^2, mg, ... Also that of every other
+        array, and of what is returned.
+    pendulous, output_axis
+        Specific force along the pendulous and the output axis: shape (n,), one number, or text
+        such as ``"-1 g"`` or ``"-1 ± 1e-4 g"``.
+    others
+        Indications of other accelerometers of the result on the same platform, shape (n,), by
+        name; a_P and a_O then follow from all of them, corrected as well.
+    force
+        Whether a result of the equations as printed, with half the K_II, may be applied.
+
+    Returns
+    -------
+    Correction
+
+    Raises
+    ------
+    CampaignError
+        If the result or what is given does not fit: an unknown accelerometer, a force that the
+        model needs and that is not known or given twice, equations as printed.
+    ConvergenceError
+        If a sample lies outside of what the model can indicate.
+    """
+    if result.model == "as-printed" and not force:
+        raise CampaignError(
+            _SOURCE,
+            [
+                "the result is of the paper's equations as printed, whose K_II is half of what "
+                "the accelerometer has; calibrate again with --model exact, or give --force"
+            ],
+        )
+    indications = {accelerometer: indicated, **(others or {})}
+    if accelerometer in (others or {}):
+        raise CampaignError(_SOURCE, [f"--others: {accelerometer} is the one to be corrected"])
+    factor = _factor(unit, result.inputs.gravity)
+    instruments = [instrument_of(result, name, placed=bool(others)) for name in indications]
+    mounting = instruments[0].mounting
+    known = [
+        _known(given, mounting.matrix[row], factor, result.inputs.gravity, option)
+        for row, (given, (_, option)) in enumerate(
+            zip((pendulous, output_axis), _AXES.values(), strict=True), start=1
+        )
+        if given is not None
+    ]
+    try:
+        missing = missing_axes(instruments, known)
+    except ValueError as error:
+        raise CampaignError(_SOURCE, [str(error)]) from error
+    if missing:
+        raise CampaignError(_SOURCE, _needed(accelerometer, missing))
+    columns = [np.asarray(values, dtype=np.float64) * factor for values in indications.values()]
+    found = correct(instruments, np.stack(columns, axis=1), known)
+    applied = [result.accelerometers[name] for name in indications]
+    return Correction(
+        corrected=found.force[:, 0] / factor,
+        u=found.u[:, 0] / factor,
+        unit=unit,
+        dof=min(
+            (c.dof for one in applied for c in _terms(one).values() if c.dof is not None),
+            default=math.inf,
+        ),
+        notes=tuple(_note(name, one) for name, one in zip(indications, applied, strict=True)),
+        warnings=tuple(
+            warning
+            for name, one, column in zip(indications, applied, columns, strict=True)
+            for warning in (*_left_out(name, one), *_stretched(result, name, column))
+        ),
+    )
+
+
+def instrument_of(result: Result, name: str, *, placed: bool = False) -> Instrument:
+    """Return a calibrated accelerometer with the covariance of its coefficients.
+
+    What is not estimated but known beforehand is applied too. Where the result holds a budget,
+    its sensitivities say how such a prior has moved the estimates, so that errors which cancel
+    are seen to cancel; else it is taken as uncorrelated.
+
+    Parameters
+    ----------
+    result
+        A calibration's result.
+    name
+        The accelerometer's name there.
+    placed
+        Whether its place on the platform is needed; else its axes are taken as the frame.
+
+    Raises
+    ------
+    CampaignError
+        If there is no such accelerometer, or its place is needed and not in the result.
+    """
+    if name not in result.accelerometers:
+        there = ", ".join(result.accelerometers)
+        raise CampaignError(_SOURCE, [f"the result has no accelerometer {name!r}; it has {there}"])
+    found = result.accelerometers[name]
+    if placed and found.axes is None:
+        raise CampaignError(
+            _SOURCE,
+            [
+                f"the result does not say where the axes of {name} point; it was written by an "
+                "earlier version. Calibrate again, or give the force along the axes instead"
+            ],
+        )
+    mounting = Mounting(tuple(found.axes)) if placed and found.axes else _ALONE
+    terms = {s: c for s, c in _terms(found).items() if c.value is not None}
+    values = {s: float(c.value) for s, c in terms.items() if c.value is not None}
+    return Instrument(name, mounting, values, _covariance(found, terms))
+
+
+def _terms(found: AccelerometerResult) -> dict[str, Coefficient]:
+    return {s: c for s, c in {**found.known, **found.coefficients}.items() if s in TERMS}
+
+
+def _covariance(found: AccelerometerResult, terms: Mapping[str, Coefficient]) -> Array:
+    symbols = list(terms)
+    u = np.array([c.u or 0.0 for c in terms.values()])
+    covariance = np.diag(u**2)
+    related = found.correlation.terms if found.correlation else []
+    estimated = [s for s in symbols if terms[s].estimated]
+    for one in estimated:
+        i = symbols.index(one)
+        for other in estimated:
+            if found.correlation and one != other and one in related and other in related:
+                j = symbols.index(other)
+                r = found.correlation.matrix[related.index(one)][related.index(other)]
+                covariance[i, j] = r * u[i] * u[j]
+        for line in found.budget.get(one, []):
+            # An estimate and the prior that moved it: sensitivity x u^2.
+            source = line.source.removesuffix(" (prior)").removesuffix(" (considered)")
+            if source in terms and source not in estimated and line.sensitivity is not None:
+                j = symbols.index(source)
+                covariance[i, j] = covariance[j, i] = line.sensitivity * u[j] ** 2
+    return covariance
+
+
+def _factor(unit: str, gravity: float) -> float:
+    try:
+        return unit_factor(unit, "g", gravity=gravity)
+    except ValueError as error:
+        raise CampaignError(_SOURCE, [f"--unit: {error}"]) from error
+
+
+def _known(given: Any, direction: Array, factor: float, gravity: float, option: str) -> Known:
+    if isinstance(given, str):
+        try:
+            quantity = parse(given, "g", gravity=gravity)
+        except ValueError as error:
+            raise CampaignError(_SOURCE, [f"{option}: {error}"]) from error
+        return Known(direction, quantity.value, quantity.u)
+    return Known(direction, np.asarray(given, dtype=np.float64) * factor)
+
+
+def _needed(
+    accelerometer: str, missing: Sequence[tuple[Instrument, str, tuple[str, ...]]]
+) -> list[str]:
+    problems = []
+    for one, axis, symbols in missing:
+        words, option = _AXES[axis]
+        verb = "needs" if len(symbols) == 1 else "need"
+        if one.name == accelerometer:
+            ways = f'give {option} COLUMN or a constant such as {option} "-1 g"'
+        else:
+            ways = "give --pendulous or --output-axis of the accelerometer to be corrected"
+        problems.append(
+            f"{', '.join(symbols)} of {one.name} {verb} the specific force along its {words} "
+            f"axis; {ways}, or name an accelerometer that senses it with --others"
+        )
+    return problems
+
+
+def _note(name: str, found: AccelerometerResult) -> str:
+    terms = {s: c for s, c in _terms(found).items() if c.value is not None}
+    estimated = ", ".join(s for s, c in terms.items() if c.estimated)
+    beforehand = ", ".join(s for s, c in terms.items() if not c.estimated)
+    parts = [f"as estimated: {estimated}"] if estimated else []
+    parts += [f"as known beforehand: {beforehand}"] if beforehand else []
+    return f"{name}: applied {'; '.join(parts) or 'nothing'}."
+
+
+def _left_out(name: str, found: AccelerometerResult) -> list[str]:
+    terms = _terms(found)
+    warnings = []
+    unknown = [symbol for symbol, c in terms.items() if c.value is None]
+    if unknown:
+        warnings.append(
+            f"{name}: not applied, for the result does not determine them: {', '.join(unknown)}. "
+            "Their uncertainty is no part of u."
+        )
+    for symbol, row in TERMS.items():
+        if row.nominal and (symbol not in terms or symbol in unknown):
+            warnings.append(
+                f"{name}: the result has no value of {symbol} ({row.words}); {row.nominal:g} "
+                f"{row.unit} is taken, as if it were exact."
+            )
+    return warnings
+
+
+def _stretched(result: Result, name: str, indicated: Array) -> list[str]:
+    """Return a warning where the indication goes beyond what the calibration has seen."""
+    fastest = max((abs(run.rate) for run in result.runs.values()), default=0.0)
+    # At rest on a side an accelerometer sees 1 g, however slowly the centrifuge turns.
+    seen = max(1.0, result.inputs.radius * fastest**2 / result.inputs.gravity)
+    present = np.abs(indicated[np.isfinite(indicated)])
+    largest = float(present.max()) if present.size else 0.0
+    if largest <= _BEYOND * seen:
+        return []
+    return [
+        f"{name}: the indication reaches {largest:.3g} g, and the calibration reached {seen:.3g} "
+        "g: beyond it, u knows of the model's own terms only."
+    ]

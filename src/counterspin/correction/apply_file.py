@@ -1,0 +1,263 @@
+"""`counterspin apply`: a file's column of indicated specific force, corrected in a new file.
+
+- `apply_file`: the input's columns and two more, the corrected force and its uncertainty
+- `CorrectedFile`, `Level`: what was written, for the report
+- `parse_others`: ``"Qy=COLUMN,Qz=COLUMN"``
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import polars as pl
+
+from counterspin.arrays import Array
+from counterspin.calibration.result import Result
+from counterspin.campaign.quantity import unit_factor
+from counterspin.correction.apply import Correction, apply, instrument_of
+from counterspin.errors import CampaignError, CounterspinError, RecordError
+from counterspin.output import write_whole
+from counterspin.physics.inversion import NotInvertibleError
+from counterspin.records.column_file import ColumnFile
+from counterspin.records.formats import open_columns
+
+#: Ending of the output -> what parts its cells; None for Parquet.
+_SEPARATORS: Final[Mapping[str, str | None]] = {
+    ".csv": ",",
+    ".txt": ",",
+    ".tsv": "\t",
+    ".parquet": None,
+}
+
+
+@dataclass(frozen=True)
+class Level:
+    """One row: its indicated specific force, its correction, its u, in the file's unit."""
+
+    indicated: float
+    correction: float
+    u: float
+
+
+@dataclass(frozen=True)
+class CorrectedFile:
+    """What was written.
+
+    Attributes
+    ----------
+    path
+        The file.
+    column
+        The column that was corrected.
+    rows, missing
+        Rows of the file, and how many of them lack a number that was needed.
+    low, high
+        Least and largest indication.
+    most
+        The row with the largest correction.
+    at_one_g
+        The row nearest to 1 g or -1 g.
+    at_largest
+        The row with the largest indication in size.
+    correction
+        The corrected values themselves.
+    """
+
+    path: Path
+    column: str
+    rows: int
+    missing: int
+    low: float
+    high: float
+    most: Level
+    at_one_g: Level
+    at_largest: Level
+    correction: Correction
+
+
+def apply_file(
+    result: Result,
+    accelerometer: str,
+    source: Path | str,
+    output: Path | str,
+    *,
+    column: str | None = None,
+    unit: str = "g",
+    pendulous: str | None = None,
+    output_axis: str | None = None,
+    others: Mapping[str, str] | None = None,
+    force: bool = False,
+) -> CorrectedFile:
+    """Correct a column of a file and write the file's columns and two more.
+
+    Parameters
+    ----------
+    result, accelerometer, unit, force
+        As `apply`.
+    source
+        A .csv or .parquet file.
+    output
+        The file to write, .csv or .parquet; not the source.
+    column
+        The column with the indication. None: the one that is named as the accelerometer, or the
+        only one that is named nowhere else.
+    pendulous, output_axis
+        A column, or a constant with its unit.
+    others
+        Accelerometer -> column.
+
+    Returns
+    -------
+    CorrectedFile
+
+    Raises
+    ------
+    CampaignError
+        If what is asked does not fit the file or the result.
+    RecordError
+        If the file cannot be used.
+    ConvergenceError
+        If a row lies outside of what the model can indicate; the row is named.
+    CounterspinError
+        If the output cannot be written.
+    """
+    source, output = Path(source), Path(output)
+    suffix = output.suffix.lower()
+    if suffix not in _SEPARATORS:
+        raise CampaignError(str(output), [f"must end in one of {', '.join(_SEPARATORS)}"])
+    if output.exists() and source.exists() and output.samefile(source):
+        raise CampaignError(str(output), ["is the input; a record is not overwritten"])
+    for name in (accelerometer, *(others or {})):
+        instrument_of(result, name)  # a wrong name is told before the file is searched for it
+    table = open_columns(source, []).table()
+    along = {"--pendulous": pendulous, "--output-axis": output_axis}
+    used = [text for text in (*along.values(), *(others or {}).values()) if text in table.columns]
+    column = column or _guessed(source, table, accelerometer, used)
+    names = {column, *used, *(others or {}).values()}
+    opened = open_columns(source, sorted(names))
+    values = _values(opened)
+    new = (f"{column}_corrected", f"{column}_corrected_u")
+    for name in new:
+        if name in table.columns:
+            raise CampaignError(str(source), [f"has a column '{name}' already; was it corrected?"])
+    given = {
+        option: values[text] if text in values else _constant(option, text, table.columns)
+        for option, text in along.items()
+        if text is not None
+    }
+    try:
+        correction = apply(
+            result,
+            accelerometer,
+            values[column],
+            unit=unit,
+            pendulous=given.get("--pendulous"),
+            output_axis=given.get("--output-axis"),
+            others={name: values[text] for name, text in (others or {}).items()},
+            force=force,
+        )
+    except NotInvertibleError as error:
+        where = opened.locate(error.row)
+        raise CounterspinError(f"{source}, {where}: the indication {error.reason}") from error
+    report = _report(output, column, values[column], correction, result.inputs.gravity)
+    added = [
+        pl.Series(name, one).fill_nan(None)
+        for name, one in zip(new, (correction.corrected, correction.u), strict=True)
+    ]
+    write_whole(output, _writer(table.with_columns(added), _SEPARATORS[suffix]))
+    return report
+
+
+def parse_others(text: str | None) -> dict[str, str]:
+    """Read ``"Qy=COLUMN,Qz=COLUMN"``; raises CampaignError if it is not that."""
+    pairs = {}
+    for item in text.split(",") if text else []:
+        name, mark, column = (part.strip() for part in item.partition("="))
+        if not (name and mark and column) or name in pairs:
+            raise CampaignError(
+                "apply", [f"--others: {text!r} is not of the form Qy=COLUMN,Qz=COLUMN"]
+            )
+        pairs[name] = column
+    return pairs
+
+
+def _guessed(source: Path, table: pl.DataFrame, accelerometer: str, used: list[str]) -> str:
+    free = [name for name in table.columns if name not in used]
+    if accelerometer in free:
+        return accelerometer
+    if len(free) == 1:
+        return free[0]
+    raise CampaignError(
+        str(source),
+        [
+            f"which column is the indication of {accelerometer}? Name it with --input; the file "
+            f"has {', '.join(table.columns)}"
+        ],
+    )
+
+
+def _values(opened: ColumnFile) -> dict[str, Array]:
+    batches = list(opened.batches())
+    if not batches:
+        raise RecordError(f"{opened.path}: the file has no rows.")
+    arrays = (np.concatenate(parts) for parts in zip(*batches, strict=True))
+    return dict(zip(opened.names, arrays, strict=True))
+
+
+def _constant(option: str, text: str, columns: list[str]) -> str:
+    """Return a text that is to be a quantity, if it looks like one."""
+    if not any(mark.isdigit() for mark in text):
+        raise CampaignError(
+            "apply",
+            [
+                f"{option}: {text!r} is neither a column of the file ({', '.join(columns)}) nor a "
+                'constant with its unit such as "-1 g"'
+            ],
+        )
+    return text
+
+
+def _report(
+    output: Path, column: str, indicated: Array, correction: Correction, gravity: float
+) -> CorrectedFile:
+    present = np.flatnonzero(np.isfinite(correction.corrected))
+    if present.size == 0:
+        raise RecordError(f"{output}: not written: no row has all the numbers that are needed.")
+    given, corrected = indicated[present], correction.corrected[present]
+    one_g = 1.0 / unit_factor(correction.unit, "g", gravity=gravity)
+
+    def level(place: int) -> Level:
+        change = float(corrected[place] - given[place])
+        return Level(float(given[place]), change, float(correction.u[present[place]]))
+
+    return CorrectedFile(
+        path=output,
+        column=column,
+        rows=indicated.size,
+        missing=indicated.size - present.size,
+        low=float(given.min()),
+        high=float(given.max()),
+        most=level(int(np.argmax(np.abs(corrected - given)))),
+        at_one_g=level(int(np.argmin(np.abs(np.abs(given) - one_g)))),
+        at_largest=level(int(np.argmax(np.abs(given)))),
+        correction=correction,
+    )
+
+
+def _writer(table: pl.DataFrame, separator: str | None) -> Callable[[Path], object]:
+    if separator is not None:
+        return lambda path: table.write_csv(path, separator=separator)
+    return pl.DataFrame([_typed(one) for one in table.get_columns()]).write_parquet
+
+
+def _typed(column: pl.Series) -> pl.Series:
+    """Return a column of text as numbers where it holds nothing else; CSV cells are text so far."""
+    if column.dtype != pl.String:
+        return column
+    clean = column.str.strip_chars().replace("", None)
+    numbers = clean.cast(pl.Float64, strict=False)
+    return numbers if numbers.null_count() == clean.null_count() else column

@@ -1,0 +1,49 @@
+"""What `counterspin apply` did, as a person reads it.
+
+- `render_application`: a few paragraphs, as something that rich prints
+"""
+
+from __future__ import annotations
+
+import math
+
+from counterspin.correction.apply_file import CorrectedFile, Level
+from counterspin.reports.blocks import Block, Heading, Paragraph
+from counterspin.reports.numbers import format_number
+from counterspin.reports.text import Report
+
+
+def render_application(done: CorrectedFile) -> Report:
+    """Return what was corrected, by how much, and how sure that is."""
+    unit, correction = done.correction.unit, done.correction
+
+    def at(level: Level) -> str:
+        return f"{format_number(level.u, 2)} {unit} at {format_number(level.indicated, 6)} {unit}"
+
+    missing = f"; {done.missing} of them lack a number and stay empty" if done.missing else ""
+    blocks: list[Block] = [
+        Heading(f"Wrote {done.path}"),
+        Paragraph(
+            f"{done.rows} rows of {done.column}, from {format_number(done.low, 6)} to "
+            f"{format_number(done.high, 6)} {unit}{missing}."
+        ),
+        Paragraph(
+            f"Largest correction {format_number(done.most.correction, 6)} {unit}, at "
+            f"{format_number(done.most.indicated, 6)} {unit}."
+        ),
+        Paragraph(
+            f"Standard uncertainty of the correction (k = 1): {at(done.at_one_g)} (the row nearest "
+            f"to 1 g), {at(done.at_largest)} (the largest). The noise of the indication is no part "
+            "of it."
+        ),
+    ]
+    if math.isfinite(correction.dof):
+        blocks.append(
+            Paragraph(
+                f"It rests on {format_number(correction.dof, 3)} effective degrees of freedom or "
+                "more."
+            )
+        )
+    blocks += [Paragraph(note) for note in correction.notes]
+    blocks += [Paragraph(f"Warning: {text}", "warning") for text in correction.warnings]
+    return Report(blocks)

@@ -1,0 +1,215 @@
+"""Whether repeated measurements of one quantity agree, and whether it drifts.
+
+The measurements are taken as independent, with the standard uncertainties that they state; none is
+scaled in silence.
+
+- `weighted_mean`, `Mean`: their mean, and the chi-square test that they agree with it
+- `drift`, `Drift`: a straight line through them over time
+- `Agreement`: how they scatter about either
+- `en_score`: two of them, by their expanded uncertainties
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.inference.conformity import expanded_uncertainty
+from counterspin.inference.plain_fit import Fit, fit
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """How measurements scatter about a fit, in their own uncertainties.
+
+    Attributes
+    ----------
+    chi2
+        Sum of squared differences, each over its standard uncertainty.
+    dof
+        Measurements less fitted quantities.
+    p
+        Probability of a larger `chi2` if the uncertainties are right; None without a degree of
+        freedom.
+    birge
+        Birge ratio, the root of chi2/dof: near 1 where the uncertainties are right; None likewise.
+    """
+
+    chi2: float
+    dof: int
+    p: float | None
+    birge: float | None
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A weighted mean.
+
+    Attributes
+    ----------
+    value, u
+        The mean and its standard uncertainty, in the unit of the measurements.
+    agreement
+        Of the measurements with it.
+    difference
+        Measurements less mean, shape (n,).
+    z
+        `difference` over its own standard uncertainty, which is the root of u_i^2 - u^2, for the
+        measurement is part of the mean; shape (n,), NaN for one measurement alone.
+    """
+
+    value: float
+    u: float
+    agreement: Agreement
+    difference: Array
+    z: Array
+
+
+@dataclass(frozen=True)
+class Drift:
+    """A straight line over time.
+
+    Attributes
+    ----------
+    slope, u
+        Change per unit of time, and its standard uncertainty from those of the measurements.
+    p
+        Probability of a slope as large if there is no drift (normal distribution, both sides).
+    time, value
+        A point of the line: the mean time, where slope and value are uncorrelated, and the value
+        there.
+    u_value
+        Standard uncertainty of `value`.
+    agreement
+        Of the measurements with the line.
+    """
+
+    slope: float
+    u: float
+    p: float
+    time: float
+    value: float
+    u_value: float
+    agreement: Agreement
+
+    def at(self, time: npt.ArrayLike) -> tuple[Array, Array]:
+        """Return the line and its standard uncertainty at times, each of the times' shape."""
+        since = np.asarray(time, dtype=np.float64) - self.time
+        return self.value + self.slope * since, np.hypot(self.u_value, self.u * since)
+
+
+def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike) -> Mean:
+    """Return the mean with weights 1/u^2 and whether the measurements agree with it.
+
+    Parameters
+    ----------
+    values, u
+        Measurements and their standard uncertainties, shape (n,), n >= 1, u > 0.
+
+    Returns
+    -------
+    Mean
+
+    Raises
+    ------
+    ValueError
+        If an uncertainty is not positive, or the shapes do not fit.
+    """
+    measured, sigma = np.asarray(values, np.float64), np.asarray(u, np.float64)
+    found = fit(np.ones((measured.size, 1)), measured, sigma)
+    return Mean(
+        value=float(found.estimate[0]),
+        u=float(found.u[0]),
+        agreement=_agreement(found),
+        difference=found.residuals,
+        z=_against_the_others(measured, sigma),
+    )
+
+
+def drift(time: npt.ArrayLike, values: npt.ArrayLike, u: npt.ArrayLike) -> Drift | None:
+    """Fit a straight line by weighted least squares.
+
+    Parameters
+    ----------
+    time
+        Of the measurements, shape (n,), in any unit and order.
+    values, u
+        As for `weighted_mean`.
+
+    Returns
+    -------
+    Drift or None
+        None where all measurements are of one time.
+
+    Raises
+    ------
+    ValueError
+        As `weighted_mean`.
+    """
+    from scipy.special import ndtr
+
+    when, sigma = np.asarray(time, np.float64), np.asarray(u, np.float64)
+    if np.ptp(when) == 0.0:
+        return None
+    # About the weighted mean time value and slope are uncorrelated.
+    middle = float(np.average(when, weights=sigma**-2.0))
+    found = fit(np.stack([np.ones(when.size), when - middle], axis=1), values, sigma)
+    (value, slope), (u_value, u_slope) = found.estimate, found.u
+    return Drift(
+        slope=float(slope),
+        u=float(u_slope),
+        p=float(2.0 * ndtr(-abs(slope) / u_slope)),
+        time=middle,
+        value=float(value),
+        u_value=float(u_value),
+        agreement=_agreement(found),
+    )
+
+
+def en_score(
+    first: tuple[float, float, float | None], second: tuple[float, float, float | None]
+) -> float:
+    """Return the E_n score of a second measurement against a first (ISO 13528:2015, 9.7).
+
+    Parameters
+    ----------
+    first, second
+        Value, standard uncertainty and degrees of freedom (None is infinite) of each; the expanded
+        uncertainties are those of 95 % coverage.
+
+    Returns
+    -------
+    float
+        Difference over the root of the sum of squared expanded uncertainties; up to 1 in size the
+        two agree.
+    """
+    expanded = math.hypot(*(expanded_uncertainty(u, dof) for _, u, dof in (first, second)))
+    return (second[0] - first[0]) / expanded
+
+
+def _against_the_others(values: Array, u: Array) -> Array:
+    # The same number as difference over the root of u_i^2 - u^2, without its cancellation where
+    # one measurement has nearly all the weight.
+    weight = u**-2.0
+    z = np.full(values.size, np.nan)
+    for i in range(values.size if values.size > 1 else 0):
+        others, left = np.delete(values, i), np.delete(weight, i)
+        z[i] = (values[i] - np.average(others, weights=left)) / math.hypot(u[i], left.sum() ** -0.5)
+    return z
+
+
+def _agreement(found: Fit) -> Agreement:
+    from scipy.special import chdtrc
+
+    if found.dof < 1:
+        return Agreement(found.chi2, found.dof, None, None)
+    return Agreement(
+        chi2=found.chi2,
+        dof=found.dof,
+        p=float(chdtrc(found.dof, found.chi2)),
+        birge=math.sqrt(found.chi2 / found.dof),
+    )

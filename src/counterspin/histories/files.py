@@ -1,0 +1,206 @@
+"""The files of a history: which are results, whose they are and when, and which say the same again.
+
+- `collect`, `Collected`: from files and folders to records of one coefficient
+- `Record`: one accelerometer in one result
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from counterspin.calibration.result import Result, read_result
+from counterspin.errors import CampaignError, RecordError
+from counterspin.histories.result import LeftOut
+
+#: What every result has had, whatever its schema; other documents in a folder are no results.
+_MARKS: Final = {"method", "accelerometers", "provenance"}
+
+_SUMMARY: Final = "is a summary of several campaigns; write a result for each, with its own --json"
+
+
+@dataclass(frozen=True)
+class Record:
+    """What one result says of one accelerometer.
+
+    Attributes
+    ----------
+    serial_number, stated_by
+        As in `counterspin.histories.result.Instrument`.
+    campaign_serial_number
+        What the campaign states, or None.
+    date
+        Without a zone; UTC where one is stated.
+    file
+        As it was found.
+    accelerometer, method
+        Its name there; the result's method.
+    value, u, dof
+        In the term's unit, in g-units of `gravity`.
+    gravity
+        m/s^2.
+    records
+        Checksums of the record files that it rests on.
+    """
+
+    serial_number: str
+    stated_by: Literal["accelerometer", "campaign"]
+    campaign_serial_number: str | None
+    date: datetime
+    file: str
+    accelerometer: str
+    method: str
+    value: float
+    u: float
+    dof: float | None
+    gravity: float
+    records: frozenset[str]
+
+
+@dataclass
+class Collected:
+    """What the files hold; the parts as in `counterspin.histories.result.History`."""
+
+    records: list[Record] = field(default_factory=list)
+    left_out: list[LeftOut] = field(default_factory=list)
+    damaged: list[LeftOut] = field(default_factory=list)
+    passed_over: list[str] = field(default_factory=list)
+
+
+def collect(paths: Sequence[Path], term: str) -> Collected:
+    """Read all results that are named or lie in the folders named, whatever their schema.
+
+    Parameters
+    ----------
+    paths
+        Files and folders; these are searched through and through.
+    term
+        Symbol of the coefficient.
+
+    Returns
+    -------
+    Collected
+        In the order of the files' names; a damaged file stops no other.
+
+    Raises
+    ------
+    CampaignError
+        If a path does not exist; all of them are named.
+    """
+    missing = [f"{path}: there is no such file or folder" for path in paths if not path.exists()]
+    if missing:
+        raise CampaignError("history", missing)
+    found, seen = Collected(), dict[str, str]()
+    for file, named in _files(paths):
+        try:
+            content = file.read_bytes()
+        except OSError as error:
+            found.damaged.append(
+                LeftOut(file=str(file), reason=f"cannot be read ({error.strerror})")
+            )
+            continue
+        if not named and (reason := _is_other(content)):
+            if reason == _SUMMARY:
+                found.left_out.append(LeftOut(file=str(file), reason=reason))
+            else:
+                found.passed_over.append(str(file))
+            continue
+        first = seen.setdefault(hashlib.sha256(content).hexdigest(), str(file))
+        if first != str(file):
+            found.left_out.append(LeftOut(file=str(file), reason=f"the same file as {first}"))
+        else:
+            _enter(file, term, found)
+    return found
+
+
+def _files(paths: Sequence[Path]) -> Iterator[tuple[Path, bool]]:
+    """Yield each file once, and whether it was named itself."""
+    seen = set()
+    for path in paths:
+        inside = sorted(path.rglob("*.json")) if path.is_dir() else [path]
+        for file in inside:
+            if file.is_dir() or file.resolve() in seen:
+                continue
+            seen.add(file.resolve())
+            yield file, not path.is_dir()
+
+
+def _is_other(content: bytes) -> str | None:
+    """Return what a sound document is if no result; one that is damaged may have been a result."""
+    try:
+        document: Any = json.loads(content)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(document, dict):
+        return "other"
+    if "campaigns" in document:
+        return _SUMMARY
+    return None if set(document) >= _MARKS else "other"
+
+
+def _enter(file: Path, term: str, found: Collected) -> None:
+    try:
+        result = read_result(file)
+    except RecordError as error:
+        reason = str(error).removeprefix(f"{file}: ")
+        found.damaged.append(LeftOut(file=str(file), reason=reason))
+        return
+    date = _date(result.details.get("date"))
+    for name in result.accelerometers:
+        outcome = _record(result, name, term, str(file), date)
+        if isinstance(outcome, str):
+            found.left_out.append(LeftOut(file=str(file), accelerometer=name, reason=outcome))
+        else:
+            found.records.append(outcome)
+
+
+def _record(result: Result, name: str, term: str, file: str, date: datetime | str) -> Record | str:
+    """Return a record, or why there is none."""
+    accelerometer = result.accelerometers[name]
+    coefficient = accelerometer.coefficients.get(term)
+    whole = result.details.get("serial_number")
+    own = accelerometer.serial_number
+    if coefficient is None:
+        return f"has no {term}"
+    if not coefficient.estimated or coefficient.value is None or not coefficient.u:
+        return f"does not determine {term}"
+    if result.model == "as-printed":
+        return "is of the equations as printed, which return half the true K_II"
+    if own is None and whole is None:
+        return "has no serial number; state it in [accelerometers] or [campaign]"
+    if isinstance(date, str):
+        return date
+    return Record(
+        serial_number=f"{whole} {name}" if own is None else own,
+        stated_by="campaign" if own is None else "accelerometer",
+        campaign_serial_number=whole,
+        date=date,
+        file=file,
+        accelerometer=name,
+        method=result.method,
+        value=coefficient.value,
+        u=coefficient.u,
+        dof=coefficient.dof,
+        gravity=result.inputs.gravity,
+        records=frozenset(
+            checksum
+            for input_file, checksum in result.provenance.inputs.items()
+            if not input_file.endswith(".toml") and checksum.startswith("sha256:")
+        ),
+    )
+
+
+def _date(text: str | None) -> datetime | str:
+    """Return a campaign's date, or why there is none."""
+    if text is None:
+        return "has no date; state it in [campaign]"
+    try:
+        date = datetime.fromisoformat(text.strip())
+    except ValueError:
+        return f'its date "{text}" cannot be read; write it as 2026-03-01'
+    return date.astimezone(UTC).replace(tzinfo=None) if date.tzinfo else date

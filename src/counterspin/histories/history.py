@@ -1,0 +1,231 @@
+"""`counterspin history`: a coefficient of each instrument through all its results.
+
+- `history`: from files to what they say together
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Final
+
+from counterspin.campaign.checking import did_you_mean
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.histories.consistency import Agreement, Drift, Mean, drift, en_score, weighted_mean
+from counterspin.histories.files import Collected, Record, collect
+from counterspin.histories.result import (
+    History,
+    Instrument,
+    LeftOut,
+    Point,
+    Scatter,
+    Trend,
+    Verdict,
+)
+from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+
+_YEAR: Final = timedelta(days=365.25)
+
+
+def history(
+    paths: Sequence[Path | str], *, term: str = "K_II", serial: str | None = None
+) -> History:
+    """Bring results of instruments together, oldest first.
+
+    Parameters
+    ----------
+    paths
+        Result files, and folders in which all are found.
+    term
+        Symbol of the coefficient.
+    serial
+        Serial number of the instrument, as its accelerometers or its campaigns state it; None
+        takes all.
+
+    Returns
+    -------
+    History
+        In g-units of the latest result's gravity.
+
+    Raises
+    ------
+    CampaignError
+        If a path does not exist, the term is unknown, or no result is of this serial number.
+    CounterspinError
+        If no result has a place in a history; the reasons are given.
+    """
+    if term not in TERMS:
+        raise CampaignError("--term", [_unknown(term)])
+    found = collect([Path(path) for path in paths], term)
+    _leave_out_repeated(found)
+    if not found.records:
+        raise CounterspinError(_nothing(paths, found))
+    gravity = max(found.records, key=lambda record: (record.date, record.file)).gravity
+    by_serial: dict[str, list[Record]] = {}
+    for record in sorted(found.records, key=lambda record: (record.date, record.file)):
+        if serial in (None, record.serial_number, record.campaign_serial_number):
+            by_serial.setdefault(record.serial_number, []).append(record)
+    if not by_serial:
+        known = {record.serial_number for record in found.records}
+        raise CampaignError(
+            "--serial", [f'no result is of "{serial}"{did_you_mean(str(serial), sorted(known))}']
+        )
+    return History(
+        term=term,
+        unit=TERMS[term].unit,
+        gravity=gravity,
+        converted=any(record.gravity != gravity for record in found.records),
+        instruments=[
+            _instrument([_in_units_of(gravity, record, term) for record in records])
+            for _, records in sorted(by_serial.items())
+        ],
+        left_out=found.left_out,
+        damaged=found.damaged,
+        passed_over=found.passed_over,
+        notes=_shared(by_serial),
+    )
+
+
+# Which results count
+
+
+def _unknown(term: str) -> str:
+    if term in PLATFORM_TERMS:
+        return f'"{term}" belongs to the platform; a history is of an accelerometer\'s term'
+    return f'no term is called "{term}"{did_you_mean(term, TERMS)}'
+
+
+def _leave_out_repeated(found: Collected) -> None:
+    """Keep one result of the same records of the same accelerometer: one measurement counts once.
+
+    The joint method's goes before that of two stages, then the one found first.
+    """
+    kept: dict[tuple[str, str, frozenset[str]], Record] = {}
+    for record in sorted(found.records, key=lambda record: record.method != "joint"):
+        # Without checksums nothing is known of what it rests on.
+        key = (record.serial_number, record.accelerometer, record.records or {record.file})
+        first = kept.setdefault((*key[:2], frozenset(key[2])), record)
+        if first is not record:
+            found.records.remove(record)
+            found.left_out.append(
+                LeftOut(
+                    file=record.file,
+                    accelerometer=record.accelerometer,
+                    reason=f"is of the same records as {first.file}",
+                )
+            )
+
+
+def _nothing(paths: Sequence[Path | str], found: Collected) -> str:
+    where = ", ".join(map(str, paths))
+    lost = [*found.damaged, *found.left_out]
+    if not lost:
+        return f"no results in {where}; `counterspin calibrate DIR --json FILE` writes one" + (
+            f" ({len(found.passed_over)} other JSON files)" if found.passed_over else ""
+        )
+    reasons = "; ".join(
+        f"{one.file}{f', {one.accelerometer}' if one.accelerometer else ''}: {one.reason}"
+        for one in lost[:5]
+    )
+    more = f"; and {len(lost) - 5} more" if len(lost) > 5 else ""
+    return f"no result in {where} has a place in a history. {reasons}{more}"
+
+
+def _shared(by_serial: dict[str, list[Record]]) -> list[str]:
+    """Return what is amiss with independence: results that share some of their records."""
+    notes = []
+    for serial, records in by_serial.items():
+        for i, later in enumerate(records):
+            for earlier in records[:i]:
+                if common := len(earlier.records & later.records):
+                    notes.append(
+                        f"{serial}: {later.file} shares {common} of its {len(later.records)} "
+                        f"records with {earlier.file}; they are not independent."
+                    )
+    return notes
+
+
+# What they say
+
+
+def _in_units_of(gravity: float, record: Record, term: str) -> Record:
+    """Return the record in g-units of another gravity.
+
+    A coefficient of n factors is in g/g^n, and so inversely as g^(n - 1).
+    """
+    factor = (record.gravity / gravity) ** (1 - len(TERMS[term].factors))
+    return replace(record, value=record.value * factor, u=record.u * factor, gravity=gravity)
+
+
+def _instrument(records: Sequence[Record]) -> Instrument:
+    values, u = [record.value for record in records], [record.u for record in records]
+    mean = weighted_mean(values, u)
+    start = records[0].date
+    line = drift([(record.date - start) / _YEAR for record in records], values, u)
+    return Instrument(
+        serial_number=records[0].serial_number,
+        # One that is stated in both ways is the accelerometer's own.
+        stated_by=min(record.stated_by for record in records),
+        points=[_point(i, records, mean) for i in range(len(records))],
+        mean=mean.value,
+        u_mean=mean.u,
+        scatter=_scatter(mean.agreement),
+        drift=None if line is None else _trend(line, start),
+        verdict=_verdict(mean, line),
+    )
+
+
+def _point(index: int, records: Sequence[Record], mean: Mean) -> Point:
+    record = records[index]
+    alone, z = len(records) == 1, float(mean.z[index])
+    before = records[index - 1] if index else None
+    return Point(
+        date=_iso(record.date),
+        file=record.file,
+        accelerometer=record.accelerometer,
+        method=record.method,
+        value=record.value,
+        u=record.u,
+        dof=record.dof,
+        difference=None if alone else float(mean.difference[index]),
+        z=z if math.isfinite(z) else None,
+        e_n=None
+        if before is None
+        else en_score((before.value, before.u, before.dof), (record.value, record.u, record.dof)),
+    )
+
+
+def _iso(date: datetime) -> str:
+    """Write a date; the time of day only where there is one."""
+    return (date.date() if date.time() == datetime.min.time() else date).isoformat()
+
+
+def _scatter(agreement: Agreement) -> Scatter:
+    return Scatter(chi2=agreement.chi2, dof=agreement.dof, p=agreement.p, birge=agreement.birge)
+
+
+def _trend(line: Drift, start: datetime) -> Trend:
+    return Trend(
+        value=line.slope,
+        u=line.u,
+        p=line.p,
+        date=(start + line.time * _YEAR).date().isoformat(),
+        level=line.value,
+        u_level=line.u_value,
+        scatter=_scatter(line.agreement),
+    )
+
+
+def _verdict(mean: Mean, line: Drift | None) -> Verdict:
+    if mean.agreement.p is None:
+        return "single"
+    agree = mean.agreement.p >= SIGNIFICANCE
+    if line is None or line.p >= SIGNIFICANCE:
+        return "constant" if agree else "disagree"
+    if line.agreement.p is None:
+        return "differ"
+    return "drifts" if line.agreement.p >= SIGNIFICANCE else "disagree"

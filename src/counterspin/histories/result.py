@@ -1,0 +1,168 @@
+"""What a history found: the results of each instrument over time; its JSON.
+
+Values are in the unit of the term, in g-units of one gravity, which is stated.
+
+- `History`: all of it
+- `Instrument`, `Point`, `Scatter`, `Trend`: one instrument's results and what they say together
+- `LeftOut`: what could not be used, and why
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+
+from counterspin.calibration.result_parts import Part
+
+HISTORY_SCHEMA: Final = 1  #: version of the JSON
+
+#: What the results of an instrument say together.
+Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
+
+
+class Point(Part):
+    """One result.
+
+    Attributes
+    ----------
+    date
+        Of the campaign, as ISO 8601.
+    file
+        The result's file.
+    accelerometer
+        Its name in that campaign.
+    method
+        ``joint`` or ``two-stage``.
+    value, u, dof
+        Estimate, standard uncertainty, degrees of freedom (None is infinite).
+    difference, z
+        From the weighted mean, and over the standard uncertainty of this difference; None for one
+        result alone.
+    e_n
+        E_n score against the result before; None for the first.
+    """
+
+    date: str
+    file: str
+    accelerometer: str
+    method: str
+    value: float
+    u: float
+    dof: float | None
+    difference: float | None
+    z: float | None
+    e_n: float | None
+
+
+class Scatter(Part):
+    """How results scatter about a mean or a line; p and Birge ratio need a degree of freedom."""
+
+    chi2: float
+    dof: int
+    p: float | None
+    birge: float | None
+
+
+class Trend(Part):
+    """A straight line through the results: change per year of 365.25 days.
+
+    Attributes
+    ----------
+    value, u
+        Drift and its standard uncertainty, in the term's unit per year.
+    p
+        Probability of a drift as large by chance.
+    date
+        Weighted mean date, ISO 8601.
+    level, u_level
+        The line there.
+    scatter
+        About the line.
+    """
+
+    value: float
+    u: float
+    p: float
+    date: str
+    level: float
+    u_level: float
+    scatter: Scatter
+
+
+class Instrument(Part):
+    """One instrument's results, oldest first.
+
+    Attributes
+    ----------
+    serial_number
+        The accelerometer's; or the campaign's and the accelerometer's name.
+    stated_by
+        Which of the two.
+    points
+        The results.
+    mean, u_mean, scatter
+        Weighted mean, its standard uncertainty, and the scatter about it.
+    drift
+        None where all results are of one date.
+    verdict
+        ``single``: one result; ``constant``: they agree and do not drift; ``drifts``: they agree
+        with a line that is not level; ``differ``: two dates differ, by drift or by a jump;
+        ``disagree``: they scatter by more than their uncertainties.
+    """
+
+    serial_number: str
+    stated_by: Literal["accelerometer", "campaign"]
+    points: list[Point]
+    mean: float
+    u_mean: float
+    scatter: Scatter
+    drift: Trend | None
+    verdict: Verdict
+
+
+class LeftOut(Part):
+    """A file, or one accelerometer in it, that is not in the history, and why."""
+
+    file: str
+    accelerometer: str | None = None
+    reason: str
+
+
+class History(Part):
+    """What all files say.
+
+    Attributes
+    ----------
+    term, unit
+        The coefficient and its unit.
+    gravity
+        Of the g-units, m/s^2: that of the latest result.
+    converted
+        Whether results of another gravity were converted to it.
+    instruments
+        By serial number.
+    left_out
+        Results that are sound but have no place: no date, no serial number, the same again.
+    damaged
+        Files that cannot be read.
+    passed_over
+        Files in the folders that are no results.
+    notes
+        What else should be known of the files, in sentences.
+    """
+
+    schema_version: Annotated[int, Field(alias="schema")] = HISTORY_SCHEMA
+    term: str
+    unit: str
+    gravity: float
+    converted: bool
+    instruments: list[Instrument]
+    left_out: list[LeftOut]
+    damaged: list[LeftOut]
+    passed_over: list[str]
+    notes: list[str]
+
+    def to_json(self) -> str:
+        """Return the JSON text, with a newline at the end."""
+        return self.model_dump_json(by_alias=True, indent=1) + "\n"

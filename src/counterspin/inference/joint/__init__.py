@@ -1,0 +1,11 @@
+"""The joint fit: full records of all runs and accelerometers, solved together.
+
+- `series`: one accelerometer's output in one run, with its columns and its whitening
+- `unknowns`, `inputs`: what a joint fit estimates and considers; what uncertain inputs change
+- `encoder`: what the encoder's noise leaves open of each run's rotation
+- `fit`: one weighted fit of everything
+- `estimation`: the joint estimate step by step
+- `outliers`, `rotation`: samples that noise does not explain; how runs without angles turned
+- `budget`, `omitted_terms`: where the uncertainty of a coefficient comes from; what is not in it
+- `thinning`: residuals for pictures
+"""

@@ -1,0 +1,185 @@
+"""What the encoder's noise leaves open of each run's rotation, and what that does to a record.
+
+Reference and columns are taken along the spindle that was fitted to the recorded angle. The fit is
+uncertain, and a ripple that the noise hides is in no trajectory. In displacement that hardly
+matters: the platform's true place is off by R times the angle's error. In velocity and specific
+force a ripple stands where K_II does. Hence each run has an `AngleError`, and its coefficients,
+turned so that they are uncorrelated and of unit variance, are terms of the fit: considered ones
+where the records are of no help, else unknowns whose prior is what the encoder says.
+
+- `SYMBOLS`, `part_of`: the terms, and the parts of the rotation that they stand for
+- `columns`: one for each term of a series
+- `with_encoder`: a model with these terms, where they are not negligible
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.unknowns import Considered, Model, Unknown
+from counterspin.inference.noise.model import Noise
+from counterspin.physics import observation, quadrature
+from counterspin.physics.accelerometer import TERMS, Term
+from counterspin.physics.angle_error import SLOW, AngleError, displaced
+from counterspin.physics.spindle import MAX_HARMONICS
+
+#: The terms: of the first three each one, of each harmonic's ripple two quadratures.
+SYMBOLS: Final = tuple(f"encoder.{part}" for part in SLOW) + tuple(
+    f"encoder.ripple{n}.{phase}" for n in range(1, MAX_HARMONICS + 1) for phase in ("cos", "sin")
+)
+
+#: Square of a term's norm in a record from which on it is considered, and from which on estimated.
+_CONSIDERED: Final = 1e-5
+_ESTIMATED: Final = 1e-2
+
+#: In standard deviations of a term: farther off nobody would believe the encoder.
+_LIMIT: Final = 10.0
+
+
+def part_of(symbol: str) -> str:
+    """Return which part of the rotation a term belongs to: angle, rate, drift, ripple1, ..."""
+    return symbol.split(".")[1]
+
+
+def _symbols(error: AngleError) -> tuple[str, ...]:
+    ripples = (f"encoder.ripple{n}." for n in error.harmonics)
+    return SYMBOLS[: len(SLOW)] + tuple(r + phase for r in ripples for phase in ("cos", "sin"))
+
+
+def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, float]) -> Array:
+    """Return what a record shows of one standard deviation of each term.
+
+    By the chain rule: the angle's error changes the reference, and through each coefficient what
+    the accelerometer makes of the specific force. Platform errors, which turn that change by less
+    than 1e-4 rad, are left out.
+
+    Parameters
+    ----------
+    series
+        Of a run whose angle was recorded, unless there are no symbols.
+    symbols
+        Terms of this run, m of them.
+    coefficients
+        Of the accelerometer, less nominal; those that are not named count as nominal.
+
+    Returns
+    -------
+    Array
+        Shape (n, m), in the record's unit.
+    """
+    error = series.angle_error
+    if error is None or not symbols:
+        return np.empty((series.time.size, 0))
+    places = [_symbols(error).index(symbol) for symbol in symbols]
+    motion, order = series.trajectory, series.order
+    matrix = series.mounting.turned(series.attitude).matrix
+    rows = {TERMS[symbol]: value for symbol, value in coefficients.items() if value != 0.0}
+    linear = matrix[0] + sum(
+        value * row.sign * matrix["IPO".index(row.factors[0])]
+        for row, value in rows.items()
+        if len(row.factors) == 1
+    )
+    curved = {row: value for row, value in rows.items() if len(row.factors) > 1}
+
+    def changed(t: Array, order: int) -> Array:
+        spindle = motion.spindle
+        rotation = spindle.angle(t), spindle.angular_rate(t), spindle.angular_acceleration(t)
+        change = np.zeros((t.size, error.deviation.size, 3))
+        change[..., :2] = motion.radius * displaced(error.functions(t), *rotation, order)
+        return change
+
+    def force(t: Array) -> Array:
+        # Only where the force itself is recorded, or squared, its Coriolis part is not lost.
+        turning = 2.0 * np.cross(motion.site.earth_rotation, changed(t, 1))
+        found: Array = changed(t, 0) + turning
+        return found
+
+    def of_products(t: Array) -> Array:
+        slope = _slope(curved, matrix @ motion.specific_force(t).T / motion.site.gravity)
+        return np.asarray(np.einsum("nmc,cn->mn", force(t), matrix.T @ slope))
+
+    def seen(t: Array) -> Array:
+        total = (force(t) if order == 0 else changed(t, order)) @ linear
+        if curved and order == 0:
+            total += of_products(t).T
+        elif curved:
+            edges = quadrature.panel_edges(motion.spindle, float(t.max()))
+            if any("|I|" in row.factors for row in curved):
+                kinks = quadrature.sign_changes(
+                    lambda s: motion.specific_force(s) @ matrix[0], edges
+                )
+                edges = quadrature.panel_edges(motion.spindle, float(t.max()), kinks)
+            total += quadrature.integrate(of_products, edges, t, order)
+        return np.asarray(total @ error.root[:, places])
+
+    return observation.over_blocks(seen, series.time, series.spread)
+
+
+def _slope(rows: Mapping[Term, float], a_ipo: Array) -> Array:
+    """Return the derivative of the sum of coefficient x product along I, P, O, shape (3, n)."""
+    return np.stack(
+        [sum(value * row.slope(a_ipo, axis) for row, value in rows.items()) for axis in "IPO"]
+    )
+
+
+def with_encoder(model: Model, series: Sequence[Series], noise: Mapping[str, Noise]) -> Model:
+    """Return a model that holds what the encoder leaves open; itself if that is negligible.
+
+    A disturbance of the records moves no coefficient by more than u_noise times its own norm, the
+    samples being counted in units of their noise (Cauchy and Schwarz). By the square of that norm,
+    for one standard deviation, a term is left out, considered or estimated. Those left out would
+    make no u grow by more than 1e-4 of it, those considered are each below a hundredth of any
+    variance, and of the others the records know something, so that weighing both is more certain.
+
+    Parameters
+    ----------
+    model
+        Any model.
+    series
+        The data.
+    noise
+        By accelerometer.
+    """
+    unknowns: list[Unknown] = []
+    considered: list[Considered] = []
+    for run in dict.fromkeys(one.run for one in series):
+        own = [one for one in series if one.run == run]
+        error = own[0].angle_error
+        if error is None:
+            continue
+        norms = np.max([_norms(one, error, noise[one.accelerometer]) for one in own], axis=0)
+        values = error.standardised.tolist()
+        for symbol, value, norm in zip(_symbols(error), values, norms.tolist(), strict=True):
+            # What a harmonic left out is thought to be counts like its uncertainty.
+            if norm > _ESTIMATED:
+                unknowns.append(Unknown(run, symbol, (value, 1.0), _LIMIT))
+            elif norm * (1.0 + value**2) > _CONSIDERED:
+                considered.append(Considered(run, symbol, (value, 1.0), _LIMIT))
+    if not unknowns and not considered:
+        return model
+    return replace(
+        model,
+        unknowns=(*model.unknowns, *unknowns),
+        considered=(*model.considered, *considered),
+    )
+
+
+def _norms(series: Series, error: AngleError, noise: Noise) -> Array:
+    """Return the squares of the terms' norms in a record, or bounds that are negligible, (m,)."""
+    # In a record of specific force the accelerometer's noise is white too.
+    walk = noise.random_walk**2 / series.block_spacing if series.order == 0 else 0.0
+    variance = noise.sample_variance + series.jitter**2 + walk
+    weight = series.count / np.maximum(variance, np.finfo(float).tiny)
+    if series.order == 2:
+        angle = error.largest @ np.abs(error.root)
+        bound = np.sum(weight) * (series.trajectory.radius * angle) ** 2
+        if np.all(bound * (1.0 + error.standardised**2) < _CONSIDERED):
+            return np.asarray(bound)
+    found = columns(series, _symbols(error), {})
+    return np.asarray(weight @ found**2)

@@ -1,0 +1,313 @@
+"""The joint estimate, step by step: outliers, noise, rotation, coefficients, degrees of freedom.
+
+- `estimate`: the whole story
+- `NoiseRequest`, `Estimate`: what goes in and what comes out
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.errors import ConvergenceError
+from counterspin.inference.joint import encoder
+from counterspin.inference.joint import fit as joint
+from counterspin.inference.joint.fit import ROTATION, JointFit, Model, Prepared
+from counterspin.inference.joint.outliers import outlying
+from counterspin.inference.joint.rotation import find_rotation
+from counterspin.inference.joint.series import Series
+from counterspin.inference.least_squares import REGULARISATION
+from counterspin.inference.noise import variance_components
+from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.unseen_noise import lengthened
+from counterspin.inference.noise.variance_components import RecordData, VarianceComponents
+
+Rows = npt.NDArray[np.bool_]
+
+_ROUNDS: Final = 20  #: of outlier rejection
+
+#: Part of a walk that hardly shows, for the derivative at none.
+_LITTLE: Final = 1e-2
+
+#: A change of K_I by less than this changes no platform column noticeably.
+_SCALE_SETTLED: Final = 1e-4
+
+
+@dataclass(frozen=True)
+class NoiseRequest:
+    """Noise of one accelerometer's records: numbers that are given, None to be estimated.
+
+    Attributes
+    ----------
+    white, random_walk, quantisation
+        As in `Noise`.
+    """
+
+    white: float | None
+    random_walk: float | None
+    quantisation: float = 0.0
+
+    @property
+    def given(self) -> Noise | None:
+        """The noise, if all of it is given."""
+        if self.white is None or self.random_walk is None:
+            return None
+        return Noise(self.white, self.random_walk, self.quantisation)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The joint estimate.
+
+    Attributes
+    ----------
+    fit
+        The solved problem.
+    components
+        Accelerometer -> its estimated noise; without those whose noise was given.
+    dof
+        Effective degrees of freedom of each unknown, shape (p,); infinite where noise is given.
+    outliers
+        For each series, which of its rows were left out, bool.
+    """
+
+    fit: JointFit
+    components: Mapping[str, VarianceComponents]
+    dof: Array
+    outliers: tuple[Rows, ...]
+
+
+def estimate(
+    series: Sequence[Series],
+    model: Model,
+    requests: Mapping[str, NoiseRequest],
+    *,
+    reject: bool = True,
+) -> Estimate:
+    """Estimate a model from all series.
+
+    Parameters
+    ----------
+    series
+        The data.
+    model
+        What is estimated and considered.
+    requests
+        Accelerometer -> its noise, given or to be estimated.
+    reject
+        Whether outliers are looked for.
+
+    Returns
+    -------
+    Estimate
+
+    Raises
+    ------
+    NotIdentifiableError
+        If a record is too short for its own unknowns.
+    ConvergenceError
+        If the outliers or the rotation do not settle.
+    """
+    plain = replace(model, inputs=None)
+    rough = {name: Noise(1.0, 0.0) for name in requests}
+    series = tuple(series)
+    if any(unknown.symbol in ROTATION for unknown in model.unknowns):
+        series = find_rotation(series, plain, _scale_factors(series, plain, None), rough)
+    prepared = joint.prepare(series, plain, _scale_factors(series, plain, None))
+    outliers = [np.zeros(one.time.size, dtype=bool) for one in series]
+    fit = joint.solve_joint(prepared, plain, rough)
+    if reject:
+        fit = _reject(fit, requests, outliers)
+    prepared = fit.prepared
+    noise, components = _noise(prepared, plain, requests)
+    fit = joint.with_noise(fit, noise)
+    kept = [one.series for one in prepared]
+    before = _scale_factors(series, plain, None)
+    whole = encoder.with_encoder(plain, kept, noise)
+    if whole is not plain:
+        # What the encoder has not shown is in the residuals until then.
+        prepared = joint.prepare_again(fit, whole, before)
+        noise, components = _noise(prepared, whole, requests)
+        fit = joint.solve_joint(prepared, whole, noise)
+    scale_factors = _scale_factors(series, plain, fit)
+    moved = any(abs(scale_factors[a] - before[a]) > _SCALE_SETTLED for a in before)
+    if model.inputs or moved:
+        whole = replace(whole, inputs=model.inputs)
+        prepared = joint.prepare_again(fit, whole, scale_factors)
+        fit = joint.solve_joint(prepared, whole, noise)
+    dof = _effective_dof(fit, components)
+    fit, dof = _with_unseen(fit, components, dof)
+    return Estimate(fit, components, dof, tuple(outliers))
+
+
+def _scale_factors(
+    series: Sequence[Series], model: Model, fit: JointFit | None
+) -> dict[str, float]:
+    """Return K_I of each accelerometer: estimated, or known beforehand, or 1."""
+    factors = {one.accelerometer: 1.0 for one in series}
+    for index, unknown in enumerate(model.unknowns):
+        if unknown.symbol == "K_I":
+            if fit is not None and fit.solution.u[index] < unknown.limit:
+                factors[unknown.owner] = 1.0 + float(fit.solution.estimate[index])
+            elif math.isfinite(unknown.prior[1]):
+                factors[unknown.owner] = unknown.prior[0]
+    factors |= {c.owner: c.prior[0] for c in model.considered if c.symbol == "K_I"}
+    return factors
+
+
+def _reject(fit: JointFit, requests: Mapping[str, NoiseRequest], outliers: list[Rows]) -> JointFit:
+    """Leave outliers out, refitting until there are none; marks them in `outliers`."""
+    places = [(one.series.time, np.sqrt(one.series.count)) for one in fit.prepared]
+    for _ in range(_ROUNDS):
+        found = []
+        for index, (one, mask) in enumerate(zip(fit.prepared, outliers, strict=True)):
+            time, weight = places[index]
+            left = np.full(time.size, np.nan)
+            left[~mask] = joint.residuals(fit, index)[0]
+            step = requests[one.series.accelerometer].quantisation
+            found.append(outlying(left, weight, step / math.sqrt(12.0), time))
+        if not any(mask.any() for mask in found):
+            return fit
+        prepared = tuple(
+            _without(one, new[~mask]) if new.any() else one
+            for one, new, mask in zip(fit.prepared, found, outliers, strict=True)
+        )
+        for mask, new in zip(outliers, found, strict=True):
+            mask[new] = True
+        fit = joint.solve_joint(prepared, fit.model, fit.noise)
+    where = " and ".join(
+        f"{one.series.run} ({one.series.accelerometer})"
+        for one, mask in zip(fit.prepared, found, strict=True)
+        if mask.any()
+    )
+    raise ConvergenceError(
+        f"{where}: outliers were still found after {_ROUNDS} rounds of leaving them out: the "
+        "residuals are not noise around a smooth curve; look at the record, for a clock or a "
+        "displacement that jumps, or add the missing terms to the model"
+    )
+
+
+def _without(prepared: Prepared, drop: Rows) -> Prepared:
+    keep = np.logical_not(drop)
+    return replace(
+        prepared,
+        series=prepared.series.without(drop),
+        design=prepared.design[keep],
+        fixed=prepared.fixed[keep],
+    )
+
+
+def _noise(
+    prepared: Sequence[Prepared], model: Model, requests: Mapping[str, NoiseRequest]
+) -> tuple[dict[str, Noise], dict[str, VarianceComponents]]:
+    """Return each accelerometer's noise, given or by restricted maximum likelihood."""
+    noise: dict[str, Noise] = {}
+    components: dict[str, VarianceComponents] = {}
+    for name, request in requests.items():
+        if request.given is not None:
+            noise[name] = request.given
+            continue
+        own = [one for one in prepared if one.series.accelerometer == name]
+        components[name] = _components(own, model, request)
+        noise[name] = components[name].noise
+    return noise, components
+
+
+def _components(
+    prepared: Sequence[Prepared], model: Model, request: NoiseRequest
+) -> VarianceComponents:
+    used = sorted({index for one in prepared for index in one.unknowns})
+    records = []
+    for one in prepared:
+        series = one.series
+        records.append(
+            RecordData(
+                series.time,
+                series.order,
+                one.design,
+                joint.unexplained(one, model),
+                series.count,
+                series.block_spacing,
+                [used.index(index) for index in one.unknowns],
+            )
+        )
+    # Priors are data too; what has none is held as loosely as in the solution.
+    chosen = [model.unknowns[index] for index in used]
+    spread = np.array(
+        [u.prior[1] if math.isfinite(u.prior[1]) else REGULARISATION * u.limit for u in chosen]
+    )
+    spread = np.maximum(spread, 1e-12 * np.array([unknown.limit for unknown in chosen]))
+    means = [
+        unknown.prior[0] - unknown.nominal if math.isfinite(unknown.prior[1]) else 0.0
+        for unknown in chosen
+    ]
+    # Like quantisation, noise of the time stamps is white noise of a known size; its mean square
+    # over the runs serves here, while the fit gives each run its own.
+    rows = sum(one.series.time.size for one in prepared)
+    jitter = sum(one.series.time.size * one.series.jitter**2 for one in prepared) / rows
+    found = variance_components.estimate(
+        records,
+        white=request.white,
+        random_walk=request.random_walk,
+        quantisation=math.sqrt(request.quantisation**2 + 12.0 * jitter),
+        prior_rows=np.diag(1.0 / spread),
+        prior_values=np.array(means) / spread,
+    )
+    return replace(found, quantisation=request.quantisation)
+
+
+def _effective_dof(fit: JointFit, components: Mapping[str, VarianceComponents]) -> Array:
+    """Return Satterthwaite's degrees of freedom; several accelerometers' 1/dof add up."""
+    inverse = np.zeros(len(fit.model.unknowns))
+    for name, component in components.items():
+
+        def variances(noise: Noise, name: str = name) -> Array:
+            return np.diag(joint.with_noise(fit, {name: noise}).solution.covariance)
+
+        inverse += 1.0 / variance_components.effective_dof_of(variances, component)
+    with np.errstate(divide="ignore"):
+        return 1.0 / inverse
+
+
+def _with_unseen(
+    fit: JointFit, components: Mapping[str, VarianceComponents], dof: Array
+) -> tuple[JointFit, Array]:
+    """Return the fit with what dropped walks may add to its uncertainty, and the new dof.
+
+    At the optimum of the weights, what a little walk adds to the least variance is what it adds to
+    that of the weights without it. Unknowns that are not determined are left as they are.
+    """
+    solution = fit.solution
+    before = solution.covariance
+    known = np.array([unknown.limit for unknown in fit.model.unknowns]) > solution.u
+    unseen: dict[str, tuple[float, Array]] = {}
+    inverse = 1.0 / dof
+    for name, component in components.items():
+        if component.unseen is None or not known.any():
+            continue
+        little = _LITTLE * float(component.unseen.levels[1])
+        walking = replace(fit.noise[name], random_walk=math.sqrt(little))
+        after = joint.with_noise(fit, {name: walking}).solution.covariance
+        slope = np.where(np.outer(known, known), (after - before) / little, 0.0)
+        # Rounding may leave a coefficient that feels nothing slightly below zero.
+        diagonal = np.maximum(np.diag(slope), 0.0)
+        if not diagonal.any():
+            continue
+        variance = np.where(known, np.diag(before), 1.0)
+        level, longer = lengthened(component.unseen, variance, diagonal)
+        np.fill_diagonal(slope, diagonal)
+        unseen[name] = math.sqrt(level), level * slope
+        share = variance / (variance + level * diagonal)
+        inverse = np.where(known, share**2 * inverse + 1.0 / longer, inverse)
+    if not unseen:
+        return fit, dof
+    total: Array = sum((covariance for _, covariance in unseen.values()), np.zeros_like(before))
+    found = replace(fit, solution=replace(solution, covariance_unseen=total), unseen=unseen)
+    with np.errstate(divide="ignore"):
+        return found, 1.0 / inverse

@@ -1,0 +1,105 @@
+"""What a record shows of uncertain inputs: radius, gravity, latitude, timing, unrecorded rotation.
+
+- `INPUTS`, `TIMING`: the inputs
+- `input_column`: the recorded output per unit of one of them
+- `rotation_column`: per unit of a parameter of the rotation, where no angle is recorded
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.inference.joint.series import Series
+from counterspin.physics.motion import Trajectory
+
+#: Uncertain inputs: how each changes the trajectory, and the relative step of its derivative.
+_STEP: Final = 1e-5
+INPUTS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
+    "centrifuge.radius": lambda motion, step: replace(motion, radius=motion.radius + step),
+    "site.gravity": lambda motion, step: replace(
+        motion, site=replace(motion.site, gravity=motion.site.gravity + step)
+    ),
+    "site.latitude": lambda motion, step: replace(
+        motion, site=replace(motion.site, latitude=motion.site.latitude + step)
+    ),
+}
+TIMING: Final = "records.timing_offset"  #: s, by which an angle is sampled after its output
+
+
+def rotation_column(series: Series, symbol: str) -> Array:
+    """Return d(reference)/d(a parameter of the rotation), by central differences, shape (n,).
+
+    Parameters
+    ----------
+    series
+        A run without a recorded angle.
+    symbol
+        One of `counterspin.inference.joint.unknowns.ROTATION`.
+    """
+    spindle = series.trajectory.spindle
+    duration = float(series.time[-1])
+    name, step = {
+        "spindle.start_angle": ("start_angle", _STEP),
+        "spindle.rate": ("rate", _STEP / duration),
+        "spindle.drift": ("drift", _STEP / (abs(spindle.rate) * duration**2)),
+    }[symbol]
+    ahead, behind = (
+        series.reference(
+            replace(
+                series.trajectory,
+                spindle=replace(spindle, **{name: getattr(spindle, name) + change}),
+            )
+        )
+        for change in (step, -step)
+    )
+    return (ahead - behind) / (2.0 * step)
+
+
+def input_column(
+    series: Series,
+    name: str,
+    scale_factor: float,
+    known: Mapping[str, float],
+    table: Mapping[str, Array],
+) -> Array:
+    """Return d(recorded output)/d(input) at the estimate, by a forward difference, shape (n,).
+
+    Parameters
+    ----------
+    series
+        The data.
+    name
+        A key of `INPUTS`, or `TIMING`.
+    scale_factor
+        K_I, with which the accelerometer sees the platform's errors.
+    known
+        Values of the unknowns that the series sees, less nominal.
+    table
+        Their columns.
+    """
+    base = series.reference()
+    if name == TIMING:
+        step = _STEP / abs(series.trajectory.spindle.rate)
+        # Angles that were taken later were reached later: the spindle was behind by that time.
+        return (series.reference(later=-step) - base) / step
+    size = {
+        "centrifuge.radius": series.trajectory.radius,
+        "site.gravity": series.trajectory.site.gravity,
+        "site.latitude": 1.0,
+    }[name]
+    step = _STEP * size
+    moved = INPUTS[name](series.trajectory, step)
+    symbols = list(known)
+    errors = np.array([known[symbol] for symbol in symbols])
+    before = np.column_stack([table[s] for s in symbols] or [np.empty((base.size, 0))]) @ errors
+    after = series.columns(symbols, scale_factor, moved) @ errors
+    change: Array = (series.reference(moved) + after - base - before) / step
+    if name == "site.gravity" and series.in_g:
+        # A record in g was turned into m/s^2 with the gravity assumed.
+        change = change - (base + series.error) / series.trajectory.site.gravity
+    return change

@@ -1,0 +1,143 @@
+"""The rotation of runs whose spindle angle nobody recorded, found from the output itself.
+
+- `find_rotation`: series about the nominal rate -> series about the rotation that was found
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.errors import ConvergenceError
+from counterspin.inference.joint import fit as joint
+from counterspin.inference.joint.fit import ROTATION, Model
+from counterspin.inference.joint.series import Series
+from counterspin.inference.noise.model import Noise
+
+_ROUNDS: Final = 20  #: of Gauss and Newton's iteration
+
+#: Angle at the end of a run, rad, below which the iteration has settled.
+_SETTLED: Final = 1e-7
+
+#: Fewest samples of a stretch from which a phase is taken: five functions are fitted to them.
+_STRETCH: Final = 8
+
+#: Horizontal part of an input axis from which the rotation can be seen.
+_HORIZONTAL: Final = 0.1
+
+
+def find_rotation(
+    series: Sequence[Series],
+    model: Model,
+    scale_factors: Mapping[str, float],
+    rough: Mapping[str, Noise],
+) -> tuple[Series, ...]:
+    """Find start angle, rate and drift of each run.
+
+    The phase of each revolution against the nominal rate gives a first guess, whatever the start
+    angle, for rates that are off by up to a tenth; the joint fit of all series is then iterated
+    about it (Gauss and Newton).
+
+    Parameters
+    ----------
+    series
+        About the nominal rate.
+    model
+        With the unknowns `ROTATION` of each run.
+    scale_factors
+        K_I of each accelerometer, as for `joint.prepare`.
+    rough
+        Weights: noise of each accelerometer.
+
+    Raises
+    ------
+    ConvergenceError
+        If the iteration does not settle.
+    """
+    found = _guessed(series)
+    for _ in range(_ROUNDS):
+        prepared = joint.prepare(found, model, scale_factors)
+        solution = joint.solve_joint(prepared, model, rough).solution
+        change: dict[str, dict[str, float]] = {}
+        for unknown, value in zip(model.unknowns, solution.estimate, strict=True):
+            if unknown.symbol in ROTATION:
+                change.setdefault(unknown.owner, {})[unknown.symbol] = float(value)
+        found = tuple(
+            _turned(one, *(change[one.run][symbol] for symbol in ROTATION)) for one in found
+        )
+        if all(_end_angle(one, change[one.run]) < _SETTLED for one in found):
+            return found
+    raise ConvergenceError(
+        "the rotation could not be found from the displacement: the nominal rate is too far off; "
+        "record the spindle's angle, or state the rate more closely"
+    )
+
+
+def _guessed(series: Sequence[Series]) -> tuple[Series, ...]:
+    """Return the series about a first guess of each run's rotation."""
+    guesses = {}
+    for run in dict.fromkeys(one.run for one in series):
+        own = [one for one in series if one.run == run]
+        horizontal = [
+            float(np.linalg.norm(one.mounting.turned(one.attitude).input_axis[:2])) for one in own
+        ]
+        best = int(np.argmax(horizontal))
+        guesses[run] = _guess(own[best]) if horizontal[best] > _HORIZONTAL else (0.0, 0.0, 0.0)
+    return tuple(_turned(one, *guesses[one.run]) for one in series)
+
+
+def _guess(series: Series) -> tuple[float, float, float]:
+    """Return changes of start angle, rate and drift from the phases of the revolutions."""
+    spindle = series.trajectory.spindle
+    ahead = replace(
+        series.trajectory,
+        spindle=replace(spindle, start_angle=spindle.start_angle + math.pi / 2.0),
+    )
+    output = series.error + series.reference()
+    waves = np.column_stack([series.reference(), series.reference(ahead)])
+    turn = 2.0 * math.pi / abs(spindle.rate)
+    places = np.floor((series.time - series.time[0]) / turn).astype(int)
+    times, phases = [], []
+    for place in range(places[-1] + 1):
+        rows = places == place
+        if np.count_nonzero(rows) < _STRETCH:
+            continue
+        middle = float(series.time[rows].mean())
+        # Over one revolution all else that the output does is a parabola.
+        slow = np.vander((series.time[rows] - middle) / turn, 3)
+        size = np.linalg.lstsq(np.column_stack([waves[rows], slow]), output[rows], rcond=None)[0]
+        times.append(middle)
+        phases.append(math.atan2(size[1], size[0]))
+    if not times:
+        return (0.0, 0.0, 0.0)
+    degree = min(2, len(times) - 1)
+    lag = np.polynomial.Polynomial.fit(times, np.unwrap(phases), degree).convert().coef
+    start, rate, bend = (*lag, 0.0, 0.0)[:3]
+    return (float(start), float(rate), float(2.0 * bend / (spindle.rate + rate)))
+
+
+def _turned(series: Series, start_angle: float, rate: float, drift: float) -> Series:
+    """Return the series about the reference of a rotation changed by the given steps."""
+    spindle = series.trajectory.spindle
+    moved = replace(
+        series.trajectory,
+        spindle=replace(
+            spindle,
+            start_angle=spindle.start_angle + start_angle,
+            rate=spindle.rate + rate,
+            drift=spindle.drift + drift,
+        ),
+    )
+    output = series.error + series.reference()
+    return replace(series, trajectory=moved, error=output - series.reference(moved))
+
+
+def _end_angle(series: Series, change: Mapping[str, float]) -> float:
+    """Return how far the last sample has turned, at most, by a change of the rotation, rad."""
+    end = float(series.time[-1])
+    sizes = (1.0, end, abs(series.trajectory.spindle.rate) * end**2)
+    return sum(abs(change[s]) * size for s, size in zip(ROTATION, sizes, strict=True))

@@ -1,0 +1,133 @@
+"""One accelerometer's output in one run, as the joint fit takes it.
+
+- `Series`: samples or block means, with the columns and the whitening that belong to them
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.inference.noise.model import Noise, Whitener, make_whitener
+from counterspin.physics import observation
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.angle_error import AngleError
+from counterspin.physics.motion import Trajectory
+
+
+@dataclass(frozen=True)
+class Series:
+    """One accelerometer's output in one run, less what a perfect system records.
+
+    Attributes
+    ----------
+    accelerometer, run
+        Names.
+    trajectory, mounting, observable, attitude
+        As for `observation.columns`.
+    time, spread, count
+        Mean time of each block, standard deviation of its samples' times (s) and their number,
+        shape (n,); for point samples 0 and 1.
+    spacing
+        Time between samples, s.
+    error
+        S - S_ref, m, m/s or m/s^2, shape (n,), without gaps (missing rows are left out).
+    in_g
+        Whether the record is in g, so that its size depends on the gravity assumed.
+    jitter
+        White noise of each sample, in the error's unit, that comes from noise of the time stamps;
+        it is added to the accelerometer's own.
+    angle_error
+        How far the run may have turned otherwise than `trajectory` says; None where nobody knows.
+    """
+
+    accelerometer: str
+    run: str
+    trajectory: Trajectory
+    mounting: Mounting
+    observable: str
+    attitude: Array
+    time: Array
+    spread: Array
+    count: Array
+    spacing: float
+    error: Array
+    in_g: bool = False
+    jitter: float = 0.0
+    angle_error: AngleError | None = None
+
+    @property
+    def block_spacing(self) -> Array:
+        """Time between the samples inside each block, s, shape (n,).
+
+        From the block's own spread of times where it is denser than usual, so that the blocks of
+        an uneven clock never seem to overlap.
+        """
+        several = self.count > 1.0
+        across = np.sqrt(12.0 / (np.maximum(self.count, 2.0) ** 2 - 1.0)) * self.spread
+        return np.where(several, np.minimum(across, self.spacing), self.spacing)
+
+    def columns(
+        self, symbols: Sequence[str], scale_factor: float, trajectory: Trajectory | None = None
+    ) -> Array:
+        """Return observation columns averaged over the blocks, shape (n, m)."""
+        motion = trajectory or self.trajectory
+        return observation.over_blocks(
+            lambda t: observation.columns(
+                motion,
+                self.mounting,
+                symbols,
+                t,
+                self.observable,
+                attitude=self.attitude,
+                scale_factor=scale_factor,
+            ),
+            self.time,
+            self.spread,
+        )
+
+    def reference(self, trajectory: Trajectory | None = None, later: float = 0.0) -> Array:
+        """Return the reference averaged over the blocks, shape (n,), at times later by `later`."""
+        motion = trajectory or self.trajectory
+        return observation.over_blocks(
+            lambda t: observation.reference(
+                motion, self.mounting, t + later, self.observable, self.attitude
+            ),
+            self.time,
+            self.spread,
+        )
+
+    def without(self, drop: npt.NDArray[np.bool_]) -> Series:
+        """Return the series without the rows where `drop` (bool, shape (n,)) is true."""
+        keep = np.logical_not(drop)
+        return replace(
+            self,
+            time=self.time[keep],
+            spread=self.spread[keep],
+            count=self.count[keep],
+            error=self.error[keep],
+        )
+
+    @property
+    def order(self) -> int:
+        """How often the observable integrates the specific force."""
+        return observation.ORDERS[self.observable]
+
+    def polynomials(self, count: int) -> Array:
+        """Return the columns of start offset and start velocity, 1 and t, shape (n, count)."""
+        return np.vander(self.time, count, increasing=True)
+
+    def total(self, noise: Noise) -> Noise:
+        """Return the noise of an accelerometer with what the time stamps' noise adds here."""
+        return replace(noise, white=math.hypot(noise.white, self.jitter))
+
+    def whitener(self, noise: Noise) -> Whitener:
+        """Return what turns the rows into rows whose noise has unit covariance."""
+        return make_whitener(
+            self.time, self.order, self.total(noise), self.count, self.block_spacing
+        )

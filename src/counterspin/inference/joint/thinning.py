@@ -1,0 +1,111 @@
+"""Residuals thinned for pictures: few points that show what many would.
+
+- `stretches`: over time, the smallest and the largest of each stretch
+- `over_revolution`: over the spindle's angle
+- `smoothed_spectrum`: of whitened residuals
+- `normal_quantiles`: whitened residuals in order, beside a normal distribution
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+
+_TURN: Final = 2.0 * math.pi
+
+
+def stretches(time: Array, values: Array, count: int) -> tuple[Array, Array, Array]:
+    """Return middle times, smallest and largest values of at most `count` stretches of samples.
+
+    The stretches hold equally many samples, so that a gap in the record stays one, and no sample
+    however far out is lost.
+
+    Parameters
+    ----------
+    time, values
+        Shape (n,), n >= 1, in the order of time.
+    count
+        At least 1.
+    """
+    first = np.unique(np.arange(count) * time.size // count)
+    last = np.append(first[1:], time.size) - 1
+    return (
+        0.5 * (time[first] + time[last]),
+        np.minimum.reduceat(values, first),
+        np.maximum.reduceat(values, first),
+    )
+
+
+def over_revolution(angle: Array, values: Array, parts: int) -> tuple[Array, Array, Array]:
+    """Return smallest, mean and largest values in equal parts of a revolution, shape (parts,).
+
+    Parameters
+    ----------
+    angle
+        Of the spindle, rad, any revolution, shape (n,).
+    values
+        Shape (n,).
+    parts
+        How many; one without a sample has NaN.
+    """
+    place = np.minimum((np.mod(angle, _TURN) * (parts / _TURN)).astype(np.intp), parts - 1)
+    count = np.bincount(place, minlength=parts)
+    low, high = np.full(parts, np.inf), np.full(parts, -np.inf)
+    np.minimum.at(low, place, values)
+    np.maximum.at(high, place, values)
+    with np.errstate(invalid="ignore"):
+        mean = np.bincount(place, values, minlength=parts) / count
+    empty = count == 0
+    low[empty], high[empty] = np.nan, np.nan
+    return low, mean, high
+
+
+def smoothed_spectrum(power: Array, length: float, count: int) -> tuple[Array, Array]:
+    """Return frequencies (Hz) and mean power in at most `count` bands; 1 is white noise.
+
+    The bands are equally wide on a logarithmic scale.
+
+    Parameters
+    ----------
+    power
+        The periodogram of whitened residuals, from `counterspin.inference.diagnostics`, shape (m,).
+    length
+        Of the record, s: the inverse of the first line's frequency.
+    count
+        At least 1.
+    """
+    edges = np.unique(np.geomspace(1.0, power.size + 1.0, count + 1).astype(np.intp))
+    first, width = edges[:-1], np.diff(edges)
+    frequency = (first + 0.5 * (width - 1)) / length
+    return frequency, np.add.reduceat(power[: edges[-1] - 1], first - 1) / width
+
+
+def normal_quantiles(whitened: Array, count: int) -> tuple[Array, Array]:
+    """Return at most `count` ordered residuals beside the normal scores that belong to them.
+
+    Blom's scores, those of ranks (i - 3/8) / (n + 1/4); the ranks are chosen evenly along them,
+    so that the tails are whole where the middle is thinned.
+
+    Parameters
+    ----------
+    whitened
+        Shape (n,), n >= 1.
+    count
+        At least 2.
+
+    Returns
+    -------
+    normal, found
+        Shape (m,), m <= count.
+    """
+    from scipy.special import ndtr, ndtri
+
+    n = whitened.size
+    end = float(ndtri(0.625 / (n + 0.25)))
+    wanted = ndtr(np.linspace(end, -end, min(count, n))) * (n + 0.25) + 0.375
+    ranks = np.unique(np.clip(np.rint(wanted), 1, n).astype(np.intp))
+    return ndtri((ranks - 0.375) / (n + 0.25)), np.sort(whitened)[ranks - 1]

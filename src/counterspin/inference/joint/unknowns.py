@@ -1,0 +1,83 @@
+"""What a joint fit estimates, what it considers, and which inputs are uncertain.
+
+- `Unknown`, `Considered`: terms of the accelerometers, of the platform, of a run's rotation
+- `Model`: all of them
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from counterspin.inference.joint.series import Series
+from counterspin.physics.accelerometer import TERMS
+
+#: Rotation of a run as unknowns, where no angle is recorded: rad, rad/s, 1/s.
+ROTATION: Final = ("spindle.start_angle", "spindle.rate", "spindle.drift")
+
+
+@dataclass(frozen=True)
+class Unknown:
+    """One unknown of the joint fit.
+
+    Attributes
+    ----------
+    owner
+        The accelerometer's name, the run's name, or empty for what all share.
+    symbol
+        A term of the table, one of `ROTATION` or of `counterspin.inference.joint.encoder.SYMBOLS`.
+    prior
+        (value, standard uncertainty) of the coefficient; infinite: nothing known.
+    limit
+        Largest credible size.
+    """
+
+    owner: str
+    symbol: str
+    prior: tuple[float, float]
+    limit: float
+
+    @property
+    def nominal(self) -> float:
+        """What the coefficient is in a perfect system."""
+        return TERMS[self.symbol].nominal if self.symbol in TERMS else 0.0
+
+    @property
+    def name(self) -> str:
+        """Owner and symbol in one word."""
+        return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
+
+    def concerns(self, series: Series) -> bool:
+        """Return whether the unknown can show in a series."""
+        if self.symbol in TERMS:
+            return self.owner == series.accelerometer
+        return self.owner in ("", series.run)
+
+
+@dataclass(frozen=True)
+class Considered(Unknown):
+    """A term that is not estimated: its prior's value is taken, its uncertainty carried."""
+
+
+@dataclass(frozen=True)
+class Model:
+    """What is estimated, what is considered, and which inputs are uncertain.
+
+    Attributes
+    ----------
+    unknowns, considered
+        In the order of the solution's rows and considered columns.
+    inputs
+        Input (a key of `inputs.INPUTS`, or `inputs.TIMING`) -> standard uncertainty, SI;
+        considered too.
+    """
+
+    unknowns: tuple[Unknown, ...]
+    considered: tuple[Considered, ...] = ()
+    inputs: Mapping[str, float] | None = None
+
+    @property
+    def considered_names(self) -> tuple[str, ...]:
+        """Names of the solution's considered columns."""
+        return (*(c.name for c in self.considered), *(self.inputs or ()))

@@ -1,0 +1,6 @@
+"""Noise of a record: its models, whitening, and its size estimated from the records.
+
+- `model`, `riccati`: models of a record's noise, and whitening with them
+- `variance_components`, `restricted_likelihood`: the noise's size, estimated from the records
+- `unseen_noise`: what noise that the records do not show may add to the uncertainty
+"""

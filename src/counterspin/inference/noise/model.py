@@ -1,0 +1,290 @@
+"""Noise of a record, and whitening: rows go in correlated, and come out with unit covariance.
+
+Three sources, each given per sample:
+
+- white noise of standard deviation `white` in the observable;
+- quantisation of step q, which adds q^2/12 and cannot be told from white noise;
+- white accelerometer noise of random-walk coefficient N: velocity wanders with variance N^2 t
+  (two-sided density; IEEE 952's convention). In specific force it is white, in velocity a random
+  walk, in displacement a doubly integrated one.
+
+`order` says how often the observable integrates acceleration: 2 displacement, 1 velocity,
+0 specific force. A row may be the mean of a block of samples, and rows may be missing.
+
+With a random walk, differences of the rows (second ones for displacement, first for velocity,
+divided by uneven steps) remove the start offset and the start velocity for good and leave a
+covariance of `order` off-diagonals: its banded Cholesky factor whitens in O(n), exactly for blocks,
+gaps and uneven steps, because means over blocks of a walk's covariance are polynomials in their
+distance and widths. The walk's share for second differences is N^2 h^3 (2/3, 1/6) on even point
+samples and N^2 h^3 (11/20, 13/60, 1/120) on adjoining long blocks.
+Without a random walk a row is divided by its standard deviation, and nothing is removed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from counterspin.inference.noise.riccati import Blocks, filter_walk
+
+Array = NDArray[np.float64]
+
+DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one accelerometer's records.
+
+    Attributes
+    ----------
+    white
+        Standard deviation per sample, in the observable's unit (m, m/s or m/s^2).
+    random_walk
+        N, (m/s^2)/Hz^0.5: velocity variance N^2 t.
+    quantisation
+        Step of the recorded observable, same unit as `white`.
+
+    Raises
+    ------
+    ValueError
+        A component is negative or not finite.
+    """
+
+    white: float
+    random_walk: float = 0.0
+    quantisation: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("white", "random_walk", "quantisation"):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and value >= 0):
+                raise ValueError(f"noise: {name} is {value}; it must be zero or positive")
+
+    @property
+    def sample_variance(self) -> float:
+        """Variance per sample of what is white in the observable: white^2 + quantisation^2/12."""
+        return self.white**2 + self.quantisation**2 / 12
+
+
+@dataclass(frozen=True)
+class Differences:
+    """Differences of a record's rows, and the factor of their covariance.
+
+    Attributes
+    ----------
+    order
+        2, 1 or 0: how many rows fewer, and how many off-diagonals.
+    blocks
+        The samples of each row.
+    spacing
+        (n,) time between the samples of a block, s.
+    """
+
+    order: int
+    blocks: Blocks
+    spacing: Array
+
+    @classmethod
+    def of(
+        cls,
+        times: ArrayLike,
+        order: int,
+        count: ArrayLike | None = None,
+        sample_spacing: ArrayLike | None = None,
+    ) -> Differences:
+        """Differences for rows at `times`; arguments and errors as in `make_whitener`."""
+        if order not in (DISPLACEMENT, VELOCITY, SPECIFIC_FORCE):
+            raise ValueError(
+                f"order is {order}: 2 for displacement, 1 for velocity, 0 for specific force"
+            )
+        time = np.asarray(times, dtype=float)
+        if time.ndim != 1 or len(time) <= order:
+            raise ValueError(f"{time.size} rows are too few to whiten: {order + 1} are needed")
+        counts = np.broadcast_to(np.asarray(1 if count is None else count, float), time.shape)
+        if not (counts >= 1).all():
+            raise ValueError("a row stands for no sample: counts must be 1 or more")
+        steps = np.diff(time)
+        if not (steps > 0).all():
+            raise ValueError("times must increase from row to row")
+        if sample_spacing is None:
+            # Adjoining blocks of c and c' samples have their means (c + c')/2 spacings apart.
+            shared = steps / (counts[1:] + counts[:-1]) * 2
+            sample_spacing = float(np.median(shared)) if len(shared) else 1.0
+        spacing = np.broadcast_to(np.asarray(sample_spacing, float), time.shape)
+        if not (spacing > 0).all():
+            raise ValueError("the sample spacing must be positive")
+        blocks = Blocks.of(time, counts, spacing)
+        if (blocks.half[1:] + blocks.half[:-1] >= steps).any():
+            row = int(np.argmax(blocks.half[1:] + blocks.half[:-1] >= steps))
+            raise ValueError(
+                f"blocks {row} and {row + 1} overlap: {counts[row]:g} and {counts[row + 1]:g} "
+                f"samples {spacing[row]:g} s apart do not fit in {steps[row]:g} s"
+            )
+        return cls(order, blocks, spacing)
+
+    @property
+    def rows(self) -> int:
+        """How many rows the differences have."""
+        return len(self.blocks.time) - self.order
+
+    def apply(self, rows: ArrayLike) -> Array:
+        """(n,) or (n, k) rows -> (n - order, ...) differences, column by column in memory."""
+        values = np.asfortranarray(rows, dtype=float)
+        if self.order == 0:
+            return values
+        steps = np.asfortranarray(np.diff(values, axis=0))
+        if self.order == 1:
+            return steps
+        first, second = self._weights()
+        if values.ndim == 2:
+            first, second = first[:, None], second[:, None]
+        # Steps first: the weights then multiply small numbers, and lose fewer digits.
+        return np.asfortranarray(second * steps[1:] - first * steps[:-1])
+
+    def _weights(self) -> tuple[Array, Array]:
+        """(n-2,) weights of the earliest and latest of three rows; the middle one has -2."""
+        steps = np.diff(self.blocks.time)
+        span = steps[:-1] + steps[1:]
+        return 2 * steps[1:] / span, 2 * steps[:-1] / span
+
+    def factor(self, white: float, walk: float) -> tuple[Array, float]:
+        """Banded Cholesky factor of the differences' covariance, and its log-determinant.
+
+        Parameters
+        ----------
+        white
+            White variance per sample (quantisation included).
+        walk
+            N^2; not both zero.
+
+        Returns
+        -------
+        (order + 1, n - order) lower bands as LAPACK stores them, bands[k, j] = L[j + k, j];
+        log det of L L'.
+        """
+        if self.order == SPECIFIC_FORCE:
+            # A sample is taken as the mean over its own spacing: variance N^2/h.
+            bands = np.sqrt((white + walk / self.spacing) / self.blocks.count)[None, :]
+        elif self.order == VELOCITY:
+            bands = self._velocity_factor(white, walk)
+        else:
+            bands = self._displacement_factor(white, walk)
+        return bands, 2 * float(np.log(bands[0]).sum())
+
+    def _velocity_factor(self, white: float, walk: float) -> Array:
+        from scipy.linalg.lapack import dpbtrf
+
+        variance = white / self.blocks.count - walk * self.blocks.mean_distance / 2
+        covariance = np.zeros((2, self.rows))
+        covariance[0] = walk * np.diff(self.blocks.time) + variance[1:] + variance[:-1]
+        covariance[1, :-1] = -variance[1:-1]
+        bands, failed = dpbtrf(covariance, lower=1)
+        if failed:  # cannot be for positive variances; never let a broken factor through
+            raise ArithmeticError("the covariance of the first differences has no Cholesky factor")
+        return np.asarray(bands)
+
+    def _displacement_factor(self, white: float, walk: float) -> Array:
+        seen = filter_walk(self.blocks, white, walk)
+        first, second = self._weights()
+        spread = np.sqrt(seen.variance)
+        position, velocity = seen.gain
+        bands = np.zeros((3, self.rows))
+        bands[0] = second * spread
+        # What a row's innovation leaves in the next two differences.
+        one = position[:-1] + seen.ahead[3:] * velocity[:-1]
+        two = position[:-2] + (seen.step[3:-1] + seen.ahead[4:]) * velocity[:-2]
+        bands[1, :-1] = (second[1:] * one - 2) * spread[:-1]
+        bands[2, :-2] = (second[2:] * two - 2 * one[:-1] + first[2:]) * spread[:-2]
+        return bands
+
+
+@dataclass(frozen=True)
+class Whitener:
+    """Turns rows of a record into rows whose noise has unit covariance.
+
+    Attributes
+    ----------
+    differences
+        The record's differences; of order 0 where nothing has to be differenced.
+    bands
+        Banded lower Cholesky factor of their covariance.
+    log_det
+        Log-determinant of that covariance.
+    polynomials
+        How many columns 1, t of start errors must still be estimated: `order` without a random
+        walk, 0 with one (the differences have removed them).
+    """
+
+    differences: Differences
+    bands: Array
+    log_det: float
+    polynomials: int
+
+    @property
+    def keeps_polynomials(self) -> bool:
+        """Whether start offset (and velocity) are still in the whitened rows."""
+        return self.polynomials > 0
+
+    @property
+    def rows(self) -> int:
+        """How many rows come out."""
+        return self.differences.rows
+
+    def apply(self, rows: ArrayLike) -> Array:
+        """Whiten (n,) or (n, k) rows, each column a record; (m,) or (m, k), m = `rows`."""
+        return solve_banded_factor(self.bands, self.differences.apply(rows))
+
+
+def solve_banded_factor(bands: Array, rows: Array) -> Array:
+    """L^-1 rows for a lower banded L as `Differences.factor` gives it."""
+    if bands.shape[0] == 1:
+        return np.asarray(rows / (bands[0] if rows.ndim == 1 else bands[0][:, None]))
+    from scipy.linalg.lapack import dtbtrs
+
+    solution, failed = dtbtrs(bands, rows if rows.ndim == 2 else rows[:, None], uplo="L")
+    if failed:
+        raise ArithmeticError("the noise has no spread in some row: its covariance is singular")
+    return np.asarray(solution if rows.ndim == 2 else solution[:, 0])
+
+
+def make_whitener(
+    times: ArrayLike,
+    order: int,
+    noise: Noise,
+    count: ArrayLike | None = None,
+    sample_spacing: ArrayLike | None = None,
+) -> Whitener:
+    """Whitener of one record of one observable.
+
+    Parameters
+    ----------
+    times
+        (n,) s, increasing: of each sample, or the mean time of each block. Leave missing rows out.
+    order
+        2 displacement, 1 velocity, 0 specific force.
+    noise
+        Per-sample noise.
+    count
+        (n,) or a number: how many evenly spaced samples a row is the mean of; absent: 1.
+    sample_spacing
+        s, (n,) or a number: time between the samples of a block; absent: what makes most blocks
+        adjoin.
+
+    Raises
+    ------
+    ValueError
+        Times do not increase, blocks overlap, too few rows, or the noise is zero.
+    """
+    white, walk = noise.sample_variance, noise.random_walk**2
+    if white + walk == 0:
+        raise ValueError("noise: all components are zero, so rows cannot be weighted")
+    differences = Differences.of(times, order, count, sample_spacing)
+    polynomials = 0
+    if walk == 0:
+        polynomials = order
+        differences = Differences(SPECIFIC_FORCE, differences.blocks, differences.spacing)
+    bands, log_det = differences.factor(white, walk)
+    return Whitener(differences, bands, log_det, polynomials)

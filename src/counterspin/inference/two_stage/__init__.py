@@ -1,0 +1,6 @@
+"""The paper's two-stage method: a parabola a run, then its curvature against the rate.
+
+- `strobes`: the samples of a record at one angle of each revolution (Eq. 15)
+- `first_stage`: a parabola through the strobes of one run (Eq. 16-18, 31)
+- `second_stage`: K_II from the curvatures of all runs (Eq. 19-27, 33-34)
+"""

@@ -1,0 +1,398 @@
+"""The paper's two-stage identification (Eq. 19-27, 33-34), for one accelerometer.
+
+First stage, per run: the strobed displacement error is fitted with b0 + b1 t + b2 t^2
+(`first_stage` beside this module). Second stage, here: the b2 of all runs, at their different
+rates, are resolved into K_II and the unknowns beside it.
+
+Two observation models:
+
+- ``exact``: each coefficient's b2 is the first stage applied to its own displacement column
+  along the identified rotation, so that drift and ripple are accounted for; at constant rate
+  K_II enters with R^2 w^4/(4 g). K_F is estimated beside it, with its prior. Only where the
+  nominal angle is the reference does the drift C show, as -(1/2) K_I R w C.
+- ``as-printed``: Eq. 26, with 1/2 for K_II and a ripple column that exact physics does not have.
+
+- `second_stage`, `SecondStage`
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.errors import NotIdentifiableError
+from counterspin.inference import least_squares
+from counterspin.inference.blocks import reduce_block
+from counterspin.inference.two_stage.first_stage import Parabola
+from counterspin.physics import as_printed, observation
+from counterspin.physics.accelerometer import Mounting, term
+from counterspin.physics.motion import Trajectory
+
+DRIFT: Final = "spindle.drift"  #: second unknown where the nominal angle is the reference, 1/s
+RIPPLE: Final = "spindle.ripple"  #: as printed: w_p sin(phi) in rad/s, or (w_p/w0) sin(phi)
+
+#: Rates closer than this (relative) do not help to tell unknowns apart.
+_SAME_RATE: Final = 1e-3
+
+#: Largest credible sizes of the second unknowns: 1 % a second, 1 % of a usual rate.
+_SPINDLE_LIMIT: Final = 1e-2
+
+#: Terms whose effects agree this well over the runs are one.
+_ALIKE: Final = 1.0 - 1e-6
+
+#: An effect below this many sigma(b2), at the term's largest credible size, is nothing to name.
+_VISIBLE: Final = 0.5
+
+
+@dataclass(frozen=True)
+class StrobedRun:
+    """What the second stage needs of one run.
+
+    Attributes
+    ----------
+    name
+        The run's name.
+    trajectory
+        The rotation along which the exact columns are taken.
+    parabola
+        The run's first stage.
+    attitude
+        The platform's attitude, as for `observation.columns`.
+    """
+
+    name: str
+    trajectory: Trajectory
+    parabola: Parabola
+    attitude: Array = field(default_factory=lambda: observation.LEVEL)
+
+
+@dataclass(frozen=True)
+class SecondStage:
+    """The second stage (Eq. 20-27, 33-34) of one accelerometer.
+
+    Attributes
+    ----------
+    symbols
+        The unknowns: K_II first, then K_F (exact) and the spindle's second unknown, if any.
+    design
+        d(b2)/d(unknown), m/s^2 per unit, shape (runs, p).
+    gain
+        d(estimate)/d(b2), shape (p, runs).
+    sigma
+        sigma(b2) of each run, m/s^2, shape (runs,).
+    solution
+        Values, covariance by source and sensitivities in the order of `symbols`.
+    considered
+        The terms that were considered, in the order of the solution's considered columns.
+    dof
+        Effective degrees of freedom of each unknown's noise part (Welch-Satterthwaite over the
+        runs), shape (p,); infinite where sigma is given.
+    near_collinear
+        Pairs of columns whose correlation in the data is beyond 0.95, with it.
+    misfit
+        Each run's b2 less the model's, in units of its standard uncertainty, shape (runs,).
+    ignored
+        Term -> d(b2)/d(coefficient), shape (runs,), of terms that are neither estimated nor
+        considered. Ripple makes a parabola of K_III, for example.
+    weighted
+        Whether the runs were weighted by 1/sigma(b2)^2.
+    """
+
+    symbols: tuple[str, ...]
+    design: Array
+    gain: Array
+    sigma: Array
+    solution: least_squares.Solution
+    considered: tuple[str, ...]
+    dof: Array
+    near_collinear: tuple[tuple[str, str, float], ...]
+    misfit: Array
+    ignored: Mapping[str, Array]
+    weighted: bool
+
+    def estimate(self, symbol: str) -> tuple[float, float]:
+        """Return value and combined standard uncertainty of an unknown."""
+        index = self.symbols.index(symbol)
+        return float(self.solution.estimate[index]), float(self.solution.u[index])
+
+    def shift(self, symbol: str) -> Array:
+        """Return what one unit of an ignored term moves each unknown by, shape (p,).
+
+        Of a term that every run has anew, the runs' effects are combined as independent ones.
+        """
+        shifts = self.gain * self.ignored[symbol]
+        if term(symbol).per_run:
+            together: Array = np.linalg.norm(shifts, axis=1)
+            return together
+        return np.asarray(shifts.sum(axis=1))
+
+    def alike(self, symbol: str) -> dict[str, float]:
+        """Return the ignored terms that act on every run exactly as an unknown does.
+
+        The estimate of the unknown is then one of the sum of all of them.
+
+        Parameters
+        ----------
+        symbol
+            The unknown.
+
+        Returns
+        -------
+        dict
+            Term -> how much of the unknown one unit of it is like. Terms that cannot be seen at
+            their largest credible size are left out.
+        """
+        column = self.design[:, self.symbols.index(symbol)] / self.sigma
+        found = {}
+        for other, effect in self.ignored.items():
+            whitened = effect / self.sigma
+            size = float(np.linalg.norm(whitened))
+            along = float(column @ whitened)
+            seen = size * term(other).limit > _VISIBLE
+            if seen and abs(along) > _ALIKE * size * float(np.linalg.norm(column)):
+                found[other] = along / float(column @ column)
+        return found
+
+
+def second_stage(
+    runs: Sequence[StrobedRun],
+    mounting: Mounting,
+    *,
+    model: str = "exact",
+    scale_factor: tuple[float, float] = (1.0, 0.0),
+    bias: tuple[float, float] = (0.0, math.inf),
+    second_order: tuple[float, float] = (0.0, math.inf),
+    fit_bias: bool = True,
+    nominal_angle: bool = False,
+    ripple: as_printed.RippleModel = "amplitude",
+    considered: Mapping[str, tuple[float, float]] | None = None,
+    ignored: Sequence[str] = ("K_III",),
+    weighted: bool = True,
+) -> SecondStage:
+    """Resolve the b2 of several runs into K_II and the unknowns beside it.
+
+    Parameters
+    ----------
+    runs
+        At least as many different rates as unknowns without a prior.
+    mounting
+        The accelerometer's axes in the level attitude.
+    model
+        ``exact`` or ``as-printed``.
+    scale_factor, bias, second_order
+        (value, standard uncertainty) of K_I in g/g, K_F in g and K_II in g/g^2, known
+        beforehand; an infinite uncertainty means not known.
+    fit_bias
+        Whether K_F is estimated, with its prior (exact model only: the paper takes it as known).
+    nominal_angle
+        Whether the reference displacement is that of the nominal rate; then the drift C, common
+        to all runs, is an unknown of the exact model.
+    ripple
+        As printed: the ripple has the same ``amplitude`` w_p at all rates, or the same ``ratio``
+        w_p/w0.
+    considered
+        Further terms (value, standard uncertainty): taken at their value, with their uncertainty
+        carried into the result.
+    ignored
+        Terms of which only the effect is wanted that they would have; those that turn out to be
+        unknowns are passed over.
+    weighted
+        Weight the runs by sigma(b2), or not, as the paper does. Priors then count like runs of
+        the mean sigma(b2).
+
+    Returns
+    -------
+    SecondStage
+
+    Raises
+    ------
+    NotIdentifiableError
+        If there are fewer different rates than unknowns; both senses of one rate count once
+        where no unknown changes its sign with the sense.
+    """
+    exact = model == "exact"
+    known = dict(considered or {})
+    unknowns: dict[str, tuple[float, float]] = {"K_II": second_order}
+    if exact and fit_bias and bias[1] > 0.0:
+        unknowns["K_F"] = bias
+    else:
+        known["K_F"] = (bias[0], bias[1] if math.isfinite(bias[1]) else 0.0)
+    known["K_I"] = scale_factor
+    for symbol in unknowns:
+        known.pop(symbol, None)
+    spindle = (DRIFT if nominal_angle else None) if exact else RIPPLE
+    if spindle is not None:
+        unknowns[spindle] = (0.0, math.inf)
+    symbols = tuple(unknowns)
+    _check_rates(runs, unknowns, odd={DRIFT, RIPPLE} if ripple == "amplitude" else {DRIFT})
+
+    observed = _ObservationModel(runs, mounting, exact, scale_factor[0], ripple)
+    ignored = [symbol for symbol in ignored if symbol not in symbols]
+    shown = observed.effects(list(dict.fromkeys([*symbols, *known, *ignored])))
+    design = np.column_stack([shown[symbol] for symbol in symbols])
+    names, effects, means, spreads = [], [], [], []
+    for symbol, (value, sd) in known.items():
+        effect = shown[symbol]
+        # A term that every run has anew is as many independent sources as there are runs.
+        each = np.diag(effect) if term(symbol).per_run else effect[:, None]
+        effects.append(each)
+        means += [value - term(symbol).nominal] * each.shape[1]
+        spreads += [sd] * each.shape[1]
+        names += [f"{symbol} ({r.name})" for r in runs] if each.shape[1] > 1 else [symbol]
+    fixed = np.column_stack(effects)
+    b2 = np.array([run.parabola.b2 for run in runs])
+    sigma = np.array([run.parabola.u_b2 for run in runs])
+    # Where residuals vanish (a noise-free demonstration) any common weight serves.
+    sigma = np.where(sigma > 0.0, sigma, np.finfo(float).tiny ** 0.25)
+    whitening = sigma if weighted else np.full_like(sigma, math.sqrt(np.mean(sigma**2)))
+
+    block = reduce_block(
+        design / whitening[:, None], b2 / whitening, None, fixed / whitening[:, None]
+    )
+    solution = least_squares.solve(
+        [block],
+        prior_mean=[mean for mean, _ in unknowns.values()],
+        prior_sd=[sd for _, sd in unknowns.values()],
+        considered_mean=means,
+        considered_sd=spreads,
+        limits=[_limit(symbol) for symbol in symbols],
+    )
+    gain = _gain(design / whitening[:, None], unknowns) / whitening
+    if not weighted:
+        # Eq. 34: the estimate is unweighted, its uncertainty is that of the actual b2.
+        spread = gain * sigma
+        solution = replace(solution, covariance_noise=spread @ spread.T)
+    predicted = design @ solution.estimate + fixed @ np.array(means)
+    return SecondStage(
+        symbols=symbols,
+        design=design,
+        gain=gain,
+        sigma=sigma,
+        solution=solution,
+        considered=tuple(names),
+        dof=_effective_dof(gain, sigma, [run.parabola for run in runs]),
+        near_collinear=_near_collinear(symbols, design / whitening[:, None]),
+        misfit=(b2 - predicted) / sigma,
+        ignored={symbol: shown[symbol] for symbol in ignored},
+        weighted=weighted,
+    )
+
+
+def _limit(symbol: str) -> float:
+    return _SPINDLE_LIMIT if symbol.startswith("spindle.") else term(symbol).limit
+
+
+def _check_rates(
+    runs: Sequence[StrobedRun],
+    unknowns: Mapping[str, tuple[float, float]],
+    odd: Collection[str],
+) -> None:
+    """Refuse what cannot be solved; `odd` are the unknowns that change sign with the sense."""
+    free = [symbol for symbol, (_, sd) in unknowns.items() if math.isinf(sd)]
+    even = [symbol for symbol in free if symbol not in odd]
+    rates = [run.trajectory.spindle.rate for run in runs]
+    for needed, found, words in (
+        (even, _different([abs(rate) for rate in rates]), "rates, whatever their sense"),
+        (free, _different(rates), "rates"),
+    ):
+        if found < len(needed):
+            raise NotIdentifiableError(
+                f"{len(needed)} unknowns without a prior ({', '.join(needed)}) need at least "
+                f"{len(needed)} different {words}; the campaign has {found}: add runs at other "
+                "rates, or give priors"
+            )
+
+
+def _different(rates: Sequence[float]) -> int:
+    kept: list[float] = []
+    for rate in rates:
+        if all(abs(rate - other) > _SAME_RATE * abs(other) for other in kept):
+            kept.append(rate)
+    return len(kept)
+
+
+@dataclass(frozen=True)
+class _ObservationModel:
+    """What one unit of a coefficient adds to each run's b2, under one of the two models."""
+
+    runs: Sequence[StrobedRun]
+    mounting: Mounting
+    exact: bool
+    scale_factor: float
+    ripple: as_printed.RippleModel
+
+    def effects(self, symbols: Sequence[str]) -> dict[str, Array]:
+        """Return d(b2)/d(coefficient), m/s^2 per unit, shape (runs,), of every symbol."""
+        if not self.exact:
+            return {symbol: self._printed(symbol) for symbol in symbols}
+        terms = [symbol for symbol in symbols if symbol != DRIFT]
+        shown = np.array([self._exact(run, terms) for run in self.runs])
+        found = dict(zip(terms, shown.T, strict=True))
+        if DRIFT in symbols:
+            rates = np.array([run.trajectory.spindle.rate for run in self.runs])
+            radii = np.array([run.trajectory.radius for run in self.runs])
+            found[DRIFT] = -0.5 * self.scale_factor * radii * rates
+        return found
+
+    def _exact(self, run: StrobedRun, terms: Sequence[str]) -> Array:
+        """Return the first stage of each term's own column, shape (terms,)."""
+        columns = observation.columns(
+            run.trajectory,
+            self.mounting,
+            terms,
+            run.parabola.strobes.time,
+            attitude=run.attitude,
+            scale_factor=self.scale_factor,
+        )
+        effect: Array = run.parabola.gain[2] @ columns
+        return effect
+
+    def _printed(self, symbol: str) -> Array:
+        """Return a column of Eq. 26, or the K_F of Eq. 19; all else has no t^2 there."""
+        motion = self.runs[0].trajectory
+        rates = np.array([run.trajectory.spindle.rate for run in self.runs])
+        if symbol in ("K_II", RIPPLE):
+            printed = as_printed.second_stage_columns(
+                rates, motion.radius, motion.site.gravity, self.scale_factor, self.ripple
+            )
+            column: Array = printed[:, 0 if symbol == "K_II" else 1]
+            return column
+        return np.full(rates.size, 0.5 * motion.site.gravity if symbol == "K_F" else 0.0)
+
+
+def _gain(design: Array, unknowns: Mapping[str, tuple[float, float]]) -> Array:
+    """Return d(estimate)/d(whitened b2), shape (p, runs), priors included."""
+    sd = np.array([sd for _, sd in unknowns.values()])
+    free = sd > 0.0  # what is known exactly does not move
+    scale = np.linalg.norm(design[:, free], axis=0)
+    with_priors = np.vstack([design[:, free], np.diag(1.0 / sd[free])])
+    gain = np.zeros(design.T.shape)
+    inverse = np.linalg.pinv(with_priors / scale) / scale[:, None]
+    gain[free] = inverse[:, : design.shape[0]]
+    return gain
+
+
+def _effective_dof(gain: Array, sigma: Array, parabolas: Sequence[Parabola]) -> Array:
+    """Return Welch-Satterthwaite degrees of freedom (GUM G.4.1), shape (p,)."""
+    if not parabolas[0].sigma_from_residuals:
+        return np.full(gain.shape[0], math.inf)
+    parts = (gain * sigma) ** 2
+    dof = np.array([parabola.dof for parabola in parabolas])
+    effective: Array = parts.sum(axis=1) ** 2 / np.sum(parts**2 / dof, axis=1)
+    return effective
+
+
+def _near_collinear(symbols: Sequence[str], design: Array) -> tuple[tuple[str, str, float], ...]:
+    unit = design / np.linalg.norm(design, axis=0)
+    cosine = unit.T @ unit
+    return tuple(
+        (symbols[i], symbols[j], float(cosine[i, j]))
+        for i in range(len(symbols))
+        for j in range(i + 1, len(symbols))
+        if abs(cosine[i, j]) > 0.95
+    )

@@ -1,0 +1,94 @@
+"""The curves of a plan's figures: u against time, against the highest rate, and where it is from.
+
+- `curves_of`
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.inference.joint.budget import budget
+from counterspin.physics.accelerometer import term
+from counterspin.planning.description import Plan
+from counterspin.planning.design import Design
+from counterspin.planning.forecast import forecast
+from counterspin.planning.result import Curve, Curves
+from counterspin.planning.search import Search
+
+_POINTS: Final = 9
+_TIMES: Final = (0.25, 4.0)  #: of the total time
+_RATES: Final = (0.4, 1.4)  #: of the highest rate
+_LARGEST: Final = 6  #: sources shown
+
+
+def curves_of(plan: Plan, design: Design) -> Curves:
+    """Return the curves for the first coefficient of a plan's goal.
+
+    Parameters
+    ----------
+    plan
+        The description; the plans on the curves have the smallest u, whatever its goal.
+    design
+        The plan found.
+    """
+    name = next(iter(plan.goal.sizes))
+    search = Search(plan, reach=(_TIMES[1], _RATES[1]))
+    place = search.predictor.names.index(name)
+    times, by_time = [], []
+    start = design
+    for factor in np.geomspace(*_TIMES, _POINTS):
+        total = plan.limits.total_time * float(factor)
+        free = plan.limits.longest_run >= plan.limits.total_time
+        limits = replace(
+            plan.limits,
+            total_time=total,
+            longest_run=total if free else min(plan.limits.longest_run, total),
+        )
+        if total > limits.shortest:
+            best = search.smallest(limits, start)
+            times.append(total)
+            by_time.append(float(search.predictor.u(best.design)[place]))
+    rates, by_rate = [], []
+    for factor in np.geomspace(*_RATES, _POINTS):
+        high = plan.limits.rate[1] * float(factor)
+        if plan.limits.settings or high < plan.limits.rate[0]:
+            continue
+        limits = replace(plan.limits, rate=(plan.limits.rate[0], high))
+        if limits.total_time > limits.shortest:
+            best = search.smallest(limits)
+            rates.append(high)
+            by_rate.append(float(search.predictor.u(best.design)[place]))
+    return Curves(
+        coefficient=name,
+        unit=term(name.split(".", 1)[1] if not name.startswith("platform") else name).unit,
+        time=Curve(x=times, u=by_time),
+        rate=Curve(x=rates, u=by_rate),
+        sources=_sources(search, design, name),
+    )
+
+
+def _sources(search: Search, design: Design, name: str) -> dict[str, Curve]:
+    """Return each source's contribution against the rate, all runs' rates scaled together."""
+    high = float(design.rate.max())
+    found: dict[str, list[float]] = {}
+    rates: list[float] = []
+    for factor in np.geomspace(_RATES[0], 1.0, _POINTS):
+        scaled = replace(design, rate=design.rate * factor, revolutions=design.revolutions * factor)
+        predicted = forecast(search.campaign(scaled))
+        index = [unknown.name for unknown in predicted.fit.model.unknowns].index(name)
+        runs = {run.name for run in predicted.campaign.runs}
+        squares: dict[str, float] = {}
+        for line in budget(predicted.fit, index):
+            owner, _, symbol = line.source.partition(".")
+            words = "noise" if line.kind == "noise" else symbol if owner in runs else line.source
+            squares[words] = squares.get(words, 0.0) + line.contribution**2
+        for words in {*found, *squares}:
+            values = found.setdefault(words, [0.0] * len(rates))
+            values.append(math.sqrt(squares.get(words, 0.0)))
+        rates.append(high * float(factor))
+    largest = sorted(found, key=lambda words: -max(found[words]))[:_LARGEST]
+    return {words: Curve(x=rates, u=found[words]) for words in largest}

@@ -1,0 +1,367 @@
+"""From ``PLAN.toml`` to a `Plan`: every key checked, all mistakes told at once.
+
+Most of a plan is a campaign without runs, and is checked as one: a stand-in campaign with one run
+in each attitude.
+
+- `read_plan`: the file
+- `Plan`, `Goal`: what it says
+- `campaign_of`: the campaign that it makes of chosen runs
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from counterspin.calibration.joint_problem import model_of
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.quantity import parse
+from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.settings import ESTIMATE, OBSERVABLES
+from counterspin.campaign.toml_file import load_document
+from counterspin.errors import CampaignError
+from counterspin.inference.joint.fit import Unknown
+from counterspin.physics.accelerometer import term
+from counterspin.planning.design import Limits, RunType
+from counterspin.planning.settings import GoalSettings, LimitsSettings, PlanDocument
+
+#: Lowest rate where none is given, as a part of the highest.
+_LOWEST: Final = 0.125
+
+#: Columns of the records, where the plan does not say them.
+_RECORDS: Final[Mapping[str, Any]] = {
+    "time": {"column": "time_s", "unit": "s"},
+    "angle": {"column": "angle_rad", "unit": "rad"},
+}
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What a plan is for.
+
+    Attributes
+    ----------
+    kind
+        ``minimise``: the smallest uncertainty in the time there is; ``target``: the least time.
+    sizes
+        Unknown (such as ``Qx.K_II``) -> the size of u that counts as 1, or the target.
+    criterion
+        ``sum`` or ``determinant``.
+    """
+
+    kind: Literal["minimise", "target"]
+    sizes: Mapping[str, float]
+    criterion: Literal["sum", "determinant"]
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """A plan's description, checked and resolved.
+
+    Attributes
+    ----------
+    path
+        Of the file, absolute.
+    document
+        The campaign to be, as a document without runs; what is expected stands in ``truth``.
+    stand_in
+        The campaign with one run for each attitude, named as the attitude is.
+    attitudes
+        Name -> attitude as it is written in a campaign.
+    limits
+        What the machine and the laboratory allow.
+    sampling_rate
+        Hz.
+    goal
+        What it is for.
+    """
+
+    path: Path
+    document: Mapping[str, Any]
+    stand_in: Campaign
+    attitudes: Mapping[str, Any]
+    limits: Limits
+    sampling_rate: float
+    goal: Goal
+
+
+def read_plan(path: Path | str) -> Plan:
+    """Read and check a plan.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    CampaignError
+        With every mistake found, each with the path of its key; or that the file cannot be read.
+    """
+    file = Path(path)
+    raw = load_document(file, "`counterspin plan --init FILE` writes a plan to start from")
+    problems = Problems(raw)
+    if "runs" in raw:
+        raw = {key: value for key, value in raw.items() if key != "runs"}
+        problems.add(("runs",), "a plan makes the runs; say what they may be in [limits]")
+    problems.check(PlanDocument, raw, ())
+    settings = problems.check(LimitsSettings, _table(raw, "limits"), ("limits",), gravity=None)
+    goal = problems.check(GoalSettings, _table(raw, "goal"), ("goal",))
+    attitudes = _named(settings.attitudes if settings else ["level"], problems)
+    document = _campaign_document(raw, settings)
+    document["noise"] = _sizes(_table(document, "noise"), problems)
+    stand_ins = [
+        {"name": name, "rate": "1 rad/s", "record": f"run{i}.csv", "attitude": attitude}
+        for i, (name, attitude) in enumerate(attitudes.items())
+    ]
+    campaign = resolve_campaign({**document, "runs": stand_ins}, file, problems)
+    plan = None
+    if campaign is not None:
+        _check_noise(campaign, problems)
+        limits = _limits(settings, attitudes, campaign, problems) if settings else None
+        sought = _goal(goal, campaign, problems) if goal else None
+        if settings is not None and limits is not None and sought is not None:
+            plan = Plan(
+                file.absolute(),
+                {**document, "truth": _expected(document, campaign)},
+                campaign,
+                attitudes,
+                limits,
+                settings.sampling_rate,
+                sought,
+            )
+    if problems.lines or plan is None:
+        raise CampaignError(str(file), problems.lines)
+    return plan
+
+
+def _table(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    value = raw.get(key)
+    return value if isinstance(value, dict) else {}
+
+
+def _campaign_document(raw: Mapping[str, Any], settings: LimitsSettings | None) -> dict[str, Any]:
+    """Return the document of the campaign to be, its channels filled in."""
+    shared = {key: value for key, value in raw.items() if key not in ("limits", "goal")}
+    document = {"records": dict(_RECORDS), **shared}
+    tables = raw.get("accelerometers")
+    if isinstance(tables, dict):
+        document["accelerometers"] = {
+            name: {**table, "displacement": {"column": f"{name}_m", "unit": "m"}}
+            if isinstance(table, dict) and not set(table) & set(OBSERVABLES)
+            else table
+            for name, table in tables.items()
+        }
+    sampling = settings.sampling_rate if settings else 50.0
+    document["simulation"] = {"sampling_rate": f"{sampling!r} Hz", "seed": 1}
+    return document
+
+
+def _named(attitudes: Sequence[Any], problems: Problems) -> dict[str, Any]:
+    """Return the attitudes by the name under which reports show them."""
+    named: dict[str, Any] = {}
+    for index, attitude in enumerate(attitudes):
+        name = (
+            attitude
+            if isinstance(attitude, str)
+            else ", ".join(f"{axis} {where}" for axis, where in attitude.items())
+        )
+        if name in named:
+            problems.add(("limits", "attitudes", index), f'"{name}" is there twice')
+        named[name] = attitude
+    return named
+
+
+def _expected(document: Mapping[str, Any], campaign: Campaign) -> dict[str, Any]:
+    """Return [truth] with what is known beforehand as the truth of what it does not name."""
+    truth = dict(_table(document, "truth"))
+    for name, accelerometer in campaign.accelerometers.items():
+        known = {
+            symbol: f"{prior.value!r} {prior.unit}"
+            for symbol, prior in accelerometer.priors.items()
+            if prior.value != term(symbol).nominal
+        }
+        truth[name] = {**known, **_table(truth, name)}
+    return truth
+
+
+def _sizes(noise: Mapping[str, Any], problems: Problems) -> dict[str, Any]:
+    """Return [noise] without what is to be estimated, which is noted: there is no record yet."""
+    unknown = [key for key, size in noise.items() if size == ESTIMATE]
+    for key in unknown:
+        problems.add(("noise", key), "a plan needs its size; nothing can be estimated yet")
+    return {key: size for key, size in noise.items() if key not in unknown}
+
+
+def _check_noise(campaign: Campaign, problems: Problems) -> None:
+    noise = campaign.noise
+    if noise is None or any(line.startswith("noise.") for line in problems.lines):
+        return
+    for name, accelerometer in campaign.accelerometers.items():
+        own = (getattr(noise, accelerometer.observable), noise.acceleration, noise.quantisation)
+        if own == (0.0, 0.0, 0.0):
+            problems.add(
+                ("noise",), f"{name} would have none at all; give {accelerometer.observable}"
+            )
+
+
+def _limits(
+    settings: LimitsSettings,
+    attitudes: Iterable[str],
+    campaign: Campaign,
+    problems: Problems,
+) -> Limits | None:
+    """Return the limits, or None with their contradictions noted."""
+    before = len(problems.lines)
+    rates = _rates(settings, campaign, problems)
+    if rates is None:
+        return None
+    (low, high), available = rates
+    senses = (1, -1) if settings.senses == "both" else (1,)
+    spin_up = sum(1.0 / a for a in (settings.spin_up, settings.spin_down) if a is not None)
+    longest = settings.longest_run or settings.total_time
+    fewest = settings.fewest_revolutions
+    if fewest * 2.0 * math.pi / high > longest * (1.0 + 1e-9):
+        problems.add(
+            ("limits", "longest_run"),
+            f"{fewest:g} revolutions take {fewest * 2.0 * math.pi / high:.4g} s at the highest "
+            "rate already; allow a longer run or fewer revolutions",
+        )
+    limits = Limits(
+        types=tuple(RunType(name, sense) for name in attitudes for sense in senses),
+        rate=(low, high),
+        settings=available,
+        total_time=settings.total_time,
+        settling=settings.settling,
+        spin_up=spin_up,
+        attitude_change=settings.attitude_change,
+        revolutions=fewest,
+        longest_run=min(longest, settings.total_time),
+        runs=settings.runs,
+    )
+    if limits.total_time < limits.shortest:
+        problems.add(
+            ("limits", "total_time"),
+            f"not one run fits: the shortest takes {limits.shortest:.4g} s with its spin-up, "
+            f"settling and {fewest:g} revolutions",
+        )
+    return limits if len(problems.lines) == before else None
+
+
+def _rates(
+    settings: LimitsSettings, campaign: Campaign, problems: Problems
+) -> tuple[tuple[float, float], tuple[float, ...]] | None:
+    """Return smallest and largest rate, and the settings where not all between are available."""
+    bounds = {}
+    if settings.highest_rate is not None:
+        bounds["highest_rate"] = settings.highest_rate
+    if settings.specific_force is not None:
+        force = settings.specific_force * campaign.site.gravity
+        bounds["specific_force"] = math.sqrt(force / campaign.radius.value)
+    if settings.rates is not None:
+        bounds["rates"] = max(settings.rates)
+    if not bounds:
+        problems.add(("limits",), "give highest_rate, specific_force or rates")
+        return None
+    key, high = min(bounds.items(), key=lambda item: item[1])
+    low = settings.lowest_rate
+    if low is not None and low > high:
+        problems.add(
+            ("limits", "lowest_rate"),
+            f"{low:.6g} rad/s is above the {high:.6g} rad/s that {key} allows",
+        )
+        return None
+    if settings.rates is None:
+        return (low or _LOWEST * high, high), ()
+    available = tuple(
+        sorted({w for w in settings.rates if (low or 0.0) <= w <= high * (1.0 + 1e-12)})
+    )
+    if not available:
+        problems.add(
+            ("limits", "rates"), f"no setting is within lowest_rate and the limit by {key}"
+        )
+        return None
+    return (available[0], available[-1]), available
+
+
+def _goal(settings: GoalSettings, campaign: Campaign, problems: Problems) -> Goal | None:
+    if settings.minimise is not None and settings.target is not None:
+        problems.add(("goal",), "has both minimise and target; keep one")
+        return None
+    if settings.target is not None and settings.criterion != "sum":
+        problems.add(("goal", "criterion"), "has no meaning beside target; leave it out")
+    key = "target" if settings.target is not None else "minimise"
+    wanted = settings.target if settings.target is not None else settings.minimise
+    if wanted is None:
+        wanted = ["K_II"]
+    shared = [u for u in model_of(campaign).unknowns if u.owner not in _run_names(campaign)]
+    before = len(problems.lines)
+    sizes: dict[str, float] = {}
+    units: set[str] = set()
+    names = list(wanted)
+    if not names:
+        problems.add(("goal", key), "names no coefficient")
+    for index, name in enumerate(names):
+        path = ("goal", key, name if isinstance(wanted, Mapping) else index)
+        chosen = [u for u in shared if name in (u.name, u.symbol)]
+        if not chosen:
+            known = dict.fromkeys(n for u in shared for n in (u.symbol, u.name))
+            problems.add(path, f'"{name}" is not estimated' + did_you_mean(name, known))
+            continue
+        size: float | None = 1.0
+        if isinstance(wanted, Mapping):
+            size = _size(wanted[name], chosen[0], campaign, path, problems)
+        sizes |= {u.name: size for u in chosen if size is not None}
+        units |= {term(u.symbol).unit for u in chosen}
+    if not isinstance(wanted, Mapping) and settings.criterion == "sum" and len(units) > 1:
+        problems.add(
+            ("goal", key),
+            "these have different units; say for each the size of u that counts as 1, such as "
+            'minimise = { K_II = "1e-8 g/g^2" }',
+        )
+    if len(problems.lines) > before:
+        return None
+    return Goal("target" if key == "target" else "minimise", sizes, settings.criterion)
+
+
+def _size(
+    text: Any, unknown: Unknown, campaign: Campaign, path: tuple[str | int, ...], problems: Problems
+) -> float | None:
+    unit = term(unknown.symbol).unit
+    quantity = problems.attempt(path, parse, text, unit, gravity=campaign.site.gravity)
+    if quantity is None:
+        return None
+    if quantity.value <= 0.0 or quantity.u != 0.0:
+        problems.add(path, "an uncertainty to reach is one number greater than zero")
+        return None
+    return quantity.value
+
+
+def _run_names(campaign: Campaign) -> set[str]:
+    return {run.name for run in campaign.runs}
+
+
+def campaign_of(plan: Plan, runs: Sequence[Mapping[str, Any]], title: str) -> dict[str, Any]:
+    """Return the document of the campaign with given runs.
+
+    Parameters
+    ----------
+    plan
+        The plan.
+    runs
+        As [[runs]] has them.
+    title
+        Of the campaign, where the plan gives none.
+    """
+    document = dict(plan.document)
+    about = {"title": title, **_table(document, "campaign")}
+    rest = {key: value for key, value in document.items() if key not in ("schema", "campaign")}
+    # The sections in the order of the example that `counterspin init` writes.
+    order = ("site", "centrifuge", "records", "accelerometers", "noise", "model", "runs")
+    rest["runs"] = [dict(run) for run in runs]
+    ordered = {key: rest[key] for key in (*order, *rest) if key in rest}
+    return {"schema": document["schema"], "campaign": about, **ordered}

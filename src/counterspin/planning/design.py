@@ -1,0 +1,337 @@
+"""Designs of a campaign: runs, what they may be, what they cost, and how good they are.
+
+- `RunType`, `Design`: which runs
+- `Limits`: what the machine and the laboratory allow
+- `Criterion`: what is to be small (c-, A- or D-optimality), and its derivative
+- `Predictor`: uncertainties of designs, many at once
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+import numpy as np
+
+from counterspin.arrays import Array, triangle_of
+from counterspin.inference.least_squares import REGULARISATION
+from counterspin.planning.run_information import RunInformation
+
+#: Relative step of the derivatives of a run's information, by central differences.
+_STEP: Final = 1e-4
+
+
+class RunType(NamedTuple):
+    """What a run is besides its rate and length: attitude and sense of the spin (+1, -1)."""
+
+    attitude: str
+    sense: int
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Runs of a campaign.
+
+    Attributes
+    ----------
+    types
+        Of each run.
+    rate
+        Size of each rate, rad/s, shape (n,).
+    revolutions
+        Shape (n,).
+    """
+
+    types: tuple[RunType, ...]
+    rate: Array
+    revolutions: Array
+
+    @property
+    def duration(self) -> Array:
+        """Length of each record, s, shape (n,)."""
+        return np.asarray(2.0 * math.pi * self.revolutions / self.rate)
+
+    def without(self, index: int) -> Design:
+        """Return the design with one run left out."""
+        types = self.types[:index] + self.types[index + 1 :]
+        return Design(types, np.delete(self.rate, index), np.delete(self.revolutions, index))
+
+    def with_type(self, index: int, new: RunType) -> Design:
+        """Return the design with one run in another attitude or sense."""
+        types = (*self.types[:index], new, *self.types[index + 1 :])
+        return Design(types, self.rate, self.revolutions)
+
+    def joined(self, other: Design) -> Design:
+        """Return the runs of both."""
+        return Design(
+            self.types + other.types,
+            np.concatenate([self.rate, other.rate]),
+            np.concatenate([self.revolutions, other.revolutions]),
+        )
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What a campaign may be.
+
+    Attributes
+    ----------
+    types
+        Attitudes and senses available.
+    rate
+        Smallest and largest size of the rate, rad/s.
+    settings
+        The sizes of rate available, rad/s; empty: all between.
+    total_time
+        Of the campaign, s: records, spin-up and settling, changes of attitude.
+    settling
+        Of each run, s.
+    spin_up
+        Time that each run's start and end take for each rad/s, s/(rad/s).
+    attitude_change
+        Time to change the attitude, s.
+    revolutions
+        Fewest of a run.
+    longest_run
+        Longest record, s.
+    runs
+        Largest number.
+    """
+
+    types: tuple[RunType, ...]
+    rate: tuple[float, float]
+    settings: tuple[float, ...]
+    total_time: float
+    settling: float
+    spin_up: float
+    attitude_change: float
+    revolutions: float
+    longest_run: float
+    runs: int
+
+    def overhead(self, rate: Array) -> Array:
+        """Return the time that runs take beside their records, s."""
+        return self.settling + self.spin_up * rate
+
+    def time(self, design: Design) -> float:
+        """Return what a campaign takes, s."""
+        attitudes = len({kind.attitude for kind in design.types})
+        return (
+            float(np.sum(design.duration + self.overhead(design.rate)))
+            + max(0, attitudes - 1) * self.attitude_change
+        )
+
+    @property
+    def shortest(self) -> float:
+        """The least time in which one run can be made, s."""
+        rates = np.array(self.settings or self.rate)
+        return float(np.min(self.revolutions * 2.0 * math.pi / rates + self.overhead(rates)))
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """What is to be small.
+
+    Attributes
+    ----------
+    places
+        The unknowns of interest, among the shared ones.
+    scales
+        The size of u that counts as 1, for each.
+    kind
+        ``sum``: the root mean square of u/scale (c-optimality for one unknown, else A);
+        ``determinant``: the volume of the ellipsoid of uncertainty (D).
+    """
+
+    places: tuple[int, ...]
+    scales: tuple[float, ...]
+    kind: Literal["sum", "determinant"] = "sum"
+
+    def value(self, covariance: Array) -> Array:
+        """Return the logarithm of u/scale (mean in the criterion's sense), shape (...,)."""
+        inside = self._inside(covariance)
+        count = len(self.places)
+        if self.kind == "sum":
+            trace = np.trace(inside, axis1=-2, axis2=-1)
+            return np.asarray(0.5 * np.log(trace / count))
+        return np.asarray(0.5 / count * np.linalg.slogdet(inside)[1])
+
+    def directions(self, covariance: Array) -> Array:
+        """Return vectors c with d(value) = sum of c' d(covariance) c, shape (p, k)."""
+        inside = self._inside(covariance)
+        count = len(self.places)
+        if self.kind == "sum":
+            root = np.eye(count) / math.sqrt(2.0 * float(np.trace(inside)))
+        else:
+            root = np.linalg.cholesky(np.linalg.inv(inside)) / math.sqrt(2.0 * count)
+        full = np.zeros((covariance.shape[-1], count))
+        full[list(self.places)] = root / np.array(self.scales)[:, None]
+        return full
+
+    def _inside(self, covariance: Array) -> Array:
+        index = list(self.places)
+        scale = np.array(self.scales)
+        part = covariance[..., index, :][..., :, index]
+        return np.asarray(part / np.outer(scale, scale))
+
+
+class Predictor:
+    """Uncertainties that designs would have, by the same solve as a calibration's.
+
+    Parameters
+    ----------
+    information
+        What each run tells.
+    """
+
+    def __init__(self, information: RunInformation) -> None:
+        self.information = information
+        setup = information.setup
+        shared = [setup.model.unknowns[i] for i in setup.shared]
+        self.names = tuple(unknown.name for unknown in shared)
+        sd = np.array([u.prior[1] for u in shared])
+        limits = np.array([u.limit for u in shared])
+        #: An unknown of which nothing is known is held as loosely as in the solution.
+        self.prior = np.diag(1.0 / np.where(np.isfinite(sd), sd, REGULARISATION * limits))
+        sizes = setup.considered_sizes
+        self.common = sizes[list(setup.considered)]
+        self.own = {name: sizes[list(setup.own(name)[1])] for name in setup.attitudes}
+
+    @property
+    def p(self) -> int:
+        """How many unknowns all runs share."""
+        return len(self.names)
+
+    def blocks(self, types: Sequence[RunType], rate: Array, revolutions: Array) -> Array:
+        """Return the blocks of runs; leading axes of rate and revolutions before that of runs.
+
+        Parameters
+        ----------
+        types
+            Of the n runs.
+        rate, revolutions
+            Shape (..., n).
+
+        Returns
+        -------
+        Array
+            Shape (..., n, b, p + q), b rows a run; the last columns, of terms considered by run,
+            are zero where an attitude has fewer of them than others.
+        """
+        shape = rate.shape
+        widest = self.p + self.common.size + max(own.size for own in self.own.values())
+        if len(set(types)) == 1:
+            kind = types[0]
+            found = self.information.blocks(
+                kind.attitude, kind.sense, rate.ravel(), revolutions.ravel()
+            )
+            if found.shape[2] == widest:
+                return found.reshape(*shape, *found.shape[1:])
+        result = np.zeros((*shape, self.information.rows, widest))
+        for kind in dict.fromkeys(types):
+            which = [i for i, other in enumerate(types) if other == kind]
+            w, n = rate[..., which], revolutions[..., which]
+            found = self.information.blocks(kind.attitude, kind.sense, w.ravel(), n.ravel())
+            result[..., which, :, : found.shape[2]] = found.reshape(*w.shape, *found.shape[1:])
+        return result
+
+    def covariance(self, types: Sequence[RunType], rate: Array, revolutions: Array) -> Array:
+        """Return the covariance of the shared unknowns for each of many designs.
+
+        Parameters
+        ----------
+        types
+            Of the n runs, the same in all the designs.
+        rate, revolutions
+            Shape (..., n).
+
+        Returns
+        -------
+        Array
+            Shape (..., p, p).
+        """
+        return self._covariance(types, self.blocks(types, rate, revolutions))[0]
+
+    def u(self, design: Design) -> Array:
+        """Return the standard uncertainties of the shared unknowns, shape (p,)."""
+        covariance = self.covariance(design.types, design.rate, design.revolutions)
+        return np.asarray(np.sqrt(np.diag(covariance)))
+
+    def _covariance(self, types: Sequence[RunType], blocks: Array) -> tuple[Array, Array, Array]:
+        """Return covariance, its part without considered terms, and their spread (..., p, k)."""
+        p = self.p
+        lead = blocks.shape[:-3]
+        rows = blocks[..., :p].reshape(*lead, -1, p)
+        prior = np.broadcast_to(self.prior, (*lead, p, p))
+        triangle = triangle_of(np.concatenate([rows, prior], axis=-2))
+        root = np.linalg.inv(triangle)
+        inner = np.asarray(root @ np.swapaxes(root, -1, -2), dtype=np.float64)
+        if blocks.shape[-1] == p:
+            return inner, inner, np.zeros((*lead, p, 0))
+        moments = np.swapaxes(blocks[..., :p], -1, -2) @ self._sized(types, blocks)
+        q = self.common.size
+        common = moments[..., :q].sum(axis=-3)
+        own = np.moveaxis(moments[..., q:], -3, -2)
+        own = own.reshape(*lead, p, own.shape[-2] * own.shape[-1])
+        columns = np.concatenate([common, own], axis=-1)
+        spread: Array = -inner @ columns
+        whole: Array = inner + spread @ np.swapaxes(spread, -1, -2)
+        return whole, inner, spread
+
+    def _sized(self, types: Sequence[RunType], blocks: Array) -> Array:
+        """Return the considered columns of blocks, each times its standard uncertainty."""
+        q = self.common.size
+        columns = blocks[..., self.p :].copy()
+        columns[..., :q] *= self.common
+        for index, kind in enumerate(types):
+            own = self.own[kind.attitude]
+            columns[..., index, :, q : q + own.size] *= own
+        return columns
+
+    def sensitivities(self, design: Design, criterion: Criterion) -> tuple[float, Array, Array]:
+        """Return a criterion and its derivatives by log rate and log revolutions of each run.
+
+        The information of one run enters the covariance as P dM P, so that once P is known the
+        derivatives need no other solution, only blocks a step aside.
+        """
+        rate = np.array([[1.0], [1.0 + _STEP], [1.0 - _STEP], [1.0], [1.0]]) * design.rate
+        turns = np.array([[1.0], [1.0], [1.0], [1.0 + _STEP], [1.0 - _STEP]]) * design.revolutions
+        blocks = self.blocks(design.types, rate, turns)
+        covariance, inner, spread = self._covariance(design.types, blocks[0])
+        value = float(criterion.value(covariance))
+        c = criterion.directions(covariance)
+        share = self._share(design.types, blocks, inner, spread, c)
+        return (
+            value,
+            (share[1] - share[2]) / (2.0 * _STEP),
+            (share[3] - share[4]) / (2.0 * _STEP),
+        )
+
+    def _share(
+        self, types: Sequence[RunType], blocks: Array, inner: Array, spread: Array, c: Array
+    ) -> Array:
+        """Return, for each run, what has the criterion's derivative with everything else fixed.
+
+        With v = P c, s = spread' c and B the considered moments, d(c' S c) is
+        -v' dM v - 2 s' (dB' v) - 2 s' B' dP c; shape (..., runs).
+        """
+        p = self.p
+        v = inner @ c
+        seen = blocks[..., :p] @ v
+        share = -np.sum(seen**2, axis=(-2, -1))
+        if spread.shape[-1] == 0:
+            return np.asarray(share)
+        s = spread.T @ c
+        # d(spread' c) = -(dB)' v + B' P dM P c, and B' P is -spread'.
+        towards = spread @ s
+        share -= 2.0 * np.sum(seen * (blocks[..., :p] @ towards), axis=(-2, -1))
+        columns = self._sized(types, blocks)
+        q, n = self.common.size, len(types)
+        width = columns.shape[-1] - q
+        weights = np.zeros((n, q + width, c.shape[1]))
+        weights[:, :q] = s[:q]
+        weights[:, q:] = s[q:].reshape(n, width, c.shape[1])
+        share -= 2.0 * np.sum(seen * (columns @ weights), axis=(-2, -1))
+        return np.asarray(share)

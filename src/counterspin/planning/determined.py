@@ -1,0 +1,175 @@
+"""Whether a plan's goal can be had at all, and if not, what stands in the way.
+
+- `require_determined`: refuses a coefficient that no allowed attitude determines
+- `unreachable`: the error for a target that no plan reaches
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.campaign.attitude import attitude_rows
+from counterspin.errors import CounterspinError, NotIdentifiableError
+from counterspin.inference import least_squares
+from counterspin.inference.blocks import Block
+from counterspin.inference.identifiability import Assessment, assess
+from counterspin.inference.joint.budget import budget
+from counterspin.physics.accelerometer import term
+from counterspin.planning.design import Predictor, RunType
+from counterspin.planning.forecast import setup_of
+from counterspin.planning.relaxation import relax
+from counterspin.planning.run_information import RunInformation
+from counterspin.planning.search import Search
+
+#: Attitudes that are tried where those allowed do not suffice.
+_OTHERS: Final = ("90 deg about east", "90 deg about north", "90 deg about up")
+
+#: Sources named that stand in the way of a target.
+_NAMED: Final = 3
+
+_FOREVER: Final = 1e4  #: times the time there is
+
+
+def require_determined(search: Search) -> None:
+    """Refuse a goal that no campaign within the limits determines, however it is spent.
+
+    Raises
+    ------
+    NotIdentifiableError
+        Naming the coefficient, what it cannot be told from, and an attitude that would help.
+    """
+    goal = search.plan.goal.sizes
+    kinds = search.limits.types
+    assessment = _assessed(search, search.predictor, kinds)
+    missing = [name for name in goal if not assessment.determined[name]]
+    if not missing:
+        return
+    name = missing[0]
+    also = f" (nor are {', '.join(missing[1:])})" if missing[1:] else ""
+    text = f"{name} is not determined by any campaign within these limits{also}"
+    confounded = [item for item in assessment.confounded if name in item.terms]
+    if confounded:
+        text += (
+            f": in the attitudes allowed ({', '.join(search.plan.attitudes)}) only "
+            f"{confounded[0].determined} is"
+        )
+    helps = _helpful(search, missing)
+    text += (
+        f'. Allow the attitude "{helps}" too (limits.attitudes)'
+        if helps
+        else ". Give what is known of the other terms in [model.priors], or take them out of "
+        "model.terms"
+    )
+    raise NotIdentifiableError(text + ".")
+
+
+def _assessed(search: Search, predictor: Predictor, kinds: tuple[RunType, ...]) -> Assessment:
+    """Assess a campaign that has much of everything: all kinds, four rates, all the time each."""
+    limits = search.limits
+    rates = np.array(limits.settings or np.geomspace(*limits.rate, 4))
+    longest = np.minimum(limits.longest_run, limits.total_time - limits.overhead(rates))
+    turns = np.maximum(limits.revolutions, longest * rates / (2.0 * math.pi))
+    types = tuple(kind for kind in kinds for _ in rates)
+    blocks = predictor.blocks(types, np.tile(rates, len(kinds)), np.tile(turns, len(kinds)))
+    return assess_blocks(predictor, blocks)
+
+
+def assess_blocks(predictor: Predictor, blocks: Array) -> Assessment:
+    """Assess blocks of a predictor as those of a calibration are, by the names of its unknowns."""
+    setup = predictor.information.setup
+    shared = [setup.model.unknowns[i] for i in setup.shared]
+    p = predictor.p
+    solution = least_squares.solve(
+        [
+            Block(
+                block[:, :p],
+                np.zeros(len(block)),
+                block[:, p : p + predictor.common.size],
+                rss=0.0,
+                rows=len(block),
+                nuisance=0,
+            )
+            for block in blocks
+        ],
+        prior_sd=[unknown.prior[1] for unknown in shared],
+        considered_sd=predictor.common,
+        limits=[unknown.limit for unknown in shared],
+    )
+    return assess(solution, predictor.names)
+
+
+def _helpful(search: Search, missing: list[str]) -> str | None:
+    """Return an attitude with which the missing coefficients would be determined."""
+    plan, limits = search.plan, search.limits
+    run = plan.stand_in.runs[0]
+    for words in _OTHERS:
+        if words in plan.attitudes:
+            continue
+        added = replace(run, name=words, attitude=attitude_rows(words))
+        campaign = replace(plan.stand_in, runs=(*plan.stand_in.runs, added))
+        turns = limits.longest_run * limits.rate[1] / (2.0 * math.pi)
+        predictor = Predictor(
+            RunInformation(
+                setup_of(campaign, plan.sampling_rate),
+                limits.rate,
+                (limits.revolutions, max(turns, limits.revolutions)),
+                (1, -1),
+            )
+        )
+        senses = {kind.sense for kind in limits.types}
+        kinds = (*limits.types, *(RunType(words, sense) for sense in sorted(senses)))
+        assessment = _assessed(search, predictor, kinds)
+        if all(assessment.determined[name] for name in missing):
+            return words
+    return None
+
+
+def unreachable(search: Search) -> CounterspinError:
+    """Return the error for a target that no plan within the limits reaches."""
+    best = search.smallest()
+    u = dict(zip(search.predictor.names, search.predictor.u(best.design), strict=True))
+    goal: Mapping[str, float] = search.plan.goal.sizes
+    name = max(goal, key=lambda key: u[key] / goal[key])
+    unit = term(name.split(".", 1)[1] if not name.startswith("platform") else name).unit
+    # Imported here: only a target that fails needs the exact forecast for its words.
+    from counterspin.planning.forecast import forecast
+
+    found = forecast(search.campaign(best.design))
+    index = [unknown.name for unknown in found.fit.model.unknowns].index(name)
+    shares: dict[str, float] = {}
+    for line in budget(found.fit, index):
+        # The tilts of all runs are one source in words.
+        owner, _, symbol = line.source.partition(".")
+        of_run = owner in {run.name for run in found.campaign.runs}
+        words = {"noise": f"noise of {line.source}"}.get(line.kind, line.source)
+        words = f"{symbol} of the runs" if of_run else words
+        shares[words] = shares.get(words, 0.0) + line.share
+    named = sorted(shares.items(), key=lambda pair: -pair[1])[:_NAMED]
+    sources = ", ".join(f"{words} {100.0 * share:.0f} %" for words, share in named)
+    forever = replace(
+        search.limits, total_time=search.limits.total_time * _FOREVER, attitude_change=0.0
+    )
+    relaxed = relax(
+        search.relaxing or search.predictor,
+        replace(forever, longest_run=search.limits.longest_run),
+        search.criterion,
+    )
+    floor = math.exp(relaxed.value) * goal[name] if len(goal) == 1 else None
+    text = (
+        f"no plan within the limits reaches u({name}) = {goal[name]:.3g} {unit}. The best has "
+        f"{u[name]:.3g} {unit} in {search.limits.time(best.design):.4g} s, of whose square: "
+        f"{sources}"
+    )
+    if floor is not None and floor > goal[name]:
+        text += f". With any amount of time it would be {floor:.3g} {unit}"
+    if all(kind.sense == 1 for kind in search.limits.types):
+        both = search.smallest(search.relaxed("senses"), best.design)
+        there = search.predictor.u(both.design)[search.predictor.names.index(name)]
+        text += f", with both senses of the spin {there:.3g} {unit}"
+    return CounterspinError(text + ".")

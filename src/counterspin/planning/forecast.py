@@ -1,0 +1,265 @@
+"""What a campaign's calibration will say, from its description alone, before there are records.
+
+The same columns, whitening, priors and solve as the calibration's, on the times at which the
+records will be sampled. Only the errors are missing, and the covariance does not need them.
+
+- `forecast`, `Forecast`
+- `setup_of`: the same problem for many designs at once
+- `expected_values`: what is expected of the unknowns
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.joint_problem import model_of
+from counterspin.campaign.resolved import Campaign, Run
+from counterspin.errors import CampaignError
+from counterspin.inference.identifiability import Assessment, assess
+from counterspin.inference.joint import fit as joint
+from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.fit import JointFit, Model, Unknown
+from counterspin.inference.joint.series import Series
+from counterspin.inference.noise.model import Noise
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.motion import Trajectory
+from counterspin.physics.observation import ORDERS
+from counterspin.physics.spindle import Spindle
+from counterspin.planning.setup import Instrument, Setup
+from counterspin.records.reduction import block_size
+
+
+@dataclass(frozen=True, eq=False)
+class Forecast:
+    """A campaign's uncertainties as they will be.
+
+    Attributes
+    ----------
+    campaign
+        The campaign.
+    fit
+        The solved problem; its estimates are those of records without errors.
+    """
+
+    campaign: Campaign
+    fit: JointFit
+
+    @cached_property
+    def assessment(self) -> Assessment:
+        """What the records will determine, and what not."""
+        unknowns = self.fit.model.unknowns
+        return assess(
+            self.fit.solution,
+            [unknown.name for unknown in unknowns],
+            nominal=[unknown.nominal for unknown in unknowns],
+        )
+
+    @property
+    def u(self) -> dict[str, float]:
+        """Standard uncertainty of each unknown by name, such as ``Qx.K_II``."""
+        names = (unknown.name for unknown in self.fit.model.unknowns)
+        return dict(zip(names, map(float, self.fit.solution.u), strict=True))
+
+    @property
+    def estimate(self) -> Estimate:
+        """The forecast in the form of an estimate whose noise is given."""
+        infinite = np.full(len(self.fit.model.unknowns), math.inf)
+        return Estimate(self.fit, {}, infinite, ())
+
+
+def forecast(
+    campaign: Campaign,
+    *,
+    sampling_rate: float | None = None,
+    model: Model | None = None,
+    expected: Array | None = None,
+) -> Forecast:
+    """Predict what a calibration will say.
+
+    Parameters
+    ----------
+    campaign
+        Every run with its duration; the noise given.
+    sampling_rate
+        Samples a second, Hz; None: that of the campaign's [simulation].
+    model
+        What is estimated and considered; None: what the campaign says.
+    expected
+        Values of the model's unknowns, less nominal, on which uncertain inputs act; None: what
+        `expected_values` says.
+
+    Raises
+    ------
+    CampaignError
+        If the noise, a run's length or the sampling rate is not known.
+    NotIdentifiableError
+        If a run is too short for its own start offset and velocity.
+    """
+    if sampling_rate is None and campaign.simulation is not None:
+        sampling_rate = campaign.simulation.sampling_rate
+    _check(campaign, sampling_rate)
+    assert sampling_rate is not None
+    model = model or model_of(campaign)
+    noise = noise_of_records(campaign)
+    series = [
+        planned_series(campaign, run, name, sampling_rate)
+        for run in campaign.runs
+        for name in campaign.accelerometers
+    ]
+    if expected is None:
+        expected = expected_values(campaign, model.unknowns)
+    prepared = joint.prepare(series, model, scale_factors(campaign), expected)
+    fit = joint.solve_joint(prepared, model, noise)
+    return Forecast(campaign, fit)
+
+
+def _check(campaign: Campaign, sampling_rate: float | None) -> None:
+    problems = [
+        f"runs[{index}]: neither duration nor revolutions are given; a prediction needs one "
+        f'(run "{run.name}")'
+        for index, run in enumerate(campaign.runs)
+        if run.duration is None
+    ]
+    if sampling_rate is None:
+        problems.append("simulation.sampling_rate: missing; a prediction needs it")
+    noise = _noise(campaign)
+    for name, accelerometer in campaign.accelerometers.items():
+        for key in (accelerometer.observable, "acceleration", "quantisation", "timing"):
+            if not isinstance(noise.get(key, "estimate"), float):
+                problems.append(f"noise.{key}: a prediction needs its size")
+        sizes = [noise.get(key) for key in (accelerometer.observable, "acceleration")]
+        if sizes == [0.0, 0.0]:
+            problems.append(f"noise: {name} has none; give {accelerometer.observable}")
+    if problems:
+        raise CampaignError(str(campaign.path), dict.fromkeys(problems))
+
+
+def _noise(campaign: Campaign) -> Mapping[str, float | str]:
+    """Return the noise that is stated; what is to be estimated, from a simulation's truth."""
+    stated = vars(campaign.noise) if campaign.noise else {}
+    truth = vars(campaign.simulation.truth.noise) if campaign.simulation else {}
+    return {key: stated.get(key, size) for key, size in {**truth, **stated}.items()} | {
+        key: size for key, size in truth.items() if not isinstance(stated.get(key), float)
+    }
+
+
+def noise_of_records(campaign: Campaign) -> dict[str, Noise]:
+    """Return the noise of each accelerometer's records."""
+    noise = _noise(campaign)
+    found = {}
+    for name, accelerometer in campaign.accelerometers.items():
+        step = noise["quantisation"] if accelerometer.observable == "displacement" else 0.0
+        found[name] = Noise(
+            float(noise[accelerometer.observable]), float(noise["acceleration"]), float(step)
+        )
+    return found
+
+
+def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float) -> Series:
+    """Return the series that a run will give, its samples or block means, without errors.
+
+    Parameters
+    ----------
+    campaign, run
+        The run, with its duration.
+    name
+        The accelerometer.
+    sampling_rate
+        Hz.
+    """
+    assert run.duration is not None
+    accelerometer = campaign.accelerometers[name]
+    step = 1.0 / sampling_rate
+    samples = math.floor(run.duration * sampling_rate * (1.0 + 1e-12)) + 1
+    block = block_size(step, run.rate)
+    whole = max(1, samples // block)
+    time = np.asarray((np.arange(whole) * block + 0.5 * (block - 1)) * step, dtype=np.float64)
+    jitter = float(_noise(campaign).get("timing", 0.0))
+    slope = campaign.radius.value * abs(run.rate) ** (3 - ORDERS[accelerometer.observable])
+    series = Series(
+        accelerometer=name,
+        run=run.name,
+        trajectory=Trajectory(Spindle(run.rate), campaign.radius.value, campaign.site),
+        mounting=accelerometer.mounting,
+        observable=accelerometer.observable,
+        attitude=run.attitude,
+        time=time,
+        spread=np.full(whole, step * math.sqrt((block**2 - 1) / 12.0)),
+        count=np.full(whole, float(block)),
+        spacing=step,
+        error=np.zeros(whole),
+        in_g=accelerometer.channel.unit.endswith("g"),
+        jitter=jitter * slope / math.sqrt(2.0),
+    )
+    if not series.in_g:
+        return series
+    # Of a record in g the size depends on the gravity assumed, errors included.
+    own = [u for u in model_of(campaign).unknowns if u.concerns(series)]
+    columns = series.columns([u.symbol for u in own], scale_factors(campaign)[name])
+    return replace(series, error=columns @ expected_values(campaign, own))
+
+
+def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unknown]) -> Array:
+    """Return what is expected of unknowns, less nominal: the truth, else the prior, else none."""
+    truth = campaign.simulation.truth.coefficients if campaign.simulation else {}
+    platform = {run.name: run.truth.platform for run in campaign.runs if run.truth is not None}
+    values = []
+    for unknown in unknowns:
+        known = truth.get(unknown.owner, {}).get(unknown.symbol)
+        if unknown.symbol not in TERMS and platform:
+            of_run = platform.get(unknown.owner) or next(iter(platform.values()))
+            known = of_run.get(unknown.symbol)
+        if known is None:
+            known = unknown.prior[0] if math.isfinite(unknown.prior[1]) else unknown.nominal
+        values.append(known - unknown.nominal)
+    return np.array(values)
+
+
+def scale_factors(campaign: Campaign) -> dict[str, float]:
+    """Return the K_I expected of each accelerometer."""
+    truth = campaign.simulation.truth.coefficients if campaign.simulation else {}
+    factors = {}
+    for name, accelerometer in campaign.accelerometers.items():
+        prior = accelerometer.priors.get("K_I")
+        factors[name] = truth.get(name, {}).get("K_I", prior.value if prior else 1.0)
+    return factors
+
+
+def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = True) -> Setup:
+    """Return a plan's problem from its stand-in campaign, which has one run in each attitude.
+
+    Parameters
+    ----------
+    campaign
+        The stand-in.
+    sampling_rate
+        Hz.
+    considering
+        Whether considered terms stay considered; False: they are estimated with their priors,
+        uncertain inputs left out, which is a bound for any estimator.
+    """
+    model = model_of(campaign)
+    if not considering:
+        estimated = tuple(Unknown(c.owner, c.symbol, c.prior, c.limit) for c in model.considered)
+        model = Model(model.unknowns + estimated)
+    timing = float(_noise(campaign).get("timing", 0.0))
+    noise = noise_of_records(campaign)
+    return Setup(
+        instruments=tuple(
+            Instrument(name, a.mounting, a.observable, noise[name], timing)
+            for name, a in campaign.accelerometers.items()
+        ),
+        attitudes={run.name: run.attitude for run in campaign.runs},
+        radius=campaign.radius.value,
+        site=campaign.site,
+        sampling_rate=sampling_rate,
+        model=model,
+        estimate=expected_values(campaign, model.unknowns),
+        scale_factors=scale_factors(campaign),
+    )

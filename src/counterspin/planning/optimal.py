@@ -1,0 +1,368 @@
+"""The best campaign within limits: whole runs, free rates and lengths.
+
+From the relaxed optimum (`counterspin.planning.relaxation`) whole numbers of runs are made in
+several ways; each start is improved in all rates and lengths at once (SLSQP, exact derivatives),
+then by exchanging the attitude or sense of a run, leaving one out or adding one. The relaxation
+says how far from any better plan the result can be.
+
+- `optimise`: the smallest uncertainty within the limits
+- `least_time`: the shortest campaign that reaches targets
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.errors import NotIdentifiableError
+from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
+from counterspin.planning.polishing import fitted_into, polish, shortened
+from counterspin.planning.relaxation import Relaxed, relax
+
+#: A change of the plan that gains less than this part of u is none.
+_GAIN: Final = 2e-5
+_PASSES: Final = 3  #: of exchanges
+_STARTS: Final = 5  #: that are polished
+_SOME: Final = 0.02  #: of a run, that counts as some weight
+_ALIKE: Final = 1e-3  #: relative difference of runs that are one for the exchanges
+
+
+@dataclass(frozen=True, eq=False)
+class Optimum:
+    """A plan and how good it is.
+
+    Attributes
+    ----------
+    design
+        The runs, longest last within each kind.
+    value
+        Its criterion, a logarithm.
+    bound
+        What no plan within the limits can be below.
+    relaxed
+        The relaxation that says so.
+    """
+
+    design: Design
+    value: float
+    bound: float
+    relaxed: Relaxed
+
+    @property
+    def efficiency(self) -> float:
+        """Smallest u that may be possible over the u of the plan; at most 1."""
+        return math.exp(min(0.0, self.bound - self.value))
+
+
+def optimise(
+    predictor: Predictor,
+    limits: Limits,
+    criterion: Criterion,
+    *,
+    relaxing: Predictor | None = None,
+    start: Design | None = None,
+) -> Optimum:
+    """Find the plan with the smallest criterion.
+
+    Parameters
+    ----------
+    predictor
+        Of the real estimator.
+    limits, criterion
+        Of the plan.
+    relaxing
+        A predictor in which considered terms are estimated; None: there are none.
+    start
+        A plan to start from too, for a problem that is near one already solved; with it only
+        this and the best relaxed start are looked at.
+
+    Returns
+    -------
+    Optimum
+
+    Raises
+    ------
+    NotIdentifiableError
+        If not one run fits into the limits.
+    """
+    if limits.total_time < limits.shortest:
+        raise NotIdentifiableError(
+            f"not one run fits into {limits.total_time:.6g} s: the shortest takes "
+            f"{limits.shortest:.6g} s with spin-up and settling"
+        )
+    choices = [
+        (relax(relaxing or predictor, allowed, criterion), allowed) for allowed in _subsets(limits)
+    ]
+    choices.sort(key=lambda choice: choice[0].bound)
+    best: tuple[float, Design] | None = None
+    for relaxed, allowed in choices:
+        if best is not None and relaxed.bound > best[0] - _GAIN:
+            break  # nor can those that follow be better
+        starts = list(_whole(relaxed, allowed))
+        if start is not None and set(start.types) <= set(allowed.types):
+            starts = [start, *starts[:1]]
+        if not starts:
+            continue
+        found = _best_of(predictor, allowed, criterion, starts)
+        found = _exchange(predictor, allowed, criterion, found)
+        if best is None or found[0] < best[0] - _GAIN:
+            best = found
+    assert best is not None  # the choices hold one attitude alone, into which a run fits
+    relaxed = choices[0][0]
+    return Optimum(_ordered(best[1]), best[0], min(relaxed.bound, best[0]), relaxed)
+
+
+def _subsets(limits: Limits) -> Iterator[Limits]:
+    """Yield the limits for each choice of attitudes, the time to change between them taken off.
+
+    If a change costs nothing, all attitudes together hold every choice.
+    """
+    attitudes = list(dict.fromkeys(kind.attitude for kind in limits.types))
+    if limits.attitude_change == 0.0:
+        yield limits
+        return
+    for count in range(1, len(attitudes) + 1):
+        left = limits.total_time - (count - 1) * limits.attitude_change
+        if left < limits.shortest or count > limits.runs:
+            return
+        for chosen in combinations(attitudes, count):
+            yield replace(
+                limits,
+                types=tuple(kind for kind in limits.types if kind.attitude in chosen),
+                total_time=left,
+                attitude_change=0.0,
+            )
+
+
+def _whole(relaxed: Relaxed, limits: Limits) -> Iterator[Design]:
+    """Yield starts: whole runs in place of the relaxation's weights."""
+    groups: dict[tuple[RunType, float], list[int]] = {}
+    for index, (kind, w) in enumerate(zip(relaxed.types, relaxed.rate, strict=True)):
+        near = float(w) if limits.settings else float(round(8.0 * math.log(w)))
+        groups.setdefault((kind, near), []).append(index)
+    weight = np.array([relaxed.weight[index].sum() for index in groups.values()])
+    kinds = [kind for kind, _ in groups]
+    rate = np.array([relaxed.rate[i[np.argmax(relaxed.weight[i])]] for i in groups.values()])
+    turns = np.array(
+        [np.average(relaxed.revolutions[i], weights=relaxed.weight[i]) for i in groups.values()]
+    )
+    total = float(weight.sum())
+    totals = {min(limits.runs, max(1, n)) for n in (math.floor(total), math.ceil(total))}
+    totals |= {limits.runs} if relaxed.price_run > 0.0 else set()
+    shares = [_share(weight, count) for count in sorted(totals, reverse=True)]
+    # A group that gets parts of a run may be what tells terms apart: then it needs a whole one.
+    shares += [_at_least_one(weight, share) for share in shares]
+    for runs in shares:
+        count = int(runs.sum())
+        chosen = np.repeat(np.arange(weight.size), runs)
+        types = tuple(kinds[i] for i in chosen)
+        # As much time in each group as the relaxation spends there.
+        even = fitted_into(
+            Design(types, rate[chosen], (turns * weight / np.maximum(runs, 1))[chosen]), limits
+        )
+        if even is None:
+            continue
+        yield even
+        if len(types) < 2:
+            continue
+        # Some optima have one long run that finds what drifts and many short ones.
+        for index in np.unique(chosen, return_index=True)[1]:
+            longer = even.revolutions.copy()
+            longer[index] *= 3.0
+            fitted = fitted_into(Design(types, even.rate, longer), limits)
+            if fitted is not None:
+                yield fitted
+        # Rates apart, in case the relaxation has put all runs into one point of a flat optimum.
+        spread = np.geomspace(max(limits.rate[0], 0.5 * limits.rate[1]), limits.rate[1], count)
+        if not limits.settings:
+            fitted = fitted_into(Design(types, spread, even.revolutions), limits)
+            if fitted is not None:
+                yield fitted
+
+
+def _share(weight: Array, count: int) -> npt.NDArray[np.int64]:
+    """Return whole numbers of a given sum nearest to proportional (largest remainders)."""
+    exact = weight * (count / weight.sum())
+    whole: npt.NDArray[np.int64] = np.floor(exact).astype(np.int64)
+    rest = np.argsort(-(exact - whole), kind="stable")[: count - int(whole.sum())]
+    whole[rest] += 1
+    return whole
+
+
+def _at_least_one(weight: Array, runs: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """Return the runs with one for each group of some weight, taken from the largest groups."""
+    changed = runs.copy()
+    for index in np.flatnonzero((weight > _SOME) & (runs == 0)):
+        largest = int(np.argmax(changed))
+        if changed[largest] > 1:
+            changed[largest] -= 1
+            changed[index] = 1
+    return changed
+
+
+def _best_of(
+    predictor: Predictor, limits: Limits, criterion: Criterion, starts: Sequence[Design]
+) -> tuple[float, Design]:
+    """Polish the most promising starts."""
+    found = []
+    for design in starts:
+        covariance = predictor.covariance(design.types, design.rate, design.revolutions)
+        found.append((float(criterion.value(covariance)), design))
+    found.sort(key=lambda pair: pair[0])
+    polished = [polish(predictor, limits, criterion, design) for _, design in found[:_STARTS]]
+    return min(polished, key=lambda pair: pair[0])
+
+
+def _exchange(
+    predictor: Predictor, limits: Limits, criterion: Criterion, found: tuple[float, Design]
+) -> tuple[float, Design]:
+    """Exchange, leave out or add runs for as long as it gains."""
+    for _ in range(_PASSES):
+        value, design = found
+        candidates = []
+        for other in _neighbours(design, limits):
+            fitted = fitted_into(other, limits)
+            if fitted is not None:
+                covariance = predictor.covariance(fitted.types, fitted.rate, fitted.revolutions)
+                candidates.append((float(criterion.value(covariance)), fitted))
+        candidates.sort(key=lambda pair: pair[0])
+        better = None
+        for _, other in candidates[:_STARTS]:
+            tried = polish(predictor, limits, criterion, other)
+            if tried[0] < value - _GAIN:
+                better = tried
+                break
+        if better is None:
+            return found
+        found = better
+    return found
+
+
+def _neighbours(design: Design, limits: Limits) -> Iterator[Design]:
+    """Yield the designs with one run changed; of runs that are alike, only one is."""
+    seen: list[tuple[RunType, float, float]] = []
+    n = len(design.types)
+    for index in range(n):
+        kind, rate = design.types[index], float(design.rate[index])
+        turns = float(design.revolutions[index])
+        if any(
+            kind == k and abs(rate / w - 1.0) < _ALIKE and abs(turns / t - 1.0) < _ALIKE
+            for k, w, t in seen
+        ):
+            continue
+        seen.append((kind, rate, turns))
+        for other in limits.types:
+            if other != kind:
+                yield design.with_type(index, other)
+        for setting in limits.settings:
+            if setting != rate:
+                rates = design.rate.copy()
+                rates[index] = setting
+                lengths = design.revolutions.copy()
+                lengths[index] *= setting / rate
+                yield Design(design.types, rates, lengths)
+        if n > 1:
+            yield design.without(index)
+    if n < limits.runs:
+        for kind in limits.types:
+            rates = np.array(limits.settings or limits.rate)
+            for rate in rates:
+                turns = max(limits.revolutions, float(np.median(design.duration)) * rate / 6.3)
+                yield design.joined(Design((kind,), np.array([rate]), np.array([turns])))
+
+
+def _ordered(design: Design) -> Design:
+    """Return the runs by kind as they were met, then by rate and length."""
+    kinds = list(dict.fromkeys(design.types))
+    order = sorted(
+        range(len(design.types)),
+        key=lambda i: (
+            kinds.index(design.types[i]),
+            round(float(design.rate[i]), 9),
+            design.duration[i],
+        ),
+    )
+    return Design(
+        tuple(design.types[i] for i in order), design.rate[order], design.revolutions[order]
+    )
+
+
+def least_time(
+    predictor: Predictor,
+    limits: Limits,
+    criterion: Criterion,
+    *,
+    relaxing: Predictor | None = None,
+) -> Optimum | None:
+    """Find the shortest plan in which u of each unknown of interest is at most its scale.
+
+    Parameters
+    ----------
+    predictor, relaxing
+        As for `optimise`.
+    limits
+        The total time is the longest allowed.
+    criterion
+        Its scales are the targets.
+
+    Returns
+    -------
+    Optimum or None
+        None if no plan found within the limits reaches the targets. The criterion's value and
+        bound are logarithms of the time in s.
+    """
+    targets = replace(criterion, kind="sum")
+    singles = [Criterion((i,), (s,)) for i, s in zip(targets.places, targets.scales, strict=True)]
+
+    def misses(design: Design) -> float:
+        covariance = predictor.covariance(design.types, design.rate, design.revolutions)
+        return max(float(one.value(covariance)) for one in singles)
+
+    longest = optimise(predictor, limits, targets, relaxing=relaxing)
+    design = longest.design
+    if misses(design) > 0.0 and len(singles) > 1:
+        # The mean hides the worst: give it more weight until all are below their targets.
+        for _ in range(8):
+            u = np.sqrt(
+                np.diag(predictor.covariance(design.types, design.rate, design.revolutions))
+            )
+            ratio = u[list(targets.places)] / np.array(criterion.scales)
+            scales = np.array(targets.scales) / np.sqrt(ratio)
+            targets = replace(targets, scales=tuple(float(s) for s in scales))
+            _, design = polish(predictor, limits, targets, design)
+            if misses(design) <= 0.0:
+                break
+    if misses(design) > 1e-9:
+        return None
+    bound = _relaxed_time(relaxing or predictor, limits, replace(criterion, kind="sum"))
+    best = shortened(predictor, limits, singles, design)
+    time = bound
+    for _ in range(4):
+        tried = optimise(
+            predictor,
+            replace(limits, total_time=max(time, limits.shortest)),
+            targets,
+            relaxing=relaxing,
+        )
+        shorter = shortened(predictor, limits, singles, tried.design)
+        if misses(shorter) <= 1e-6 and limits.time(shorter) < limits.time(best) * (1.0 - _GAIN):
+            best = shorter
+        time = 0.5 * (time + limits.time(best))
+    return Optimum(_ordered(best), math.log(limits.time(best)), math.log(bound), longest.relaxed)
+
+
+def _relaxed_time(predictor: Predictor, limits: Limits, criterion: Criterion) -> float:
+    """Return a time below which no plan reaches a criterion of 0, by bisection."""
+    low, high = math.log(limits.shortest), math.log(limits.total_time)
+    for _ in range(10):
+        middle = 0.5 * (low + high)
+        bound = relax(predictor, replace(limits, total_time=math.exp(middle)), criterion).bound
+        low, high = (middle, high) if bound > 0.0 else (low, middle)
+    return math.exp(low)

@@ -1,0 +1,313 @@
+"""A plan as a person reads it: what to run, what it will tell, what limits it.
+
+- `plan_blocks`: the result as blocks
+- `render_plan`: the same, as something that rich prints
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+from counterspin.calibration.result_parts import BudgetLine
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.planning.result import (
+    GoalResult,
+    PlannedAccelerometer,
+    PlanResult,
+    Predicted,
+    Requirement,
+)
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_number, format_share
+from counterspin.reports.text import Report
+
+_LINES: Final = 6  #: of a budget
+
+
+def render_plan(result: PlanResult) -> Report:
+    """Return a plan or a forecast as a rich renderable."""
+    return Report(plan_blocks(result))
+
+
+def plan_blocks(result: PlanResult) -> list[Block]:
+    """Return a plan or a forecast as blocks, the answer first."""
+    blocks: list[Block] = [Heading(result.title, 1), *_answer(result)]
+    blocks += [Paragraph(f"Warning: {text}", "warning") for text in result.warnings]
+    blocks += _runs(result)
+    for name, accelerometer in result.accelerometers.items():
+        blocks += _accelerometer(result, name, accelerometer)
+    blocks += _limits(result)
+    blocks += _others(result)
+    blocks += _requirements(result)
+    return blocks
+
+
+def _answer(result: PlanResult) -> Iterator[Block]:
+    goal = result.goal
+    sought = goal.sizes if goal else {_first(result): 1.0}
+    parts = []
+    for name in sought:
+        owner, _, symbol = name.partition(".")
+        found = (
+            result.accelerometers[owner].coefficients[symbol]
+            if owner in result.accelerometers
+            else result.platform[name]
+        )
+        parts.append(f"u({_spoken(name)}) = {_u(found)}")
+    count = len(result.runs)
+    time = f"{count} run{'s' * (count > 1)}, {_time(result.total_time)}"
+    yield Paragraph(f"{'; '.join(parts)}: {time}.", "answer")
+    if goal is not None:
+        yield Paragraph(_optimality(goal))
+    gravity = format_number(result.gravity, 9)
+    yield Paragraph(
+        "Standard uncertainties (k = 1) that a joint calibration will state, in units of the "
+        f"site's own gravity, g = {gravity} m/s^2.",
+        "quiet",
+    )
+
+
+def _optimality(goal: GoalResult) -> str:
+    less = 100.0 * (1.0 - goal.efficiency)
+    what = "smaller u" if goal.kind == "minimise" else "shorter time"
+    if goal.kind == "minimise" and goal.criterion == "determinant":
+        what = "smaller mean u (of the ellipsoid's volume)"
+    if less < 0.05:
+        return "No plan within these limits is better, to 0.05 %."
+    return (
+        f"No plan within these limits can have a {what} by more than {format_number(less, 2)} % "
+        "(equivalence theorem, on the relaxation to parts of runs)."
+    )
+
+
+def _runs(result: PlanResult) -> Iterator[Block]:
+    planned = all(run.start is not None for run in result.runs)
+    several = len({run.attitude for run in result.runs}) > 1
+    yield Heading("Runs, in this order" if planned else "Runs")
+    columns = [
+        Column("Run"),
+        Column("Rate, rad/s", "right"),
+        Column("g", "right"),
+        Column("Revolutions", "right"),
+        Column("Record, s", "right"),
+    ]
+    columns += [Column("Starts at, s", "right")] * planned
+    columns += [Column("Attitude", wraps=True)] * several
+    rows = []
+    for run in result.runs:
+        row = [
+            run.name,
+            format_number(run.rate, 6),
+            format_number(run.specific_force, 4),
+            format_number(run.revolutions, 5),
+            format_number(run.duration, 6),
+        ]
+        row += [format_number(run.start, 6)] if run.start is not None and planned else []
+        row += [run.attitude] * several
+        rows.append(tuple(row))
+    yield Table(tuple(columns), tuple(rows))
+    if not several:
+        yield Paragraph(f"Attitude: {result.runs[0].attitude}.")
+
+
+def _accelerometer(result: PlanResult, name: str, found: PlannedAccelerometer) -> Iterator[Block]:
+    yield Heading(f"What they will tell of {name}")
+    rows, quiet = [], set()
+    shown = dict(found.coefficients) | result.platform
+    for index, (symbol, predicted) in enumerate(shown.items()):
+        rows.append((symbol, _u(predicted), _known(predicted), _from(predicted)))
+        if not predicted.estimated:
+            quiet.add(index)
+    yield Table(
+        (
+            Column("Coefficient"),
+            Column("u", wraps=True),
+            Column("Known before to", wraps=True),
+            Column("From", wraps=True),
+        ),
+        tuple(rows),
+        frozenset(quiet),
+    )
+    for item in found.confounded:
+        names = ", ".join(item.terms[:-1]) + " and " + item.terms[-1]
+        how = "cannot be told apart" if abs(item.correlation) > 0.999 else "are hardly told apart"
+        yield Paragraph(
+            f"{names} {how} in this plan; determined: {item.determined}. "
+            f"{_advice(result, item.terms)}"
+        )
+    sought = result.goal.sizes if result.goal else {_first(result): 1.0}
+    for symbol, lines in found.budget.items():
+        if f"{name}.{symbol}" in sought:
+            yield from _budget(result, name, symbol, lines)
+
+
+def _advice(result: PlanResult, terms: list[str]) -> str:
+    """Return what would separate terms: the other sense, other rates, another attitude."""
+    rates = [run.rate for run in result.runs]
+    platform = [PLATFORM_TERMS[term] for term in terms if term in PLATFORM_TERMS]
+    own = [TERMS[term] for term in terms if term in TERMS]
+    if own and min(rates) * max(rates) > 0.0 and any(row.kind != "tilt" for row in platform):
+        # Drift and g-sensitivity change their sign with the sense, the accelerometer's do not.
+        return "The other sense of the spin separates them."
+    one_rate = max(map(abs, rates)) < 1.001 * min(map(abs, rates))
+    if one_rate and len({len(row.factors) for row in own}) > 1:
+        return "Other rates separate them."
+    if not platform and len({run.attitude for run in result.runs}) == 1:
+        return "They need a second attitude, or knowledge of one of them beforehand."
+    return "They need knowledge of one of them beforehand."
+
+
+def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine]) -> Iterator[Block]:
+    unit, factor = field_unit(result.accelerometers[name].coefficients[symbol].unit)
+    yield Heading(f"Where u({symbol}) of {name} will come from")
+    gathered: dict[str, list[BudgetLine]] = {}
+    runs = {run.name for run in result.runs}
+    for line in lines:
+        owner, _, term = line.source.partition(".")
+        gathered.setdefault(f"{term}, all runs" if owner in runs else line.source, []).append(line)
+    rows = []
+    for source, together in gathered.items():
+        share = sum(line.share for line in together)
+        contribution = math.sqrt(sum(line.contribution**2 for line in together))
+        sizes = {line.u for line in together}
+        size = sizes.pop() if len(sizes) == 1 else None
+        its_unit, its_factor = field_unit(together[0].unit)
+        known = "" if size is None else f"{format_number(size * its_factor, 3)} {its_unit}"
+        rows.append((share, (source, known, format_number(contribution * factor, 2))))
+    rows.sort(key=lambda row: -row[0])
+    yield Table(
+        (
+            Column("Source", wraps=True),
+            Column("Its u", "right"),
+            Column(f"Contribution, {unit}", "right", wraps=True),
+            Column("Share of u^2", "right", wraps=True),
+        ),
+        tuple((*row, format_share(share)) for share, row in rows[:_LINES]),
+    )
+
+
+def _limits(result: PlanResult) -> Iterator[Block]:
+    if result.goal is None:
+        return
+    yield Heading("What limits it")
+    what = "u" if result.goal.kind == "minimise" else "time"
+    if not result.limits:
+        yield Paragraph(
+            f"A tenth more of any limit gains nothing: {what} is what the priors leave."
+        )
+        return
+    rows = []
+    for line in result.limits:
+        change = "both senses instead" if line.key == "senses" else "relaxed by 10 %"
+        gain = f"{format_number(100.0 * line.gain, 2)} %" if line.binds else "nothing"
+        rows.append((line.words, change, gain))
+    yield Table(
+        (
+            Column("Limit", wraps=True),
+            Column("If"),
+            Column(f"{what} falls by", "right"),
+        ),
+        tuple(rows),
+    )
+
+
+def _others(result: PlanResult) -> Iterator[Block]:
+    if not result.others:
+        return
+    yield Heading("Other plans in the same time")
+    rows = []
+    for other in result.others:
+        for name, u in other.u.items():
+            unit, factor = field_unit(_unit(name))
+            rows.append(
+                (
+                    other.words,
+                    f"u({_spoken(name)}) = {format_number(u * factor, 3)} {unit}",
+                    format_number(other.ratio[name], 3),
+                )
+            )
+    yield Table(
+        (
+            Column("Plan", wraps=True),
+            Column("Its u", wraps=True),
+            Column("This plan's u over it", "right", wraps=True),
+        ),
+        tuple(rows),
+    )
+
+
+def _requirements(result: PlanResult) -> Iterator[Block]:
+    if not result.requirements:
+        return
+    yield Heading("What the centrifuge must be for it")
+    rows = tuple((line.words, _size(line)) for line in result.requirements)
+    yield Table((Column("What", wraps=True), Column("To", "right")), rows)
+    yield Paragraph(f"Each by itself would make u grow by 5 %, {result.requirements_for}.", "quiet")
+
+
+def _size(line: Requirement) -> str:
+    if line.size is None:
+        return "no matter"
+    unit, factor = line.unit, 1.0
+    if line.unit == "1":
+        unit, factor = "ppm", 1e6
+    return f"{format_number(line.size * factor, 2)} {unit}"
+
+
+# Words
+
+
+def _first(result: PlanResult) -> str:
+    """Return what a forecast without a goal is about: K_II, or the first coefficient."""
+    name, found = next(iter(result.accelerometers.items()))
+    symbols = list(found.coefficients)
+    return f"{name}.{'K_II' if 'K_II' in symbols else symbols[0]}"
+
+
+def _unit(name: str) -> str:
+    row = PLATFORM_TERMS.get(name) or TERMS[name.rpartition(".")[2]]
+    return row.unit
+
+
+def _spoken(name: str) -> str:
+    owner, _, symbol = name.partition(".")
+    return name if owner == "platform" else f"{symbol} of {owner}"
+
+
+def _u(found: Predicted) -> str:
+    if found.u is None:
+        return NOT_DETERMINED
+    unit, factor = field_unit(found.unit)
+    return f"{format_number(found.u * factor, 3)} {unit}"
+
+
+def _known(found: Predicted) -> str:
+    if found.prior is None:
+        return "-"
+    unit, factor = field_unit(found.unit)
+    return f"{format_number(found.prior * factor, 3)} {unit}"
+
+
+def _from(found: Predicted) -> str:
+    parts = {
+        "noise": found.u_noise,
+        "priors": found.u_prior,
+        "considered": found.u_considered,
+    }
+    squares = {key: part**2 for key, part in parts.items() if part}
+    total = sum(squares.values())
+    if found.u is None or total == 0.0:
+        return "-"
+    return ", ".join(
+        f"{key} {format_share(square / total)}"
+        for key, square in sorted(squares.items(), key=lambda pair: -pair[1])
+        if square > 1e-3 * total
+    )
+
+
+def _time(seconds: float) -> str:
+    if seconds < 3600.0:
+        return f"{format_number(seconds, 4)} s"
+    return f"{format_number(seconds / 3600.0, 3)} h"

@@ -1,0 +1,197 @@
+"""The parts of a plan's result that are read off a forecast: uncertainties, budgets, requirements.
+
+- `accelerometers_of`, `platform_of`: what the campaign will tell
+- `planned_runs`: its runs as a table
+- `requirements_of`: what the centrifuge must be for it
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.joint_parts import budget_lines, coefficient, unit_of
+from counterspin.calibration.result_parts import Confounded
+from counterspin.campaign.resolved import Campaign
+from counterspin.inference.joint.fit import INPUTS, ROTATION, TIMING, Considered, Model
+from counterspin.physics.accelerometer import TERMS
+from counterspin.planning.forecast import Forecast, expected_values, forecast
+from counterspin.planning.result import PlannedAccelerometer, PlannedRun, Predicted, Requirement
+
+#: A fault that adds this part of u in quadrature makes u grow by a twentieth.
+_ADDED: Final = math.sqrt(1.05**2 - 1.0)
+
+
+def accelerometers_of(found: Forecast) -> dict[str, PlannedAccelerometer]:
+    """Return what a campaign will tell of each accelerometer."""
+    return {name: _accelerometer(found, name) for name in found.campaign.accelerometers}
+
+
+def _accelerometer(found: Forecast, name: str) -> PlannedAccelerometer:
+    unknowns = found.fit.model.unknowns
+    own = {u.symbol: i for i, u in enumerate(unknowns) if u.owner == name and u.symbol in TERMS}
+    coefficients = {symbol: _predicted(found, index) for symbol, index in own.items()}
+    others = [f"{other}." for other in found.campaign.accelerometers if other != name]
+    return PlannedAccelerometer(
+        coefficients={s: coefficients[s] for s in found.campaign.model.terms if s in coefficients},
+        budget={
+            symbol: budget_lines(found.estimate, index, name)
+            for symbol, index in own.items()
+            if coefficients[symbol].estimated
+        },
+        confounded=[
+            Confounded(
+                terms=[t.removeprefix(f"{name}.") for t in item.terms],
+                correlation=item.correlation,
+                determined=item.determined.replace(f"{name}.", ""),
+                u=item.u,
+            )
+            for item in found.assessment.confounded
+            if not any(t.startswith(other) for t in item.terms for other in others)
+        ],
+    )
+
+
+def platform_of(found: Forecast) -> dict[str, Predicted]:
+    """Return what a campaign will tell of the platform's terms that all runs share."""
+    return {
+        unknown.symbol: _predicted(found, index)
+        for index, unknown in enumerate(found.fit.model.unknowns)
+        if not unknown.owner
+    }
+
+
+def _predicted(found: Forecast, index: int) -> Predicted:
+    shown = coefficient(found.estimate, found.assessment, index)
+    prior = found.fit.model.unknowns[index].prior[1]
+    return Predicted(
+        u=shown.u if shown.estimated else None,
+        u_noise=shown.u_noise,
+        u_prior=shown.u_prior,
+        u_considered=shown.u_considered,
+        prior=prior if math.isfinite(prior) else None,
+        unit=shown.unit,
+        estimated=shown.estimated,
+    )
+
+
+def planned_runs(
+    campaign: Campaign, attitudes: Mapping[str, str], starts: Mapping[str, float] | None = None
+) -> list[PlannedRun]:
+    """Return a campaign's runs in their order.
+
+    Parameters
+    ----------
+    campaign
+        Every run with its duration.
+    attitudes
+        Run -> name of its attitude.
+    starts
+        Run -> when its record starts, s; None: not planned.
+    """
+    runs = []
+    for run in campaign.runs:
+        duration = run.duration or 0.0
+        runs.append(
+            PlannedRun(
+                name=run.name,
+                rate=run.rate,
+                specific_force=campaign.radius.value * run.rate**2 / campaign.site.gravity,
+                revolutions=abs(run.rate) * duration / (2.0 * math.pi),
+                duration=duration,
+                attitude=attitudes[run.name],
+                start=None if starts is None else starts[run.name],
+            )
+        )
+    return runs
+
+
+def requirements_of(
+    campaign: Campaign, name: str, sampling_rate: float
+) -> tuple[str, list[Requirement]]:
+    """Return how good the centrifuge must be for the uncertainty that is predicted.
+
+    Each fault by itself, at the size given, makes u of the coefficient grow by a twentieth.
+
+    Parameters
+    ----------
+    campaign
+        Every run with its duration.
+    name
+        The unknown, such as ``Qx.K_II``.
+    sampling_rate
+        Hz.
+
+    Returns
+    -------
+    str, list of Requirement
+        At what value of the coefficient, in words; the requirements.
+    """
+    base = forecast(campaign, sampling_rate=sampling_rate)
+    model = base.fit.model
+    place = [unknown.name for unknown in model.unknowns].index(name)
+    unknown = model.unknowns[place]
+    expected = expected_values(campaign, model.unknowns)
+    words = f"at the {name} expected"
+    if expected[place] == 0.0:
+        expected[place] = unknown.limit
+        unit = unit_of(unknown.symbol)
+        words = f"should {name} be as large as is credible, {unknown.limit:.3g} {unit}"
+    rotation = tuple(
+        Considered(run.name, symbol, (0.0, 1.0), 1.0)
+        for run in campaign.runs
+        for symbol in ROTATION
+    )
+    inputs = dict.fromkeys((*INPUTS, TIMING), 1.0)
+    watched = Model(model.unknowns, rotation, inputs)
+    solution = forecast(
+        campaign, sampling_rate=sampling_rate, model=watched, expected=expected
+    ).fit.solution
+    allowed = _ADDED * base.u[name]
+    row = solution.sensitivity_considered[place]
+    of_run = row[: len(rotation)].reshape(len(campaign.runs), len(ROTATION))
+    of_input = dict(zip(inputs, row[len(rotation) :], strict=True))
+    rates = np.array([run.rate for run in campaign.runs])
+    radius = next(key for key in inputs if key.endswith("radius"))
+    lines = [
+        ("radius known to", of_input[radius], "m"),
+        (
+            "rate stable, where the recorded angle does not show it: drift",
+            _norm(of_run[:, 2]),
+            "1/s",
+        ),
+        ("rate known to, relative, the same for all runs", float(of_run[:, 1] @ rates), "1"),
+        ("angle's zero, a new one in each run", _norm(of_run[:, 0]), "rad"),
+        ("angle noise, a sample", _angle_noise(campaign, of_run, sampling_rate), "rad"),
+        ("clock of the angle against that of the output", of_input[TIMING], "s"),
+    ]
+    return words, [
+        Requirement(words=text, size=allowed / abs(sensitivity) if sensitivity else None, unit=unit)
+        for text, sensitivity, unit in lines
+    ]
+
+
+def _norm(values: Array) -> float:
+    return float(np.linalg.norm(values))
+
+
+def _angle_noise(campaign: Campaign, of_run: Array, sampling_rate: float) -> float:
+    """Return the sensitivity to white noise of the recorded angle.
+
+    The rotation is fitted to the angle, th0 + w t + C w t^2/2, so that noise of a sample comes in
+    through the uncertainty of these three.
+    """
+    variance = 0.0
+    for run, sensitivity in zip(campaign.runs, of_run, strict=True):
+        duration = run.duration or 0.0
+        samples = math.floor(duration * sampling_rate) + 1
+        u = np.linspace(0.0, 1.0, samples)
+        columns = np.column_stack([np.ones(samples), u, u**2])
+        inverse = np.linalg.inv(np.linalg.qr(columns, mode="r"))
+        scale = np.array([1.0, 1.0 / duration, 2.0 / (abs(run.rate) * duration**2)])
+        variance += float(np.sum(((sensitivity * scale) @ inverse) ** 2))
+    return math.sqrt(variance)

@@ -1,0 +1,318 @@
+"""`counterspin plan`: how to spend a day at the centrifuge, and what limits it.
+
+- `plan`: from limits and a goal to runs, their order, and what they will tell
+- `check`: what a campaign will tell that exists already
+- `write_campaign`: the campaign, ready for recording
+- `write_example`: a plan to start from
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from pathlib import Path
+from typing import Final
+
+from counterspin._version import __version__
+from counterspin.calibration.result_parts import Provenance
+from counterspin.campaign.attitude import attitude_words
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.toml_file import DESCRIPTION_NAME
+from counterspin.errors import CounterspinError
+from counterspin.output import make_folder, write_text
+from counterspin.planning.curves import curves_of
+from counterspin.planning.description import read_plan
+from counterspin.planning.design import Design, Limits
+from counterspin.planning.determined import require_determined, unreachable
+from counterspin.planning.forecast import Forecast, forecast
+from counterspin.planning.optimal import Optimum
+from counterspin.planning.parts import accelerometers_of, planned_runs, platform_of, requirements_of
+from counterspin.planning.result import GoalResult, LimitResult, OtherPlan, PlanResult, Requirement
+from counterspin.planning.search import Search
+from counterspin.planning.toml_text import write_document
+
+#: Gains below this part of u are none.
+_NO_GAIN: Final = 5e-4
+
+#: Touching a limit, relative.
+_TOUCHES: Final = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Planned:
+    """A plan and the campaign that it makes.
+
+    Attributes
+    ----------
+    result
+        What there is to say about it.
+    document
+        The campaign's description, as TOML.
+    """
+
+    result: PlanResult
+    document: str
+
+
+def plan(where: Path | str, *, curves: bool = False) -> Planned:
+    """Find the best campaign for a plan's goal within its limits.
+
+    Parameters
+    ----------
+    where
+        The plan's file.
+    curves
+        Whether the figures' curves are computed too, which takes some seconds more.
+
+    Returns
+    -------
+    Planned
+
+    Raises
+    ------
+    CampaignError
+        If the file is missing or wrong, or its limits contradict each other.
+    NotIdentifiableError
+        If no allowed attitude and rate determines a coefficient of the goal.
+    CounterspinError
+        If no plan within the limits reaches the target.
+    """
+    described = read_plan(where)
+    search = Search(described)
+    require_determined(search)
+    optimum = search.best()
+    if optimum is None:
+        raise unreachable(search)
+    design = search.rounded(search.in_order(optimum.design))
+    campaign = search.campaign(design)
+    found = forecast(campaign)
+    total = search.limits.time(design)
+    first = next(iter(described.goal.sizes))
+    words, requirements = _requirements(campaign, first, described.sampling_rate)
+    result = _result(
+        found,
+        described.sampling_rate,
+        total,
+        _attitudes(campaign, design),
+        _starts(campaign, design, search.limits),
+    )
+    result = result.model_copy(
+        update={
+            "goal": GoalResult(
+                kind=described.goal.kind,
+                criterion=described.goal.criterion,
+                sizes=dict(described.goal.sizes),
+                efficiency=optimum.efficiency,
+            ),
+            "others": _others(search, design, found, total),
+            "limits": _limits(search, optimum),
+            "requirements": requirements,
+            "requirements_for": words,
+            "curves": curves_of(described, design) if curves else None,
+        }
+    )
+    return Planned(result, write_document(search.document(design), _COMMENTS))
+
+
+_COMMENTS: Final = {
+    "simulation": "What follows is for `counterspin simulate` only; a calibration does not look "
+    "at it.",
+}
+
+
+def check(
+    where: Path | str, *, sampling_rate: float | None = None, revolutions: float | None = None
+) -> PlanResult:
+    """Forecast what a campaign will tell, without its records.
+
+    Parameters
+    ----------
+    where
+        The campaign's folder or its description.
+    sampling_rate
+        Hz; None: that of its [simulation].
+    revolutions
+        Of runs for which the campaign says neither duration nor revolutions; None: they must.
+
+    Raises
+    ------
+    CampaignError
+        If the description is wrong, or does not say what a forecast needs.
+    """
+    campaign = read_campaign(where)
+    lacking = [run for run in campaign.runs if run.duration is None]
+    if revolutions is not None:
+        lengths = {run.name: 2.0 * math.pi * revolutions / abs(run.rate) for run in lacking}
+        runs = (replace(r, duration=lengths.get(r.name, r.duration)) for r in campaign.runs)
+        campaign = replace(campaign, runs=tuple(runs))
+    found = forecast(campaign, sampling_rate=sampling_rate)
+    if sampling_rate is None:
+        assert campaign.simulation is not None  # or the forecast would have asked for it
+        sampling_rate = campaign.simulation.sampling_rate
+    attitudes = {run.name: attitude_words(run.attitude) for run in campaign.runs}
+    total = sum(run.duration or 0.0 for run in campaign.runs)
+    result = _result(found, sampling_rate, total, attitudes, None)
+    symbol = "K_II" if "K_II" in campaign.model.terms else campaign.model.terms[0]
+    name = f"{next(iter(campaign.accelerometers))}.{symbol}"
+    words, requirements = _requirements(campaign, name, sampling_rate)
+    warnings = [
+        f"{run.name}: {revolutions:g} revolutions are assumed; the campaign does not say how long "
+        "its record is."
+        for run in lacking
+    ]
+    return result.model_copy(
+        update={
+            "requirements": requirements,
+            "requirements_for": words,
+            "warnings": warnings,
+        }
+    )
+
+
+def write_campaign(planned: Planned, folder: Path) -> Path:
+    """Write the campaign's description into a folder.
+
+    Raises
+    ------
+    CounterspinError
+        If there is a description already, or the folder cannot be written.
+    """
+    target = folder / DESCRIPTION_NAME
+    if target.exists():
+        raise CounterspinError(f"{target} exists; choose another folder")
+    make_folder(folder)
+    write_text(target, planned.document)
+    return target
+
+
+def write_example(file: Path) -> Path:
+    """Write a commented plan to start from; raises as `write_campaign` does."""
+    if file.exists():
+        raise CounterspinError(f"{file} exists; edit it, or choose another name")
+    write_text(file, (files("counterspin.planning") / "starter.toml").read_text("utf-8"))
+    return file
+
+
+def _result(
+    found: Forecast,
+    sampling_rate: float,
+    total: float,
+    attitudes: dict[str, str],
+    starts: dict[str, float] | None,
+) -> PlanResult:
+    campaign = found.campaign
+    return PlanResult(
+        title=campaign.title,
+        gravity=campaign.site.gravity,
+        radius=campaign.radius.value,
+        sampling_rate=sampling_rate,
+        total_time=total,
+        runs=planned_runs(campaign, attitudes, starts),
+        accelerometers=accelerometers_of(found),
+        platform=platform_of(found),
+        provenance=Provenance(version=__version__, inputs={}),
+    )
+
+
+def _attitudes(campaign: Campaign, design: Design) -> dict[str, str]:
+    return {run.name: kind.attitude for run, kind in zip(campaign.runs, design.types, strict=True)}
+
+
+def _starts(campaign: Campaign, design: Design, limits: Limits) -> dict[str, float]:
+    """Return when each record starts, spin-up, spin-down and settling all counted before it."""
+    now, starts = 0.0, {}
+    before = None
+    overhead = limits.overhead(design.rate)
+    for index, run in enumerate(campaign.runs):
+        attitude = design.types[index].attitude
+        if before is not None and attitude != before:
+            now += limits.attitude_change
+        before = attitude
+        now += float(overhead[index])
+        starts[run.name] = now
+        now += float(design.duration[index])
+    return starts
+
+
+def _requirements(
+    campaign: Campaign, name: str, sampling_rate: float
+) -> tuple[str, list[Requirement]]:
+    if campaign.angle is None:
+        return "", []  # what the rotation was is an unknown then
+    return requirements_of(campaign, name, sampling_rate)
+
+
+def _others(search: Search, design: Design, found: Forecast, total: float) -> list[OtherPlan]:
+    """Return the paper's three rates and equally spaced rates in the same time."""
+    names = list(search.plan.goal.sizes)
+    here = found.u
+    others = []
+    for words, other in (
+        (
+            "the paper's plan: 1/4, 1/2 and all of the highest rate, equal revolutions",
+            search.three_rates(design, total),
+        ),
+        ("equally spaced rates, equal durations", search.even_rates(design, total)),
+    ):
+        if other is None:
+            continue
+        there = forecast(search.campaign(other)).u
+        others.append(
+            OtherPlan(
+                words=f"{words} ({len(other.types)} runs)",
+                total_time=search.limits.time(other),
+                u={name: there[name] for name in names},
+                ratio={name: here[name] / there[name] for name in names},
+            )
+        )
+    return others
+
+
+def _limits(search: Search, optimum: Optimum) -> list[LimitResult]:
+    """Return which limits bind and what a tenth more would gain, the largest gain first."""
+    limits, design = search.limits, optimum.design
+    low, high = limits.rate
+    target = search.plan.goal.kind == "target"
+    time = limits.time(design)
+    touched = {
+        "total_time": (
+            not target and time > limits.total_time * (1.0 - _TOUCHES),
+            f"total time {limits.total_time:.6g} s",
+        ),
+        "rate": (
+            bool((design.rate > high * (1.0 - _TOUCHES)).any()),
+            f"highest rate {high:.6g} rad/s",
+        ),
+        "lowest_rate": (
+            not limits.settings and bool((design.rate < low * (1.0 + _TOUCHES)).any()),
+            f"lowest rate {low:.6g} rad/s",
+        ),
+        "runs": (len(design.types) >= limits.runs, f"{limits.runs} runs at most"),
+        "settling": (limits.settling > 0.0, f"settling {limits.settling:.4g} s a run"),
+        "spin_up": (limits.spin_up > 0.0, "time of spin-up and spin-down"),
+        "attitude_change": (
+            limits.attitude_change > 0.0 and len({k.attitude for k in design.types}) > 1,
+            f"changing the attitude, {limits.attitude_change:.4g} s",
+        ),
+        "revolutions": (
+            bool((design.revolutions < limits.revolutions * (1.0 + _TOUCHES)).any()),
+            f"{limits.revolutions:g} revolutions at least",
+        ),
+        "longest_run": (
+            limits.longest_run < limits.total_time
+            and bool((design.duration > limits.longest_run * (1.0 - _TOUCHES)).any()),
+            f"longest run {limits.longest_run:.6g} s",
+        ),
+        "sampling_rate": (True, f"sampling rate {search.plan.sampling_rate:.6g} Hz"),
+        "senses": (all(kind.sense == 1 for kind in limits.types), "one sense of the spin"),
+    }
+    lines = []
+    for key, (binds, words) in touched.items():
+        if not binds:
+            continue
+        gain = search.gain(key, design)
+        if gain > _NO_GAIN or key == "senses":
+            lines.append(LimitResult(key=key, words=words, binds=gain > _NO_GAIN, gain=gain))
+    return sorted(lines, key=lambda line: -line.gain)

@@ -1,0 +1,163 @@
+"""Rates and lengths of given runs, improved all at once by SLSQP with exact derivatives.
+
+- `polish`: the smallest criterion within the limits
+- `shortened`: the least time that keeps targets
+- `fitted_into`: lengths scaled into the time there is
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.planning.design import Criterion, Design, Limits, Predictor
+
+
+def fitted_into(design: Design, limits: Limits) -> Design | None:
+    """Return the design with its lengths scaled into the time there is; None if none fits."""
+    fixed = float(np.sum(limits.overhead(design.rate)))
+    changes = limits.time(design) - float(np.sum(design.duration)) - fixed
+    left = limits.total_time - fixed - changes
+    fewest = limits.revolutions * 2.0 * math.pi / design.rate
+    spare = left - float(fewest.sum())
+    if spare < -1e-9 * limits.total_time:
+        return None
+    beyond = np.clip(design.duration, fewest, limits.longest_run) - fewest
+    wanted = float(beyond.sum())
+    scale = max(0.0, spare) / wanted if wanted > 0.0 else 0.0
+    duration = np.minimum(fewest + scale * beyond, np.maximum(limits.longest_run, fewest))
+    return replace(design, revolutions=duration * design.rate / (2.0 * math.pi))
+
+
+def polish(
+    predictor: Predictor, limits: Limits, criterion: Criterion, design: Design
+) -> tuple[float, Design]:
+    """Improve rates and lengths, the kinds of run being given.
+
+    Parameters
+    ----------
+    predictor, limits, criterion
+        Of the problem. Where only some settings of the rate are available, rates stay.
+    design
+        A plan within the limits.
+
+    Returns
+    -------
+    float, Design
+        The criterion and the improved plan.
+    """
+    variables = _Variables(limits, design)
+
+    def objective(x: Array) -> tuple[float, Array]:
+        value, by_rate, by_turns = predictor.sensitivities(variables.design(x), criterion)
+        return value, variables.gradient(by_rate, by_turns)
+
+    x = variables.solve(objective, [variables.time_left])
+    improved = _not_over(variables.design(x), limits)
+    before = predictor.covariance(design.types, design.rate, design.revolutions)
+    after = predictor.covariance(improved.types, improved.rate, improved.revolutions)
+    pair = (float(criterion.value(after)), improved)
+    if limits.time(design) <= limits.total_time * (1.0 + 1e-9):
+        pair = min(pair, (float(criterion.value(before)), design), key=lambda found: found[0])
+    return pair
+
+
+class _Variables:
+    """Log rates (if free) and log revolutions as one vector, with bounds and time."""
+
+    def __init__(self, limits: Limits, design: Design) -> None:
+        self.limits = limits
+        self.start = design
+        self.n = len(design.types)
+        self.free = not limits.settings and limits.rate[1] > limits.rate[0] * (1.0 + 1e-9)
+
+    def design(self, x: Array) -> Design:
+        rate = np.exp(x[: self.n]) if self.free else self.start.rate
+        return Design(self.start.types, np.asarray(rate), np.asarray(np.exp(x[-self.n :])))
+
+    def gradient(self, by_rate: Array, by_turns: Array) -> Array:
+        return np.concatenate([by_rate, by_turns]) if self.free else by_turns
+
+    def time(self, x: Array) -> tuple[float, Array]:
+        """Return log(time / total time) and its gradient."""
+        design = self.design(x)
+        time = self.limits.time(design)
+        of_rate = (-design.duration + self.limits.spin_up * design.rate) / time
+        gradient = self.gradient(of_rate, design.duration / time)
+        return math.log(time / self.limits.total_time), gradient
+
+    def time_left(self, x: Array) -> tuple[Array, Array]:
+        value, gradient = self.time(x)
+        return np.array([-value]), -gradient[None]
+
+    def solve(
+        self,
+        objective: Callable[[Array], tuple[float, Array]],
+        constraints: Sequence[Callable[[Array], tuple[Array, Array]]],
+    ) -> Array:
+        """Minimise by SLSQP; constraints give values, to be positive, and their Jacobian."""
+        from scipy.optimize import minimize
+
+        limits, start = self.limits, self.start
+        most = limits.longest_run * limits.rate[1] / (2.0 * math.pi)
+        turns = (math.log(limits.revolutions), math.log(max(most, limits.revolutions)))
+        rate = (math.log(limits.rate[0]), math.log(limits.rate[1]))
+        bounds = [rate] * self.n * self.free + [turns] * self.n
+        x = np.concatenate([np.log(start.rate)] * self.free + [np.log(start.revolutions)])
+        low, high = np.array(bounds).T
+        both = [*constraints, self.length_left]
+
+        def values(x: Array) -> Array:
+            return np.concatenate([one(x)[0] for one in both])
+
+        def slopes(x: Array) -> Array:
+            return np.vstack([one(x)[1] for one in both])
+
+        found = minimize(
+            objective,
+            np.clip(x, low, high),
+            jac=True,
+            method="SLSQP",
+            bounds=bounds,
+            constraints={"type": "ineq", "fun": values, "jac": slopes},
+            options={"maxiter": 100, "ftol": 1e-8},
+        )
+        return np.asarray(np.clip(found.x, low, high))
+
+    def length_left(self, x: Array) -> tuple[Array, Array]:
+        """Return how far each record is below the longest allowed, as logarithms."""
+        duration = self.design(x).duration
+        eye = np.eye(self.n)
+        return (
+            np.log(self.limits.longest_run / duration),
+            np.hstack([eye, -eye]) if self.free else -eye,
+        )
+
+
+def _not_over(design: Design, limits: Limits) -> Design:
+    """Return the design, shortened where rounding has put it over the time there is."""
+    if limits.time(design) <= limits.total_time:
+        return design
+    return fitted_into(design, limits) or design
+
+
+def shortened(
+    predictor: Predictor, limits: Limits, singles: Sequence[Criterion], design: Design
+) -> Design:
+    """Return the shortest plan of the same kinds of run that still meets every target."""
+    variables = _Variables(limits, design)
+
+    def below(x: Array) -> tuple[Array, Array]:
+        plan = variables.design(x)
+        values, slopes = [], []
+        for one in singles:
+            value, by_rate, by_turns = predictor.sensitivities(plan, one)
+            values.append(-value)
+            slopes.append(-variables.gradient(by_rate, by_turns))
+        return np.array(values), np.array(slopes)
+
+    return variables.design(variables.solve(variables.time, [below]))

@@ -1,0 +1,299 @@
+"""The convex relaxation of a plan: how many runs of each kind, if a third of a run could be made.
+
+Over a grid of possible runs (attitude, sense, rate, length) with weights n_x >= 0, the
+information is M = M_0 + sum of n_x M_x, the limits on time and on the number of runs are linear,
+and the criteria are convex in M. So there is one optimum, it is no worse than any real plan's,
+and the general equivalence theorem tells it: with the gain of a run phi(x) = -d(criterion)/d(n_x)
+there are prices of time and of a run such that
+
+    phi(x) <= price_time * cost(x) + price_run      for every x, equality where n_x > 0.
+
+What is left of the inequality bounds what any plan at all could do better.
+
+Considered terms are taken as estimated here, with their priors: the best estimator is no worse
+than one that leaves them out, so the bound holds, and the problem stays convex.
+
+- `Relaxed`, `relax`
+
+References
+----------
+Kiefer and Wolfowitz, The equivalence of two extremum problems, Canad. J. Math. 12 (1960) 363;
+Cook and Fedorov, Constrained optimization of experimental design, Statistics 26 (1995) 129.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array, triangle_of
+from counterspin.planning.design import Criterion, Limits, Predictor, RunType
+
+Places = npt.NDArray[np.intp]
+
+_RATES: Final = 9  #: on the first grid, if any rate may be set
+_LENGTHS: Final = 12
+_REFINED: Final = 4  #: times that the grid is made finer about the runs that are in use
+_ROUNDS: Final = 30
+#: Weights below this part of a run are none.
+_NONE: Final = 1e-5
+#: The relaxation is solved once no plan can be better by more than this part of u.
+_SOLVED: Final = 3e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Relaxed:
+    """The relaxed optimum.
+
+    Attributes
+    ----------
+    types, rate, revolutions, weight
+        Its support: kinds of run and how many of each, the weights not whole numbers.
+    value
+        Its criterion (a logarithm, see `Criterion.value`).
+    bound
+        What no plan can be below: `value` less the gap that the equivalence theorem leaves, over
+        all runs of the grid.
+    price_time, price_run
+        What the criterion gains for each further second and each further run.
+    """
+
+    types: tuple[RunType, ...]
+    rate: Array
+    revolutions: Array
+    weight: Array
+    value: float
+    bound: float
+    price_time: float
+    price_run: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Possible runs: kinds, information about the scaled unknowns (n, p, p), cost in s."""
+
+    types: tuple[RunType, ...]
+    rate: Array
+    revolutions: Array
+    root: Array
+    cost: Array
+
+    def joined(self, other: _Grid) -> _Grid:
+        """Return the runs of both."""
+        return _Grid(
+            self.types + other.types,
+            *(
+                np.concatenate([getattr(self, part), getattr(other, part)])
+                for part in ("rate", "revolutions", "root", "cost")
+            ),
+        )
+
+
+def relax(predictor: Predictor, limits: Limits, criterion: Criterion, fineness: int = 1) -> Relaxed:
+    """Solve the relaxation on a grid.
+
+    Parameters
+    ----------
+    predictor
+        Without considered terms (see above).
+    limits, criterion
+        Of the plan. Changes of attitude cost nothing here.
+    fineness
+        Factor of the number of rates and lengths on the grid.
+
+    Returns
+    -------
+    Relaxed
+    """
+    grid, steps = _first_grid(predictor, limits, fineness)
+    solved = _Weights(predictor, criterion, grid, limits)
+    weight = solved.start()
+    weight, solution = _solve(solved, weight)
+    for level in range(1, _REFINED + 1):
+        used = np.flatnonzero(weight > _NONE)
+        finer = _finer(predictor, limits, grid, used, steps * 0.5**level)
+        if not len(finer.types):
+            break
+        grid = grid.joined(finer)
+        solved = _Weights(predictor, criterion, grid, limits)
+        weight = np.concatenate([weight, np.zeros(len(finer.types))])
+        weight, solution = _solve(solved, weight)
+    kept = np.flatnonzero(weight > _NONE)
+    value, bound, prices = solution
+    return Relaxed(
+        tuple(grid.types[i] for i in kept),
+        grid.rate[kept],
+        grid.revolutions[kept],
+        weight[kept],
+        value,
+        bound,
+        *prices,
+    )
+
+
+def _solve(
+    solved: _Weights, weight: Array
+) -> tuple[Array, tuple[float, float, tuple[float, float]]]:
+    """Return the best weights, their criterion, the bound and the prices of the limits."""
+    value, phi = solved.gain(weight)
+    bound, prices = -math.inf, (0.0, 0.0)
+    for _ in range(_ROUNDS):
+        best, prices = solved.most(phi)
+        bound = max(bound, value + float(phi @ weight) - float(phi @ best))
+        if value - bound < _SOLVED:
+            break
+        support = np.flatnonzero((weight > _NONE) | (best > _NONE))
+        better = solved.improved(support, weight, best)
+        after, phi_after = solved.gain(better)
+        if after > value - 0.01 * _SOLVED:
+            break  # rounding is all that is left to gain
+        weight, value, phi = better, after, phi_after
+    return weight, (value, bound, prices)
+
+
+def _first_grid(predictor: Predictor, limits: Limits, fineness: int) -> tuple[_Grid, Array]:
+    """Return a grid over all that is allowed, and its steps in log rate and log revolutions."""
+    low, high = limits.rate
+    if limits.settings:
+        rates = np.array(limits.settings)
+    elif high < low * (1.0 + 1e-9):
+        rates = np.array([high])
+    else:
+        rates = np.geomspace(low, high, _RATES * fineness)
+    rate, revolutions = [], []
+    most = np.array([_most_revolutions(limits, float(w)) for w in rates])
+    step = max(1e-9, math.log(max(2.0, float(most.max()) / limits.revolutions)))
+    step /= _LENGTHS * fineness
+    for w, longest in zip(rates, most, strict=True):
+        if longest >= limits.revolutions * (1.0 - 1e-12):
+            span = math.log(max(longest / limits.revolutions, 1.0))
+            turns = limits.revolutions * np.exp(np.linspace(0.0, span, math.ceil(span / step) + 1))
+            rate.append(np.full(turns.size, w))
+            revolutions.append(turns)
+    w, turns = np.concatenate(rate), np.concatenate(revolutions)
+    several = len(limits.types)
+    types = tuple(kind for kind in limits.types for _ in w)
+    grid = _made(predictor, limits, types, np.tile(w, several), np.tile(turns, several))
+    ratio = math.log(rates[-1] / rates[0]) / max(1, len(rates) - 1)
+    return grid, np.array([0.0 if limits.settings else ratio, step])
+
+
+def _most_revolutions(limits: Limits, rate: float) -> float:
+    left = limits.total_time - float(limits.overhead(np.array(rate)))
+    return min(limits.longest_run, left) * rate / (2.0 * math.pi)
+
+
+def _finer(predictor: Predictor, limits: Limits, grid: _Grid, used: Places, steps: Array) -> _Grid:
+    """Return possible runs a step to each side of those in use."""
+    low, high = limits.rate
+    found: dict[tuple[RunType, float, float], None] = {}
+    for index in used:
+        for by_rate in (-1, 0, 1) if steps[0] > 0.0 else (0,):
+            w = float(np.clip(grid.rate[index] * math.exp(by_rate * steps[0]), low, high))
+            w = float(grid.rate[index]) if by_rate == 0 else w
+            most = _most_revolutions(limits, w)
+            for by_turns in (-1, 0, 1):
+                turns = float(grid.revolutions[index]) * math.exp(by_turns * steps[1])
+                turns = min(max(turns, limits.revolutions), most)
+                if turns >= limits.revolutions:
+                    found[grid.types[index], w, turns] = None
+    known = set(zip(grid.types, grid.rate.tolist(), grid.revolutions.tolist(), strict=True))
+    fresh = [key for key in found if key not in known]
+    types = tuple(kind for kind, _, _ in fresh)
+    rate, turns_of = (np.array([key[i] for key in fresh]) for i in (1, 2))
+    return _made(predictor, limits, types, rate, turns_of)
+
+
+def _made(
+    predictor: Predictor,
+    limits: Limits,
+    types: tuple[RunType, ...],
+    rate: Array,
+    revolutions: Array,
+) -> _Grid:
+    cost = 2.0 * math.pi * revolutions / rate + limits.overhead(rate) if types else rate
+    root = triangle_of(predictor.blocks(types, rate, revolutions)[:, :, : predictor.p])
+    return _Grid(types, rate, revolutions, root, np.asarray(cost))
+
+
+class _Weights:
+    """The criterion as a function of the weights, and the linear limits on them."""
+
+    def __init__(
+        self, predictor: Predictor, criterion: Criterion, grid: _Grid, limits: Limits
+    ) -> None:
+        self.prior = predictor.prior
+        self.criterion = criterion
+        self.grid = grid
+        self.total, self.runs = limits.total_time, float(limits.runs)
+
+    def gain(self, weight: Array) -> tuple[float, Array]:
+        """Return the criterion and what each possible run would take off it, shape (n,)."""
+        used = np.flatnonzero(weight > 0.0)
+        value, covariance = self._solve(used, weight[used])
+        v = covariance @ self.criterion.directions(covariance)
+        return value, np.asarray(np.sum((self.grid.root @ v) ** 2, axis=(1, 2)))
+
+    def _solve(self, used: Places, weight: Array) -> tuple[float, Array]:
+        rows = self.grid.root[used] * np.sqrt(weight)[:, None, None]
+        stacked = np.vstack([rows.reshape(-1, self.prior.shape[0]), self.prior])
+        inverse = np.linalg.inv(np.linalg.qr(stacked, mode="r"))
+        covariance = inverse @ inverse.T
+        return float(self.criterion.value(covariance)), covariance
+
+    def start(self) -> Array:
+        """Return weights to start from: some of the shortest and of the longest, evenly."""
+        order = np.argsort(self.grid.cost)
+        support = np.unique(np.concatenate([order[:4], order[-4:]]))
+        cost = self.grid.cost[support]
+        weight = np.zeros(order.size)
+        weight[support] = min(self.total / float(cost.sum()), self.runs / support.size)
+        return weight
+
+    def most(self, phi: Array) -> tuple[Array, tuple[float, float]]:
+        """Return the weights that gain most by the gradient, and the prices of the limits."""
+        from scipy.optimize import linprog
+
+        scale = float(np.max(phi)) or 1.0
+        rows = np.vstack([self.grid.cost, np.ones_like(phi)])
+        found = linprog(-phi / scale, A_ub=rows, b_ub=[self.total, self.runs], method="highs")
+        price = -np.asarray(found.ineqlin.marginals) * scale
+        return np.asarray(found.x), (float(price[0]), float(price[1]))
+
+    def improved(self, support: Places, weight: Array, best: Array) -> Array:
+        """Return the best weights on a support."""
+        from scipy.optimize import minimize
+
+        grid, count = self.grid, support.size
+        start = weight[support] + 0.1 * (best[support] - weight[support])
+        cost = grid.cost[support]
+
+        def objective(n: Array) -> tuple[float, Array]:
+            value, covariance = self._solve(support, np.maximum(n, 0.0))
+            v = covariance @ self.criterion.directions(covariance)
+            return value, -np.sum((grid.root[support] @ v) ** 2, axis=(1, 2))
+
+        found = minimize(
+            objective,
+            start,
+            jac=True,
+            method="SLSQP",
+            bounds=[(0.0, None)] * count,
+            constraints={
+                "type": "ineq",
+                "fun": lambda n: np.array(
+                    [1.0 - (cost @ n) / self.total, 1.0 - n.sum() / self.runs]
+                ),
+                "jac": lambda _: np.vstack([-cost / self.total, np.full(count, -1.0 / self.runs)]),
+            },
+            options={"maxiter": 50, "ftol": 1e-8},
+        )
+        result = np.zeros_like(weight)
+        result[support] = np.maximum(found.x, 0.0)
+        # A step over the limits by rounding must not count as a gain.
+        over = max(float(grid.cost @ result) / self.total, float(result.sum()) / self.runs, 1.0)
+        return result / over

@@ -1,0 +1,147 @@
+"""What planning found: one object, its JSON.
+
+Units are SI, coefficients in g-units of the stated gravity, as in the result of a calibration.
+
+- `PlanResult` and its parts
+- `write_plan_result`
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from counterspin.calibration.result import SCHEMA
+from counterspin.calibration.result_parts import BudgetLine, Confounded, Part, Provenance
+from counterspin.output import write_text
+
+
+class PlannedRun(Part):
+    """One run: rad/s (its sign is the sense), centripetal force in g, s; `start` of the record."""
+
+    name: str
+    rate: float
+    specific_force: float
+    revolutions: float
+    duration: float
+    attitude: str
+    start: float | None = None
+
+
+class Predicted(Part):
+    """The uncertainty that a coefficient will have, and where from; None: not determined."""
+
+    u: float | None
+    u_noise: float | None = None
+    u_prior: float | None = None
+    u_considered: float | None = None
+    prior: float | None = None
+    unit: str
+    estimated: bool
+
+
+class PlannedAccelerometer(Part):
+    """What the campaign will tell of one accelerometer."""
+
+    coefficients: dict[str, Predicted]
+    budget: dict[str, list[BudgetLine]]
+    confounded: list[Confounded]
+
+
+class GoalResult(Part):
+    """What was sought, and how it was met.
+
+    `efficiency` is the least u (or, for a target, time) that any plan within the limits could
+    have, over this plan's.
+    """
+
+    kind: Literal["minimise", "target"]
+    criterion: Literal["sum", "determinant"]
+    sizes: dict[str, float]
+    efficiency: float
+
+
+class OtherPlan(Part):
+    """Another plan in the same time; `ratio` is this plan's u over the other's."""
+
+    words: str
+    total_time: float
+    u: dict[str, float]
+    ratio: dict[str, float]
+
+
+class LimitResult(Part):
+    """One limit: whether the plan touches it, and what it gains if the limit gives way.
+
+    `gain` is the relative decrease of u (mean over the goal's coefficients), or of the time.
+    """
+
+    key: str
+    words: str
+    binds: bool
+    gain: float
+
+
+class Requirement(Part):
+    """How large a fault of the centrifuge may be before u of the goal grows by a twentieth."""
+
+    words: str
+    size: float | None
+    unit: str
+
+
+class Curve(Part):
+    """A line of a figure: the criterion's u over an abscissa."""
+
+    x: list[float]
+    u: list[float]
+
+
+class Curves(Part):
+    """What the figures show.
+
+    `time` and `rate`: the best plan's u against total time, s, and against the highest rate,
+    rad/s; `sources`: by source its contribution to u against the highest rate of this plan's runs,
+    all rates scaled together.
+    """
+
+    coefficient: str
+    unit: str
+    time: Curve
+    rate: Curve
+    sources: dict[str, Curve]
+
+
+class PlanResult(Part):
+    """A plan, or the forecast of a campaign that exists (then without goal and limits)."""
+
+    schema_version: Annotated[int, Field(alias="schema")] = SCHEMA
+    title: str
+    gravity: float
+    radius: float
+    sampling_rate: float
+    total_time: float
+    runs: list[PlannedRun]
+    accelerometers: dict[str, PlannedAccelerometer]
+    platform: dict[str, Predicted]
+    goal: GoalResult | None = None
+    others: list[OtherPlan] = Field(default_factory=list)
+    limits: list[LimitResult] = Field(default_factory=list)
+    requirements: list[Requirement] = Field(default_factory=list)
+    requirements_for: str = ""
+    curves: Curves | None = None
+    warnings: list[str] = Field(default_factory=list)
+    provenance: Provenance
+
+
+def write_plan_result(result: PlanResult, path: Path) -> None:
+    """Write a plan's result as JSON, whole or not at all.
+
+    Raises
+    ------
+    CounterspinError
+        If the file cannot be written.
+    """
+    write_text(path, result.model_dump_json(indent=1, by_alias=True) + "\n")

@@ -1,0 +1,301 @@
+"""The search for a plan, and what would change it: limits that bind, other plans in the same time.
+
+- `Search`: a plan's problem, ready to be solved and solved again
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from dataclasses import replace
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.resolved import Campaign
+from counterspin.errors import CampaignError
+from counterspin.planning.description import Plan, campaign_of
+from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
+from counterspin.planning.forecast import setup_of
+from counterspin.planning.optimal import Optimum, least_time, optimise
+from counterspin.planning.polishing import fitted_into, polish, shortened
+from counterspin.planning.run_information import RunInformation
+
+#: Part of a limit by which it is relaxed, to see what it costs.
+RELAXED: Final = 0.1
+
+#: Durations are written to this, s; shorter ones whole.
+_ROUNDED: Final = 0.1
+
+
+class Search:
+    """A plan's problem.
+
+    Parameters
+    ----------
+    plan
+        The description.
+    reach
+        How far beyond the limits on time and on rate runs shall be predicted, as factors.
+    """
+
+    def __init__(self, plan: Plan, reach: tuple[float, float] = (1.11, 1.11)) -> None:
+        self.plan = plan
+        self.limits = plan.limits
+        self._reach = reach
+        self.predictor = self._predictor(considering=True)
+        names = list(self.predictor.names)
+        self.criterion = Criterion(
+            tuple(names.index(name) for name in plan.goal.sizes),
+            tuple(plan.goal.sizes.values()),
+            plan.goal.criterion,
+        )
+
+    def _predictor(self, *, considering: bool) -> Predictor:
+        low, high = self.limits.rate
+        longest = min(self.limits.longest_run * 1.11, self.limits.total_time)
+        turns = longest * self._reach[0] * high * self._reach[1] / (2.0 * math.pi)
+        setup = setup_of(self.plan.stand_in, self.plan.sampling_rate, considering=considering)
+        information = RunInformation(
+            setup,
+            (low * 0.89, high * self._reach[1]),
+            (max(1.0, 0.89 * self.limits.revolutions), turns),
+            (1, -1),
+        )
+        return Predictor(information)
+
+    @cached_property
+    def relaxing(self) -> Predictor | None:
+        """A predictor whose considered terms are estimated; None if there are none."""
+        if not self.predictor.information.setup.considered_sizes.size:
+            return None
+        return self._predictor(considering=False)
+
+    def best(self, limits: Limits | None = None, start: Design | None = None) -> Optimum | None:
+        """Return the best plan, within other limits if these are given; None: target missed."""
+        limits = limits or self.limits
+        if self.plan.goal.kind == "target":
+            return least_time(self.predictor, limits, self.criterion, relaxing=self.relaxing)
+        return self.smallest(limits, start)
+
+    def smallest(self, limits: Limits | None = None, start: Design | None = None) -> Optimum:
+        """Return the plan with the smallest uncertainty, whatever the goal."""
+        return optimise(
+            self.predictor,
+            limits or self.limits,
+            self.criterion,
+            relaxing=self.relaxing,
+            start=start,
+        )
+
+    def gain(self, key: str, design: Design) -> float:
+        """Return the relative decrease of u (or of time) if one limit is relaxed by a tenth.
+
+        Parameters
+        ----------
+        key
+            A limit, as in `counterspin.planning.design.Limits`, or ``sampling_rate``, or
+            ``senses`` for both senses in place of one.
+        design
+            The best plan.
+        """
+        limits = self.relaxed(key)
+        predictor = self._faster_sampling() if key == "sampling_rate" else self.predictor
+        before = self._value(self.predictor, design)
+        after = min(
+            self._improved(predictor, limits, start) for start in self._starts(key, limits, design)
+        )
+        return max(0.0, 1.0 - math.exp(after - before))
+
+    @staticmethod
+    def _starts(key: str, limits: Limits, design: Design) -> list[Design]:
+        """Return designs that make use of a relaxed limit, where better lengths alone do not."""
+        if key == "senses":
+            turned = tuple(
+                kind._replace(sense=-kind.sense) if index % 2 else kind
+                for index, kind in enumerate(design.types)
+            )
+            return [design, replace(design, types=turned)]
+        if key == "runs":
+            more = limits.runs - len(design.types)
+            # More of each kind's shortest run: those are the ones there are many of.
+            longest_first = np.argsort(-design.duration, kind="stable")
+            kinds = {design.types[index]: index for index in longest_first}
+            others = [
+                Design(
+                    (kind,) * more,
+                    np.repeat(design.rate[index], more),
+                    np.repeat(design.revolutions[index], more),
+                )
+                for kind, index in kinds.items()
+            ]
+            return [design, *(design.joined(other) for other in others)]
+        if key == "rate" and limits.settings:
+            rate = np.where(design.rate == max(limits.settings[:-1]), limits.rate[1], design.rate)
+            return [design, Design(design.types, rate, design.duration * rate / (2.0 * math.pi))]
+        return [design]
+
+    def _value(self, predictor: Predictor, design: Design) -> float:
+        if self.plan.goal.kind == "target":
+            return math.log(self.limits.time(design))
+        covariance = predictor.covariance(design.types, design.rate, design.revolutions)
+        return float(self.criterion.value(covariance))
+
+    def _improved(self, predictor: Predictor, limits: Limits, design: Design) -> float:
+        if self.plan.goal.kind == "target":
+            singles = [
+                Criterion((place,), (scale,))
+                for place, scale in zip(self.criterion.places, self.criterion.scales, strict=True)
+            ]
+            return math.log(limits.time(shortened(predictor, limits, singles, design)))
+        start = fitted_into(design, limits) or design
+        return polish(predictor, limits, self.criterion, start)[0]
+
+    def _faster_sampling(self) -> Predictor:
+        setup = self.predictor.information.setup
+        faster = replace(setup, sampling_rate=setup.sampling_rate * (1.0 + RELAXED))
+        if any(i.noise.random_walk > 0.0 for i in setup.instruments):
+            other = Search.__new__(Search)
+            other.__dict__ |= self.__dict__
+            other.plan = replace(self.plan, sampling_rate=faster.sampling_rate)
+            return other._predictor(considering=True)
+        # With white noise alone the sampling rate only scales the rows.
+        information = copy.copy(self.predictor.information)
+        information.setup = faster
+        return Predictor(information)
+
+    def relaxed(self, key: str) -> Limits:
+        """Return the limits with one relaxed by a tenth."""
+        limits, more, less = self.limits, 1.0 + RELAXED, 1.0 - RELAXED
+        low, high = limits.rate
+        changes: dict[str, dict[str, Any]] = {
+            "total_time": {"total_time": limits.total_time * more},
+            "rate": {
+                "rate": (low, high * more),
+                "settings": (*limits.settings, high * more) if limits.settings else (),
+            },
+            "lowest_rate": {"rate": (low * less, high)},
+            "runs": {"runs": math.ceil(limits.runs * more)},
+            "settling": {"settling": limits.settling * less},
+            "spin_up": {"spin_up": limits.spin_up * less},
+            "attitude_change": {"attitude_change": limits.attitude_change * less},
+            "revolutions": {"revolutions": limits.revolutions * less},
+            "longest_run": {"longest_run": limits.longest_run * more},
+            "sampling_rate": {},
+            "senses": {
+                "types": tuple(
+                    RunType(attitude, sense)
+                    for attitude in dict.fromkeys(kind.attitude for kind in limits.types)
+                    for sense in (1, -1)
+                )
+            },
+        }
+        return replace(limits, **changes[key])
+
+    # From designs to campaigns
+
+    def in_order(self, design: Design) -> Design:
+        """Return the runs in the order in which to make them.
+
+        Attitude after attitude, and inside it the senses in turn, so that what changes slowly
+        with time is not taken for what changes with the sense.
+        """
+        order: list[int] = []
+        for attitude in dict.fromkeys(kind.attitude for kind in design.types):
+            by_sense = [
+                [i for i, kind in enumerate(design.types) if kind == (attitude, sense)]
+                for sense in (1, -1)
+            ]
+            longer, shorter = sorted(by_sense, key=len, reverse=True)
+            for i, index in enumerate(longer):
+                order.append(index)
+                order += shorter[i : i + 1]
+        return Design(
+            tuple(design.types[i] for i in order), design.rate[order], design.revolutions[order]
+        )
+
+    def rounded(self, design: Design) -> Design:
+        """Return the design with durations and rates as they are written, still in the limits."""
+        rate = np.array([self._rounded_rate(float(w)) for w in design.rate])
+        fewest = self.limits.revolutions * 2.0 * math.pi / rate
+        # To the written digit: down, so that the total time is kept, or up, so that a target is.
+        up = self.plan.goal.kind == "target"
+        digit = np.ceil if up else np.floor
+        duration = digit(design.duration / _ROUNDED + (-1e-6 if up else 1e-6)) * _ROUNDED
+        duration = np.where(duration < fewest, np.maximum(design.duration, fewest), duration)
+        duration = np.minimum(duration, self.limits.longest_run)
+        rounded = Design(design.types, rate, duration * rate / (2.0 * math.pi))
+        # What rounding has left over is the longest run's.
+        left = self.limits.total_time - self.limits.time(rounded)
+        longest = int(np.argmax(duration))
+        room = min(left, self.limits.longest_run - float(duration[longest]))
+        if self.plan.goal.kind == "minimise" and room > 0.0:
+            duration[longest] += math.floor(room / _ROUNDED + 1e-6) * _ROUNDED
+        return Design(design.types, rate, np.round(duration, 9) * rate / (2.0 * math.pi))
+
+    def _rounded_rate(self, rate: float) -> float:
+        """Return a rate with five digits; a setting, or a limit that it touches, as it is."""
+        low, high = self.limits.rate
+        if self.limits.settings:
+            return rate
+        if rate > high * (1.0 - 1e-6):
+            return high
+        if rate < low * (1.0 + 1e-6):
+            return low
+        return min(max(float(f"{rate:.5g}"), low), high)
+
+    def document(self, design: Design, title: str = "Planned campaign") -> dict[str, Any]:
+        """Return the document of a campaign with these runs."""
+        runs = []
+        digits = len(str(len(design.types)))
+        for index, kind in enumerate(design.types):
+            name = f"run{index + 1:0{digits}d}"
+            rate = kind.sense * float(design.rate[index])
+            run = {
+                "name": name,
+                "rate": f"{rate!r} rad/s",
+                "duration": f"{round(float(design.duration[index]), 9)!r} s",
+                "record": f"{name}.csv",
+            }
+            written = self.plan.attitudes[kind.attitude]
+            runs.append(run if written == "level" else {**run, "attitude": written})
+        return campaign_of(self.plan, runs, title)
+
+    def campaign(self, design: Design) -> Campaign:
+        """Return the campaign with these runs."""
+        document = self.document(design)
+        problems = Problems(document)
+        campaign = resolve_campaign(document, self.plan.path, problems)
+        if campaign is None:
+            raise CampaignError(str(self.plan.path), problems.lines)
+        return campaign
+
+    # Other plans in the same time
+
+    def three_rates(self, design: Design, time: float) -> Design | None:
+        """Return the paper's plan: a quarter, half and all of the highest rate, equal turns."""
+        high = self.limits.rate[1]
+        return self._alike(design, time, np.array([0.25, 0.5, 1.0]) * high, by_turns=True)
+
+    def even_rates(self, design: Design, time: float) -> Design | None:
+        """Return as many runs of equal length at equally spaced rates."""
+        attitudes = len(dict.fromkeys(kind.attitude for kind in design.types))
+        count = max(2, len(design.types) // attitudes)
+        rates = np.linspace(*self.limits.rate, count)
+        return self._alike(design, time, rates, by_turns=False)
+
+    def _alike(self, design: Design, time: float, rates: Any, *, by_turns: bool) -> Design | None:
+        """Return runs at given rates, in each attitude of the plan, that take a given time."""
+        attitudes = list(dict.fromkeys(kind.attitude for kind in design.types))
+        rate = np.tile(rates, len(attitudes))
+        left = time - (len(attitudes) - 1) * self.limits.attitude_change
+        left -= float(np.sum(self.limits.overhead(rate)))
+        share = 1.0 / rate if by_turns else np.ones_like(rate)
+        duration = left * share / share.sum()
+        if left <= 0.0 or np.any(duration * rate < 2.0 * math.pi):
+            return None
+        types = tuple(RunType(attitude, 1) for attitude in attitudes for _ in rates)
+        return Design(types, rate, duration * rate / (2.0 * math.pi))

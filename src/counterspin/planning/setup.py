@@ -1,0 +1,106 @@
+"""What is planned, as the calculation sees it: instruments, attitudes, unknowns, what is expected.
+
+- `Instrument`: one accelerometer and its noise
+- `Setup`: all of it
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.inference.joint.fit import Model
+from counterspin.inference.noise.model import Noise
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.motion import Site
+from counterspin.physics.observation import ORDERS
+
+
+@dataclass(frozen=True)
+class Instrument:
+    """One accelerometer as a plan sees it.
+
+    Attributes
+    ----------
+    name, mounting, observable
+        As in `Series`.
+    noise
+        Of one sample.
+    jitter
+        Standard deviation of the time stamps, s.
+    """
+
+    name: str
+    mounting: Mounting
+    observable: str
+    noise: Noise
+    jitter: float = 0.0
+
+    @property
+    def order(self) -> int:
+        """How often the observable integrates the specific force."""
+        return ORDERS[self.observable]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What is planned: instruments, attitudes, unknowns.
+
+    Attributes
+    ----------
+    instruments
+        The accelerometers.
+    attitudes
+        Name -> rows x, y, z in east-north-up, shape (3, 3). The model has the unknowns that
+        belong to a run, such as its tilt, once for each of these names.
+    radius, site
+        m; where the centrifuge stands.
+    sampling_rate
+        Samples a second, Hz.
+    model
+        What is estimated and considered.
+    estimate
+        Expected values of the unknowns, less nominal, shape (p,); the uncertain inputs act on
+        them.
+    scale_factors
+        K_I of each accelerometer.
+    """
+
+    instruments: tuple[Instrument, ...]
+    attitudes: dict[str, Array]
+    radius: float
+    site: Site
+    sampling_rate: float
+    model: Model
+    estimate: Array
+    scale_factors: dict[str, float]
+
+    @cached_property
+    def shared(self) -> tuple[int, ...]:
+        """Places of the unknowns that all runs share, in the model."""
+        unknowns = enumerate(self.model.unknowns)
+        return tuple(i for i, unknown in unknowns if unknown.owner not in self.attitudes)
+
+    @cached_property
+    def considered(self) -> tuple[int, ...]:
+        """Places of the considered terms and inputs that all runs share."""
+        owners = [other.owner for other in self.model.considered]
+        owners += [""] * len(self.model.inputs or {})
+        return tuple(i for i, owner in enumerate(owners) if owner not in self.attitudes)
+
+    def own(self, attitude: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the places of a run's own unknowns and of its own considered terms."""
+        model = self.model
+        return (
+            tuple(i for i, unknown in enumerate(model.unknowns) if unknown.owner == attitude),
+            tuple(i for i, other in enumerate(model.considered) if other.owner == attitude),
+        )
+
+    @property
+    def considered_sizes(self) -> Array:
+        """Standard uncertainties of all considered columns, in the model's order."""
+        inputs = self.model.inputs or {}
+        return np.array([*(c.prior[1] for c in self.model.considered), *inputs.values()])

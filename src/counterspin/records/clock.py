@@ -1,0 +1,382 @@
+"""The clock of a record, and the encoder as its witness.
+
+`Clock.accept` takes a piece of a record and returns the rows that can be used, with the angle
+unwrapped. Time never runs backwards; rows with the same time are one row; missing rows are gaps.
+The encoder is the witness of the clock: across a gap the angle must have advanced with the time,
+and a sample that does not fit its neighbours is dropped when the angle comes back, and is a jump,
+which is refused, when it does not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from counterspin.arrays import aligned
+from counterspin.errors import RecordError
+from counterspin.records.clock_faults import jump_words, rate_words
+from counterspin.records.column_file import Columns
+from counterspin.records.report import Gap
+from counterspin.records.spikes import median, middle
+
+#: Most gaps, and most rows of each kind of finding, that are listed; all are counted.
+LISTED = 100
+_TURN = 2 * math.pi
+_MAD = 1.4826
+#: Robust standard deviations that a step of the angle may stray from its neighbours.
+_LIMIT = 10.0
+#: Steps of the angle that stand off are taken for the encoder's own, whatever their size, if they
+#: are more than this part of all; otherwise up to this size, rad.
+_RARE = 0.01
+_FINE = 1e-3
+#: The part of the advance across a gap by which the rate may have changed meanwhile.
+_GAP_SLACK = 1e-3
+
+
+@dataclass
+class ClockFindings:
+    """What was found in the time and angle columns (counts of rows)."""
+
+    repeated: int = 0
+    differing: int = 0
+    empty_time: int = 0
+    empty_angle: int = 0
+    angle_outliers: int = 0
+    outlier_rows: list[int] = field(default_factory=list)
+    gaps: list[Gap] = field(default_factory=list)
+    gap_count: int = 0
+    wrapped: bool = False
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """The usable rows of a piece: `rows` are places in the piece, None when all are used.
+
+    `columns` are the piece's columns at those rows, with the angle unwrapped; `unevenness` is the
+    largest deviation of a time step from the usual one, relative to it.
+    """
+
+    rows: np.ndarray | None
+    columns: Columns
+    unevenness: float
+
+
+class Clock:
+    """Checks time and angle, piece after piece.
+
+    Parameters
+    ----------
+    path
+        The file, to name it in messages.
+    locate
+        Tells where a row stands in the file.
+    nominal_rate
+        The run's stated rate, rad/s, signed.
+    """
+
+    def __init__(self, path: object, locate: Callable[[int], str], nominal_rate: float) -> None:
+        self._path = path
+        self._locate = locate
+        self.rate = nominal_rate
+        self.step = math.nan
+        self.found = ClockFindings()
+        self._last_time = math.nan
+        self._last_angle = math.nan
+        self._last_values: list[float] = []
+        self._steps = aligned(0)
+        # The first row of a run of unfitting angles that is still open, its time, and its fault.
+        self._lost: int | None = None
+        self._lost_time = math.nan
+        self._lost_words = ""
+
+    def _fail(self, row: int, words: str) -> RecordError:
+        return RecordError(f"{self._path}, {self._locate(row)}: {words}")
+
+    def start(self, time: np.ndarray, angle: np.ndarray | None) -> None:
+        """Take the spacing and the rate from the first piece; refuse a wrong rate or unit."""
+        good = np.isfinite(time) if angle is None else np.isfinite(time) & np.isfinite(angle)
+        t = time[good]
+        steps = np.diff(t)
+        if not (steps > 0).any():
+            if (steps < 0).any():
+                row = int(np.flatnonzero(good)[np.flatnonzero(steps < 0)[0] + 1])
+                raise self._fail(row, "time runs backwards.")
+            raise RecordError(f"{self._path}: fewer than two rows differ in time.")
+        self.step = float(np.median(steps[steps > 0]))
+        if angle is None:
+            return
+        a = angle[good]
+        nominal = self.rate
+        # Differences over an eighth of a revolution: long against the encoder's noise and step,
+        # short against a turn, so that one median serves wrapped and unwrapped angles.
+        lag = int(np.clip(_TURN / 8 / abs(nominal * self.step), 1, max(1, len(t) // 4)))
+        spans = t[lag:] - t[:-lag]
+        usual = (spans > 0) & (spans < 1.5 * lag * self.step)
+        advances, spans = (a[lag:] - a[:-lag])[usual], spans[usual]
+        measured = median(advances / spans)
+        ratio = measured / nominal
+        if abs(ratio - 1) > 0.05:
+            raise RecordError(f"{self._path}: {rate_words(measured, nominal)}")
+        turned = _wrap(advances - nominal * spans)
+        self.rate = nominal + median(turned / spans)
+
+    def accept(self, first_row: int, columns: Columns, has_angle: bool) -> Accepted:
+        """Check one piece.
+
+        Parameters
+        ----------
+        first_row
+            The row of the file at which the piece begins.
+        columns
+            Time (s), angle (rad; if `has_angle`), then the signals: arrays (n,), NaN where empty.
+        has_angle
+            Whether the second column is the angle.
+
+        Raises
+        ------
+        RecordError
+            Time runs backwards, a value is infinite, or the clock or the angle jumps.
+        """
+        whole = self._accept_whole(first_row, columns, has_angle)
+        accepted = whole or self._accept_rows(first_row, columns, has_angle)
+        good = accepted.columns
+        if len(good[0]):
+            last = -1 if accepted.rows is None else int(accepted.rows[-1])
+            self._last_values = [float(column[last]) for column in columns]
+            self._last_time = float(good[0][-1])
+            if has_angle:
+                self._last_angle = float(good[1][-1])
+                span = self._last_time - float(good[0][0])
+                if abs(self.rate) * span > 1.0:
+                    self.rate = (self._last_angle - float(good[1][0])) / span
+        return accepted
+
+    def _accept_whole(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
+        self, first_row: int, columns: Columns, has_angle: bool
+    ) -> Accepted | None:
+        """Take the piece as it stands, if nothing in it needs attention (NaN fails every test)."""
+        time = columns[0]
+        if len(time) < 2:
+            return None
+        steps = self._differences(time)
+        shortest, longest = float(steps.min()), float(steps.max())
+        if not (shortest > 0 and longest < 1.5 * self.step):
+            return None
+        unevenness = max(longest / self.step - 1, 1 - shortest / self.step)
+        gone = time[0] - self._last_time if first_row else self.step
+        if not 0 < gone < 1.5 * self.step:
+            return None
+        if not has_angle:
+            return Accepted(None, columns, unevenness)
+        if self._lost is not None:
+            return None
+        angle = columns[1]
+        advance = self._differences(angle)
+        low, high = float(advance.min()), float(advance.max())
+        if not math.isfinite(low + high):
+            return None
+        sample = advance[:: max(1, len(advance) // 512)]
+        usual = middle(sample)
+        tolerance = _tolerance(sample - usual, angle)
+        # Where the angle has been wrapped, and the turns to add from there on.
+        breaks, turns = np.zeros(1, dtype=int), np.zeros(1)
+        if not (low >= usual - tolerance and high <= usual + tolerance):
+            odd = np.flatnonzero(np.abs(advance - usual) > tolerance)
+            more = np.round((usual - advance[odd]) / _TURN)
+            if not (np.abs(advance[odd] + _TURN * more - usual) <= tolerance).all():
+                return None
+            breaks, turns = np.append(breaks, odd + 1), np.append(turns, np.cumsum(more))
+        if first_row:
+            expected = self._last_angle + self.rate * gone
+            before = float(np.round((expected - angle[0]) / _TURN))
+            if abs(float(angle[0]) + _TURN * before - expected) > tolerance:
+                return None
+            turns = turns + before
+        if len(turns) > 1 or turns[0]:
+            lengths = np.diff(breaks, append=len(angle))
+            unwrapped = angle + np.repeat(_TURN * turns, lengths)
+            self.found.wrapped = True
+            columns = [time, unwrapped, *columns[2:]]
+        return Accepted(None, columns, unevenness)
+
+    def _differences(self, column: np.ndarray) -> np.ndarray:
+        """Return the steps of a column, in an array that the next call writes over."""
+        if len(self._steps) < len(column) - 1:
+            self._steps = aligned(len(column) - 1)
+        steps = self._steps[: len(column) - 1]
+        np.subtract(column[1:], column[:-1], out=steps)
+        return steps
+
+    def _accept_rows(self, first_row: int, columns: Columns, has_angle: bool) -> Accepted:
+        """Judge a piece row by row."""
+        time, clock = columns[0], columns[: 2 if has_angle else 1]
+        for column, word in zip(clock, ("time", "angle"), strict=False):
+            if np.isinf(column).any():
+                row = first_row + int(np.flatnonzero(np.isinf(column))[0])
+                raise self._fail(row, f"the {word} is infinite.")
+        has_time = ~np.isnan(time)
+        self.found.empty_time += int((~has_time).sum())
+        rows = np.flatnonzero(has_time)
+        before = self._last_time if first_row else math.nan
+        steps = np.diff(time[rows], prepend=before)
+        if (steps < 0).any():
+            place = int(np.flatnonzero(steps < 0)[0])
+            earlier = self._last_time if place == 0 else float(time[rows[place - 1]])
+            raise self._fail(
+                first_row + int(rows[place]),
+                f"time runs backwards, from {earlier:.9g} s to {time[rows[place]]:.9g} s "
+                "after the record's start.",
+            )
+        rows = self._drop_repeats(columns, rows, steps)
+        self._note_gaps(time[rows], before)
+        if has_angle:
+            has_number = ~np.isnan(columns[1][rows])
+            self.found.empty_angle += int((~has_number).sum())
+            rows = rows[has_number]
+            good, unwrapped = self._follow(first_row, rows, time[rows], columns[1][rows])
+            rows = rows[good]
+        chosen = [column[rows] for column in columns]
+        if has_angle:
+            chosen[1] = unwrapped[good]
+        unevenness = float(np.abs(np.diff(chosen[0]) / self.step - 1).max(initial=0.0))
+        return Accepted(rows, chosen, unevenness)
+
+    def _drop_repeats(self, columns: Columns, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
+        again = np.flatnonzero(steps == 0)
+        if not len(again):
+            return rows
+        differ = np.zeros(len(again), dtype=bool)
+        for place, column in enumerate(columns):
+            now = column[rows[again]]
+            then = column[rows[again - 1]]
+            if again[0] == 0:
+                then[0] = self._last_values[place]
+            differ |= (now != then) & ~(np.isnan(now) & np.isnan(then))
+        self.found.repeated += len(again)
+        self.found.differing += int(differ.sum())
+        return np.delete(rows, again)
+
+    def _note_gaps(self, time: np.ndarray, before: float) -> None:
+        steps = np.diff(time, prepend=before)
+        for place in np.flatnonzero(steps > 1.5 * self.step):
+            self.found.gap_count += 1
+            if len(self.found.gaps) < LISTED:
+                length = float(steps[place])
+                self.found.gaps.append(Gap(float(time[place]) - length, length))
+
+    def _follow(
+        self, first_row: int, rows: np.ndarray, time: np.ndarray, angle: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Unwrap the angle along the expected advance; mark the samples that fit it."""
+        good = np.ones(len(rows), dtype=bool)
+        if not len(rows):
+            return good, angle
+        steps = np.diff(time)
+        strays = _wrap(np.diff(angle) - self.rate * steps)
+        usual = float(np.median(strays)) if len(strays) else 0.0
+        base = _tolerance(strays - usual, angle) + abs(usual)
+
+        def misfit(places: np.ndarray, time0: float, angle0: float) -> np.ndarray:
+            gone = time[places] - time0
+            slack = _GAP_SLACK * abs(self.rate) * np.maximum(gone - 1.5 * self.step, 0.0)
+            stray = _wrap(angle[places] - angle0 - self.rate * gone)
+            excess: np.ndarray = np.abs(stray) - base - slack
+            return excess
+
+        late = np.maximum(steps - 1.5 * self.step, 0.0)
+        bad = np.abs(strays) > base + _GAP_SLACK * abs(self.rate) * late
+        if math.isnan(self._last_angle):
+            # Begin at the first sample that its successor agrees with.
+            begin = int(np.argmin(bad)) if len(bad) else 0
+            good[:begin] = False
+            last, place = begin, begin + 1
+            last_time, last_angle = float(time[begin]), float(angle[begin])
+        else:
+            last, place = -1, 0
+            last_time, last_angle = self._last_time, self._last_angle
+        breaks = np.flatnonzero(bad) + 1
+        patience = max(_TURN / 4 / abs(self.rate), 8 * self.step)
+        while True:
+            if last >= 0:
+                where = np.searchsorted(breaks, last + 1)
+                if where == len(breaks):
+                    break
+                place = int(breaks[where])
+                last_time, last_angle = float(time[place - 1]), float(angle[place - 1])
+            # `place` may not fit the last good sample: look for the first one that does.
+            begun = time[place] if self._lost is None else self._lost_time
+            stop = int(np.searchsorted(time, begun + patience, side="right"))
+            # Nearly always one of the next few does.
+            for end in (min(place + 32, stop), stop):
+                fits = np.flatnonzero(misfit(np.arange(place, end), last_time, last_angle) <= 0)
+                if len(fits):
+                    break
+            if len(fits):
+                last = place + int(fits[0])
+                good[place:last] = False
+                self._lost = None
+                continue
+            if self._lost is None:
+                gone = float(time[place]) - last_time
+                stray = float(_wrap(angle[place] - last_angle - self.rate * gone))
+                self._lose(first_row + int(rows[place]), float(begun), gone, stray)
+            if stop < len(rows):
+                raise self._jump()
+            good[place:] = False
+            break
+        self._note_strays(first_row + rows[~good])
+        return good, self._unwrapped(time, angle, good)
+
+    def _note_strays(self, rows: np.ndarray) -> None:
+        self.found.angle_outliers += len(rows)
+        room = LISTED - len(self.found.outlier_rows)
+        self.found.outlier_rows += [int(row) for row in rows[:room]]
+
+    def _unwrapped(self, time: np.ndarray, angle: np.ndarray, good: np.ndarray) -> np.ndarray:
+        angle = angle.copy()
+        t, a = time[good], angle[good]
+        if not len(t):
+            return angle
+        gone, advance = np.diff(t), np.diff(a)
+        turns = np.append(0.0, np.cumsum(np.round((self.rate * gone - advance) / _TURN)))
+        if not math.isnan(self._last_angle):
+            expected = self._last_angle + self.rate * (t[0] - self._last_time)
+            turns += np.round((expected - a[0]) / _TURN)
+        if turns.any():
+            self.found.wrapped = True
+        angle[good] = a + _TURN * turns
+        return angle
+
+    def finish(self) -> None:
+        """Refuse a record that ends on angles which do not fit, unless they are a few."""
+        if self._lost is not None and self.found.angle_outliers and self._open_rows() > 3:
+            raise self._jump()
+
+    def _lose(self, row: int, time: float, gone: float, stray: float) -> None:
+        self._lost, self._lost_time = row, time
+        self._lost_words = jump_words(gone, self.step, stray, self.rate)
+
+    def _jump(self) -> RecordError:
+        return self._fail(self._lost or 0, self._lost_words)
+
+    def _open_rows(self) -> int:
+        return sum(row >= (self._lost or 0) for row in self.found.outlier_rows)
+
+
+def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
+    """Return how far a step of the angle may stray: noise, the encoder's step, rounding."""
+    size = np.abs(strays)
+    rounding = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
+    apart = size[size > rounding]
+    quantum = float(apart.min()) if len(apart) else 0.0
+    if len(apart) <= max(4, _RARE * len(size)):
+        # An encoder's step shows again and again, a jump once: it must not excuse itself.
+        quantum = min(quantum, _FINE)
+    return _LIMIT * _MAD * middle(size) + 3 * quantum + rounding if len(size) else rounding
+
+
+def _wrap(angle: np.ndarray) -> np.ndarray:
+    return angle - _TURN * np.round(angle / _TURN)

@@ -1,0 +1,296 @@
+"""Outlying samples of a signal, judged against their own neighbours.
+
+Over a window of 128 samples, whatever an accelerometer on a centrifuge indicates (displacement,
+velocity or specific force) is smooth: a constant, a slow trend, a wave of one period a
+revolution that may grow, and its second harmonic. Those few functions are fitted to each window,
+robustly where it matters, and a sample that stands off by more than six standard deviations is an
+outlier. Six leaves Gaussian data alone (2e-9) and finds what would spoil a block mean; the joint
+fit judges finer, on its own residuals.
+
+Two levels keep this cheap. A plain least-squares projection (one matrix product with a fixed
+basis) screens every window; only windows that fail it are fitted robustly.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+
+from counterspin.arrays import aligned
+
+#: Samples in a window.
+WINDOW = 128
+#: Fewest samples that can be judged at all: up to nine functions are fitted to them.
+FEWEST = 24
+#: How many of the functions are fitted first, while outliers are still in.
+_STURDY = 5
+#: Standard deviations beyond which a sample is an outlier.
+LIMIT = 6.0
+#: Standard deviations beyond which the screening hands a window to the robust fit.
+_SCREEN = 5.5
+#: A window may be this many times noisier than its surroundings before that counts against it.
+_NOISIER = 4.0
+#: Times the middle of a piece beyond which a sample is no measurement at all.
+_WILD = 1e9
+#: Relative unevenness of the steps that may be ignored.
+_EVEN = 1e-4
+#: How late a sample may be before moving it along the slope no longer serves: in steps, or, where
+#: that is more, in rad of spindle angle (the curvature then costs 5e-7 of the wave).
+_GAP = 0.3
+_LATE = 1e-3
+#: MAD to standard deviation of Gaussian data.
+_MAD = 1.4826
+
+
+@np.errstate(invalid="ignore")  # samples that are no numbers make residuals that are none
+def find_spikes(
+    time: np.ndarray,
+    signal: np.ndarray,
+    rate: float,
+    step: float,
+    unevenness: float,
+    weight: np.ndarray | None = None,
+) -> np.ndarray:
+    """Find the outlying samples of one signal.
+
+    Parameters
+    ----------
+    time
+        (n,) s, increasing; gaps are allowed.
+    signal
+        (n,) any unit; NaN where empty (what is infinite counts as empty).
+    rate
+        Spindle rate, rad/s.
+    step
+        The usual spacing of the samples, s.
+    unevenness
+        Largest deviation of a spacing from the usual one, relative to it.
+    weight
+        (n,) optional: the square root of each sample's weight (short block means are noisier).
+
+    Returns
+    -------
+    (m,) int, the places of the outliers, rising; a NaN is never one.
+    """
+    if len(signal) < FEWEST:
+        return np.empty(0, dtype=int)
+    width = min(WINDOW, len(signal))
+    uneven_time = time if unevenness > _EVEN else None
+    phase_step = rate * step
+    peak, broken, scale = _screen_all(signal, uneven_time, width, phase_step, step)
+    if not (peak.any() or broken.any()):
+        return np.empty(0, dtype=int)
+    finite = None
+    # A sample that is no number shows in its window's peak, unless that was not judged.
+    if (np.isnan(peak) | broken).any() and not np.isfinite(signal.sum()):
+        finite = np.isfinite(signal)
+        if not finite.any():
+            return np.empty(0, dtype=int)
+        signal = np.interp(time, time[finite], signal[finite])
+        peak, broken, scale = _screen_all(signal, uneven_time, width, phase_step, step)
+    suspect = broken | (peak > _SCREEN * scale)
+    if not suspect.any():
+        return np.empty(0, dtype=int)
+    starts = np.minimum(np.arange(len(peak)) * width, len(signal) - width)
+    # A filler such as 1e30 in place of an empty cell would drown its window by rounding alone.
+    usual = middle(np.abs(signal))
+    wild = np.abs(signal) > _WILD * usual
+    if usual > 0.0 and wild.any():
+        rest = np.where(wild if finite is None else wild | ~finite, np.nan, signal)
+        others = find_spikes(time, rest, rate, step, unevenness, weight)
+        return np.union1d(np.flatnonzero(wild if finite is None else wild & finite), others)
+
+    def robust(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        index = starts[chosen, None] + np.arange(width)
+        if uneven_time is None:
+            basis = _even_basis(width, phase_step)[0]
+        else:
+            basis = _basis((time[index] - time[index].mean(axis=1, keepdims=True)) * rate)
+        have = np.ones(index.shape) if finite is None else finite[index].astype(float)
+        residuals, scales = _robust_fit(
+            signal[index], basis, have if weight is None else have * weight[index]
+        )
+        return index, residuals, scales
+
+    if 10 * suspect.sum() > len(suspect):
+        # Where outliers are many they inflate the plain scale: take it from robust fits.
+        _, _, scales = robust(np.unique(np.linspace(0, len(starts) - 1, 32).astype(int)))
+        scale = float(np.median(scales))
+    scale = max(scale, _resolution(signal) / 2)
+    suspect |= peak > _SCREEN * scale
+    marked = np.zeros(len(signal), dtype=bool)
+    suspects = np.flatnonzero(suspect)
+    for begin in range(0, len(suspects), 1024):
+        index, residuals, scales = robust(suspects[begin : begin + 1024])
+        limit = LIMIT * np.clip(scales, scale, _NOISIER * scale)
+        out = np.abs(residuals) > limit[:, None]
+        # Where most of a window is out, something has changed; that is not for us to judge.
+        out[2 * out.sum(axis=1) > width] = False
+        marked[index[out]] = True
+    return np.flatnonzero(marked)
+
+
+def middle(values: np.ndarray) -> float:
+    """Return the median of values without NaN, of an even number the upper one.
+
+    For the few hundred values of a piece `np.median` takes several times as long.
+    """
+    half = len(values) // 2
+    parted = values.copy()
+    parted.partition(half)
+    return float(parted[half])
+
+
+def median(values: np.ndarray) -> float:
+    """Return the median of values without NaN; NaN of none.
+
+    For many different values `np.median`, which looks for two of them at once, takes several
+    times as long.
+    """
+    half = len(values) // 2
+    if not half:
+        return float(values[0]) if len(values) else math.nan
+    parted = np.partition(values, half)
+    upper = float(parted[half])
+    return upper if len(values) % 2 else (float(parted[:half].max()) + upper) / 2
+
+
+def _screen_all(
+    signal: np.ndarray, time: np.ndarray | None, width: int, phase_step: float, step: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Screen all windows of a signal: `peak` and `broken` of each, `scale` of the whole ones."""
+    whole = len(signal) // width * width
+    first_time = None if time is None else time[:whole]
+    peak, broken, scale = _screen(signal[:whole], first_time, width, phase_step, step)
+    if whole == len(signal):
+        return peak, broken, scale
+    # The last window overlaps the one before, so that every sample has a full window.
+    last = signal[-width:]
+    if time is None and not peak.any():
+        # The usual case again, at a fraction of the time that `_screen` takes for one window.
+        basis, functions, _ = _even_basis(width, phase_step)
+        rest = last - (last @ basis) @ functions
+        top, limit = np.abs(rest).max(), _SCREEN * scale
+        # Residuals have no mean, and no median is farther from it than their standard deviation.
+        if top <= limit and top + math.sqrt(rest @ rest / width) <= limit:
+            return np.append(peak, 0.0), np.append(broken, False), scale
+    last_time = None if time is None else time[-width:]
+    last_peak, last_broken, _ = _screen(last, last_time, width, phase_step, step)
+    return np.append(peak, last_peak), np.append(broken, last_broken), scale
+
+
+def _screen(
+    signal: np.ndarray, time: np.ndarray | None, width: int, phase_step: float, step: float
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Fit whole windows by plain least squares. `time` is given where it is uneven.
+
+    Returns
+    -------
+    peak
+        (m,) the largest residual of each window, NaN where a sample is no number; all 0 where
+        none stands out.
+    broken
+        (m,) bool, windows too uneven to be judged by this fit.
+    scale
+        Standard deviation of the residuals.
+    """
+    basis, functions, slopes = _even_basis(width, phase_step)
+    windows = signal.reshape(-1, width)
+    broken = np.zeros(len(windows), dtype=bool)
+    if time is not None:
+        # Move each sample along the signal's slope to where an even clock would have taken it.
+        times = time.reshape(-1, width)
+        late = (times - times.mean(axis=1, keepdims=True)) / step
+        late -= np.arange(width) - (width - 1) / 2
+        broken = np.abs(late).max(axis=1) > max(_LATE / abs(phase_step), _GAP)
+        windows = windows - ((windows @ basis) @ slopes) * late
+    rest = aligned(len(windows), width)
+    np.matmul(windows @ basis, functions, out=rest)
+    np.subtract(windows, rest, out=rest)
+    judged = rest[~broken] if broken.any() else rest
+    sample = judged.ravel()[:: max(1, judged.size // 512) | 1]
+    if not len(sample):
+        return np.zeros(len(rest)), broken, 0.0
+    centre = middle(sample)
+    scale = _MAD * middle(np.abs(sample - centre))
+    if max(judged.max() - centre, centre - judged.min()) <= _SCREEN * scale:
+        return np.zeros(len(rest)), broken, scale  # no window needs its own peak: the usual case
+    return np.maximum(rest.max(axis=1) - centre, centre - rest.min(axis=1)), broken, scale
+
+
+def _resolution(signal: np.ndarray) -> float:
+    """Return the step of a quantised signal: noise below it shows as rare whole steps."""
+    part = np.unique(signal[:4096])
+    rounding = 64 * np.finfo(float).eps * float(np.abs(part).max())
+    steps = np.diff(part)
+    steps = steps[steps > rounding]
+    return max(float(steps.min()) if len(steps) else 0.0, rounding)
+
+
+@lru_cache(maxsize=64)
+def _even_basis(width: int, phase_step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the basis of an evenly sampled window (width, k), and (k, width) for products with it.
+
+    These are its transpose and its change from sample to sample, as they are read in memory.
+    """
+    basis = _basis((np.arange(width) - (width - 1) / 2) * phase_step)
+    slopes = np.gradient(basis, axis=0)
+    return basis, np.ascontiguousarray(basis.T), np.ascontiguousarray(slopes.T)
+
+
+def _basis(phase: np.ndarray) -> np.ndarray:
+    """Return orthonormal functions (..., width, 5 or 9) of the spindle phase about the centre."""
+    half = np.abs(phase).max(axis=-1, keepdims=True)
+    u = phase / half
+    if np.max(half) < 0.25:
+        # Over a short arc the wave is a quartic polynomial (to 5e-7 of its amplitude), and
+        # sine and cosine would be collinear with the trend.
+        functions = [np.ones_like(u), u, u**2, u**3, u**4]
+    else:
+        cos, sin = np.cos(phase), np.sin(phase)
+        # A wave that grows or whose rate is slightly off, and the second harmonic: in a record
+        # of little noise they are no outliers.
+        functions = [np.ones_like(u), u, u**2, cos, sin, u * cos, u * sin]
+        functions += [np.cos(2.0 * phase), np.sin(2.0 * phase)]
+    orthonormal: np.ndarray = np.linalg.qr(np.stack(functions, axis=-1))[0]
+    return orthonormal
+
+
+def _robust_fit(
+    windows: np.ndarray, basis: np.ndarray, weight: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Fit each window by least absolute deviations, then bisquare; weighted residuals, scales."""
+    have = weight > 0
+    middle = np.maximum(have.sum(axis=1), 1) // 2
+    tiny = 1e-15 * np.abs(windows).max(axis=1) + 1e-300
+
+    def fit(w: np.ndarray, basis: np.ndarray) -> np.ndarray:
+        ridge = 1e-12 * np.eye(basis.shape[-1])
+        weighted = np.swapaxes(basis * w[..., None], -1, -2)
+        normal = weighted @ basis
+        normal += ridge * np.trace(normal, axis1=-2, axis2=-1)[:, None, None] + 1e-300 * ridge
+        amplitudes = np.linalg.solve(normal, weighted @ windows[..., None])
+        residuals: np.ndarray = (windows - (basis @ amplitudes)[..., 0]) * weight
+        return residuals
+
+    def spread(residuals: np.ndarray) -> np.ndarray:
+        size = np.sort(np.where(have, np.abs(residuals), np.inf), axis=1)
+        median: np.ndarray = np.take_along_axis(size, middle[:, None], axis=1)[:, 0]
+        floored: np.ndarray = np.maximum(_MAD * median, tiny)
+        return floored
+
+    # Fewer functions withstand more outliers: the first ones part these from the rest, then all
+    # of them follow the rest more closely.
+    first = basis[..., :_STURDY]
+    residuals = fit(weight**2, first)
+    for _ in range(10):
+        size = np.maximum(np.abs(residuals), 0.1 * spread(residuals)[:, None])
+        residuals = fit(weight**2 * size.min(axis=1, keepdims=True) / size, first)
+    for _ in range(4):
+        reach = np.clip(residuals / (6.0 * spread(residuals)[:, None]), -1, 1)
+        residuals = fit(weight**2 * ((1 - reach**2) ** 2 + 1e-12), basis)
+    scale = spread(residuals)
+    used = np.maximum(have.sum(axis=1), basis.shape[-1] + 1)
+    return residuals, scale * np.sqrt(used / (used - basis.shape[-1]))

@@ -1,0 +1,258 @@
+"""How much room a chart's words take, and how many of its points are seen.
+
+Margins come from the widths of words instead of matplotlib's layout engines, which draw twice.
+
+- `text_width`, `shortened`: of words, in matplotlib's own font, which is wider than most
+- `set_margins`, `legend_columns`, `decades`: room and ticks
+- `thinned`: a series with the lowest and the highest of each column of the drawing
+- `whole_numbers`, `spread`: points at the same few places, beside each other
+- `dots`: a row of points as one line
+"""
+
+from __future__ import annotations
+
+import itertools
+from bisect import bisect
+from collections.abc import Sequence
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from counterspin.arrays import Array
+from counterspin.reports.blocks import Plot, Series
+
+#: Of every drawing, and of one with axes; in points.
+WIDTH: Final = 504.0
+HEIGHT: Final = 172.0
+
+_FONT_SIZE: Final = 9.0
+
+#: A drawing shows a series in this many columns: finer than a reader sees, coarse enough to be
+#: drawn in an instant.
+_COLUMNS: Final = 360
+
+#: How many more points are kept of what has more: with the extremes alone there would be a hole
+#: in the middle.
+_BETWEEN: Final = 1200
+
+_SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+
+@lru_cache(maxsize=4096)
+def text_width(text: str) -> float:
+    """Return the width of words of the common size, in points."""
+    from matplotlib.font_manager import FontProperties
+    from matplotlib.textpath import text_to_path
+
+    font = FontProperties(size=_FONT_SIZE)
+    width, _, _ = text_to_path.get_text_width_height_descent(text, font, ismath=False)
+    return float(width)
+
+
+def shortened(text: str, room: float) -> str:
+    """Return the words as far as there is room for them, in points."""
+    if text_width(text) <= room:
+        return text
+    fitting = bisect(range(len(text)), room, key=lambda length: text_width(f"{text[:length]}…"))
+    return f"{text[: max(fitting - 1, 0)].rstrip()}…"
+
+
+def legend_columns(labels: Sequence[str]) -> int:
+    """Return how many labels stand beside each other above a drawing, at least one."""
+    room = WIDTH - 60.0
+    widest = max(map(text_width, labels), default=0.0) + 32.0
+    return max(1, min(len(labels), int(room / widest)))
+
+
+def set_margins(
+    axes: Any, height: float, *, legend_rows: int = 0, top: float = 4.0, right: float = 6.0
+) -> None:
+    """Give the figure its size and the axes the room that its tick labels leave, in points.
+
+    Parameters
+    ----------
+    axes
+        With ticks, labels and limits as they will be drawn.
+    height
+        Of the figure; a legend and upright names come on top.
+    legend_rows
+        Rows of the legend above the axes.
+    top, right
+        Margins.
+    """
+    left = _widest(axes.yaxis) + (20.0 if axes.get_ylabel() else 7.0)
+    bottom = 2.0 if not axes.get_xlabel() and not len(axes.get_xticks()) else 18.0
+    bottom += 12.0 if axes.get_xlabel() else 0.0
+    if axes.xaxis.get_tick_params().get("labeltop"):
+        bottom = 2.0
+    elif (names := _labels(axes.xaxis)) and _crowded(axes, names, WIDTH - left - right):
+        axes.tick_params(axis="x", labelrotation=90.0)
+        bottom += _widest(axes.xaxis) - 9.0
+        height += _widest(axes.xaxis) - 9.0
+    top += 14.0 * legend_rows
+    # The common power of ten stands above the axis.
+    offset = axes.yaxis.get_major_formatter().get_offset()
+    top += 11.0 if offset and not legend_rows else 0.0
+    height += 14.0 * legend_rows
+    axes.figure.set_size_inches(WIDTH / 72.0, height / 72.0)
+    axes.set_position(
+        (
+            left / WIDTH,
+            bottom / height,
+            max(WIDTH - left - right, 20.0) / WIDTH,
+            max(height - top - bottom, 10.0) / height,
+        )
+    )
+    if axes.get_ylabel():
+        axes.yaxis.set_label_coords((9.0 - left) / max(WIDTH - left - right, 20.0), 0.5)
+
+
+def decades(axis: Any) -> None:
+    """Put a logarithmic axis's ticks at powers of ten, and between them where these are few."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullLocator
+
+    low, high = axis.get_view_interval()
+    if low > 0.0 and high > low:
+        few = high < 100.0 * low
+        axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if few else (1.0,), numticks=9))
+        axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: _power(value)))
+
+
+def _power(value: float) -> str:
+    mantissa, _, exponent = f"{value:.0e}".partition("e")
+    if -3 <= int(exponent) <= 4:
+        return f"{value:g}"
+    power = "10" + str(int(exponent)).translate(_SUPERSCRIPTS)
+    return power if mantissa == "1" else f"{mantissa}·{power}"
+
+
+def _labels(axis: Any) -> list[str]:
+    low, high = sorted(axis.get_view_interval())
+    places = [place for place in axis.get_majorticklocs() if low <= place <= high]
+    return [str(label) for label in axis.get_major_formatter().format_ticks(places)]
+
+
+def _widest(axis: Any) -> float:
+    return max(map(text_width, _labels(axis)), default=0.0)
+
+
+def _crowded(axes: Any, names: Sequence[str], room: float) -> bool:
+    """Return whether names of things, which are neighbours at a distance of 1, would touch."""
+    from matplotlib.ticker import FixedLocator
+
+    if not isinstance(axes.xaxis.get_major_locator(), FixedLocator):
+        return False
+    low, high = axes.get_xlim()
+    pairs = itertools.pairwise(map(text_width, names))
+    return any(0.5 * (one + other) + 6.0 > room / (high - low) for one, other in pairs)
+
+
+def thinned(
+    series: Series, *, log_x: bool, log_y: bool
+) -> tuple[Array, Array, Array | None, Array | None]:
+    """Return what of a series is seen: of each column of the drawing its lowest and highest.
+
+    Parameters
+    ----------
+    series
+        Of any length.
+    log_x, log_y
+        Whether the axes are logarithmic; what is not positive is then left out.
+
+    Returns
+    -------
+    x, y, low, high
+        Equal lengths; gaps are NaN; low and high are None where the series has none.
+    """
+    x = np.asarray(series.x, dtype=float)
+    y, low, high = (
+        None if values is None else np.array(values, dtype=float)
+        for values in (series.y, series.low, series.high)
+    )
+    assert y is not None
+    if log_y:
+        y[~(y > 0.0)] = np.nan
+    seen = np.flatnonzero(np.isfinite(x) & ((x > 0.0) | (not log_x)))
+    if x[seen].size > (2 * _BETWEEN if series.kind == "points" else 2 * _COLUMNS):
+        height = y if low is None or high is None or np.isfinite(y).any() else high - low
+        seen = seen[_extremes(np.log(x[seen]) if log_x else x[seen], height[seen], series.kind)]
+    return (
+        x[seen],
+        y[seen],
+        None if low is None else low[seen],
+        None if high is None else high[seen],
+    )
+
+
+def _extremes(x: Array, y: Array, kind: str) -> NDArray[np.intp]:
+    """Return the indices to keep, in their order."""
+    if kind != "points" and (np.diff(x) < 0.0).any():
+        # A curve that turns back has no columns.
+        return np.arange(x.size)
+    span = float(np.ptp(x)) or 1.0
+    column = np.minimum((x - x.min()) / span * _COLUMNS, _COLUMNS - 1).astype(int)
+    gap = ~np.isfinite(y)
+    there = np.flatnonzero(~gap)
+    order = there[np.lexsort((y[there], column[there]))]
+    first = np.flatnonzero(np.diff(column[order], prepend=-1))
+    last = np.append(first[1:], order.size) - 1
+    # A gap's first sample stands for it.
+    begins = np.flatnonzero(gap & ~np.concatenate([[False], gap[:-1]]))
+    between = there[:: max(there.size // _BETWEEN, 1)] if kind == "points" else there[:0]
+    return np.unique(np.concatenate([order[first], order[last], between, begins]))
+
+
+def whole_numbers(plot: Plot) -> range:
+    """Return the whole numbers at which a plot has points; none where it is another kind of plot.
+
+    Up to twenty, such as the harmonics of a revolution, and nothing but points.
+    """
+    places = {x for series in plot.series for x in series.x}
+    if not places or plot.log_x or any(series.kind != "points" for series in plot.series):
+        return range(0)
+    whole = all(float(place).is_integer() for place in places)
+    if not whole or max(places) - min(places) > 20.0:
+        return range(0)
+    return range(int(min(places)), int(max(places)) + 1)
+
+
+def spread(series: Sequence[Series]) -> list[Series]:
+    """Move rows of points that share their places to the side, so that none hides another."""
+    rows = [one for one in series if one.kind == "points"]
+    step = min(0.12, 0.7 / max(len(rows), 1))
+    moves = iter(step * (place - 0.5 * (len(rows) - 1)) for place in range(len(rows)))
+    return [
+        replace(one, x=tuple(x + move for x in one.x))
+        if one.kind == "points" and (move := next(moves))
+        else one
+        for one in series
+    ]
+
+
+def dots(axes: Any, x: Array, y: Array, size: float, **style: Any) -> None:
+    """Draw many points as one line of round dots: a marker for each would take ten times as long.
+
+    Parameters
+    ----------
+    axes
+        Where to.
+    x, y
+        Shape (n,).
+    size
+        Diameter, points.
+    **style
+        Of matplotlib's lines.
+    """
+    gap = np.full(x.size, np.nan)
+    # From each point to itself: a line without length, whose round ends make the dot.
+    axes.plot(
+        np.column_stack([x, x, gap]).ravel(),
+        np.column_stack([y, y, gap]).ravel(),
+        linewidth=size,
+        solid_capstyle="round",
+        **style,
+    )

@@ -1,0 +1,178 @@
+"""The report as one HTML file, from which no request leaves: for screen, phone and paper.
+
+Words, tables and still pictures need no script. Where one runs, plots that are worth a closer
+look become zoomable (uPlot, inlined); their data travel beside them, rounded to what a screen
+shows.
+
+- `html`: blocks as a page
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from importlib import resources
+from itertools import groupby
+from typing import Any
+
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup
+
+from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, Plot, Table
+from counterspin.reports.charts import svg
+from counterspin.reports.zoomable import can_zoom, plot_data
+
+
+def html(
+    blocks: Sequence[Block], *, title: str, identifier: str, date: datetime, version: str
+) -> str:
+    """Return blocks as one HTML file that needs nothing else; the same blocks give the same text.
+
+    Parameters
+    ----------
+    blocks
+        The report, the answer first.
+    title
+        Of the window; the heading too, where the blocks hold none of level 1.
+    identifier
+        What the report is known by; it stands on every printed page.
+    date
+        When it was made, with its time zone.
+    version
+        Of the program that made it.
+    """
+    page = _Page()
+    summary, *chapters = page.chapters(blocks, title)
+    has_heading = any(isinstance(block, Heading) and block.level == 1 for block in blocks)
+    moment = date.astimezone(UTC)
+    environment = Environment(
+        autoescape=True, loader=FunctionLoader(_asset), undefined=StrictUndefined
+    )
+    environment.filters["equation"] = _equation
+    return environment.get_template("report.html.jinja").render(
+        title=title,
+        heading=None if has_heading else title,
+        identifier=identifier,
+        date=moment,
+        day=f"{moment:%Y-%m-%d %H:%M} UTC",
+        version=version,
+        style=Markup(_style(page.zoomable)),
+        page_mark=Markup(_css_text(identifier)),
+        summary=summary["content"],
+        chapters=chapters,
+        uplot=Markup(_uplot()) if page.zoomable else None,
+        script=Markup(_asset("report.js")),
+    )
+
+
+def _asset(name: str) -> str:
+    return (resources.files("counterspin.reports") / "assets" / name).read_text(encoding="utf-8")
+
+
+def _style(uplot: bool) -> str:
+    style = _asset("report.css").replace("/* dark.css */", _asset("dark.css").strip())
+    return _asset("uplot/uPlot.min.css") + style if uplot else style
+
+
+def _uplot() -> str:
+    # The licence asks to travel with every copy.
+    return f"/*\n{_asset('uplot/LICENSE')}\n*/\n{_asset('uplot/uPlot.iife.min.js')}"
+
+
+def _css_text(text: str) -> str:
+    """Return a CSS string; whatever is no letter or digit is written by its number."""
+    plain = re.compile(r"[A-Za-z0-9]")
+    return '"' + "".join(c if plain.match(c) else f"\\{ord(c):x} " for c in text) + '"'
+
+
+class _Page:
+    """The items of one page: blocks with what the template needs beside them."""
+
+    def __init__(self) -> None:
+        self.names: set[str] = set()
+        self.zoomable = False
+
+    def chapters(self, blocks: Iterable[Block], title: str) -> list[dict[str, Any]]:
+        """Return title, id and content of each chapter; first, without these, what precedes."""
+        found: list[tuple[dict[str, Any], list[Block]]] = [({"title": title}, [])]
+        for block in blocks:
+            if isinstance(block, Heading) and block.level == 2:
+                found.append(({"title": block.text, "id": self.name(block.text)}, []))
+            else:
+                found[-1][1].append(block)
+        return [head | {"content": self.items(members, head["title"])} for head, members in found]
+
+    def name(self, text: str) -> str:
+        """Return an id that no other part of the page has."""
+        words = re.sub(r"[^a-z0-9]+", "-", text.lower()).strip("-") or "part"
+        # The prefix keeps it apart from the ids inside pictures and the page's own.
+        name, count = f"at-{words}", 1
+        while name in self.names:
+            count += 1
+            name = f"at-{words}-{count}"
+        self.names.add(name)
+        return name
+
+    def items(self, blocks: Iterable[Block], label: str) -> list[dict[str, Any]]:
+        """Return the items of a chapter; neighbours of a kind that belong together as one."""
+        found: list[dict[str, Any]] = []
+        for kind, group in groupby(blocks, _kind):
+            members = list(group)
+            if kind == "answers":
+                lines = [_answer(block.text) for block in members if isinstance(block, Paragraph)]
+                found.append({"kind": kind, "lines": lines})
+            else:
+                for block in members:
+                    if isinstance(block, Heading):
+                        label = block.text
+                    found.append({"kind": kind, **self.item(block, label)})
+        return found
+
+    def item(self, block: Block, label: str) -> dict[str, Any]:
+        """Return what the template needs for a block; `label` is the heading it stands under."""
+        match block:
+            case Heading():
+                return {"block": block, "id": self.name(block.text)}
+            case Table():
+                return {"block": block, "label": f"Table: {label}"}
+            case Paragraph():
+                return {"block": block}
+        return self.figure(block)
+
+    def figure(self, picture: Picture) -> dict[str, Any]:
+        """Return a picture, still, and zoomable if it is worth it."""
+        figure = {"block": picture, "id": self.name(picture.title), "data": None}
+        if isinstance(picture, Plot) and can_zoom(picture):
+            self.zoomable = True
+            figure["data"] = Markup(plot_data(picture))
+        figure["svg"] = Markup(svg(picture, theme="page"))
+        return figure
+
+
+def _kind(block: Block) -> str:
+    match block:
+        case Heading():
+            return "heading"
+        case Paragraph(style="answer"):
+            return "answers"
+        case Paragraph():
+            return "paragraph"
+        case Table():
+            return "table"
+    return "figure"
+
+
+def _answer(text: str) -> dict[str, str]:
+    """Return what is found and, for smaller letters, the same in other units and remarks."""
+    found, *remarks = re.split(r" {2,}", text, maxsplit=1)
+    name, *values = found.split(" = ")
+    more = [f"= {value}" for value in values[1:]]
+    return {"value": " = ".join([name, *values[:1]]), "remark": " ".join(more + remarks)}
+
+
+def _equation(text: str) -> Markup:
+    """Return an equation with K_II and the like set as a letter and its index."""
+    escaped = str(Markup.escape(text))
+    index = r"(?<![\w.])([^\W\d_])_([A-Za-z]+)(?![A-Za-z_]|\.\w)"
+    return Markup(re.sub(index, r"\1<sub>\2</sub>", escaped))

@@ -1,0 +1,236 @@
+"""The report on paper: blocks as PDF/A-3b, set by typst, with files attached where there are any.
+
+Nothing but what comes with typst is used, neither fonts of the machine nor a network, so the same
+blocks give the same file, byte for byte. ``assets/report.typ`` is the layout; all words reach it
+as data and are never read as markup.
+
+- `pdf`: blocks as the bytes of a file
+- `Attachment`: a file in the file
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from importlib import resources
+from itertools import groupby
+from typing import Any, Final, Literal
+
+from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, Table
+from counterspin.reports.charts import svg
+
+#: PDF/A with any file attached; its level b asks that it looks the same everywhere.
+_STANDARD: Final = "a-3b"
+
+#: Stands for a character that no font has.
+_SQUARE: Final = "\N{WHITE SQUARE}"
+
+#: How typst complains of one.
+_NO_SHAPE: Final = "could not be displayed"
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """A file that travels in the PDF.
+
+    Attributes
+    ----------
+    name
+        Of the file.
+    data
+        What is in it.
+    media_type
+        Such as ``application/xml``.
+    description
+        For people, in the list of attachments.
+    relationship
+        To the document (AFRelationship, ISO 32000-2, 7.11.3): what it was made from, its numbers,
+        the same in another form, or something that adds to it.
+    """
+
+    name: str
+    data: bytes
+    media_type: str
+    description: str
+    relationship: Literal["source", "data", "alternative", "supplement"]
+
+
+def pdf(
+    blocks: Sequence[Block],
+    *,
+    title: str,
+    identifier: str,
+    date: datetime,
+    attachments: Sequence[Attachment] = (),
+) -> bytes:
+    """Set blocks as a PDF/A-3b (ISO 19005-3).
+
+    Every page shows the title, the identifier and which page of how many it is, and the last one
+    says that it ends there (ISO/IEC 17025:2017, 7.8.2.1). A letter that typst's own fonts lack
+    (they have Latin, Greek, Cyrillic and Hebrew ones) is taken from the machine's fonts, and a
+    square stands for what these lack too.
+
+    Parameters
+    ----------
+    blocks
+        The report, the answer first.
+    title
+        On every page; the heading too, where the blocks hold none of level 1.
+    identifier
+        What the report is known by.
+    date
+        When it was made, with its time zone.
+    attachments
+        Files that travel in it, each of another name.
+
+    Returns
+    -------
+    bytes
+        The file; the same for the same arguments, unless fonts of the machine are needed.
+
+    Raises
+    ------
+    ValueError
+        If two attachments have the same name.
+    """
+    names = [attachment.name for attachment in attachments]
+    if len(set(names)) < len(names):
+        raise ValueError(f"each attachment needs a name of its own; got {', '.join(names)}")
+    moment = date.astimezone(UTC).replace(microsecond=0)
+    if not any(isinstance(block, Heading) and block.level == 1 for block in blocks):
+        blocks = [Heading(title, 1), *blocks]
+    pictures = [svg(block) for block in blocks if isinstance(block, Picture)]
+    data = {
+        "title": title,
+        "identifier": identifier,
+        "moment": moment.timetuple()[:6],
+        "day": f"{moment:%Y-%m-%d %H:%M} UTC",
+        "blocks": list(_parts(blocks)),
+        "pictures": pictures,
+        "attachments": [
+            {
+                "name": one.name,
+                "media_type": one.media_type,
+                "description": one.description,
+                "relationship": one.relationship,
+            }
+            for one in attachments
+        ],
+    }
+    # The compiler takes text alone, so bytes travel as a list of numbers.
+    files = {
+        f"attachment-{index}.json": json.dumps(list(one.data), separators=(",", ":")).encode()
+        for index, one in enumerate(attachments)
+    }
+    return _compiled(data, files, moment)
+
+
+def _parts(blocks: Sequence[Block]) -> Iterator[dict[str, Any]]:
+    """Yield what the layout calls a part: a block, or answers that follow each other."""
+    pictures = 0
+    for answers, group in groupby(blocks, _is_answer):
+        if answers:
+            texts = [block.text for block in group if isinstance(block, Paragraph)]
+            yield {"kind": "answers", "texts": texts}
+            continue
+        for block in group:
+            match block:
+                case Heading(text, level):
+                    yield {"kind": "heading", "text": text, "level": level}
+                case Paragraph(text, style):
+                    yield {"kind": style, "text": text}
+                case Table():
+                    yield _table(block)
+                case _:
+                    yield {"kind": "picture", "title": block.title, "number": pictures}
+                    pictures += 1
+
+
+def _is_answer(block: Block) -> bool:
+    return isinstance(block, Paragraph) and block.style == "answer"
+
+
+def _table(block: Table) -> dict[str, Any]:
+    return {
+        "kind": "table",
+        "columns": [
+            {"title": column.title, "align": column.align, "wraps": column.wraps}
+            for column in block.columns
+        ],
+        "rows": block.rows,
+        "quiet": sorted(block.quiet),
+    }
+
+
+# typst
+
+
+def _compiled(data: dict[str, Any], files: dict[str, bytes], moment: datetime) -> bytes:
+    from typst import TypstError
+
+    layout = (resources.files("counterspin.reports") / "assets" / "report.typ").read_bytes()
+
+    def compiled(data: Any, *, own_fonts: bool = True) -> bytes:
+        # The only lone surrogates that JSON can hold have no shape either.
+        text = json.dumps(data, ensure_ascii=False).encode(errors="replace")
+        return _typst({"main.typ": layout, "data.json": text, **files}, moment, own_fonts)
+
+    try:
+        return compiled(data)
+    except TypstError as error:
+        # PDF/A wants a shape for each letter (ISO 19005-3, 6.2.11.8).
+        if _NO_SHAPE not in error.message:
+            raise
+    letters = sorted({letter for text in _texts(data) for letter in text})
+    lacking = [letter for letter in letters if not _has_shape(letter, own_fonts=True)]
+    nowhere = [letter for letter in lacking if not _has_shape(letter, own_fonts=False)]
+    squares = str.maketrans(dict.fromkeys(nowhere, _SQUARE))
+    return compiled(_translated(data, squares), own_fonts=nowhere == lacking)
+
+
+def _typst(files: dict[str, bytes], moment: datetime, own_fonts: bool) -> bytes:
+    import typst
+
+    made: bytes = typst.compile(  # type: ignore[call-overload]
+        files,
+        ignore_system_fonts=own_fonts,
+        format="pdf",
+        pdf_standards=[_STANDARD],
+        timestamp=moment,
+    )
+    return made
+
+
+def _has_shape(letter: str, *, own_fonts: bool) -> bool:
+    from typst import TypstError
+
+    page = f'#set text(font: "Libertinus Serif")\n#"\\u{{{ord(letter):x}}}"'
+    try:
+        _typst({"main.typ": page.encode()}, datetime(2000, 1, 1, tzinfo=UTC), own_fonts)
+    except TypstError:
+        return False
+    return True
+
+
+def _texts(data: Any) -> Iterator[str]:
+    match data:
+        case str():
+            yield data
+        case dict():
+            yield from _texts(list(data.values()))
+        case list() | tuple():
+            for one in data:
+                yield from _texts(one)
+
+
+def _translated(data: Any, table: dict[int, str]) -> Any:
+    match data:
+        case str():
+            return data.translate(table)
+        case dict():
+            return {key: _translated(value, table) for key, value in data.items()}
+        case list() | tuple():
+            return [_translated(one, table) for one in data]
+    return data

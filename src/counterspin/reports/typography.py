@@ -1,0 +1,66 @@
+"""Numbers and units as they are set on paper, in place of what one can type.
+
+- `typeset`: ``2.7 x 1e-5 ug/g^2`` to ``2.7 × 10⁻⁵ µg/g²``
+- `typeset_block`: the same in all words of a block
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from typing import Final
+
+from counterspin.reports.blocks import Bars, Block, Heading, HeatMap, Paragraph, Plot, Table
+
+_RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+#: A power of ten that stands by itself, before a unit or after a cross.
+_POWER: Final = re.compile(r"(?<![\w.])1e(-?\d+)(?!\w)")
+#: A number, perhaps with its uncertainty in brackets, times a power of ten.
+_TIMES_POWER: Final = re.compile(r"(?<![\w.])(\d+(?:\.\d+)?(?:\([\d.]+\))?)e(-?\d+)(?!\w)")
+_EXPONENT: Final = re.compile(r"(?<=\w)\^(-?\d)(?!\.?\d)")
+#: Micro before a gram-force alone: nothing else in a report is called ug.
+_MICRO: Final = re.compile(r"(?<![\w.])ug(?!\w|\.\w)")
+_CROSS: Final = re.compile(r"(?<=[\d)]) x (?=10[⁻⁰-⁹¹²³])")
+
+
+def typeset(text: str) -> str:
+    """Return a text with its powers of ten, exponents and micro signs set as in print.
+
+    Words and other numbers stay as they are; a minus sign too, so that numbers can be copied.
+    """
+    text = _POWER.sub(lambda found: "10" + found[1].translate(_RAISED), text)
+    text = _TIMES_POWER.sub(lambda found: f"{found[1]} × 10{found[2].translate(_RAISED)}", text)
+    text = _EXPONENT.sub(lambda found: found[1].translate(_RAISED), text)
+    return _CROSS.sub(" × ", _MICRO.sub("µg", text))
+
+
+def typeset_block(block: Block) -> Block:
+    """Return a block with all of its words typeset; commands are left to be typed."""
+    match block:
+        case Heading():
+            return replace(block, text=typeset(block.text))
+        case Paragraph():
+            return block if block.style == "command" else replace(block, text=typeset(block.text))
+        case Table():
+            return replace(
+                block,
+                columns=tuple(replace(c, title=typeset(c.title)) for c in block.columns),
+                rows=tuple(tuple(map(typeset, row)) for row in block.rows),
+            )
+        case Plot():
+            return replace(
+                block,
+                title=typeset(block.title),
+                x_label=typeset(block.x_label),
+                y_label=typeset(block.y_label),
+                series=tuple(replace(s, label=typeset(s.label)) for s in block.series),
+            )
+        case Bars():
+            return replace(
+                block,
+                title=typeset(block.title),
+                texts=tuple(map(typeset, block.texts)),
+            )
+        case HeatMap():
+            return replace(block, title=typeset(block.title))

@@ -1,0 +1,111 @@
+"""`counterspin demo`: the paper's plan from simulation to result, by every method.
+
+- `demo`: writes the campaign, makes its records, calibrates them three ways
+- `Demonstration`: what comes out, beside the truth that went in
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Final
+
+from counterspin.calibration.joint import joint
+from counterspin.calibration.observed import observe
+from counterspin.calibration.options import TwoStageOptions
+from counterspin.calibration.result_parts import AccelerometerResult
+from counterspin.calibration.two_stage import TwoStageOutcome, two_stage
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.simulation import simulate
+from counterspin.campaign.toml_file import DESCRIPTION_NAME
+from counterspin.errors import CounterspinError
+from counterspin.output import write_text
+
+#: Where the demonstration goes unless it is told otherwise.
+FOLDER: Final = "counterspin-demo"
+
+#: As in the paper: its own equations, and the runs not weighted.
+_AS_PRINTED: Final = TwoStageOptions(model="as-printed", weighted=False)
+
+
+@dataclass(frozen=True)
+class Demonstration:
+    """One simulated campaign with a single accelerometer, calibrated three ways.
+
+    Attributes
+    ----------
+    campaign
+        The paper's plan, truth included.
+    records
+        The record files.
+    joint
+        All samples in one fit.
+    two_stage
+        The paper's method with exact equations.
+    as_printed
+        The paper's method with its equations as printed: K_II is half the truth.
+    """
+
+    campaign: Campaign
+    records: tuple[Path, ...]
+    joint: AccelerometerResult
+    two_stage: TwoStageOutcome
+    as_printed: TwoStageOutcome
+
+    @property
+    def truth(self) -> Mapping[str, float]:
+        """Term symbol -> the coefficient that the records were made with, in g-units."""
+        assert self.campaign.simulation is not None
+        (coefficients,) = self.campaign.simulation.truth.coefficients.values()
+        return coefficients
+
+
+def demo(folder: Path | str = FOLDER) -> Demonstration:
+    """Simulate the paper's plan (its Tables 1 and 2, section 2.3) and calibrate it.
+
+    Parameters
+    ----------
+    folder
+        For ``campaign.toml`` and its records; made if it is not there. An earlier demonstration
+        in it is replaced.
+
+    Returns
+    -------
+    Demonstration
+
+    Raises
+    ------
+    CounterspinError
+        If the folder holds another or an edited campaign, or cannot be written.
+    """
+    folder = Path(folder)
+    _write_description(folder)
+    campaign = read_campaign(folder)
+    records = simulate(campaign, folder, overwrite=True)
+    observed = tuple(observe(campaign))
+    (accelerometer,) = campaign.accelerometers.values()
+    return Demonstration(
+        campaign=campaign,
+        records=records,
+        joint=joint(campaign, observed).accelerometers[accelerometer.name],
+        two_stage=two_stage(campaign, observed, accelerometer, TwoStageOptions()),
+        as_printed=two_stage(campaign, observed, accelerometer, _AS_PRINTED),
+    )
+
+
+def _write_description(folder: Path) -> None:
+    text = (files("counterspin.reproduction") / "paper.toml").read_text("utf-8")
+    target = folder / DESCRIPTION_NAME
+    try:
+        if target.exists() and target.read_text("utf-8", errors="replace") != text:
+            raise CounterspinError(
+                f"{target} is another campaign, or an earlier or edited one; remove it, or choose "
+                "another folder with --output"
+            )
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise CounterspinError(f"{folder}: cannot be used ({error.strerror})") from error
+    write_text(target, text)

@@ -1,0 +1,47 @@
+"""The paper's figures beside ours, as a person reads them.
+
+- `render_reproduction`: one table for each part of the paper, as something that rich prints
+"""
+
+from __future__ import annotations
+
+import textwrap
+
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.text import Report
+from counterspin.reproduction.result import Reproduction, Row, Section
+
+#: Characters of the first column; left to itself it would give most of its room to the reasons.
+_QUANTITY_WIDTH = 30
+
+_COLUMNS = (
+    Column("Quantity"),
+    Column("Paper", align="right"),
+    Column("counterspin", align="right"),
+    Column("Unit", wraps=True),
+    Column("Why they differ", wraps=True),
+)
+
+
+def render_reproduction(reproduction: Reproduction) -> Report:
+    """Return the comparison with the paper: quantity, paper, counterspin, unit, why."""
+    blocks: list[Block] = []
+    for section in reproduction.sections:
+        blocks += [Heading(section.title), _table(section)]
+    blocks.append(
+        Paragraph(
+            "Paper: a figure that it states, or what its equation gives as printed. counterspin: "
+            "computed just now. The derivations are in docs/paper.md.",
+            "quiet",
+        )
+    )
+    return Report(blocks)
+
+
+def _table(section: Section) -> Table:
+    return Table(_COLUMNS, tuple(_cells(row) for row in section.rows))
+
+
+def _cells(row: Row) -> tuple[str, ...]:
+    quantity = textwrap.fill(row.quantity, _QUANTITY_WIDTH)
+    return (quantity, row.printed_text, row.ours_text, row.unit, row.why)

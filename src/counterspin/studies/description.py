@@ -1,0 +1,356 @@
+"""[study]: what varies from trial to trial, and which analyses compete.
+
+It stands in ``campaign.toml`` beside [truth], or in a file of its own that names the campaign:
+
+    schema = 1
+    campaign = "three-rate"              # the campaign's folder or file, from here
+    [study]
+    ...
+
+- `read_study`: either of them, all mistakes at once
+- `StudyDescription`, `AnalysisDescription`: what comes out
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import AfterValidator, Field
+
+from counterspin.campaign.checking import Path as KeyPath
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.quantity import parse
+from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.settings import Section, Text, exact
+from counterspin.campaign.terms import BARE_NAMES, acts
+from counterspin.campaign.toml_file import description_file, load_document
+from counterspin.campaign.truth import unfit
+from counterspin.errors import CampaignError
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
+from counterspin.studies.draws import OTHER_NOISE, OTHERS, RADIUS, WHITE, Varying
+
+#: Kinds of distribution, as they are written.
+_KINDS: Final = ("normal", "uniform", "fixed")
+
+
+def _once(analysis: str) -> str:
+    if not analysis.replace("-", "").replace("_", "").isalnum():
+        raise ValueError("an analysis is named with letters, digits, - and _")
+    return analysis
+
+
+class StudySettings(Section):
+    """[study]; `vary` and `analyses` are settled below."""
+
+    trials: Annotated[int, Field(ge=2)] = 10_000
+    seed: Annotated[int, Field(ge=0)] = 1
+    vary: dict[str, Any] = Field(default_factory=dict)
+    analyses: dict[Annotated[str, AfterValidator(_once)], Any] = Field(default_factory=dict)
+
+
+class AnalysisSettings(Section):
+    """[study.analyses.NAME]: one competitor."""
+
+    method: Literal["two-stage", "joint"]
+    model: Literal["exact", "as-printed"] = "exact"
+    weighted: bool = True
+    ripple: Literal["amplitude", "ratio"] = "amplitude"
+    fit_bias: bool = True
+    sigma: Literal["given", "residuals"] = "given"
+    terms: list[Text] | None = None
+    considered: list[Text] | None = None
+
+
+class DistributionSettings(Section):
+    """One entry of [study.vary]."""
+
+    normal: Any = None
+    uniform: Any = None
+    fixed: Any = None
+    per: Literal["run", "campaign"] = "campaign"
+
+
+@dataclass(frozen=True)
+class AnalysisDescription:
+    """One competitor.
+
+    Attributes
+    ----------
+    name
+        As the study calls it.
+    method, model, weighted, ripple, fit_bias, sigma
+        As the options of `counterspin calibrate`.
+    campaign
+        The campaign with the terms that this analysis estimates and considers.
+    """
+
+    name: str
+    method: Literal["two-stage", "joint"]
+    model: Literal["exact", "as-printed"]
+    weighted: bool
+    ripple: Literal["amplitude", "ratio"]
+    fit_bias: bool
+    sigma: Literal["given", "residuals"]
+    campaign: Campaign
+
+
+@dataclass(frozen=True)
+class StudyDescription:
+    """A study.
+
+    Attributes
+    ----------
+    campaign
+        What is simulated, [truth] included.
+    trials, seed
+        How many, and of the random numbers.
+    varying
+        What varies, in the file's order.
+    analyses
+        What competes.
+    """
+
+    campaign: Campaign
+    trials: int
+    seed: int
+    varying: tuple[Varying, ...]
+    analyses: tuple[AnalysisDescription, ...]
+
+
+#: What competes where the study names nothing: the two methods, and the paper's equations.
+_DEFAULT: Final[Mapping[str, Mapping[str, Any]]] = {
+    "joint": {"method": "joint"},
+    "two-stage": {"method": "two-stage"},
+    "as-printed": {"method": "two-stage", "model": "as-printed", "weighted": False},
+}
+
+
+def read_study(path: Path | str) -> StudyDescription:
+    """Read and check a study.
+
+    Parameters
+    ----------
+    path
+        A campaign's folder or description, or a study's own file.
+
+    Raises
+    ------
+    CampaignError
+        With every mistake found, each with the path of its key.
+    """
+    file = description_file(path)
+    raw = load_document(file)
+    problems = Problems(raw)
+    document, where = _document(raw, file, problems)
+    campaign = _campaign(document, where, problems, () if where is file else (str(where),))
+    section = raw.get("study", {})
+    settings = problems.check(StudySettings, section, ("study",))
+    if campaign is None or settings is None:
+        raise CampaignError(str(file), problems.lines)
+    if campaign.simulation is None:
+        problems.add(("truth",), "missing; a study needs [truth.NAME] with the true coefficients")
+    problems.lines += unfit(campaign)
+    gravity = campaign.gravity.value
+    varying: list[Varying] = []
+    for key, path_, entry in _entries(settings.vary, ("study", "vary")):
+        varying += _varying(key, path_, entry, campaign, problems, gravity)
+    for index, one in enumerate(varying):
+        earlier = [other for other in varying[:index] if _same(one, other)]
+        if earlier:
+            problems.add(("study", "vary"), f"{one.symbol} is there twice")
+    analyses = []
+    for name, table in (settings.analyses or _DEFAULT).items():
+        found = _analysis(name, table, document, where, problems)
+        if found is not None:
+            analyses.append(found)
+    if problems.lines:
+        raise CampaignError(str(file), problems.lines)
+    return StudyDescription(
+        campaign, settings.trials, settings.seed, tuple(varying), tuple(analyses)
+    )
+
+
+def _document(
+    raw: dict[str, Any], file: Path, problems: Problems
+) -> tuple[Mapping[str, Any], Path]:
+    """Return the campaign's document and file: this one, or the one that a study's file names."""
+    if not isinstance(raw.get("campaign"), str):
+        return raw, file
+    base = description_file(file.parent / raw["campaign"])
+    known = ("schema", "campaign", "study")
+    for key in raw:
+        if key not in known:
+            problems.add((key,), "unknown key" + did_you_mean(key, known))
+    if type(raw.get("schema")) is not int or raw["schema"] != 1:
+        problems.add(("schema",), "this version of counterspin reads schema = 1")
+    return load_document(base), base
+
+
+def _campaign(
+    document: Mapping[str, Any], file: Path, problems: Problems, prefix: KeyPath
+) -> Campaign | None:
+    """Return the campaign of a document, or None with its mistakes noted."""
+    own = Problems(document)
+    campaign = resolve_campaign(document, file, own)
+    start = f"{prefix[0]}: " if prefix else ""
+    problems.lines += [start + line for line in own.lines if line not in problems.lines]
+    return campaign
+
+
+def _same(one: Varying, other: Varying) -> bool:
+    ripples = {"spindle.ripple.ratio", "spindle.ripple.amplitude"}
+    if {one.symbol, other.symbol} == ripples:
+        return True
+    return (one.owner, one.symbol) == (other.owner, other.symbol)
+
+
+def _entries(
+    table: Mapping[str, Any], path: KeyPath, prefix: str = ""
+) -> Iterator[tuple[str, KeyPath, Any]]:
+    """Yield name, path and entry; names may be written with quotation marks or without."""
+    for key, value in table.items():
+        nested = isinstance(value, Mapping) and not any(kind in value for kind in _KINDS)
+        if nested and value and all(isinstance(inner, Mapping) for inner in value.values()):
+            yield from _entries(value, (*path, key), f"{prefix}{key}.")
+        else:
+            yield prefix + key, (*path, key), value
+
+
+def _varying(
+    key: str,
+    path: KeyPath,
+    entry: Any,
+    campaign: Campaign,
+    problems: Problems,
+    gravity: float,
+) -> list[Varying]:
+    settings = problems.check(DistributionSettings, entry, path)
+    names = _names(key, path, campaign, problems)
+    if settings is None or not names:
+        return []
+    given = [kind for kind in _KINDS if getattr(settings, kind) is not None]
+    if len(given) != 1:
+        problems.add(path, "has one of normal, uniform and fixed")
+        return []
+    (kind,) = given
+    symbol = names[0][1]
+    unit = OTHERS.get(symbol) or term(symbol).unit
+    read = problems.attempt(path, _read, kind, getattr(settings, kind), unit, gravity)
+    per_run = settings.per == "run"
+    if per_run and symbol in (RADIUS, WHITE, *OTHER_NOISE):
+        problems.add(path, "is common to the runs of a campaign")
+    if read is None:
+        return []
+    first, second = read
+    if symbol in (RADIUS, WHITE) and first <= 0.0:
+        problems.add(path, "must be greater than zero")
+    if symbol in OTHER_NOISE and first < 0.0:
+        problems.add(path, "must not be less than zero")
+    return [
+        Varying(owner, one, kind, first, second, per_run)  # type: ignore[arg-type]
+        for owner, one in names
+    ]
+
+
+def _names(
+    key: str, path: KeyPath, campaign: Campaign, problems: Problems
+) -> list[tuple[str, str]]:
+    """Return owner and symbol of everything that a name stands for."""
+    owner, _, last = key.rpartition(".")
+    if owner in campaign.accelerometers and last in TERMS:
+        return [(owner, last)]
+    if key in TERMS:
+        return [(name, key) for name in campaign.accelerometers]
+    if key in PLATFORM_TERMS or key in OTHERS:
+        return [("", key)]
+    if key in BARE_NAMES:
+        mountings = [a.mounting for a in campaign.accelerometers.values()]
+        return [
+            ("", row.symbol)
+            for row in BARE_NAMES[key]
+            if any(acts(row, m, run.attitude) for m in mountings for run in campaign.runs)
+        ]
+    known = [*OTHERS, *TERMS, *BARE_NAMES, *PLATFORM_TERMS]
+    hint = did_you_mean(key, known)
+    if "known:" in hint:
+        hint = f"; known: {', '.join([*OTHERS, *TERMS, *BARE_NAMES])}"
+    problems.add(path, "is nothing that a study can vary" + hint)
+    return []
+
+
+def _read(kind: str, value: Any, unit: str, gravity: float) -> tuple[float, float]:
+    """Return the two numbers of a distribution."""
+    if kind == "normal":
+        quantity = parse(_text(value, unit), unit, gravity=gravity)
+        if quantity.u <= 0.0:
+            raise ValueError('a normal distribution is written "MEAN ± SD UNIT"')
+        return quantity.value, quantity.u
+    if kind == "fixed":
+        return exact(_text(value, unit), unit, gravity), 0.0
+    if not isinstance(value, list) or len(value) != 2:
+        raise ValueError('a uniform distribution is written ["LEAST UNIT", "GREATEST UNIT"]')
+    low, high = (exact(_text(bound, unit), unit, gravity) for bound in value)
+    if not low < high:
+        raise ValueError("the least value must be below the greatest")
+    return low, high
+
+
+def _text(value: Any, unit: str) -> Any:
+    """Write a plain number where a ratio is wanted as a quantity."""
+    plain = isinstance(value, int | float) and not isinstance(value, bool)
+    return f"{float(value) * 1e6!r} ppm" if plain and unit == "1" else value
+
+
+def _analysis(
+    name: str, table: Any, document: Mapping[str, Any], file: Path, problems: Problems
+) -> AnalysisDescription | None:
+    path = ("study", "analyses", name)
+    settings = problems.check(AnalysisSettings, table, path)
+    if settings is None:
+        return None
+    if settings.method == "joint":
+        for key in ("model", "weighted", "ripple", "fit_bias", "sigma"):
+            if isinstance(table, Mapping) and key in table:
+                problems.add((*path, key), "is an option of the two-stage method")
+    before = len(problems.lines)
+    campaign = _campaign(_with_terms(document, settings), file, problems, (".".join(path),))
+    if campaign is None or len(problems.lines) > before:
+        return None
+    chosen = settings.model_dump(exclude={"terms", "considered"})
+    return AnalysisDescription(name=name, campaign=campaign, **chosen)
+
+
+def _with_terms(document: Mapping[str, Any], settings: AnalysisSettings) -> dict[str, Any]:
+    """Return the campaign's document with the terms of one analysis, and no idle priors."""
+    if settings.terms is None and settings.considered is None:
+        return dict(document)
+    model = dict(document.get("model", {}))
+    if settings.terms is not None:
+        model["terms"] = settings.terms
+        model["considered"] = settings.considered or []
+    elif settings.considered is not None:
+        model["considered"] = settings.considered
+    used = [*model.get("terms", []), *model.get("considered", [])]
+    priors = dict(_flat(model.get("priors", {})))
+    model["priors"] = {key: text for key, text in priors.items() if _is_used(key, used)}
+    return {**document, "model": model}
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield prefix + key, value
+
+
+def _is_used(prior: str, used: list[str]) -> bool:
+    last = prior.rpartition(".")[2]
+    return any(
+        name in (prior, last) or prior.startswith(f"{name}.") or name.startswith(f"{prior}.")
+        for name in used
+    )

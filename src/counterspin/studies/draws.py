@@ -1,0 +1,293 @@
+"""What varies from trial to trial of a study, and random numbers that nobody can mix up.
+
+Trials are drawn in batches of a fixed size. Each batch has random streams of its own, derived from
+the study's seed and the batch's number alone, so that a trial is the same whoever computes it, in
+whatever order and however many others there are.
+
+- `Varying`: one quantity and its distribution
+- `Truth`: what is true in one study, fixed and varying
+- `Draws`: the truth of a batch of trials
+- `stream`: the random numbers of one batch
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.spindle import Ripple, Spindle
+
+DRIFT: Final = "spindle.drift"  #: C, 1/s
+RIPPLE_RATIO: Final = "spindle.ripple.ratio"  #: w_1/w0 of the first harmonic
+RIPPLE_AMPLITUDE: Final = "spindle.ripple.amplitude"  #: or its w_1, rad/s
+RIPPLE_PHASE: Final = "spindle.ripple.phase"  #: its phase, rad
+RADIUS: Final = "centrifuge.radius"  #: m
+WHITE: Final = "noise.displacement"  #: of a sample, m
+
+#: Noise that only whole records have: its name, and its field of `study_full.Instrumented`.
+OTHER_NOISE: Final[Mapping[str, str]] = {
+    "noise.acceleration": "random_walk",  # m/s^2/Hz^0.5
+    "noise.quantisation": "quantisation",  # m
+    "noise.angle": "angle_noise",  # rad
+    "noise.timing": "timing_noise",  # s
+}
+
+#: What may vary beside the terms of the tables, with the unit.
+OTHERS: Final[Mapping[str, str]] = {
+    DRIFT: "1/s",
+    RIPPLE_RATIO: "1",
+    RIPPLE_AMPLITUDE: "rad/s",
+    RIPPLE_PHASE: "rad",
+    RADIUS: "m",
+    WHITE: "m",
+    "noise.acceleration": "m/s^2/Hz^0.5",
+    "noise.quantisation": "m",
+    "noise.angle": "rad",
+    "noise.timing": "s",
+}
+
+#: How many standard deviations of a normal distribution a study must be valid for.
+_REACH: Final = 4.5
+
+#: Streams of a batch: the truth and the noise are drawn apart.
+TRUTH_STREAM: Final = 0
+NOISE_STREAM: Final = 1
+
+
+@dataclass(frozen=True)
+class Varying:
+    """One quantity that varies from trial to trial.
+
+    Attributes
+    ----------
+    owner
+        The accelerometer's name for a term of its own; else empty.
+    symbol
+        A term of the tables or a key of `OTHERS`.
+    kind
+        ``normal``, ``uniform`` or ``fixed``.
+    first, second
+        Mean and standard deviation; least and greatest value; value and 0.
+    per_run
+        Whether every run of a trial has a value of its own.
+    """
+
+    owner: str
+    symbol: str
+    kind: Literal["normal", "uniform", "fixed"]
+    first: float
+    second: float
+    per_run: bool = False
+
+    def draw(self, generator: np.random.Generator, runs: int, trials: int) -> Array:
+        """Return values, shape (runs, trials), with 1 in place of what has them in common."""
+        rows = runs if self.per_run else 1
+        if self.kind == "normal":
+            drawn: Array = generator.standard_normal((rows, trials))
+            drawn *= self.second
+            drawn += self.first
+            return drawn
+        if self.kind == "uniform":
+            drawn = generator.random((rows, trials))
+            drawn *= self.second - self.first
+            drawn += self.first
+            return drawn
+        return np.full((1, 1), self.first)
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """The least and greatest value that matter."""
+        if self.kind == "normal":
+            return self.first - _REACH * self.second, self.first + _REACH * self.second
+        return (self.first, self.second if self.kind == "uniform" else self.first)
+
+
+@dataclass(frozen=True)
+class Draws:
+    """The truth of a batch of n trials in r runs.
+
+    Where the runs or the trials have a value in common, their axis has length 1: what does not
+    vary costs nothing.
+
+    Attributes
+    ----------
+    trials
+        How many there are.
+    values
+        (owner, symbol) -> values, shape (r or 1, n or 1): accelerometer terms in g-units, platform
+        terms in SI.
+    drift, ripple_cos, ripple_sin
+        Of each run: C in 1/s, and the first harmonic's (w_1/w0) cos phi and (w_1/w0) sin phi,
+        shape (r or 1, n or 1).
+    radius, white
+        m, shape (n,) or (1,).
+    noise
+        Those of `OTHER_NOISE` that vary, shape (n,) or (1,).
+    """
+
+    trials: int
+    values: Mapping[tuple[str, str], Array]
+    drift: Array
+    ripple_cos: Array
+    ripple_sin: Array
+    radius: Array
+    white: Array
+    noise: Mapping[str, Array]
+
+    def take(self, trial: int) -> Draws:
+        """Return one of the trials by itself."""
+        return self.part(trial, trial + 1)
+
+    def part(self, start: int, stop: int) -> Draws:
+        """Return some of the trials by themselves."""
+
+        def some(values: Array) -> Array:
+            return values if values.shape[-1] == 1 else values[..., start:stop]
+
+        return Draws(
+            stop - start,
+            {key: some(value) for key, value in self.values.items()},
+            some(self.drift),
+            some(self.ripple_cos),
+            some(self.ripple_sin),
+            some(self.radius),
+            some(self.white),
+            {key: some(value) for key, value in self.noise.items()},
+        )
+
+    def of(self, owner: str, symbol: str) -> Array:
+        """Return a coefficient as one number a trial, shape (n,): the mean over the runs."""
+        value = self.values[owner, symbol]
+        mean: Array = value[0] if value.shape[0] == 1 else value.mean(axis=0)
+        return np.broadcast_to(mean, self.trials)
+
+    def spindle(self, base: Spindle, run: int) -> Spindle:
+        """Return the true motion of one run in the first of the trials."""
+
+        def pick(values: Array) -> float:
+            return float(values[min(run, values.shape[0] - 1), 0])
+
+        cos, sin = pick(self.ripple_cos), pick(self.ripple_sin)
+        others = tuple(ripple for ripple in base.ripples if ripple.harmonic != 1)
+        first = Ripple(1, base.rate * float(np.hypot(cos, sin)), float(np.arctan2(sin, cos)))
+        return Spindle(base.rate, pick(self.drift), (first, *others), base.start_angle)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What is true in a study.
+
+    Attributes
+    ----------
+    fixed
+        (owner, symbol) -> value of each run, shape (r,) or (1,).
+    spindles
+        Of each run, with what does not vary.
+    radius, white
+        m; where they do not vary.
+    varying
+        What does.
+    """
+
+    fixed: Mapping[tuple[str, str], Array]
+    spindles: tuple[Spindle, ...]
+    radius: float
+    white: float
+    varying: tuple[Varying, ...]
+
+    def draw(self, generator: np.random.Generator, trials: int) -> Draws:
+        """Draw the truth of some trials, quantity after quantity in the study's order."""
+        runs = len(self.spindles)
+        values = {key: value[:, None] for key, value in self.fixed.items()}
+        drift = np.array([[s.drift] for s in self.spindles])
+        ratio, phase = (np.array(part)[:, None] for part in self._first())
+        radius, white = np.array([self.radius]), np.array([self.white])
+        noise: dict[str, Array] = {}
+        for one in self.varying:
+            drawn = one.draw(generator, runs, trials)
+            if one.symbol == DRIFT:
+                drift = drawn
+            elif one.symbol == RIPPLE_RATIO:
+                ratio = drawn
+            elif one.symbol == RIPPLE_AMPLITUDE:
+                ratio = drawn / np.array([[spindle.rate] for spindle in self.spindles])
+            elif one.symbol == RIPPLE_PHASE:
+                phase = drawn
+            elif one.symbol == RADIUS:
+                radius = drawn[0]
+            elif one.symbol == WHITE:
+                white = np.abs(drawn[0])
+            elif one.symbol in OTHER_NOISE:
+                noise[one.symbol] = np.abs(drawn[0])
+            else:
+                values[one.owner, one.symbol] = drawn
+        cos, sin = ratio * np.cos(phase), ratio * np.sin(phase)
+        return Draws(trials, values, drift, cos, sin, radius, white, noise)
+
+    def _first(self) -> tuple[list[float], list[float]]:
+        """Return ratio and phase of every run's first harmonic."""
+        ratios, phases = [], []
+        for spindle in self.spindles:
+            found = [ripple for ripple in spindle.ripples if ripple.harmonic == 1]
+            ratios.append(found[0].amplitude / spindle.rate if found else 0.0)
+            phases.append(found[0].phase if found else 0.0)
+        return ratios, phases
+
+    def varies(self, *symbols: str) -> bool:
+        """Return whether any of some quantities varies."""
+        return any(one.symbol in symbols and one.kind != "fixed" for one in self.varying)
+
+    @property
+    def symbols(self) -> dict[str, tuple[str, ...]]:
+        """Owner -> the terms that are not nominal in every trial; the platform's owner is ''."""
+        keys = [*self.fixed, *((one.owner, one.symbol) for one in self.varying)]
+        keys = [key for key in keys if key[1] not in OTHERS]
+        owners = dict.fromkeys(owner for owner, _ in keys)
+        return {
+            owner: tuple(dict.fromkeys(symbol for other, symbol in keys if other == owner))
+            for owner in owners
+        }
+
+    def largest(self, symbol: str, run: int) -> tuple[float, float]:
+        """Return the least and greatest value of a spindle quantity or the radius in a run."""
+        for one in self.varying:
+            if symbol == RIPPLE_RATIO and one.symbol == RIPPLE_AMPLITUDE:
+                low, high = sorted(bound / self.spindles[run].rate for bound in one.reach)
+                return low, high
+            if one.symbol == symbol:
+                return one.reach
+        spindle = self.spindles[run]
+        ratios, phases = self._first()
+        value = {
+            DRIFT: spindle.drift,
+            RIPPLE_RATIO: ratios[run],
+            RIPPLE_PHASE: phases[run],
+            RADIUS: self.radius,
+        }[symbol]
+        return value, value
+
+
+def stream(seed: int, batch: int, which: int) -> np.random.Generator:
+    """Return the random numbers of one batch, for its truth or for its noise.
+
+    Parameters
+    ----------
+    seed
+        Of the study.
+    batch
+        Number of the batch, from 0.
+    which
+        `TRUTH_STREAM`, `NOISE_STREAM`, or any further whole number.
+    """
+    sequence = np.random.SeedSequence(seed, spawn_key=(batch, which))
+    return np.random.Generator(np.random.SFC64(sequence))
+
+
+def nominal(owner: str, symbol: str) -> float:
+    """Return what a coefficient is in a perfect system."""
+    return TERMS[symbol].nominal if owner else 0.0

@@ -1,0 +1,174 @@
+"""The engine of a study: the trials of one batch, by whatever shortcut each analysis allows.
+
+- `Reported`: one coefficient of one analysis
+- `Part`: an analysis and its engine (chosen by `counterspin.studies.choice`)
+- `StudyEngine`: all of it; `StudyEngine.batch` does the work
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.studies.draws import (
+    DRIFT,
+    NOISE_STREAM,
+    TRUTH_STREAM,
+    Draws,
+    Truth,
+    nominal,
+    stream,
+)
+from counterspin.studies.full import FullEngine
+from counterspin.studies.joint import JointEngine
+from counterspin.studies.tally import Driver, Tally
+from counterspin.studies.two_stage import TwoStageEngine
+
+#: Trials of a batch: what fits a cache, and for slow engines what takes a fraction of a second.
+_BATCH: Final = {"constant": 16384, "sampled": 8192, "surrogate": 4096, "exact": 128, "full": 8}
+
+
+@dataclass(frozen=True)
+class Reported:
+    """One coefficient of one analysis.
+
+    Attributes
+    ----------
+    analysis, owner, symbol
+        Names; the owner of a platform term is empty.
+    bound
+        The Cramer-Rao bound of its standard uncertainty; None where it cannot be had.
+    """
+
+    analysis: str
+    owner: str
+    symbol: str
+    bound: float | None
+
+
+@dataclass(frozen=True)
+class Part:
+    """An engine and what it reports, in the order of its rows.
+
+    Attributes
+    ----------
+    engine
+        The engine.
+    kind
+        What a trial costs: ``constant``; ``sampled`` where sigma is from the residuals, and with
+        it the second stage's weights; ``surrogate``; ``exact``; ``full``.
+    noise
+        Which stream of noise it draws from. Analyses that share one see the same readings.
+    words
+        What it is called.
+    rows
+        Its own rows that are reported.
+    reported
+        What they are.
+    lost
+        Coefficients that the records do not determine.
+    """
+
+    engine: TwoStageEngine | JointEngine | FullEngine
+    kind: str
+    noise: int
+    words: str
+    rows: tuple[int, ...]
+    reported: tuple[Reported, ...]
+    lost: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What one batch of trials gives.
+
+    Attributes
+    ----------
+    sums
+        For each reported coefficient, shape (c, width).
+    values
+        Truth, estimate and u of each, shape (c, 3, n), or None.
+    """
+
+    sums: Array
+    values: Array | None
+
+
+@dataclass(frozen=True)
+class StudyEngine:
+    """Everything that a worker needs.
+
+    Attributes
+    ----------
+    truth
+        What is true.
+    seed
+        Of the study.
+    parts
+        An engine for each analysis.
+    tally
+        What is counted.
+    """
+
+    truth: Truth
+    seed: int
+    parts: tuple[Part, ...]
+    tally: Tally
+
+    @property
+    def batch_size(self) -> int:
+        """Trials in a batch."""
+        return min(_BATCH[part.kind] for part in self.parts)
+
+    @property
+    def reported(self) -> tuple[Reported, ...]:
+        """All that is reported, in the order of a batch's rows."""
+        return tuple(one for part in self.parts for one in part.reported)
+
+    def batch(self, number: int, trials: int, *, keep: bool = False) -> Batch:
+        """Do the trials of one batch.
+
+        Parameters
+        ----------
+        number
+            Of the batch, from 0.
+        trials
+            How many of its trials count; the last batch of a study may be cut short.
+        keep
+            Whether each trial is returned too.
+        """
+        draws = self.truth.draw(stream(self.seed, number, TRUTH_STREAM), self.batch_size)
+        driven = [_driven(draws, driver)[:trials] for driver in self.tally.drivers]
+        sums, values = [], []
+        for part in self.parts:
+            noise = stream(self.seed, number, NOISE_STREAM + part.noise)
+            # An engine that is one by one slow does no trial that does not count.
+            few = draws.part(0, trials) if part.kind == "full" else draws
+            if isinstance(part.engine, TwoStageEngine):
+                (found,) = part.engine.trials(few, noise)
+            else:
+                found = part.engine.trials(few, noise)
+            for row, one in zip(part.rows, part.reported, strict=True):
+                truth = _truth(draws, one)[:trials]
+                estimate = found.estimate[row, :trials]
+                u, dof = found.u[row, :trials], found.dof[row, :trials]
+                sums.append(self.tally.count(estimate, truth, u, dof, driven))
+                if keep:
+                    values.append(np.stack([truth, estimate, np.broadcast_to(u, truth.shape)]))
+        return Batch(np.array(sums), np.array(values) if keep else None)
+
+
+def _truth(draws: Draws, one: Reported) -> Array:
+    if (one.owner, one.symbol) in draws.values:
+        return draws.of(one.owner, one.symbol)
+    return np.full(draws.trials, nominal(one.owner, one.symbol))
+
+
+def _driven(draws: Draws, driver: Driver) -> Array:
+    if driver.symbol == DRIFT:
+        return np.broadcast_to(draws.drift.mean(axis=0), draws.trials)
+    ripple = np.hypot(draws.ripple_cos, draws.ripple_sin).mean(axis=0)
+    return np.broadcast_to(ripple, draws.trials)

@@ -1,0 +1,305 @@
+"""The t^2 coefficient that each error adds to a strobed run, for many rotations at once.
+
+The first stage is linear: b2 = sum_k g_k e(t_k) over the strobes, with sum g_k = sum g_k t_k = 0.
+A double integral e(t) = int (t - s) f(s) ds therefore adds
+
+    b2 = int W(s) f(s) ds,    W(s) = sum over t_k > s of g_k (t_k - s),
+
+one integral with a kernel that is linear between strobes and zero outside them. Two panels of
+twelve Gauss-Legendre nodes between neighbouring strobes give it to rounding.
+
+- `StrobedMotion`: one run, its strobe angles and axes
+- `effects`: b2 per unit of each term, by quadrature
+- `kinked`: terms that this quadrature cannot take
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.errors import ConvergenceError
+from counterspin.physics.accelerometer import Mounting, PlatformTerm, Term, term
+from counterspin.physics.motion import Site
+from counterspin.physics.spindle import TURN, Spindle
+
+_PANELS: Final = 2
+_NODES: Final = 12
+
+#: Node times times trials that are worked on at once: a cache's worth.
+_AT_ONCE: Final = 30_000
+
+
+def _between() -> tuple[Array, Array]:
+    """Return nodes in [0, 1] and weights that sum to 1."""
+    x, w = np.polynomial.legendre.leggauss(_NODES)
+    starts = np.arange(_PANELS)[:, None] / _PANELS
+    nodes = (starts + (1.0 + x) / (2.0 * _PANELS)).ravel()
+    return nodes, np.tile(w / (2.0 * _PANELS), _PANELS)
+
+
+_X, _W = _between()
+
+
+@dataclass(frozen=True)
+class StrobedMotion:
+    """One run as the strobes see it.
+
+    Attributes
+    ----------
+    spindle
+        Rate, start angle and the harmonics beyond the first; drift and first harmonic vary.
+    angles
+        Spindle angles of the strobes, rad, shape (m,).
+    mounting
+        The axes in the run's attitude.
+    attitude
+        The platform's attitude, shape (3, 3).
+    site
+        Where the centrifuge stands.
+    """
+
+    spindle: Spindle
+    angles: Array
+    mounting: Mounting
+    attitude: Array
+    site: Site
+
+    @classmethod
+    def of(
+        cls,
+        spindle: Spindle,
+        duration: float,
+        phase: float,
+        mounting: Mounting,
+        attitude: Array,
+        site: Site,
+    ) -> StrobedMotion:
+        """Return a run with the strobes that a record of this duration passes."""
+        first = spindle.start_angle
+        last = first + spindle.rate * duration
+        low, high = min(first, last), max(first, last)
+        margin = 1e-9 * TURN
+        turns = np.arange(
+            math.ceil((low - phase - margin) / TURN), math.floor((high - phase + margin) / TURN) + 1
+        )
+        angles: Array = np.asarray(phase + TURN * turns, dtype=np.float64)
+        angles = angles if spindle.rate > 0 else angles[::-1]
+        return cls(spindle, angles, mounting.turned(attitude), attitude, site)
+
+
+def kinked(symbol: str) -> bool:
+    """Return whether a term's product has a kink, which this quadrature cannot take."""
+    row = term(symbol)
+    return isinstance(row, Term) and "|I|" in row.factors
+
+
+def effects(
+    motion: StrobedMotion,
+    symbols: Sequence[str],
+    drift: Array,
+    ripple_cos: Array,
+    ripple_sin: Array,
+    radius: Array,
+) -> tuple[Array, Array]:
+    """Return b2 per unit coefficient, and what the noise of a strobe is divided by in b2.
+
+    Parameters
+    ----------
+    motion
+        The run.
+    symbols
+        Terms, q of them, none `kinked`. The platform's are seen with a scale factor of 1.
+    drift, ripple_cos, ripple_sin, radius
+        Of each of n rotations, shape (n,): 1/s, ratios, m.
+
+    Returns
+    -------
+    tuple
+        b2 per unit in m/s^2, shape (q, n), and sigma/u(b2) in s^2, shape (n,).
+
+    Raises
+    ------
+    ConvergenceError
+        If the ripple stops the spindle.
+    """
+    n = drift.size
+    found = np.empty((len(symbols), n))
+    size = np.empty(n)
+    step = max(1, _AT_ONCE // (motion.angles.size * _X.size))
+    for start in range(0, n, step):
+        part = slice(start, start + step)
+        rotation = _Rotation(motion.spindle, drift[part], ripple_cos[part], ripple_sin[part])
+        found[:, part], size[part] = _effects(motion, symbols, rotation, radius[part])
+    return found, size
+
+
+class _Rotation:
+    """The angle of many rotations at once; times of shape (..., n), the rotations last."""
+
+    def __init__(self, spindle: Spindle, drift: Array, cos: Array, sin: Array) -> None:
+        self.rate, self.start = spindle.rate, spindle.start_angle
+        self.drift, self.cos, self.sin = drift, cos, sin
+        self.others = [
+            (ripple.harmonic, ripple.amplitude / spindle.rate, ripple.phase)
+            for ripple in spindle.ripples
+            if ripple.harmonic != 1
+        ]
+
+    def at(self, t: Array) -> tuple[Array, Array, Array]:
+        """Return angle (rad), rate and angular acceleration (rad/s, rad/s^2) at times in s."""
+        w0 = self.rate
+        uniform = w0 * t
+        c, s = np.cos(uniform), np.sin(uniform)
+        wave = self.cos * c - self.sin * s
+        slope = self.cos * s + self.sin * c
+        angle = self.start + uniform * (1.0 + 0.5 * self.drift * t) - wave + self.cos
+        rate = 1.0 + self.drift * t + slope
+        alpha = wave + self.drift / w0
+        for n, ratio, phase in self.others:
+            inside = n * uniform + phase
+            angle -= ratio / n * (np.cos(inside) - math.cos(phase))
+            rate += ratio * np.sin(inside)
+            alpha += n * ratio * np.cos(inside)
+        return angle, w0 * rate, w0 * w0 * alpha
+
+    def time_at(self, angles: Array) -> Array:
+        """Return when the angles (m,) are passed, s, shape (m, n)."""
+        target = angles[:, None]
+        if np.any(np.hypot(self.cos, self.sin) >= 1.0):
+            raise ConvergenceError("the ripple stops the spindle; its ratio must be below 1")
+        t = (target - self.start) / self.rate * np.ones_like(self.drift)
+        for _ in range(50):
+            angle, rate, _ = self.at(t)
+            step = (angle - target) / rate
+            t = t - step
+            if np.all(np.abs(step) <= 1e-9 * (1.0 + np.abs(t))):  # squared by the next step
+                angle, rate, _ = self.at(t)
+                return np.asarray(t - (angle - target) / rate)
+        raise ConvergenceError("the strobes are not reached: the ripple is too large for this rate")
+
+
+def _effects(
+    motion: StrobedMotion, symbols: Sequence[str], rotation: _Rotation, radius: Array
+) -> tuple[Array, Array]:
+    strobes = rotation.time_at(motion.angles)
+    gain, size = _curvature_gain(strobes)
+    gap = np.diff(strobes, axis=0)
+    times = strobes[:-1, None] + gap[:, None] * _X[:, None]
+    # Sums over the later strobes, taken from a strobe's own time so that nothing cancels.
+    later = np.cumsum(gain[::-1], axis=0)[::-1][1:]
+    moment = np.cumsum((gap * later)[::-1], axis=0)[::-1]
+    kernel = moment[:, None] - later[:, None] * (gap[:, None] * _X[:, None])
+    weight = (kernel * gap[:, None] * _W[:, None]).reshape(-1, radius.size)
+    field = _Force(motion, rotation, radius, times.reshape(-1, radius.size))
+    found = np.empty((len(symbols), radius.size))
+    for index, symbol in enumerate(symbols):
+        found[index] = _effect(motion, term(symbol), field, weight, gain)
+    return found, size
+
+
+def _curvature_gain(strobes: Array) -> tuple[Array, Array]:
+    """Return d(b2)/d(strobes) of an unweighted parabola (m, n), and 1/its norm (n,)."""
+    t = strobes - strobes.mean(axis=0)
+    square = t * t
+    mean = square.mean(axis=0)
+    tilt = np.sum(square * t, axis=0) / (mean * t.shape[0])
+    shape = square - tilt * t - mean
+    norm = np.sum(shape * shape, axis=0)
+    return shape / norm, np.sqrt(norm)
+
+
+class _Force:
+    """The specific force at the nodes, east, north and up, and what is made of it."""
+
+    def __init__(
+        self, motion: StrobedMotion, rotation: _Rotation, radius: Array, times: Array
+    ) -> None:
+        self.times, self.site, self.radius = times, motion.site, radius
+        angle, rate, alpha = rotation.at(times)
+        self.cos, self.sin = np.cos(angle), np.sin(angle)
+        along = radius * rate
+        self._velocity = (-along * self.sin, along * self.cos)
+        inward, forward = along * rate, radius * alpha
+        turn = 2.0 * motion.site.earth_rotation
+        east, north = self._velocity
+        self.force = (
+            -inward * self.cos - forward * self.sin - turn[2] * north,
+            -inward * self.sin + forward * self.cos + turn[2] * east,
+            motion.site.gravity - turn[1] * east,
+        )
+        self._turn = turn
+        start = rotation.at(np.zeros((1, radius.size)))
+        self._start = (
+            -radius * start[1][0] * np.sin(start[0][0]),
+            radius * start[1][0] * np.cos(start[0][0]),
+        )
+        self._first = (np.cos(start[0][0]), np.sin(start[0][0]))
+
+    def along(self, axis: Array) -> Array:
+        """Return the component along an axis, m/s^2."""
+        east, north, up = self.force
+        return np.asarray(axis[0] * east + axis[1] * north + axis[2] * up)
+
+    def velocity_along(self, axis: Array) -> Array:
+        """Return the integral of the specific force along an axis since t = 0, m/s."""
+        east = self.radius * (self.cos - self._first[0])
+        north = self.radius * (self.sin - self._first[1])
+        gained = (
+            self._velocity[0] - self._start[0] - self._turn[2] * north,
+            self._velocity[1] - self._start[1] + self._turn[2] * east,
+            self.site.gravity * self.times - self._turn[1] * east,
+        )
+        return np.asarray(axis[0] * gained[0] + axis[1] * gained[1] + axis[2] * gained[2])
+
+    def coriolis_along(self, axis: Array) -> Array:
+        """Return the Coriolis part alone, m/s^2."""
+        east, north = self._velocity
+        turn = self._turn
+        return np.asarray(
+            -axis[0] * turn[2] * north + axis[1] * turn[2] * east - axis[2] * turn[1] * east
+        )
+
+
+def _effect(
+    motion: StrobedMotion,
+    row: Term | PlatformTerm,
+    field: _Force,
+    weight: Array,
+    gain: Array,
+) -> Array:
+    g = motion.site.gravity
+    axes = motion.mounting
+    if isinstance(row, Term):
+        if not row.factors:
+            return np.full(field.radius.size, 0.5 * g)
+        if len(row.factors) == 1:
+            axis = row.sign * axes.matrix["IPO".index(row.factors[0])]
+            return _linear(motion, axis, field, weight, gain)
+        a_ipo = np.stack([field.along(axis) for axis in axes.matrix]) / g
+        return _weighted(weight, g * row.evaluate(a_ipo))
+    if row.kind == "tilt":
+        return _linear(motion, np.cross(np.eye(3)[row.axis], axes.input_axis), field, weight, gain)
+    arm = np.cross(motion.attitude[row.axis], axes.input_axis)
+    turned = field.along(arm)
+    if row.force_axis is None:
+        return _weighted(weight, field.times * turned)
+    gained = field.velocity_along(motion.attitude[row.force_axis])
+    return _weighted(weight, gained * turned / g)
+
+
+def _linear(motion: StrobedMotion, axis: Array, field: _Force, weight: Array, gain: Array) -> Array:
+    """Return b2 of the force along an axis: the position at the strobes, without an integration."""
+    position = axis[0] * np.cos(motion.angles) + axis[1] * np.sin(motion.angles)
+    moved = field.radius * (position @ gain)
+    upward = 0.5 * motion.site.gravity * axis[2]
+    return np.asarray(moved + upward + _weighted(weight, field.coriolis_along(axis)))
+
+
+def _weighted(weight: Array, values: Array) -> Array:
+    return np.asarray(np.einsum("sn,sn->n", weight, values))

@@ -1,0 +1,225 @@
+"""`counterspin study`: whether a campaign, analysed so, gives the uncertainty it claims.
+
+- `study`: many trials of a campaign with known coefficients, and what its analyses make of them
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+
+from counterspin._version import __version__
+from counterspin.errors import CounterspinError
+from counterspin.output import make_folder, write_text, write_whole
+from counterspin.physics.accelerometer import term
+from counterspin.studies.choice import EngineName, prepare
+from counterspin.studies.description import StudyDescription, read_study
+from counterspin.studies.draws import OTHERS, Varying
+from counterspin.studies.engine import StudyEngine
+from counterspin.studies.preparation import analyses_of, truth_of, world_of
+from counterspin.studies.result import (
+    AnalysisResult,
+    CoefficientResult,
+    StudyResult,
+    judge,
+    verdict_of,
+)
+from counterspin.studies.tally import summarise
+from counterspin.studies.work import Ledger, run_batches, work
+from counterspin.workers import crew_of
+
+
+def study(
+    where: Path | str | StudyDescription,
+    *,
+    trials: int | None = None,
+    seed: int | None = None,
+    engine: EngineName = "auto",
+    workers: int = 1,
+    cluster: str | None = None,
+    output: Path | str | None = None,
+    keep_trials: bool = False,
+    resume: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> StudyResult:
+    """Study a campaign by Monte Carlo.
+
+    Parameters
+    ----------
+    where
+        A campaign's folder or description, a study's file, or a study already read.
+    trials, seed
+        In place of the study's own.
+    engine
+        ``auto`` takes the fastest that is valid; ``surrogate``, ``exact`` and ``full`` are as
+        docs/study.md describes them.
+    workers
+        Processes.
+    cluster
+        Address of a Dask scheduler, whose workers do the work in place of processes here.
+    output
+        Folder for ``study.json``, ``trials.parquet`` and what a resumption needs; None: nothing
+        is written.
+    keep_trials
+        Whether every trial is written to ``trials.parquet``.
+    resume
+        Whether to go on with what was begun in `output`.
+    progress
+        Called with (trials done, trials in all).
+
+    Returns
+    -------
+    StudyResult
+        The same, whatever the number of workers. If it was interrupted from the keyboard it says
+        so, and holds what was done.
+
+    Raises
+    ------
+    CampaignError
+        If the description is wrong.
+    NotIdentifiableError
+        If the engine asked for is not valid, or nothing can be determined.
+    CounterspinError
+        If the workers fail, or a file cannot be written.
+    """
+    description = where if isinstance(where, StudyDescription) else read_study(where)
+    if keep_trials and output is None:
+        raise CounterspinError("--keep-trials needs a folder for them: --output FOLDER")
+    if workers < 1:
+        raise CounterspinError("--workers must be at least 1")
+    trials = description.trials if trials is None else trials
+    if trials < 2:
+        raise CounterspinError("--trials must be at least 2")
+    alone = workers == 1 and cluster is None
+    # Workers start while the engine is prepared.
+    with nullcontext() if alone else crew_of(workers, cluster, work.__module__) as crew:
+        prepared = prepare(
+            world_of(description.campaign),
+            truth_of(description),
+            analyses_of(description),
+            description.seed if seed is None else seed,
+            engine,
+        )
+        folder = _folder(output)
+        ledger = Ledger(
+            prepared, trials, keep=keep_trials, folder=folder, fingerprint=_fingerprint(prepared)
+        )
+        if resume:
+            ledger.resume()
+        begin = time.perf_counter()
+        complete = run_batches(
+            prepared, ledger, workers=workers, cluster=cluster, crew=crew, progress=progress
+        )
+    result = _result(description, prepared, ledger, complete, time.perf_counter() - begin)
+    if folder is not None:
+        _write(folder, result, prepared, ledger)
+    return result
+
+
+def _folder(output: Path | str | None) -> Path | None:
+    if output is None:
+        return None
+    folder = Path(output)
+    make_folder(folder)
+    return folder
+
+
+def _fingerprint(engine: StudyEngine) -> str:
+    """Return a checksum of everything that decides what a batch gives."""
+    with np.printoptions(threshold=1_000_000, precision=17):
+        return hashlib.sha256(repr((__version__, engine)).encode()).hexdigest()
+
+
+def _result(
+    description: StudyDescription,
+    engine: StudyEngine,
+    ledger: Ledger,
+    complete: bool,
+    seconds: float,
+) -> StudyResult:
+    if not ledger.done.any():
+        raise CounterspinError("the study was stopped before a single batch of trials was done")
+    sums = ledger.sums[ledger.done]
+    found: dict[str, AnalysisResult] = {}
+    row = 0
+    for part in engine.parts:
+        coefficients = []
+        for one in part.reported:
+            summary = summarise(engine.tally, sums[:, row])
+            unit = term(one.symbol).unit
+            trustworthy, finding = judge(one, summary)
+            coefficients.append(
+                CoefficientResult(
+                    one.owner, one.symbol, unit, summary, one.bound, trustworthy, finding
+                )
+            )
+            row += 1
+        name = part.reported[0].analysis
+        result = AnalysisResult(name, part.words, tuple(coefficients), part.lost)
+        if name in found:
+            # A two-stage analysis has an engine for each accelerometer.
+            before = found[name]
+            joined = before.coefficients + result.coefficients
+            result = replace(before, coefficients=joined, lost=before.lost + result.lost)
+        found[name] = result
+    analyses = tuple(found.values())
+    return StudyResult(
+        title=description.campaign.title,
+        asked=ledger.trials,
+        seed=engine.seed,
+        complete=complete,
+        seconds=seconds,
+        varying=tuple(_in_words(one) for one in description.varying),
+        drivers=tuple(driver.symbol for driver in engine.tally.drivers),
+        analyses=analyses,
+        verdict=verdict_of(analyses),
+        version=__version__,
+    )
+
+
+def _in_words(one: Varying) -> str:
+    name = f"{one.owner}.{one.symbol}" if one.owner else one.symbol
+    unit = OTHERS.get(one.symbol) or term(one.symbol).unit
+    unit = "" if unit == "1" else f" {unit}"
+    low, high = f"{one.first:.6g}{unit}", f"{one.second:.6g}{unit}"
+    how = {
+        "normal": f"normal, mean {low}, standard deviation {high}",
+        "uniform": f"uniform from {low} to {high}",
+        "fixed": low,
+    }[one.kind]
+    return f"{name}: {how}" + (", anew in each run" if one.per_run else "")
+
+
+def _write(folder: Path, result: StudyResult, engine: StudyEngine, ledger: Ledger) -> None:
+    from json import dumps
+
+    write_text(folder / "study.json", dumps(result.to_dict(), indent=1) + "\n")
+    if ledger.keep:
+        names = [
+            ".".join(word for word in (one.analysis, one.owner, one.symbol) if word)
+            for one in engine.reported
+        ]
+        write_whole(folder / "trials.parquet", lambda part: _parquet(part, names, ledger))
+    if result.complete:
+        ledger.clear()
+
+
+def _parquet(path: Path, names: list[str], ledger: Ledger) -> None:
+    """Write one row a trial: its number, and truth, estimate and u of each coefficient."""
+    batches = np.flatnonzero(ledger.done)
+    number = np.concatenate(
+        [int(b) * ledger.size + np.arange(ledger.trials_of(int(b))) for b in batches]
+    )
+    columns = {"trial": pl.Series(number)}
+    for place, name in enumerate(names):
+        for part, word in enumerate(("truth", "estimate", "u")):
+            values = [ledger.values[int(b)][place, part] for b in batches]
+            columns[f"{name}.{word}"] = pl.Series(np.concatenate(values))
+    pl.DataFrame(columns).write_parquet(path)

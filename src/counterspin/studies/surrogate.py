@@ -1,0 +1,225 @@
+"""Strobed effects as a polynomial of the spindle's small errors, checked inside a box.
+
+What each error adds to a run's b2 (`counterspin.studies.strobes`) is a smooth function of
+the drift, of the first harmonic's cosine and sine parts, and of the radius. A polynomial of the
+fourth degree through points computed by quadrature stands for it inside a box, whose corners and
+inside are checked when it is made. Quantities that do not vary take no part; where none varies
+the polynomial is a constant.
+
+- `Surrogate`: the polynomials of one run
+- `box_of`: how large the box may be
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.errors import ConvergenceError
+from counterspin.physics.accelerometer import term
+from counterspin.studies.strobes import StrobedMotion, effects
+
+DEGREE: Final = 4
+
+#: The box: angle that drift adds in a run (rad), ripple ratio, relative error of the radius.
+_DRIFT_ANGLE: Final = 0.076
+_RIPPLE: Final = 6e-4
+_RADIUS: Final = 1e-3
+
+#: The largest error that the polynomial may have, in parts of the largest value in the box.
+_TOLERANCE: Final = 1e-9
+
+#: Effects below this part of the largest, at credible sizes of both, hardly matter.
+_HARDLY: Final = 1e-4
+
+#: Points of the fit for each coefficient of the polynomial, and points of the check.
+_OVERSAMPLED: Final = 3
+_CHECKED: Final = 60
+
+
+@dataclass(frozen=True)
+class Box:
+    """Where a surrogate holds: centre and half width of drift, ripple parts and radius, (4,)."""
+
+    centre: Array
+    half: Array
+
+    @property
+    def varies(self) -> npt.NDArray[np.intp]:
+        """Which of the four quantities vary."""
+        return np.flatnonzero(self.half > 0.0)
+
+
+def box_of(
+    motion: StrobedMotion,
+    drift: tuple[float, float],
+    ripple_cos: tuple[float, float],
+    ripple_sin: tuple[float, float],
+    radius: tuple[float, float],
+) -> Box:
+    """Return the box that holds what a study draws, or as much of it as a surrogate may hold.
+
+    Parameters
+    ----------
+    motion
+        The run.
+    drift, ripple_cos, ripple_sin, radius
+        Least and greatest values of the study.
+    """
+    turned = float(np.max(np.abs(motion.angles - motion.spindle.start_angle)))
+    duration = turned / abs(motion.spindle.rate)
+    allowed = np.array(
+        [
+            2.0 * _DRIFT_ANGLE / (turned * duration),
+            _RIPPLE,
+            _RIPPLE,
+            _RADIUS * 0.5 * (radius[0] + radius[1]),
+        ]
+    )
+    low, high = np.array([drift, ripple_cos, ripple_sin, radius]).T
+    centre = 0.5 * (low + high)
+    # Small errors are small about zero; the radius is near its own value.
+    reference = np.array([0.0, 0.0, 0.0, centre[3]])
+    low = np.clip(low, reference - allowed, reference + allowed)
+    high = np.clip(high, reference - allowed, reference + allowed)
+    varying = high > low
+    centre = np.where(varying, 0.5 * (low + high), centre)
+    half = np.where(varying, 0.5 * (high - low) * (1.0 + 1e-9), 0.0)
+    return Box(centre, half)
+
+
+@dataclass(frozen=True)
+class Surrogate:
+    """The effects of a run's terms as polynomials.
+
+    Attributes
+    ----------
+    box
+        Where they hold.
+    powers
+        Of the varying quantities, one row for each monomial; those without the radius first.
+    with_radius, without_radius
+        Coefficients: of the effects at the true radius, shape (q, monomials), and at the assumed
+        radius with sigma/u(b2) as last row, shape (q + 1, monomials without the radius).
+    error
+        The largest error found in the check, in parts of each one's largest value.
+    """
+
+    box: Box
+    powers: tuple[tuple[int, ...], ...]
+    with_radius: Array
+    without_radius: Array
+    error: float
+
+    @classmethod
+    def fit(
+        cls, motion: StrobedMotion, symbols: Sequence[str], box: Box, assumed_radius: float
+    ) -> Surrogate:
+        """Make the polynomials of a run and check them.
+
+        Raises
+        ------
+        ConvergenceError
+            If the check finds an error beyond 1e-9 of a term's largest value.
+        """
+        places = box.varies
+        has_radius = 3 in places
+        powers = sorted(_powers(places.size), key=lambda p: (bool(has_radius and p[-1]), sum(p)))
+        count = sum(1 for p in powers if not (has_radius and p[-1]))
+        generator = np.random.default_rng(4)
+        points = _OVERSAMPLED * len(powers) if places.size else 1
+        # Points that crowd towards the faces, as Chebyshev's do, keep the error even.
+        scaled = np.cos(math.pi * generator.random((places.size, points)))
+        checked = generator.uniform(-1.0, 1.0, (places.size, _CHECKED if places.size else 1))
+        corners = np.array(list(itertools.product((-1.0, 1.0), repeat=places.size))).T
+        if places.size:
+            checked = np.hstack([checked, corners])
+        true, assumed = _exact(motion, symbols, box, scaled, assumed_radius)
+        true_check, assumed_check = _exact(motion, symbols, box, checked, assumed_radius)
+        size = np.maximum(np.abs(assumed).max(axis=1), 1e-30)[:, None]
+        basis, basis_check = _monomials(scaled, powers), _monomials(checked, powers)
+        with_radius = _fitted(basis, true / size[:-1]) * size[:-1]
+        without = _fitted(basis[:count], assumed / size) * size
+        # A term that hardly acts at all is held against what a credible size of others does.
+        limits = np.array([term(symbol).limit for symbol in symbols])[:, None]
+        floor = _HARDLY * np.max(size[:-1] * limits) / limits
+        scale = np.vstack([np.maximum(size[:-1], floor), size[-1:]])
+        error = max(
+            float(np.max(np.abs(with_radius @ basis_check - true_check) / scale[:-1])),
+            float(np.max(np.abs(without @ basis_check[:count] - assumed_check) / scale)),
+        )
+        if error > _TOLERANCE:
+            raise ConvergenceError(
+                f"the polynomial surrogate errs by {error:.1e} in its box; use --engine exact"
+            )
+        return cls(box, tuple(powers), with_radius, without, error)
+
+    def holds(self, small: Sequence[Array]) -> npt.NDArray[np.bool_]:
+        """Return for which rotations (drift, cos, sin, radius; each (n,)) the surrogate holds."""
+        inside = np.ones(np.broadcast_shapes(*(part.shape for part in small)), dtype=bool)
+        for value, centre, half in zip(small, self.box.centre, self.box.half, strict=True):
+            slack = half if half > 0.0 else 1e-12 * abs(centre)
+            inside &= np.abs(value - centre) <= slack
+        return inside
+
+    def __call__(self, small: Sequence[Array]) -> tuple[Array, Array, Array]:
+        """Return the effects at the true and at the assumed radius, (q, n), and sigma/u(b2).
+
+        Where nothing varies the last axis has length 1.
+        """
+        scaled = [(small[i] - self.box.centre[i]) / self.box.half[i] for i in self.box.varies]
+        basis = _monomials(scaled, self.powers)
+        true = self.with_radius @ basis
+        assumed = self.without_radius @ basis[: self.without_radius.shape[1]]
+        return true, assumed[:-1], assumed[-1]
+
+
+def _powers(count: int) -> list[tuple[int, ...]]:
+    ranges = itertools.product(range(DEGREE + 1), repeat=count)
+    return [powers for powers in ranges if sum(powers) <= DEGREE]
+
+
+def _monomials(scaled: Sequence[Array] | Array, powers: Sequence[tuple[int, ...]]) -> Array:
+    """Return all monomials, shape (monomials, n), each by one product of an earlier one."""
+    n = scaled[0].size if len(scaled) else 1
+    basis = np.empty((len(powers), n))
+    basis[0] = 1.0
+    for index, lower, factor in _products(tuple(powers)):
+        np.multiply(basis[lower], scaled[factor], out=basis[index])
+    return basis
+
+
+@lru_cache(maxsize=16)
+def _products(powers: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, int, int], ...]:
+    """Return for each monomial beside the first its place, an earlier one's, and the factor."""
+    place = {power: index for index, power in enumerate(powers)}
+    found = []
+    for power in sorted(powers, key=sum)[1:]:
+        lead = next(i for i, p in enumerate(power) if p)
+        lower = tuple(p - (i == lead) for i, p in enumerate(power))
+        found.append((place[power], place[lower], lead))
+    return tuple(found)
+
+
+def _exact(
+    motion: StrobedMotion, symbols: Sequence[str], box: Box, scaled: Array, assumed_radius: float
+) -> tuple[Array, Array]:
+    values = np.repeat(box.centre[:, None], scaled.shape[1], axis=1)
+    values[box.varies] += box.half[box.varies, None] * scaled
+    drift, cos, sin, radius = values
+    true, _ = effects(motion, symbols, drift, cos, sin, radius)
+    at_assumed = np.full_like(radius, assumed_radius)
+    assumed, size = effects(motion, symbols, drift, cos, sin, at_assumed)
+    return true, np.vstack([assumed, size])
+
+
+def _fitted(basis: Array, values: Array) -> Array:
+    return np.asarray(np.linalg.lstsq(basis.T, values.T, rcond=None)[0].T)

@@ -1,0 +1,243 @@
+"""What many trials amount to: bias, spread, claimed uncertainty, coverage.
+
+Trials are summed up batch by batch in arrays of fixed shape, which are put together in the order
+of the batches. So the result does not depend on who computed which batch.
+
+- `Tally`: what is counted
+- `Summary`, `summarise`: what it says
+- `binomial_interval`: how well a share is known from a number of trials
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+
+LEVELS: Final = (0.68, 0.95, 0.99)  #: of the intervals whose coverage is counted
+
+#: The histogram of z = error/u: bins of 0.2 from -6 to 6, and what is beyond at both ends.
+Z_EDGE: Final = 6.0
+Z_BINS: Final = 60
+
+#: Bins of a quantity against which the bias is shown.
+DRIVER_BINS: Final = 10
+
+#: Entries of the table of Student's t over 1/dof.
+_STEPS: Final = 4000
+
+_MOMENTS: Final = 5  # n, mean and squares of the error, sums of truth and u
+_COVERED: Final = slice(_MOMENTS, _MOMENTS + len(LEVELS))
+_HISTOGRAM: Final = slice(_MOMENTS + len(LEVELS), _MOMENTS + len(LEVELS) + Z_BINS + 2)
+_FIRST_DRIVER: Final = _HISTOGRAM.stop
+
+
+@dataclass(frozen=True)
+class Driver:
+    """A varying quantity against which the bias is shown.
+
+    Attributes
+    ----------
+    symbol
+        Which.
+    low, high
+        Between which values it is divided into bins.
+    """
+
+    symbol: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Tally:
+    """What is counted of each coefficient.
+
+    Attributes
+    ----------
+    drivers
+        Quantities against which the bias is shown.
+    """
+
+    drivers: tuple[Driver, ...]
+
+    @property
+    def width(self) -> int:
+        """Numbers kept of a coefficient and a batch."""
+        return _FIRST_DRIVER + 3 * DRIVER_BINS * len(self.drivers)
+
+    def count(
+        self, estimate: Array, truth: Array, u: Array, dof: Array, driven: Sequence[Array]
+    ) -> Array:
+        """Sum up one coefficient in one batch of n trials.
+
+        Parameters
+        ----------
+        estimate, truth, u, dof
+            Shape (n,).
+        driven
+            The drivers' values, each of shape (n,).
+
+        Returns
+        -------
+        Array
+            Shape (width,).
+        """
+        kept = np.zeros(self.width)
+        error = estimate - truth
+        mean = error.mean()
+        kept[0] = error.size
+        kept[1] = mean
+        kept[2] = np.sum((error - mean) ** 2)
+        kept[3] = truth.sum()
+        kept[4] = u.sum()
+        z = error / u
+        size = np.abs(z)
+        # Between the least and the greatest factor lie a few trials only.
+        extremes = np.array([dof.max(), dof.min()])
+        for place, level in enumerate(LEVELS, _COVERED.start):
+            low, high = coverage_factor(extremes, level)
+            kept[place] = np.count_nonzero(size <= low)
+            if low < high:
+                open_ = np.flatnonzero((size > low) & (size <= high))
+                factor = coverage_factor(dof[open_], level)
+                kept[place] += np.count_nonzero(size[open_] <= factor)
+        scaled = (z + Z_EDGE) * (Z_BINS / (2.0 * Z_EDGE)) + 1.0
+        bins = np.clip(scaled, 0.0, Z_BINS + 1.0).astype(np.intp)
+        kept[_HISTOGRAM] = np.bincount(bins, minlength=Z_BINS + 2)
+        start = _FIRST_DRIVER
+        for driver, values in zip(self.drivers, driven, strict=True):
+            scaled = (values - driver.low) * (DRIVER_BINS / (driver.high - driver.low))
+            chosen = np.clip(scaled, 0, DRIVER_BINS - 1).astype(np.intp)
+            for weights in (np.ones_like(error), error, error**2):
+                kept[start : start + DRIVER_BINS] = np.bincount(
+                    chosen, weights=weights, minlength=DRIVER_BINS
+                )
+                start += DRIVER_BINS
+        return kept
+
+
+@lru_cache(maxsize=8)
+def _quantiles(level: float) -> tuple[Array, Array]:
+    from scipy.special import stdtrit
+
+    inverse = np.arange(_STEPS + 1) / _STEPS
+    with np.errstate(divide="ignore"):
+        dof = np.where(inverse > 0.0, 1.0 / np.maximum(inverse, 1e-12), 1e12)
+    quantile: Array = np.asarray(stdtrit(dof, 0.5 * (1.0 + level)), dtype=np.float64)
+    return quantile, np.append(np.diff(quantile), 0.0)
+
+
+def coverage_factor(dof: Array, level: float) -> Array:
+    """Return Student's t for a two-sided level, any number of degrees of freedom from 1 up."""
+    quantile, slope = _quantiles(level)
+    # The table is even, so that no search is needed.
+    place = _STEPS / np.maximum(dof, 1.0)
+    index = place.astype(np.intp)
+    return np.asarray(quantile[index] + (place - index) * slope[index])
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What the trials of one coefficient amount to.
+
+    Attributes
+    ----------
+    trials
+        How many.
+    truth
+        Mean of what was true.
+    bias, se_bias
+        Mean of estimate less truth, and its standard error.
+    sd, mse
+        Standard deviation and mean square of estimate less truth.
+    u
+        Mean of the standard uncertainty claimed.
+    covered
+        Share of trials whose interval held the truth, for each of `LEVELS`.
+    intervals
+        The binomial 95 % interval of each share.
+    histogram
+        Trials in each bin of z, those beyond the ends first and last, shape (Z_BINS + 2,).
+    drivers
+        For each driver: centre of bin, trials, bias, its standard error, each (DRIVER_BINS,).
+    """
+
+    trials: int
+    truth: float
+    bias: float
+    se_bias: float
+    sd: float
+    mse: float
+    u: float
+    covered: tuple[float, ...]
+    intervals: tuple[tuple[float, float], ...]
+    histogram: npt.NDArray[np.int64]
+    drivers: tuple[tuple[Array, Array, Array, Array], ...]
+
+
+def summarise(tally: Tally, batches: Array) -> Summary:
+    """Put the batches of one coefficient together.
+
+    Parameters
+    ----------
+    tally
+        What was counted.
+    batches
+        Shape (batches, width), in the order of the batches.
+    """
+    counts = batches[:, 0]
+    n = float(counts.sum())
+    mean = float(counts @ batches[:, 1] / n)
+    squares = float(batches[:, 2].sum() + counts @ (batches[:, 1] - mean) ** 2)
+    sd = math.sqrt(squares / (n - 1.0)) if n > 1.0 else math.nan
+    total = batches.sum(axis=0)
+    covered = tuple(float(value) / n for value in total[_COVERED])
+    drivers = []
+    for index, driver in enumerate(tally.drivers):
+        start = _FIRST_DRIVER + 3 * DRIVER_BINS * index
+        each, sums, sums_of_squares = total[start : start + 3 * DRIVER_BINS].reshape(3, -1)
+        edges = np.linspace(driver.low, driver.high, DRIVER_BINS + 1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            bias = sums / each
+            spread = np.sqrt(np.maximum(sums_of_squares / each - bias**2, 0.0) / each)
+        drivers.append((0.5 * (edges[1:] + edges[:-1]), each, bias, spread))
+    return Summary(
+        trials=int(n),
+        truth=float(total[3]) / n,
+        bias=mean,
+        se_bias=sd / math.sqrt(n),
+        sd=sd,
+        mse=squares / n + mean**2,
+        u=float(total[4]) / n,
+        covered=covered,
+        intervals=tuple(binomial_interval(share * n, n) for share in covered),
+        histogram=total[_HISTOGRAM].astype(np.int64),
+        drivers=tuple(drivers),
+    )
+
+
+def binomial_interval(hits: float, trials: float, level: float = 0.95) -> tuple[float, float]:
+    """Return the Clopper-Pearson interval of a share (Biometrika 26, 404, 1934).
+
+    Parameters
+    ----------
+    hits, trials
+        How many of how many.
+    level
+        Of the interval; it holds the true share at least so often.
+    """
+    from scipy.special import betaincinv
+
+    tail = 0.5 * (1.0 - level)
+    hits = round(hits)
+    low = 0.0 if hits == 0 else float(betaincinv(hits, trials - hits + 1.0, tail))
+    high = 1.0 if hits >= trials else float(betaincinv(hits + 1.0, trials - hits, 1.0 - tail))
+    return low, high

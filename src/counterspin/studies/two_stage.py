@@ -1,0 +1,297 @@
+"""Trials of the two-stage method without records: b2 of every run, straight from its distribution.
+
+With white Gaussian noise the first stage of a run is summed up by b2, which is normal about what
+the errors add to it, and by the sum of squared residuals, a chi-square. Neither needs the strobes
+themselves. The second stage then is a small least-squares problem, solved for all trials of a
+batch at once. One reading is taken at each strobe, as the paper's plan has it.
+
+- `TwoStage`: what the analysis believes
+- `TwoStageEngine`: the trials
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.inference.least_squares import REGULARISATION
+from counterspin.inference.two_stage.second_stage import RIPPLE
+from counterspin.physics import as_printed
+from counterspin.physics.accelerometer import PlatformTerm, term
+from counterspin.studies.draws import Draws
+from counterspin.studies.strobes import StrobedMotion, effects
+from counterspin.studies.surrogate import Surrogate
+
+#: Largest credible size of the printed ripple column's unknown.
+_RIPPLE_LIMIT: Final = 1e-2
+
+
+@dataclass(frozen=True)
+class TwoStage:
+    """A two-stage analysis: what it estimates, and what it takes as known.
+
+    Attributes
+    ----------
+    model
+        ``exact`` or ``as-printed``.
+    weighted, ripple
+        As for `counterspin.inference.two_stage.second_stage.second_stage`.
+    unknowns
+        Symbol -> (prior value, standard uncertainty); infinite: nothing known.
+    known
+        Symbol -> (value, standard uncertainty) of what is considered, K_I included.
+    scale_factor
+        K_I that the analysis assumes.
+    sigma, walk
+        The noise of a strobe that it assumes, m (None: from the residuals), and that of the
+        accelerometer, m/s^2/Hz^0.5.
+    u_radius, u_gravity
+        Relative standard uncertainties of radius and gravity.
+    """
+
+    model: Literal["exact", "as-printed"]
+    weighted: bool
+    ripple: as_printed.RippleModel
+    unknowns: Mapping[str, tuple[float, float]]
+    known: Mapping[str, tuple[float, float]]
+    scale_factor: float
+    sigma: float | None
+    walk: float
+    u_radius: float
+    u_gravity: float
+
+
+@dataclass(frozen=True)
+class Trials:
+    """What an analysis says in n trials.
+
+    Attributes
+    ----------
+    estimate, u
+        Of each coefficient, shape (c, n); u is the combined standard uncertainty.
+    dof
+        Its effective degrees of freedom, shape (c, n); infinite where noise is given.
+    """
+
+    estimate: Array
+    u: Array
+    dof: Array
+
+
+@dataclass(frozen=True)
+class TwoStageEngine:
+    """Trials of one accelerometer's two-stage analyses.
+
+    Attributes
+    ----------
+    owner
+        The accelerometer.
+    motions
+        The runs.
+    symbols
+        The terms whose effects are computed: what is true, and what the analyses know of.
+    true
+        Those that are true: (owner, symbol).
+    analyses
+        All see the same readings.
+    surrogates
+        Of each run; None: quadrature for every trial.
+    radius
+        As the analyses assume it, m.
+    """
+
+    owner: str
+    motions: tuple[StrobedMotion, ...]
+    symbols: tuple[str, ...]
+    true: tuple[tuple[str, str], ...]
+    analyses: tuple[TwoStage, ...]
+    surrogates: tuple[Surrogate, ...] | None
+    radius: float
+
+    def trials(self, draws: Draws, generator: np.random.Generator) -> tuple[Trials, ...]:
+        """Return what each analysis says.
+
+        Parameters
+        ----------
+        draws
+            The truth of n trials.
+        generator
+            Of the noise.
+        """
+        n, runs = draws.trials, len(self.motions)
+        seen = [self._effects(draws, run) for run in range(runs)]
+        assumed = _stacked([part for _, part, _ in seen], 1)  # (q, runs, n or 1)
+        sizes = _stacked([size for _, _, size in seen], 0)  # sigma/u(b2)
+        b2 = generator.standard_normal((runs, n))
+        b2 *= draws.white / sizes
+        b2 += _stacked([self._shift(draws, run, true) for run, (true, _, _) in enumerate(seen)], 0)
+        variance = np.ones((1, 1))
+        if any(one.sigma is None for one in self.analyses):
+            # The residuals of each run in one number; dof of them.
+            dof = [motion.angles.size - 3.0 for motion in self.motions]
+            variance = np.stack([generator.standard_gamma(0.5 * one, n) for one in dof])
+            variance *= 2.0 * draws.white**2 / np.array(dof)[:, None]
+        return tuple(self._analyse(one, b2, assumed, sizes, variance) for one in self.analyses)
+
+    def _effects(self, draws: Draws, run: int) -> tuple[Array, Array, Array]:
+        """Return the run's effects at the true and at the assumed radius, and sigma/u(b2)."""
+        small = [
+            values[min(run, values.shape[0] - 1)]
+            for values in (draws.drift, draws.ripple_cos, draws.ripple_sin)
+        ]
+        small.append(draws.radius)
+        if self.surrogates is None:
+            return self._by_quadrature(run, small)
+        surrogate = self.surrogates[run]
+        inside = surrogate.holds(small)
+        if inside.all():
+            return surrogate(small)
+        n = draws.trials
+        everywhere = [np.broadcast_to(part, n) for part in small]
+        inside = np.broadcast_to(inside, n)
+        true, assumed, size = (
+            np.array(np.broadcast_to(part, (*part.shape[:-1], n))) for part in surrogate(everywhere)
+        )
+        outside = ~inside
+        found = self._by_quadrature(run, [part[outside] for part in everywhere])
+        true[:, outside], assumed[:, outside], size[outside] = found
+        return true, assumed, size
+
+    def _by_quadrature(self, run: int, small: list[Array]) -> tuple[Array, Array, Array]:
+        motion = self.motions[run]
+        drift, cos, sin, radius = np.broadcast_arrays(*small)
+        true, _ = effects(motion, self.symbols, drift, cos, sin, radius)
+        at = np.full(radius.shape, self.radius)
+        assumed, size = effects(motion, self.symbols, drift, cos, sin, at)
+        return true, assumed, size
+
+    def _shift(self, draws: Draws, run: int, effect: Array) -> Array:
+        """Return what the true errors add to a run's b2, shape (n or 1,)."""
+        scale = draws.values.get((self.owner, "K_I"), np.ones((1, 1)))
+        k_i = scale[min(run, scale.shape[0] - 1)]
+        total = np.zeros(1)
+        for owner, symbol in self.true:
+            value = draws.values[owner, symbol]
+            size = value[min(run, value.shape[0] - 1)]
+            row = term(symbol)
+            size = size * k_i if isinstance(row, PlatformTerm) else size - row.nominal
+            total = total + size * effect[self.symbols.index(symbol)]
+        return total
+
+    def _analyse(
+        self, analysis: TwoStage, b2: Array, assumed: Array, sizes: Array, variance: Array
+    ) -> Trials:
+        """Apply the second stage of one analysis to all trials.
+
+        With columns x_r, weights w_r and a prior P the inverse information is
+        C = (sum_r w_r x_r x_r' + P)^-1, and the gain, d(estimate)/d(b2), is C x_r w_r.
+        """
+        sampled = analysis.sigma is None
+        noise = (variance if analysis.sigma is None else analysis.sigma**2) / sizes**2
+        weight = 1.0 / (noise if analysis.weighted else np.mean(noise, axis=0, keepdims=True))
+        design = np.stack([self._column(analysis, s, assumed) for s in analysis.unknowns])
+        fixed = {s: self._column(analysis, s, assumed) for s in analysis.known}
+        mean = np.array([m for m, _ in analysis.unknowns.values()])
+        sd = np.array([s for _, s in analysis.unknowns.values()])
+        limits = [_limit(symbol) for symbol in analysis.unknowns]
+        held = np.where(np.isinf(sd), REGULARISATION * np.array(limits), sd)
+        inverse = _inverse(_information(design, weight, held))
+        gain = sum(inverse[:, q, None] * design[q] for q in range(len(mean))) * weight
+        explained = np.einsum("p,prn->rn", mean, design)
+        for symbol, (value, _) in analysis.known.items():
+            explained = explained + (value - term(symbol).nominal) * fixed[symbol]
+        estimate = _over_runs(gain, b2 - explained)
+        estimate += mean[:, None]
+        parts = gain**2 * noise
+        scatter = np.sum(parts, axis=1)
+        total = scatter + np.einsum("pqn,q->pn", inverse**2, 1.0 / held**2)
+        for symbol, (_, spread) in analysis.known.items():
+            if spread == 0.0:
+                continue
+            if term(symbol).per_run:
+                total = total + spread**2 * np.sum((gain * fixed[symbol]) ** 2, axis=1)
+            else:
+                total = total + (spread * _over_runs(gain, fixed[symbol])) ** 2
+        total = total + self._inputs(analysis, estimate)
+        dof = np.full((1, 1), math.inf)
+        if sampled:
+            counts = np.array([motion.angles.size - 3.0 for motion in self.motions])
+            dof = total**2 / _over_runs(parts**2, 1.0 / counts[:, None])  # Satterthwaite
+        u = np.sqrt(total)
+        return Trials(
+            estimate,
+            np.broadcast_to(u, estimate.shape),
+            np.broadcast_to(dof, estimate.shape),
+        )
+
+    def _column(self, analysis: TwoStage, symbol: str, assumed: Array) -> Array:
+        """Return d(b2)/d(unknown) of every run, shape (runs, n or 1)."""
+        if analysis.model == "exact":
+            platform = isinstance(term(symbol), PlatformTerm)
+            effect: Array = assumed[self.symbols.index(symbol)]
+            return effect * analysis.scale_factor if platform else effect
+        rates = np.array([motion.spindle.rate for motion in self.motions])
+        g = self.motions[0].site.gravity
+        if symbol in ("K_II", RIPPLE):
+            printed = as_printed.second_stage_columns(
+                rates, self.radius, g, analysis.scale_factor, analysis.ripple
+            )
+            return np.asarray(printed[:, [0 if symbol == "K_II" else 1]])
+        return np.full((rates.size, 1), 0.5 * g if symbol == "K_F" else 0.0)
+
+    def _inputs(self, analysis: TwoStage, estimate: Array) -> Array:
+        """Return the variance from an uncertain radius and gravity, as `calibrate` has it."""
+        total = np.zeros((estimate.shape[0], 1))
+        if analysis.u_radius == 0.0 and analysis.u_gravity == 0.0:
+            return total
+        degrees = np.array(
+            [
+                0.0 if symbol == RIPPLE else len(getattr(term(symbol), "factors", ()))
+                for symbol in analysis.unknowns
+            ]
+        )[:, None]
+        gravity = np.where(degrees == 0.0, 0.0, degrees - 1.0) * analysis.u_gravity
+        return np.asarray((degrees * estimate * analysis.u_radius) ** 2 + (gravity * estimate) ** 2)
+
+
+def _limit(symbol: str) -> float:
+    return _RIPPLE_LIMIT if symbol == RIPPLE else term(symbol).limit
+
+
+def _stacked(parts: Sequence[Array], axis: int) -> Array:
+    """Return the runs' arrays as one; their last axis is n, or 1 where nothing varies."""
+    n = max(part.shape[-1] for part in parts)
+    return np.stack([np.broadcast_to(part, (*part.shape[:-1], n)) for part in parts], axis=axis)
+
+
+def _over_runs(each: Array, values: Array) -> Array:
+    """Return the sums over the runs of each (p, r, n or 1) times values (r, n or 1), (p, n)."""
+    if each.shape[-1] == 1:
+        return np.asarray(each[:, :, 0] @ values)
+    return np.asarray(np.einsum("prn,rn->pn", each, values))
+
+
+def _information(design: Array, weight: Array, held: Array) -> Array:
+    """Return the information on the unknowns, (p, p, n): weighted products and priors."""
+    p, runs, _ = design.shape
+    products = (design[:, None] * design).reshape(p * p, runs, -1)
+    found = _over_runs(products, np.broadcast_to(weight, (runs, weight.shape[-1])))
+    found[:: p + 1] += 1.0 / held[:, None] ** 2
+    return found.reshape(p, p, -1)
+
+
+def _inverse(matrices: Array) -> Array:
+    """Return the inverses of many symmetric matrices, shape (p, p, n).
+
+    A second stage has one unknown or two, and written out they are many times faster than one by
+    one. The scale of the unknowns does not matter to it: it is a factor of each product.
+    """
+    if matrices.shape[0] == 1:
+        return np.asarray(1.0 / matrices)
+    (a, b), (_, c) = matrices
+    return np.asarray(np.array([[c, -b], [-b, a]]) / (a * c - b * b))

@@ -1,0 +1,167 @@
+"""Where the shortcuts of a study hold; each reason against one is a sentence for the user.
+
+- `against_strobes`: sufficient statistics of the two-stage method
+- `against_joint`: sufficient statistics of the joint fit
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.inference.two_stage.second_stage import RIPPLE
+from counterspin.physics import observation
+from counterspin.physics.accelerometer import PLATFORM_TERMS
+from counterspin.physics.motion import Trajectory
+from counterspin.studies.draws import (
+    DRIFT,
+    OTHER_NOISE,
+    RIPPLE_AMPLITUDE,
+    RIPPLE_PHASE,
+    RIPPLE_RATIO,
+    WHITE,
+    Truth,
+    nominal,
+)
+from counterspin.studies.full import Instrumented
+from counterspin.studies.joint import JointAnalysis, mean_of
+from counterspin.studies.strobes import kinked
+from counterspin.studies.two_stage import TwoStage
+
+#: Other noise may add this part of the displacement noise, in standard deviations.
+_SMALL: Final = 0.01
+
+#: What the first order leaves out, and what a parabola leaves in the residuals, in parts of it.
+_NEGLIGIBLE: Final = 0.1
+
+
+def against_strobes(world: Instrumented, truth: Truth, analysis: TwoStage, owner: str) -> list[str]:
+    """Return why the two-stage method's sufficient statistics do not serve; empty if they do."""
+    reasons = _against(world, truth)
+    if world.random_walk > 0.0:
+        reasons.append("the accelerometer's noise is not white in displacement")
+    asked = [s for s in (*analysis.unknowns, *analysis.known) if s != RIPPLE]
+    symbols = [s for o, many in truth.symbols.items() if o in ("", owner) for s in many]
+    kinks = sorted({symbol for symbol in (*symbols, *asked) if kinked(symbol)})
+    if kinks:
+        reasons.append(f"{', '.join(kinks)} has a kink")
+    if analysis.sigma is None and not reasons:
+        left = _left_by_the_parabola(world, truth, owner)
+        if left > _NEGLIGIBLE * _white(truth):
+            reasons.append(
+                "sigma is taken from residuals in which errors that are no parabola reach "
+                f"{left:.1e} m"
+            )
+    return reasons
+
+
+def against_joint(world: Instrumented, truth: Truth, analysis: JointAnalysis) -> list[str]:
+    """Return why the joint fit's sufficient statistics do not serve; empty if they do."""
+    reasons = _against(world, truth)
+    if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
+        reasons.append("the rotation varies, and with it the weights of every sample")
+    given = [request.given for request in analysis.requests.values()]
+    if any(one is None for one in given):
+        reasons.append("the noise is estimated, so that the estimate is not linear")
+        return reasons
+    assumed = {(one.white, one.random_walk) for one in given if one is not None}
+    if len(assumed) > 1 and (truth.varies(WHITE) or {w for w, _ in assumed} != {truth.white}):
+        reasons.append("the accelerometers' assumed noises differ from the true one")
+    walks = {walk for _, walk in assumed}
+    right = not truth.varies(WHITE) and assumed == {(truth.white, world.random_walk)}
+    if not right and (walks != {0.0} or world.random_walk > 0.0):
+        reasons.append("the true noise is neither white nor what the analysis assumes")
+    return reasons
+
+
+def _against(world: Instrumented, truth: Truth) -> list[str]:
+    reasons = []
+    white = _white(truth)
+    if not world.angle_recorded:
+        reasons.append("no angle is recorded, and the rotation has to be found")
+    other = [one.symbol for one in truth.varying if one.symbol in OTHER_NOISE]
+    if other:
+        reasons.append(f"{', '.join(other)} varies, and only whole records have it")
+    if world.quantisation > 0.0:
+        reasons.append("quantisation is not Gaussian")
+    if white <= 0.0:
+        reasons.append("there is no white noise")
+    speed = world.radius * max(abs(spindle.rate) for spindle in world.spindles)
+    for size, words in (
+        (world.radius * world.angle_noise, "angle"),
+        (speed * world.timing_noise, "time"),
+    ):
+        if size > _SMALL * white:
+            reasons.append(f"the noise of the recorded {words} is not negligible")
+    second = _second_order(world, truth)
+    if second > _NEGLIGIBLE * white:
+        reasons.append(f"the platform turns so far that second-order effects reach {second:.1e} m")
+    return reasons
+
+
+def _white(truth: Truth) -> float:
+    """Return the smallest white noise that matters."""
+    varying = [one for one in truth.varying if one.symbol == WHITE]
+    if not varying:
+        return truth.white
+    draws = truth.draw(np.random.default_rng(0), 256)
+    return float(draws.white.min())
+
+
+def _second_order(world: Instrumented, truth: Truth) -> float:
+    """Return what the square of the platform's attitude error adds to the displacement, m."""
+    worst = 0.0
+    for run, duration in enumerate(world.durations):
+        turned = 0.0
+        speed = 2.0 * world.radius * abs(world.spindles[run].rate)
+        for symbol, row in PLATFORM_TERMS.items():
+            reach = [abs(mean_of(truth, "", symbol))]
+            reach += [max(map(abs, one.reach)) for one in truth.varying if one.symbol == symbol]
+            vertical = (
+                row.force_axis is not None and abs(world.attitudes[run][row.force_axis][2]) > 1e-9
+            )
+            grows = {
+                "tilt": 1.0,
+                "drift": duration,
+                "g_sensitivity": duration if vertical else speed / world.site.gravity,
+            }[row.kind]
+            turned += max(reach) * grows
+        worst = max(worst, 0.25 * world.site.gravity * turned**2 * duration**2)
+    return worst
+
+
+def _left_by_the_parabola(world: Instrumented, truth: Truth, owner: str) -> float:
+    """Return the rms of what true errors leave in the strobes' residuals at most, m."""
+    draws = truth.draw(np.random.default_rng(2), 8)
+    worst = 0.0
+    for run in range(len(world.runs)):
+        strobed = world.strobed(run, owner)
+        for trial in range(draws.trials):
+            one = draws.take(trial)
+            spindle = one.spindle(world.spindles[run], run)
+            motion = Trajectory(spindle, float(one.radius[0]), world.site)
+            times = spindle.time_at(strobed.angles)
+            keys = [key for key in one.values if key[0] in ("", owner)]
+            columns = observation.columns(
+                motion,
+                world.mountings[owner],
+                [symbol for _, symbol in keys],
+                times,
+                attitude=world.attitudes[run],
+            )
+            sizes = np.array([_size(one.values[key], key, run) for key in keys])
+            worst = max(worst, _rms_beside_parabola(times, columns @ sizes))
+    return worst
+
+
+def _size(values: Array, key: tuple[str, str], run: int) -> float:
+    return float(values[min(run, values.shape[0] - 1), 0]) - nominal(*key)
+
+
+def _rms_beside_parabola(times: Array, error: Array) -> float:
+    scaled = np.vander(times / float(np.ptp(times)), 3)
+    left = error - scaled @ np.linalg.lstsq(scaled, error, rcond=None)[0]
+    return math.sqrt(float(np.mean(left**2)))

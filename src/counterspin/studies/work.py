@@ -1,0 +1,331 @@
+"""The trials of a study, batch by batch, on one core, on many, or on a cluster.
+
+Work is handed out in tasks of whole batches. What a batch gives depends on its number alone, so
+that results are the same however the work is shared out. A task that is lost with its worker is
+handed out again, and counts once.
+
+- `Ledger`: which batches are done, and what they gave; kept on disk for `--resume`
+- `run_batches`: do what is not done yet
+"""
+
+from __future__ import annotations
+
+import pickle
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.errors import CounterspinError
+from counterspin.output import write_whole
+from counterspin.studies.engine import StudyEngine
+from counterspin.workers import Crew, crew_of
+
+#: Seconds of work that a task is meant to be, and tasks on their way for each worker.
+_TASK: Final = 0.3
+_AHEAD: Final = 3
+
+#: Seconds between two copies of the ledger on disk.
+_KEEP: Final = 10.0
+
+#: Losses of all workers one after another, with nothing done between, until it is given up.
+_LOSSES: Final = 5
+
+#: What a trial of each kind takes or so, s, to begin with.
+_COSTS: Final = {
+    "constant": 1e-7,
+    "sampled": 3e-7,
+    "surrogate": 1.5e-6,
+    "exact": 2e-3,
+    "full": 0.1,
+}
+
+
+class Ledger:
+    """Which batches of a study are done.
+
+    Parameters
+    ----------
+    engine
+        The study.
+    trials
+        How many in all.
+    keep
+        Whether each trial is kept.
+    folder
+        Where a copy is kept for a later resumption, or None.
+    fingerprint
+        Of the study's description: a copy of another study is refused.
+    """
+
+    def __init__(
+        self,
+        engine: StudyEngine,
+        trials: int,
+        *,
+        keep: bool = False,
+        folder: Path | None = None,
+        fingerprint: str = "",
+    ) -> None:
+        self.trials, self.keep, self.folder = trials, keep, folder
+        self.size = engine.batch_size
+        count = -(-trials // self.size)
+        self.done = np.zeros(count, dtype=bool)
+        self.sums = np.zeros((count, len(engine.reported), engine.tally.width))
+        self.values: dict[int, Array] = {}
+        self._fingerprint = f"{fingerprint}/{self.size}/{keep}"
+        self._written: set[int] = set()
+
+    def trials_of(self, batch: int) -> int:
+        """Return how many trials of a batch count."""
+        return min(self.size, self.trials - batch * self.size)
+
+    @property
+    def trials_done(self) -> int:
+        """How many trials are done."""
+        return sum(self.trials_of(int(batch)) for batch in np.flatnonzero(self.done))
+
+    def enter(self, first: int, sums: Array, values: list[Array]) -> None:
+        """Enter what a task gave, from its first batch on; a second time changes nothing."""
+        for place, row in enumerate(sums):
+            batch = first + place
+            if self.done[batch]:
+                continue
+            self.sums[batch] = row
+            if values:
+                self.values[batch] = values[place]
+            self.done[batch] = True
+
+    @property
+    def _file(self) -> Path:
+        assert self.folder is not None
+        return self.folder / "progress.npz"
+
+    def _part(self, batch: int) -> Path:
+        assert self.folder is not None
+        return self.folder / "progress" / f"{batch:07d}.npy"
+
+    def save(self) -> None:
+        """Write the copy on disk, whole or not at all."""
+        if self.folder is None:
+            return
+        for batch in set(self.values) - self._written:
+            # Trials first: what the ledger calls done is there.
+            self._part(batch).parent.mkdir(parents=True, exist_ok=True)
+            write_whole(self._part(batch), partial(np.save, arr=self.values[batch]))
+            self._written.add(batch)
+        write_whole(
+            self._file,
+            partial(
+                np.savez,
+                fingerprint=np.array(self._fingerprint),
+                trials=np.array(self.trials),
+                done=self.done,
+                sums=self.sums[self.done],
+            ),
+        )
+
+    def resume(self) -> None:
+        """Take over what an earlier study has done.
+
+        Raises
+        ------
+        CounterspinError
+            If there is nothing to go on from, or it is of another study.
+        """
+        if self.folder is None or not self._file.exists():
+            raise CounterspinError(
+                f"{self.folder}: holds no study to resume; leave out --resume, or name the folder "
+                "with --output"
+            )
+        with np.load(self._file) as kept:
+            if str(kept["fingerprint"]) != self._fingerprint:
+                raise CounterspinError(
+                    f"{self.folder}: the study that was begun there is another one (its "
+                    "description, engine or --keep-trials differ); use another folder"
+                )
+            before, done, sums = int(kept["trials"]), kept["done"], kept["sums"]
+        for row, batch in enumerate(np.flatnonzero(done)):
+            whole = min(self.size, before - batch * self.size)
+            # A last batch that was cut short elsewhere is done anew.
+            if batch >= self.done.size or whole != self.trials_of(int(batch)):
+                continue
+            if self.keep:
+                self.values[int(batch)] = np.load(self._part(int(batch)))
+                self._written.add(int(batch))
+            self.sums[batch], self.done[batch] = sums[row], True
+
+    def clear(self) -> None:
+        """Remove the trials' parts from disk once they are in the result."""
+        if self.folder is None:
+            return
+        for batch in self._written:
+            self._part(batch).unlink(missing_ok=True)
+        place = self.folder / "progress"
+        if place.is_dir() and not any(place.iterdir()):
+            place.rmdir()
+        self._file.unlink(missing_ok=True)
+
+
+@lru_cache(maxsize=2)
+def _unpack(engine: bytes) -> StudyEngine:
+    made: StudyEngine = pickle.loads(engine)
+    return made
+
+
+def work(engine: bytes, first: int, trials: tuple[int, ...], keep: bool) -> tuple[Array, Any]:
+    """Do a task: neighbouring batches, the numbers of whose trials are given."""
+    study = _unpack(engine)
+    batches = [study.batch(first + i, n, keep=keep) for i, n in enumerate(trials)]
+    return np.array([one.sums for one in batches]), [one.values for one in batches if keep]
+
+
+def run_batches(
+    engine: StudyEngine,
+    ledger: Ledger,
+    *,
+    workers: int = 1,
+    cluster: str | None = None,
+    crew: Crew | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    batches_per_task: int | None = None,
+) -> bool:
+    """Do every batch that is not done yet.
+
+    Parameters
+    ----------
+    engine
+        The study.
+    ledger
+        Where results are entered; it is kept on disk on the way.
+    workers
+        Processes; 1 works in this one.
+    cluster
+        Address of a Dask scheduler; its workers do the work then.
+    crew
+        Those who do the work, already at their places; None: they are called. Should they die,
+        others take over.
+    progress
+        Called with (trials done, trials in all).
+    batches_per_task
+        How many batches are handed out at once; by default about a third of a second's work.
+
+    Returns
+    -------
+    bool
+        Whether all is done; False if it was interrupted from the keyboard.
+
+    Raises
+    ------
+    CounterspinError
+        If workers die again and again, or the cluster cannot be reached or is lost.
+    """
+    cost = sum(_COSTS[part.kind] for part in engine.parts) * engine.batch_size
+    size = batches_per_task or max(1, min(64, round(_TASK / cost)))
+    packed = pickle.dumps(engine)
+    try:
+        if workers == 1 and cluster is None:
+            _alone(packed, ledger, size, progress)
+        else:
+            _together(packed, ledger, size, crew, workers, cluster, progress)
+    except KeyboardInterrupt:
+        return False
+    finally:
+        ledger.save()
+    return True
+
+
+def _tasks(ledger: Ledger, size: int) -> Iterator[tuple[int, tuple[int, ...]]]:
+    """Yield the first batch and the trials of each task that is left, batches in rows."""
+    left = np.flatnonzero(np.logical_not(ledger.done))
+    start = 0
+    while start < left.size:
+        stop = start + 1
+        while stop < min(left.size, start + size) and left[stop] == left[stop - 1] + 1:
+            stop += 1
+        row = tuple(ledger.trials_of(int(batch)) for batch in left[start:stop])
+        yield int(left[start]), row
+        start = stop
+
+
+def _alone(
+    packed: bytes, ledger: Ledger, size: int, progress: Callable[[int, int], None] | None
+) -> None:
+    note = _Notes(ledger, progress)
+    for first, trials in list(_tasks(ledger, size)):
+        ledger.enter(first, *work(packed, first, trials, ledger.keep))
+        note(sum(trials))
+
+
+class _Notes:
+    """Tells how far the work is, and keeps the copy on disk young."""
+
+    def __init__(self, ledger: Ledger, progress: Callable[[int, int], None] | None) -> None:
+        self.ledger, self.progress = ledger, progress
+        self.reached, self.kept = ledger.trials_done, time.monotonic()
+        self(0)
+
+    def __call__(self, trials: int) -> None:
+        self.reached += trials
+        if self.progress is not None:
+            self.progress(self.reached, self.ledger.trials)
+        if time.monotonic() - self.kept > _KEEP:
+            self.ledger.save()
+            self.kept = time.monotonic()
+
+
+def _together(
+    packed: bytes,
+    ledger: Ledger,
+    size: int,
+    crew: Crew | None,
+    workers: int,
+    cluster: str | None,
+    progress: Callable[[int, int], None] | None,
+) -> None:
+    note = _Notes(ledger, progress)
+    losses = 0
+    died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    while not ledger.done.all():
+        before = int(ledger.done.sum())
+        try:
+            with nullcontext(crew) if crew else crew_of(workers, cluster, __name__) as found:
+                died = found.died
+                _hand_out(found, packed, ledger, size, note)
+        except died as error:
+            # A worker was killed, or ran out of memory. What it had in hand is handed out again.
+            crew = None
+            losses = 0 if int(ledger.done.sum()) > before else losses + 1
+            if losses >= _LOSSES:
+                raise CounterspinError(
+                    "the workers die before they have done anything; try fewer (--workers), or "
+                    "see whether memory runs out"
+                ) from error
+
+
+def _hand_out(crew: Crew, packed: bytes, ledger: Ledger, size: int, note: _Notes) -> None:
+    # A snapshot: what is entered meanwhile must not change what is left to hand out.
+    waiting = iter(list(_tasks(ledger, size)))
+    pending: dict[Future[tuple[Array, Any]], tuple[int, tuple[int, ...]]] = {}
+    try:
+        while True:
+            ahead = _AHEAD * crew.size
+            while len(pending) < ahead and (task := next(waiting, None)) is not None:
+                pending[crew.executor.submit(work, packed, *task, ledger.keep)] = task
+            if not pending:
+                return
+            finished, _ = wait(pending, return_when=FIRST_COMPLETED)
+            for future in finished:
+                first, trials = pending.pop(future)
+                ledger.enter(first, *future.result())
+                note(sum(trials))
+    finally:
+        for future in pending:
+            future.cancel()

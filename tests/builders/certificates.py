@@ -1,0 +1,78 @@
+"""A laboratory's file for the tests of certificates, and certificates made with it."""
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from lxml import etree
+
+from counterspin.certificates.administrative import Issue
+from counterspin.certificates.build import certificate, to_bytes
+from counterspin.certificates.elements import NAMESPACES
+from counterspin.certificates.lab import read_lab
+
+LAB = """
+schema = 1
+
+[certificate]
+language = "de"
+begin = 2026-01-12
+end = 2026-01-14
+traceability = "Rückgeführt auf das SI."
+remarks = ["Bemerkung."]
+
+[laboratory]
+name = "Kalibrierlabor"
+city = "Braunschweig"
+country = "DE"
+code = "D-K-1"
+
+[customer]
+name = "Kunde"
+street = "Weg"
+number = "7"
+post_code = "12345"
+city = "Ort"
+email = "kunde@example.org"
+
+[item]
+name = "Plattform"
+manufacturer = "Werk"
+model = "P-1"
+serial_number = "0815"
+
+[[persons]]
+name = "A. Erste"
+role = "Leitung"
+
+[[persons]]
+name = "B. Zweite"
+role = "Vertretung"
+
+[conditions]
+temperature = "20.5 ± 0.25 degC"
+"""
+
+ISSUE = Issue("CS-42", datetime(2026, 1, 20, tzinfo=UTC))
+
+
+def write_lab(folder: Path, text: str = LAB) -> Path:
+    """Write the laboratory's file."""
+    path = folder / "LAB.toml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def lab_of(folder, result, text=LAB):
+    """Return the laboratory's file as it is read for a result."""
+    return read_lab(write_lab(folder, text), result)[0]
+
+
+def document(folder, result, *, text=LAB, verdicts=None, issue=ISSUE, report=b"%PDF-1.7"):
+    """Return a certificate as bytes."""
+    lab = lab_of(folder, result, text)
+    return to_bytes(certificate(result, lab, issue, verdicts or {}, report))
+
+
+def find(document_bytes, path):
+    """Return what an XPath finds."""
+    return etree.fromstring(document_bytes).xpath(path, namespaces=NAMESPACES)

@@ -1,0 +1,93 @@
+"""Small simulated campaigns for the joint fit: series without noise, and noise drawn on them."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from counterspin.inference.joint.fit import Unknown
+from counterspin.inference.joint.series import Series
+from counterspin.physics import simulation
+from counterspin.physics.accelerometer import DEGREE_PER_HOUR, QX, QY, term
+from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.observation import LEVEL, ORDERS, reference
+from counterspin.physics.spindle import Spindle
+
+SITE = Site(9.8066, math.radians(45.75))
+RATES = (math.pi / 2, math.pi, 2 * math.pi)
+ARCSEC = math.radians(1.0) / 3600.0
+DEG_H = DEGREE_PER_HOUR
+MOUNTINGS = {"Qx": QX, "Qy": QY}
+NOTHING = (0.0, math.inf)
+
+
+def simulated(
+    run,
+    rate,
+    coefficients,
+    platform=None,
+    *,
+    accelerometer="Qx",
+    mounting=None,
+    attitude=LEVEL,
+    observable="displacement",
+    revolutions=12,
+    per_revolution=32,
+    spindle=None,
+    radius=2.5,
+    site=SITE,
+):
+    """One series with its start offset and velocity, simulated by the nonlinear model."""
+    duration = revolutions * 2 * math.pi / abs(rate)
+    times = np.linspace(0.0, duration, revolutions * per_revolution + 1)
+    trajectory = Trajectory(spindle or Spindle(rate), radius, site)
+    axes = mounting or MOUNTINGS[accelerometer]
+    recorded = simulation.recorded(
+        trajectory, axes, coefficients, platform or {}, times, observable, attitude=attitude
+    )
+    start = (0.02 - 3e-3 * times, np.full(times.size, -3e-3), np.zeros(times.size))
+    error = recorded - reference(trajectory, axes, times, observable, attitude)
+    return Series(
+        accelerometer=accelerometer,
+        run=run,
+        trajectory=trajectory,
+        mounting=axes,
+        observable=observable,
+        attitude=attitude,
+        time=times,
+        spread=np.zeros(times.size),
+        count=np.ones(times.size),
+        spacing=float(times[1]),
+        error=error + start[2 - ORDERS[observable]],
+    )
+
+
+def three_rates(coefficients, platform=None, **more):
+    """Runs at the paper's three rates."""
+    return [
+        simulated(f"run{i}", rate, coefficients, platform, **more)
+        for i, rate in enumerate(RATES, start=1)
+    ]
+
+
+def unknowns(symbols, priors=None, owner="Qx"):
+    """Unknowns of one accelerometer, with the table's limits."""
+    known = priors or {}
+    return tuple(
+        Unknown(owner, symbol, known.get(symbol, NOTHING), term(symbol).limit) for symbol in symbols
+    )
+
+
+def noisy(series, noise, rng):
+    """The series with noise drawn on it."""
+    drawn = noise.white * rng.standard_normal(series.time.size)
+    if noise.random_walk:
+        drawn = drawn + simulation.accelerometer_walk(
+            rng, series.time, noise.random_walk, series.order
+        )
+    return replace(series, error=series.error + drawn)
+
+
+def redrawn(prepared, noise, rng):
+    """Prepared series with noise drawn on them; the columns stay."""
+    return tuple(replace(one, series=noisy(one.series, noise, rng)) for one in prepared)

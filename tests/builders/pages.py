@@ -1,0 +1,90 @@
+"""Blocks of every kind, and pages made from them, for the tests of the HTML report."""
+
+import math
+import random
+from datetime import UTC, datetime
+
+from counterspin.reports.blocks import (
+    Bars,
+    Column,
+    Heading,
+    HeatMap,
+    Paragraph,
+    Plot,
+    Series,
+    Table,
+)
+from counterspin.reports.html import html
+
+NASTY = "</script ></style><script >alert('1')</script>\"&<!--"
+
+
+def residuals(title="Residuals of Qx, run 1", label="smallest to largest", count=1500):
+    """Return a plot as the residuals of a run give it: a band with a gap, outliers, a line."""
+    draw = random.Random(3)
+    time = tuple(0.5 * index for index in range(count))
+    high = [5.0 + draw.random() for _ in time]
+    low = [-5.0 - draw.random() for _ in time]
+    for index in range(count // 3, count // 3 + 20):
+        high[index] = low[index] = None
+    middle = tuple(None if a is None else 0.5 * (a + b) for a, b in zip(low, high, strict=True))
+    coarse = time[::50]
+    return Plot(
+        title,
+        "time, s",
+        "residual, mm",
+        (
+            Series(label, time, middle, tuple(low), tuple(high), kind="band"),
+            Series("mean", coarse, tuple(math.sin(0.02 * t) for t in coarse)),
+            Series(
+                "left out",
+                (10.25, 10.25, 600.0),
+                (12.0, -13.0, 4000.0),
+                kind="points",
+                stands_out=True,
+            ),
+        ),
+        levels=(0.0,),
+        zoom=True,
+    )
+
+
+def blocks(name="Qx"):
+    """Return a report with every kind of block; `name` stands wherever a user's words may."""
+    bare = Plot("Spectrum", "Hz", name, (Series(name, (1.0, 2.0), (3.0, 4.0)),), log_x=True)
+    return [
+        Heading(f"Calibration of {name}", 1),
+        Paragraph(
+            f"K_II of {name} = 27.04 ± 0.11 ug/g^2 = 2.7e-5 g/g^2   (95 %: a to b)", "answer"
+        ),
+        Paragraph(f"Warning: {name} is odd", "warning"),
+        Paragraph("Joint method.", "quiet"),
+        Heading("Is it good?"),
+        Paragraph(f"{name} is good."),
+        Heading(f"Accelerometer {name}"),
+        Table(
+            (Column("Symbol"), Column("Words", wraps=True), Column("Value", "right")),
+            (("K_F", name, "1.25"), ("K_I", "scale", "-10.5"), ("K_II", "two\nlines", "3")),
+            quiet=frozenset({1}),
+        ),
+        Heading("Uncertainty budget", 3),
+        Bars(f"Budget {name}", (name, "b"), (2.0, 1.0), ("2 (67 %)", "1 (33 %)")),
+        HeatMap(f"Correlation {name}", (name, "b"), ((1.0, -0.5), (-0.5, 1.0))),
+        bare,
+        residuals(f"Residuals of {name}", label=name),
+        residuals(f"Residuals of {name}", label=name, count=1400),
+        Heading("Model"),
+        Paragraph("a_ind = K_F + K_II a_I² + platform.g_sensitivity.zx", "equation"),
+        Paragraph(f"counterspin calibrate {name}", "command"),
+    ]
+
+
+def page(name="Qx", made=None, **changes):
+    """Return the blocks as a page."""
+    given = {
+        "title": f"Calibration of {name}",
+        "identifier": f"LAB 7/26 {name}",
+        "date": datetime(2026, 3, 1, tzinfo=UTC),
+        "version": "1.2.3",
+    }
+    return html(blocks(name) if made is None else made, **given | changes)

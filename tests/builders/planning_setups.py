@@ -1,0 +1,140 @@
+"""Set-ups for the tests of planning, and the joint fit's own answer for any design of theirs."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from counterspin.inference.joint import fit as joint
+from counterspin.inference.joint.fit import Considered, Model, Unknown
+from counterspin.inference.joint.series import Series
+from counterspin.inference.noise.model import Noise
+from counterspin.physics.accelerometer import DEGREE_PER_HOUR, QX, QY, TERMS, term
+from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.spindle import Spindle
+from counterspin.planning.setup import Instrument, Setup
+
+ARCSECOND = math.pi / 648000
+SITE = Site(9.8, math.radians(45.75))
+LEVEL = {"level": np.eye(3)}
+#: Input axis of Qx up, and east again with the pendulous axis north.
+ATTITUDES = LEVEL | {
+    "about north": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
+    "about east": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
+}
+WHITE = Noise(0.01)
+PLATFORM = (
+    "platform.tilt.north",
+    "platform.drift.north",
+    "platform.g_sensitivity.zx",
+)
+PRIORS = {
+    "K_F": 0.5e-6,
+    "platform.tilt.north": 0.5 * ARCSECOND,
+    "platform.drift.north": 0.005 * DEGREE_PER_HOUR,
+    "platform.g_sensitivity.zx": 0.02 * DEGREE_PER_HOUR,
+}
+
+
+def unknown(symbol, owner, kind=Unknown, priors=PRIORS):
+    row = term(symbol)
+    return kind(owner, symbol, (row.nominal, priors.get(symbol, math.inf)), row.limit)
+
+
+def make_setup(
+    symbols=("K_F", "K_I", "K_II", "K_III"),
+    *,
+    platform=PLATFORM,
+    considered=(),
+    attitudes=LEVEL,
+    noise=WHITE,
+    observable="displacement",
+    mountings=None,
+    inputs=None,
+    priors=PRIORS,
+    sampling_rate=50.0,
+    jitter=0.0,
+):
+    """Return a set-up; `priors` are standard uncertainties by symbol."""
+    mountings = mountings or {"Qx": QX}
+
+    def owners(symbol):
+        if symbol in TERMS:
+            return list(mountings)
+        return list(attitudes) if term(symbol).per_run else [""]
+
+    model = Model(
+        tuple(unknown(s, o, priors=priors) for s in (*symbols, *platform) for o in owners(s)),
+        tuple(unknown(s, o, Considered, priors) for s in considered for o in owners(s)),
+        inputs,
+    )
+    return Setup(
+        instruments=tuple(
+            Instrument(name, mounting, observable, noise, jitter)
+            for name, mounting in mountings.items()
+        ),
+        attitudes=dict(attitudes),
+        radius=2.5,
+        site=SITE,
+        sampling_rate=sampling_rate,
+        model=model,
+        estimate=np.array([1e-3 * u.limit for u in model.unknowns]),
+        scale_factors=dict.fromkeys(mountings, 1.0),
+    )
+
+
+def u_by_joint_fit(setup, design):
+    """Return u of the shared unknowns from every sample of every run, by `solve_joint`."""
+    series, owners = [], {}
+    for index, kind in enumerate(design.types):
+        run = f"run {index}"
+        owners[run] = kind.attitude
+        samples = math.floor(float(design.duration[index]) * setup.sampling_rate * (1 + 1e-12)) + 1
+        time = np.arange(samples) / setup.sampling_rate
+        spindle = Spindle(kind.sense * float(design.rate[index]))
+        for one in setup.instruments:
+            slope = setup.radius * abs(spindle.rate) ** (3 - one.order) / math.sqrt(2.0)
+            series.append(
+                Series(
+                    one.name,
+                    run,
+                    Trajectory(spindle, setup.radius, setup.site),
+                    one.mounting,
+                    one.observable,
+                    setup.attitudes[kind.attitude],
+                    time,
+                    np.zeros(samples),
+                    np.ones(samples),
+                    1.0 / setup.sampling_rate,
+                    np.zeros(samples),
+                    jitter=one.jitter * slope,
+                )
+            )
+
+    def of_runs(terms):
+        """Give the terms that belong to a run to each run of their attitude."""
+        found = []
+        for one in terms:
+            if one.owner in setup.attitudes:
+                found += [replace(one, owner=run) for run, at in owners.items() if at == one.owner]
+            else:
+                found.append(one)
+        return tuple(found)
+
+    model = Model(
+        of_runs(setup.model.unknowns), of_runs(setup.model.considered), setup.model.inputs
+    )
+    expected = {u.name: v for u, v in zip(setup.model.unknowns, setup.estimate, strict=True)}
+    estimate = np.array(
+        [
+            expected.get(u.name, expected.get(f"{owners.get(u.owner)}.{u.symbol}"))
+            for u in model.unknowns
+        ]
+    )
+    prepared = joint.prepare(series, model, setup.scale_factors, estimate)
+    fit = joint.solve_joint(prepared, model, {one.name: one.noise for one in setup.instruments})
+    shared = [i for i, u in enumerate(model.unknowns) if u.owner not in owners]
+    return fit.solution.u[shared]
+
+
+TWO = {"Qx": QX, "Qy": QY}

@@ -1,0 +1,114 @@
+"""Results made by hand for the tests of reports: every part filled, numbers easy to follow."""
+
+from counterspin.calibration.result import Result
+
+CONFORMITY = {
+    "specification": "abs <= 5e-5 g/g^2",
+    "low": -5e-5,
+    "high": 5e-5,
+    "unit": "g/g^2",
+    "rule": "simple",
+    "guard_band": 0.0,
+    "verdict": "pass",
+    "probability": 1.0,
+    "risk": 0.0,
+}
+
+
+def coefficient(value, u, unit, **more):
+    """Return a coefficient whose uncertainty is all noise."""
+    return {"value": value, "u": u, "u_noise": u, "unit": unit, "estimated": True, **more}
+
+
+def trace(**more):
+    """Return a trace of three stretches."""
+    return {
+        "time": [0.5, 1.5, 2.5],
+        "low": [-0.01, -0.02, -0.015],
+        "high": [0.01, 0.03, 0.02],
+        "left_out": [(1.2, 0.4)],
+        "by_angle": {"low": [-0.01, None], "mean": [0.001, None], "high": [0.01, None]},
+        "spectrum": {"frequency": [0.1, 1.0], "power": [0.9, 1.1]},
+        "quantiles": {"normal": [-1.2, 0.0, 1.2], "found": [-1.0, 0.1, 1.5]},
+        **more,
+    }
+
+
+def result(**changes):
+    """Return a result of one accelerometer Qx and two runs; `changes` are of Qx."""
+    qx = {
+        "serial_number": "Q-104",
+        "coefficients": {
+            "K_F": coefficient(0.005, 1e-6, "g"),
+            "K_II": coefficient(2.7e-5, 1e-9, "g/g^2", dof=50.0),
+        },
+        "known": {"K_I": {"value": 1.002, "u": 0.0, "unit": "g/g", "estimated": False}},
+        "axes": [(1.0, 0.0, 0.0), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0)],
+        "observable": "displacement",
+        "correlation": {"terms": ["K_F", "K_II"], "matrix": [[1.0, 0.25], [0.25, 1.0]]},
+        "residual": {"rms": 0.01, "unit": "m", "dof": 100.0, "chi2": 98.0, "lack_of_fit_p": 0.5},
+        "budget": {
+            "K_II": [
+                {
+                    "source": "noise of Qx",
+                    "u": None,
+                    "unit": "",
+                    "sensitivity": None,
+                    "contribution": 0.8e-9,
+                    "share": 0.64,
+                },
+                {
+                    "source": "K_I (prior)",
+                    "u": 5e-6,
+                    "unit": "g/g",
+                    "sensitivity": -1.2e-4,
+                    "contribution": 0.6e-9,
+                    "share": 0.36,
+                },
+            ]
+        },
+        "jackknife": [
+            {"run": "slow", "value": 2.7001e-5, "shift": 1e-9, "z": 0.5},
+            {"run": "fast", "value": None, "shift": None, "z": None},
+        ],
+        "two_stage": {
+            "value": 2.702e-5,
+            "u": 4e-9,
+            "difference": 2e-8,
+            "u_difference": 2e-8,
+            "z": 1.0,
+        },
+        "conformity": {"K_II": CONFORMITY},
+        "traces": {"slow": trace(), "fast": trace(left_out=[])},
+        **changes,
+    }
+    run = {
+        "rate": -3.0,
+        "u_rate": 1e-9,
+        "drift": 1e-9,
+        "u_drift": 1e-10,
+        "ripples": [
+            {
+                "harmonic": 1,
+                "amplitude": 3e-6,
+                "u_amplitude": 3e-7,
+                "phase": 0.1,
+                "u_phase": 0.01,
+            }
+        ],
+        "samples": 1000,
+        "rejected": 2,
+        "counts": {"outliers": 2},
+    }
+    return Result.model_validate(
+        {
+            "method": "joint",
+            "model": "exact",
+            "title": "By hand",
+            "accelerometers": {"Qx": qx},
+            "platform": {"platform.drift.north": coefficient(1e-8, 1e-9, "rad/s")},
+            "runs": {"slow": run, "fast": {**run, "rate": 6.0, "ripples": []}},
+            "inputs": {"gravity": 9.8, "latitude": 0.7, "radius": 2.5},
+            "provenance": {"version": "9.9", "inputs": {"campaign.toml": "sha256:abc"}},
+        }
+    )

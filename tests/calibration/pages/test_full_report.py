@@ -1,0 +1,240 @@
+"""The full report says all that a result holds, in the order in which one reads."""
+
+import pytest
+from results import coefficient, result, trace
+
+from counterspin.calibration.pages.full_report import document, identifier_of
+from counterspin.calibration.pages.pictures import (
+    budget_bars,
+    correlation_map,
+    jackknife_plot,
+    residual_plots,
+    ripple_plot,
+)
+from counterspin.calibration.verdict import verdict
+from counterspin.reports.blocks import (
+    Bars,
+    Heading,
+    HeatMap,
+    Paragraph,
+    Picture,
+    Plot,
+    Table,
+    without_pictures,
+)
+
+
+def texts(blocks):
+    return [block.text for block in blocks if isinstance(block, Heading | Paragraph)]
+
+
+def test_the_answer_comes_first_in_both_units():
+    first = document(result())[:2]
+    assert first[0] == Heading("By hand", 1)
+    assert first[1].style == "answer"
+    # Student's t for 50 degrees of freedom: 2.0086.
+    assert first[1].text == (
+        "K_II of Qx = 27.0000 ± 0.0010 µg/g² = (2.70000 ± 0.00010) × 10⁻⁵ g/g²"
+        "   (95 %: 26.9980 to 27.0020 µg/g², 50 dof)"
+    )
+
+
+def test_chapters_in_order():
+    headings = [b.text for b in document(result()) if isinstance(b, Heading) and b.level == 2]
+    wanted = ["Is it good?", "Accelerometer Qx", "Platform", "Runs", "Model"]
+    assert [h for h in headings if h in wanted] == wanted
+    assert headings[-1] == "Inputs and reproduction"
+
+
+def test_warnings_stand_once_and_before_everything_else():
+    blocks = document(result(warnings=["Qx: something is odd"]))
+    places = [i for i, b in enumerate(blocks) if "something is odd" in getattr(b, "text", "")]
+    assert len(places) == 1
+    assert blocks[places[0]].style == "warning"
+    assert places[0] < next(i for i, b in enumerate(blocks) if isinstance(b, Table | Picture))
+
+
+def test_every_picture_of_a_full_result_is_there():
+    pictures = [b for b in document(result()) if isinstance(b, Picture)]
+    assert sum(isinstance(p, HeatMap) for p in pictures) == 1
+    assert sum(isinstance(p, Bars) for p in pictures) == 1
+    titles = [p.title for p in pictures if isinstance(p, Plot)]
+    assert titles == [
+        "K_II of Qx with each run left out",
+        "Residuals of Qx, slow",
+        "Residuals of Qx, fast",
+        "Mean residual of Qx over the revolution",
+        "Spectrum of the whitened residuals of Qx; white noise is 1",
+        "Whitened residuals of Qx beside a normal distribution",
+        "Ripple of the rate by harmonic; bars: 95 %",
+    ]
+
+
+def test_a_result_without_series_has_no_empty_pictures():
+    bare = result(traces={}, budget={}, jackknife=[], correlation=None)
+    for run in bare.runs.values():
+        run.ripples.clear()
+    assert not [b for b in document(bare) if isinstance(b, Picture)]
+
+
+def test_the_model_is_written_from_the_terms_that_were_used():
+    kept = result().accelerometers["Qx"].coefficients
+    more = kept | {
+        "K_OQ": coefficient(0.0, 1e-9, "g/g^2"),
+        "delta_P": coefficient(0.0, 1e-6, "rad"),
+    }
+    written = texts(document(result(coefficients=more)))
+    assert "Qx: a_ind = K_F + K_I a_I + K_II a_I² + K_OQ a_I |a_I| − delta_P a_O" in written
+    assert any("platform.drift.north" in text for text in written)
+    assert "counterspin calibrate ." in written
+
+
+def test_an_old_two_stage_result_is_made_again_by_its_own_method():
+    old = result().model_copy(update={"method": "two-stage"})
+    assert "counterspin calibrate . --method=two-stage" in texts(document(old))
+    stated = old.provenance.model_copy(update={"options": ["--method=two-stage", "--sigma=given"]})
+    written = texts(document(old.model_copy(update={"provenance": stated})))
+    assert "counterspin calibrate . --method=two-stage --sigma=given" in written
+
+
+def test_degrees_of_freedom_are_counted_whole_and_units_are_in_print():
+    residual = {"rms": 0.01, "unit": "m", "dof": 21659.98}
+    written = " ".join(texts(document(result(residual=residual))))
+    assert "with 21660 degrees of freedom" in written
+    assert "Gravity 9.8 m/s², latitude" in written
+
+
+def test_words_alone_have_no_empty_chapters():
+    picture = next(residual_plots("Qx", result().accelerometers["Qx"]))
+    one, two, deep, said = Heading("1"), Heading("2"), Heading("3", 3), Paragraph("words")
+    assert without_pictures([one, deep, picture, two, said]) == [two, said]
+    assert without_pictures([one, picture, deep, said, two, picture]) == [one, deep, said]
+    assert without_pictures([one, said, picture, picture, two]) == [one, said, two]
+
+
+def test_the_identifier_is_the_result_s_own():
+    assert identifier_of(result()) == identifier_of(result())
+    assert identifier_of(result()) != identifier_of(result(serial_number="Q-105"))
+
+
+# Pictures
+
+
+def test_residuals_keep_outliers_and_are_in_millimetres():
+    first = next(residual_plots("Qx", result().accelerometers["Qx"]))
+    assert first.zoom
+    band, outliers = first.series
+    assert band.low == (-10.0, -20.0, -15.0)
+    assert band.high == (10.0, 30.0, 20.0)
+    assert outliers.stands_out
+    assert (outliers.x, outliers.y) == ((1.2,), (400.0,))
+    assert first.y_label == "residual, mm"
+
+
+def test_many_runs_share_several_plots():
+    traces = {f"run{i}": trace() for i in range(8)}
+    plots = list(residual_plots("Qx", result(traces=traces).accelerometers["Qx"]))
+    assert len(plots) == 8 + 2 * 3
+    labels = [s.label for p in plots if "over the revolution" in p.title for s in p.series]
+    assert labels == list(traces)
+
+
+def test_a_part_of_the_revolution_without_samples_is_a_gap():
+    fold = list(residual_plots("Qx", result().accelerometers["Qx"]))[2]
+    assert fold.series[0].x == (90.0, 270.0)
+    assert fold.series[0].y == (1.0, None)
+
+
+def test_the_jackknife_shows_what_each_shift_may_be():
+    plot = jackknife_plot("Qx", result().accelerometers["Qx"])
+    band, points = plot.series
+    assert band.low == pytest.approx((26.999, 26.999))
+    assert points.y == pytest.approx((27.001,))
+    # shift 1e-9 at z = 0.5: its standard uncertainty is 2e-9, or 0.002 ug/g^2.
+    assert points.high == pytest.approx((27.003,))
+    assert plot.x_names == ("slow",)
+
+
+def test_budget_and_correlation():
+    found = result().accelerometers["Qx"]
+    bars = budget_bars("Qx", found)
+    assert bars.values == pytest.approx((0.0008, 0.0006))
+    assert bars.texts == ("0.00080 (64 %)", "0.00060 (36 %)")
+    assert correlation_map("Qx", found).values == ((1.0, 0.25), (0.25, 1.0))
+
+
+def test_ripple_is_relative_to_the_rate_whichever_way_it_turns():
+    (series,) = ripple_plot(result().runs).series
+    assert series.label == "slow"
+    assert series.y == pytest.approx((1.0,))
+    assert series.low == pytest.approx((1.0 - 0.196,))
+
+
+# Verdict
+
+
+def test_a_good_result():
+    judged = verdict(result().accelerometers["Qx"], "exact")
+    assert judged.grade == "good"
+    assert judged.sentence("Qx") == (
+        "Qx is good: the residuals look like the stated noise (p = 0.5); no run drives the "
+        "result; the two-stage method agrees."
+    )
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"warnings": ["one", "two"]}, "2 warnings"),
+        (
+            {"residual": {"rms": 1.0, "unit": "m", "dof": 9.0, "lack_of_fit_p": 0.009}},
+            "the residuals do not look like independent noise",
+        ),
+        (
+            {"jackknife": [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -3.1}]},
+            "K_II without slow disagrees with that of all runs",
+        ),
+        (
+            {
+                "two_stage": {
+                    "value": 1e-5,
+                    "u": 1e-9,
+                    "difference": 1e-8,
+                    "u_difference": 1e-9,
+                    "z": 10.0,
+                }
+            },
+            "the two-stage method does not agree",
+        ),
+    ],
+)
+def test_what_speaks_against_it_is_said(change, words):
+    judged = verdict(result(**change).accelerometers["Qx"], "exact")
+    assert judged.grade == "with reservations"
+    assert words in judged.sentence("Qx")
+    assert "For it speaks" in judged.sentence("Qx")
+
+
+def test_half_the_true_value_is_never_good():
+    judged = verdict(result().accelerometers["Qx"], "as-printed")
+    assert judged.grade == "with reservations"
+    assert "half the true K_II" in judged.sentence("Qx")
+
+
+def test_no_value_no_grade():
+    nothing = {"K_II": {"value": None, "u": None, "unit": "g/g^2", "estimated": False}}
+    judged = verdict(result(coefficients=nothing).accelerometers["Qx"], "exact")
+    assert judged.grade == "not determined"
+    assert judged.sentence("Qx").startswith("Qx: these records do not determine K_II")
+
+
+def test_what_is_taken_as_zero_is_named_where_it_would_be_noticed():
+    # 1 ug/g^2 of K_OO moves K_II by 1 ug/g^2, a thousand times its u; 1 ug/g^3 of K_III does not.
+    left_out = {
+        "K_OO": {"sensitivity": -1.0, "unit": "g/g^2"},
+        "K_III": {"sensitivity": 1e-4, "unit": "g/g^3"},
+    }
+    judged = verdict(result(left_out=left_out).accelerometers["Qx"], "exact")
+    assert judged.grade == "good"
+    assert judged.taken_as_zero == ("K_OO",)
+    assert judged.sentence("Qx").endswith("which the model leaves out: K_OO.")

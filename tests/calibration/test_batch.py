@@ -1,0 +1,196 @@
+"""Many campaigns at once: each as if it were alone, and a failing one stops no other."""
+
+import json
+import multiprocessing
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from importlib.resources import files
+
+import pytest
+
+from counterspin import workers as crew
+from counterspin.calibration.batch import calibrate_many
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.simulation import simulate
+from counterspin.cli import main
+from counterspin.errors import CounterspinError
+
+
+def short_plan(seed):
+    text = (files("counterspin.reproduction") / "paper.toml").read_text(encoding="utf-8")
+    return text.replace("revolutions = 100", "revolutions = 12").replace(
+        "seed = 2", f"seed = {seed}"
+    )
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory):
+    place = tmp_path_factory.mktemp("batch")
+    for name, seed in (("a", 1), ("b", 2)):
+        description = place / f"{name}.toml"
+        description.write_text(short_plan(seed), encoding="utf-8")
+        simulate(description, place / name)
+    (place / "broken").mkdir()
+    return [place / "a", place / "broken", place / "b"]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_each_campaign_is_calibrated_as_if_alone(folders, workers):
+    first, broken, last = calibrate_many(folders, workers=workers)
+    assert first.result == calibrate(folders[0])
+    assert last.result == calibrate(folders[2])
+    assert first.result != last.result
+    assert broken.result is None
+    assert "no such file" in broken.error
+
+
+def test_command_prints_a_summary_and_fails_if_any_failed(folders, tmp_path, capsys):
+    kept = tmp_path / "all.json"
+    status = main(["calibrate", *map(str, folders), "--json", str(kept)])
+    shown = capsys.readouterr()
+    assert status == 1
+    assert "1 of 3 campaigns could not be calibrated" in shown.err
+    assert "2 campaigns calibrated, 1 failed." in shown.out
+    assert shown.out.count("Qx") == 2
+    campaigns = json.loads(kept.read_text(encoding="utf-8"))["campaigns"]
+    assert list(campaigns) == [str(folder) for folder in folders]
+    assert "error" in campaigns[str(folders[1])]
+    assert main(["calibrate", str(folders[0]), str(folders[2])]) == 0
+
+
+def of_pool():
+    return [child.pid for child in multiprocessing.active_children()]
+
+
+class Held:
+    """A campaign that keeps whoever reads its description waiting, and kills him."""
+
+    def __init__(self, folder, real, workers, times):
+        shutil.copytree(real, folder)
+        self.description = folder / "campaign.toml"
+        self.real = self.description.rename(folder / "real.toml")
+        self.workers, self.times, self.killed = workers, times, 0
+        os.mkfifo(self.description)
+        threading.Thread(target=self._kill, daemon=True).start()
+
+    def _kill(self):
+        while self.killed < self.times:
+            # Opening waits for a reader.
+            held = os.open(self.description, os.O_WRONLY)
+            self.killed += 1
+            self.description.unlink()
+            if self.killed == self.times:
+                self.real.rename(self.description)
+            else:
+                os.mkfifo(self.description)
+            for pid in self.workers():
+                os.kill(pid, signal.SIGKILL)
+            os.close(held)
+
+
+def test_campaign_whose_worker_dies_is_tried_again(folders, tmp_path):
+    held = Held(tmp_path / "held", folders[0], of_pool, times=1)
+    first, middle, last = calibrate_many([folders[0], tmp_path / "held", folders[2]], workers=2)
+    assert held.killed == 1
+    assert first.result == calibrate(folders[0])
+    assert middle.result == calibrate(tmp_path / "held")
+    assert last.result == calibrate(folders[2])
+
+
+def test_campaign_whose_workers_die_is_reported_and_stops_no_other(folders, tmp_path, capsys):
+    Held(tmp_path / "held", folders[0], of_pool, times=2)
+    kept = tmp_path / "all.json"
+    several = [str(folders[0]), str(tmp_path / "held"), str(folders[2])]
+    status = main(["calibrate", *several, "--workers", "2", "--json", str(kept)])
+    shown = capsys.readouterr()
+    assert status == 1
+    assert "1 of 3 campaigns could not be calibrated" in shown.err
+    campaigns = json.loads(kept.read_text(encoding="utf-8"))["campaigns"]
+    assert "the process that worked on it died" in campaigns[several[1]]["error"]
+    assert all("accelerometers" in campaigns[several[i]] for i in (0, 2))
+
+
+@pytest.fixture
+def cluster():
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
+    import dask
+
+    with (
+        # A task whose worker dies is given up at once, which takes four deaths otherwise.
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        warnings.catch_warnings(),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, processes=True
+        ) as found,
+    ):
+        warnings.simplefilter("ignore")
+        yield found
+
+
+def test_dask_s_workers_calibrate_the_same(folders, cluster, tmp_path, capsys):
+    kept = tmp_path / "all.json"
+    several = [*map(str, folders)]
+    status = main(
+        ["calibrate", *several, "--cluster", cluster.scheduler_address, "--json", str(kept)]
+    )
+    shown = capsys.readouterr()
+    assert status == 1
+    assert "1 of 3 campaigns could not be calibrated" in shown.err
+    campaigns = json.loads(kept.read_text(encoding="utf-8"))["campaigns"]
+    assert "no such file" in campaigns[several[1]]["error"]
+    for index in (0, 2):
+        assert campaigns[several[index]] == json.loads(calibrate(folders[index]).to_json())
+
+
+def test_dask_s_dead_worker_costs_no_campaign(folders, cluster, tmp_path):
+    def of_cluster():
+        return [worker.process.pid for worker in cluster.workers.values() if worker.process]
+
+    held = Held(tmp_path / "held", folders[0], of_cluster, times=1)
+    several = [folders[0], tmp_path / "held", folders[2]]
+    found = calibrate_many(several, cluster=cluster.scheduler_address)
+    assert held.killed == 1
+    assert [one.result for one in found] == [calibrate(folder) for folder in several]
+
+
+@pytest.fixture
+def scheduler(tmp_path):
+    """A scheduler and workers as docs/study.md starts them: (address, process)."""
+    pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
+    file = tmp_path / "scheduler.json"
+    dask = [sys.executable, "-m", "dask"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(
+        [*dask, "scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)],
+        **quiet,
+    ) as main_one:
+        while not file.exists() or not file.read_text():
+            assert main_one.poll() is None
+            time.sleep(0.05)
+        address = json.loads(file.read_text())["address"]
+        with subprocess.Popen(
+            [*dask, "worker", address, "--nworkers", "1", "--nthreads", "1", "--no-dashboard"],
+            **quiet,
+        ) as workers:
+            yield address, main_one
+            for process in (workers, main_one):
+                process.terminate()
+
+
+def test_lost_scheduler_is_told_and_loses_nothing_that_was_done(
+    folders, scheduler, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(crew, "_ANSWER", 1.0)
+    address, process = scheduler
+    Held(tmp_path / "held", folders[0], lambda: [process.pid], times=1)
+    first, second = calibrate_many([folders[0], tmp_path / "held"], cluster=address)
+    assert first.result == calibrate(folders[0])
+    assert "connection with the Dask scheduler was lost" in second.error
+    with pytest.raises(CounterspinError, match="no Dask scheduler answers"):
+        calibrate_many([folders[0]], cluster=address)

@@ -1,0 +1,175 @@
+"""A calibration judges what its campaign specifies, by either method, and says so."""
+
+import pytest
+from campaigns import SMALL, write
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.conformity import conformity, with_conformity
+from counterspin.calibration.pages.conformity import conformity_blocks
+from counterspin.calibration.pages.sections import sections
+from counterspin.calibration.result import read_result, write_result
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Residual
+from counterspin.calibration.two_stage import TwoStageOptions
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.simulation import simulate
+from counterspin.campaign.specification import resolve_specifications
+from counterspin.inference.conformity import judge
+
+# K_II of Qx is 27 and of Qy -32 ug/g^2, u below 0.4 by either method; K_PO is not in the model.
+SPECIFIED = (
+    SMALL
+    + """
+[specification]
+K_II = "abs <= 50 ug/g^2"
+K_PO = "abs <= 50 ug/g^2"
+
+[specification.Qy]
+K_II = "abs <= 20 ug/g^2"
+"""
+)
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("specified")
+    simulate(write(folder, SPECIFIED, "plan.toml"), folder / "records")
+    return folder / "records"
+
+
+@pytest.fixture(scope="module", params=["joint", "two-stage"])
+def found(records, request):
+    return calibrate(records, method=request.param)
+
+
+def test_verdicts_are_in_the_result(found, tmp_path):
+    verdicts = {
+        (name, symbol): one.verdict
+        for name, accelerometer in found.accelerometers.items()
+        for symbol, one in accelerometer.conformity.items()
+    }
+    assert verdicts == {
+        ("Qx", "K_II"): "pass",
+        ("Qx", "K_PO"): "undecided",
+        ("Qy", "K_II"): "fail",
+        ("Qy", "K_PO"): "undecided",
+    }
+    write_result(found, tmp_path / "r.json")
+    assert read_result(tmp_path / "r.json") == found
+
+
+def test_verdict_is_that_of_the_estimate(found):
+    k_ii = found.accelerometers["Qx"].coefficients["K_II"]
+    verdict = found.accelerometers["Qx"].conformity["K_II"]
+    judged = judge(k_ii.value, k_ii.u, k_ii.dof, -50e-6, 50e-6, rule="guarded")
+    assert (verdict.guard_band, verdict.probability, verdict.risk) == (
+        judged.guard_band,
+        judged.probability,
+        judged.risk,
+    )
+    assert (verdict.low, verdict.high) == (pytest.approx(-50e-6), pytest.approx(50e-6))
+    assert (verdict.rule, verdict.unit, verdict.reason) == ("guarded", "g/g^2", None)
+
+
+def test_equations_as_printed_give_no_verdict(records):
+    printed = calibrate(records, method="two-stage", options=TwoStageOptions(model="as-printed"))
+    verdict = printed.accelerometers["Qy"].conformity["K_II"]
+    assert verdict.verdict == "undecided"
+    assert "half the true K_II" in verdict.reason
+    assert verdict.probability is None
+
+
+def test_a_campaign_without_specification_has_no_verdict(records, tmp_path):
+    for record in records.glob("*.csv"):
+        (tmp_path / record.name).write_bytes(record.read_bytes())
+    plain = calibrate(write(tmp_path, SMALL).parent, method="two-stage")
+    assert all(not one.conformity for one in plain.accelerometers.values())
+    assert list(conformity_blocks(plain)) == []
+
+
+def accelerometer(**k_ii):
+    return AccelerometerResult(
+        coefficients={"K_II": Coefficient(unit="g/g^2", **k_ii)},
+        correlation=None,
+        residual=Residual(rms=0.01, unit="m", dof=10.0),
+    )
+
+
+def specified(**table):
+    problems = Problems({})
+    stated = resolve_specifications(table, ["Qx"], problems=problems, gravity=9.8)
+    assert problems.lines == []
+    return stated
+
+
+@pytest.mark.parametrize("value", [2e-5, None])
+def test_a_prior_is_no_measurement(value):
+    stated = specified(K_II="abs <= 5e-5 g/g^2")
+    known = accelerometer(value=value, u=None if value is None else 1e-6, estimated=False)
+    verdict = conformity(known, stated.terms["Qx"], stated.rule, model="exact")["K_II"]
+    assert verdict.verdict == "undecided"
+    assert verdict.reason == "the records do not determine K_II"
+    assert (verdict.guard_band, verdict.probability, verdict.risk) == (None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("rule", "reason"),
+    [
+        ({"decision_rule": "guarded", "guard_factor": 2.0}, "than the guard band"),
+        (
+            {"decision_rule": "probability", "conformance_probability": 0.999},
+            "as 0.999",
+        ),
+    ],
+)
+def test_undecided_says_why(rule, reason):
+    stated = specified(K_II="<= 5e-5 g/g^2", **rule)
+    near = accelerometer(value=4.8e-5, u=1e-6, dof=5.0, estimated=True)
+    verdict = conformity(near, stated.terms["Qx"], stated.rule, model="exact")["K_II"]
+    assert verdict.verdict == "undecided"
+    assert reason in verdict.reason
+    assert verdict.risk is None
+    assert 0.9 < verdict.probability < 0.999
+    assert verdict.needed == rule.get("conformance_probability")
+
+
+# In the report
+
+
+def texts(blocks):
+    return "\n".join(getattr(block, "text", "") for block in blocks)
+
+
+def test_report_shows_verdicts_before_the_rest(found):
+    blocks = sections(found)
+    places = {getattr(block, "text", None): i for i, block in enumerate(blocks)}
+    assert places["Conformity"] < places["Accelerometer Qx"]
+    table = blocks[places["Conformity"] + 1]
+    cells = [(row[0], row[1], row[3], row[4], *row[5:]) for row in table.rows]
+    assert cells == [
+        ("Qx", "K_II", "abs <= 50 ug/g^2", "pass", "> 99.9 %", "< 0.1 %"),
+        ("Qx", "K_PO", "abs <= 50 ug/g^2", "undecided", "-", "-"),
+        ("Qy", "K_II", "abs <= 20 ug/g^2", "fail", "< 0.1 %", "< 0.1 %"),
+        ("Qy", "K_PO", "abs <= 50 ug/g^2", "undecided", "-", "-"),
+    ]
+    assert table.quiet == {1, 3}
+    told = texts(blocks)
+    assert "K_II of Qy does not meet its specification." in told
+    assert "K_PO of Qx is undecided: K_PO is not among the terms of the model." in told
+    assert "Decision rule: guard bands." in told
+    assert "Guard bands w: K_II of Qx 0." in told
+
+
+@pytest.mark.parametrize(
+    ("rule", "words"),
+    [
+        ({"decision_rule": "simple"}, "simple acceptance, by the estimate alone"),
+        (
+            {"decision_rule": "probability", "conformance_probability": 0.99999},
+            "with a probability of at least 99.999 %",
+        ),
+    ],
+)
+def test_rule_is_stated(found, rule, words):
+    told = texts(conformity_blocks(with_conformity(found, specified(K_II="<= 1 g/g^2", **rule))))
+    assert words in told
+    assert "Guard bands" not in told

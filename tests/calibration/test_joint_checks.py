@@ -1,0 +1,84 @@
+"""Checks of a joint result that need no records."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from counterspin.calibration.joint import shared_warnings
+from counterspin.calibration.joint_checks import hidden_walk, unseen_ripple
+from counterspin.calibration.result_parts import Coefficient
+from counterspin.inference.joint.fit import Unknown
+from counterspin.physics.accelerometer import DEGREE_PER_HOUR
+
+
+def found(share: float, name: str = "Qx") -> SimpleNamespace:
+    """A fit of which this share of u^2 of K_II is noise that the records do not show."""
+    unknown = SimpleNamespace(owner="Qx", symbol="K_II")
+    fit = SimpleNamespace(
+        model=SimpleNamespace(unknowns=[unknown]),
+        solution=SimpleNamespace(u=np.array([2e-9])),
+        unseen={name: (1e-5, np.array([[share * 4e-18]]))},
+    )
+    return SimpleNamespace(fit=fit)
+
+
+def test_noise_that_is_most_of_k_ii_without_showing_is_a_warning():
+    (warning,) = hidden_walk(found(0.8), "Qx")
+    assert "80% of u^2 of K_II" in warning
+    assert "acceleration in [noise]" in warning
+
+
+def test_a_smaller_part_or_another_s_noise_is_no_warning():
+    assert hidden_walk(found(0.3), "Qx") == []
+    assert hidden_walk(found(0.8, name="Qy"), "Qx") == []
+
+
+def seen(observable: str, angle: object | None) -> tuple[SimpleNamespace, SimpleNamespace]:
+    """A campaign at 10 g, and its K_II."""
+    campaign = SimpleNamespace(
+        accelerometers={"Qx": SimpleNamespace(observable=observable)},
+        angle=angle,
+        radius=SimpleNamespace(value=2.5),
+        gravity=SimpleNamespace(value=9.8),
+        runs=[SimpleNamespace(rate=rate) for rate in (np.pi, -2 * np.pi)],
+    )
+    unknown = SimpleNamespace(owner="Qx", symbol="K_II")
+    fit = SimpleNamespace(
+        model=SimpleNamespace(unknowns=[unknown]), solution=SimpleNamespace(u=np.array([2e-9]))
+    )
+    return campaign, SimpleNamespace(fit=fit)
+
+
+def test_a_ripple_that_nobody_recorded_is_a_warning():
+    (warning,) = unseen_ripple(*seen("specific_force", None), "Qx")
+    # At 10 g a ripple of 1e-8 of the rate is 1e-9 g/g^2.
+    assert "a ripple of 1e-08 of the rate" in warning
+
+
+@pytest.mark.parametrize(
+    ("observable", "angle"), [("specific_force", object()), ("displacement", None)]
+)
+def test_a_recorded_angle_or_displacement_need_no_warning(observable, angle):
+    assert unseen_ripple(*seen(observable, angle), "Qx") == []
+
+
+@pytest.mark.parametrize(
+    ("drift", "u", "longest", "words"),
+    [
+        (0.3, 1e-6, 400.0, "is 0.3 deg/h"),
+        (0.1, 1e-6, 400.0, ""),
+        (0.1, 0.04, 400.0, ""),
+        (0.1, 0.06, 400.0, "may reach 0.22 deg/h"),
+        (0.3, 1e-6, 100.0, ""),
+        (0.1, 1e-6, 800.0, "is 0.1 deg/h"),
+    ],
+)
+def test_a_drift_is_large_for_the_length_of_the_runs(drift, u, longest, words):
+    # g d^2 T^4/24 reaches 0.01 m at 0.2 deg/h over 400 s, and at 0.05 deg/h over 800 s.
+    unknown = Unknown("", "platform.drift.north", (0.0, np.inf), 1e-4)
+    value, u = -drift * DEGREE_PER_HOUR, u * DEGREE_PER_HOUR
+    found = Coefficient(value=value, u=u, unit="rad/s", estimated=True)
+    warnings = shared_warnings({unknown: found}, longest)
+    assert len(warnings) == bool(words)
+    assert all(words in warning for warning in warnings)

@@ -1,0 +1,44 @@
+"""From a campaign to the joint fit's problem."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from counterspin.calibration.joint_problem import series_of
+from counterspin.calibration.observed import ObservedRun, Signal
+from counterspin.physics.accelerometer import QX
+from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.observation import LEVEL
+from counterspin.physics.spindle import Spindle
+
+RADIUS, RATE, TIMING = 2.5, -2.0, 1e-3
+
+
+@pytest.mark.parametrize("observable", ["displacement", "velocity", "specific_force"])
+def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable):
+    """Each output is sampled a little early or late: its error is its slope times the delay."""
+    channel = SimpleNamespace(unit="m")
+    accelerometer = SimpleNamespace(observable=observable, mounting=QX, channel=channel)
+    campaign = SimpleNamespace(
+        noise=SimpleNamespace(timing=TIMING), radius=SimpleNamespace(value=RADIUS)
+    )
+    times = np.arange(400) * math.pi / 200 / abs(RATE)  # one revolution
+    record = SimpleNamespace(
+        time=times,
+        time_sd=np.zeros(400),
+        count=np.ones(400),
+        report=SimpleNamespace(step=float(times[1])),
+    )
+    trajectory = Trajectory(Spindle(RATE), RADIUS, Site(9.8, 0.8, earth_rate=0.0))
+    run = ObservedRun(
+        SimpleNamespace(name="run", rate=RATE, attitude=LEVEL),
+        record,
+        None,
+        trajectory,
+        {"Qx": Signal(accelerometer, np.zeros(400))},
+    )
+    (series,) = series_of(campaign, [run])
+    slope = (series.reference(later=1e-5) - series.reference(later=-1e-5)) / 2e-5
+    assert series.jitter == pytest.approx(TIMING * math.sqrt(np.mean(slope**2)), rel=1e-6)

@@ -1,0 +1,119 @@
+"""The thinned residuals of a joint result: they are the residuals, and outliers stay visible."""
+
+import numpy as np
+import polars as pl
+import pytest
+from campaigns import SMALL, changed, write
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.joint_traces import _rounded
+from counterspin.calibration.result import read_result, write_result
+from counterspin.campaign.simulation import simulate
+
+#: Where samples are displaced, and by how much, in metres.
+PLANTED = {100: 0.4, 371: -0.25}
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Results of a clean campaign and of the same with two samples displaced."""
+    folder = tmp_path_factory.mktemp("traces")
+    # The noise is a tenth of what the campaign states.
+    description = write(folder, changed(SMALL, ('"0.01 m"\nangle', '"0.001 m"\nangle')))
+    simulate(description, folder / "made")
+    clean = calibrate(folder / "made")
+    record = folder / "made" / "slow.csv"
+    table = pl.read_csv(record)
+    east = table["east_m"].to_numpy().copy()
+    for row, by in PLANTED.items():
+        east[row] += by
+    table.with_columns(pl.Series("east_m", east)).write_csv(record)
+    times = {float(table["time_s"][row]): by for row, by in PLANTED.items()}
+    return clean, calibrate(folder / "made"), times
+
+
+def test_each_run_of_each_accelerometer_has_its_trace(results):
+    clean, _, _ = results
+    for found in clean.accelerometers.values():
+        assert list(found.traces) == list(clean.runs)
+        for name, trace in found.traces.items():
+            used = clean.runs[name].samples
+            assert len(trace.time) == len(trace.low) == len(trace.high) == min(used, 1500)
+            assert not trace.left_out
+
+
+def test_traces_have_the_size_of_the_residuals(results):
+    clean, _, _ = results
+    found = clean.accelerometers["Qx"]
+    values = [v for trace in found.traces.values() for v in (*trace.low, *trace.high)]
+    # Stretches of one sample: low and high are the residuals themselves, to four digits.
+    short = [t for n, t in found.traces.items() if clean.runs[n].samples <= 1500]
+    assert short
+    squares = np.concatenate([np.square(t.low) for t in short])
+    n = squares.size
+    # Residuals of a good fit have the noise's standard deviation, 1 mm, to 1/sqrt(2n).
+    assert np.sqrt(squares.mean()) == pytest.approx(1e-3, rel=4 / np.sqrt(2 * n))
+    assert max(map(abs, values)) < 6e-3
+    for trace in found.traces.values():
+        power = np.array(trace.spectrum.power)
+        assert power.min() > 0.0
+        # Noise is stated ten times too large in this campaign: the spectrum says so.
+        assert np.median(power) < 0.05
+        assert trace.quantiles.found == sorted(trace.quantiles.found)
+        assert max(trace.quantiles.found) < 1.0
+        folded = [mean for mean in trace.by_angle.mean if mean is not None]
+        assert max(map(abs, folded)) < 2e-3
+
+
+def test_outliers_are_left_out_and_shown_where_they_were(results):
+    _clean, spoilt, times = results
+    shown = dict(spoilt.accelerometers["Qx"].traces["slow"].left_out)
+    for (time, residual), (expected, by) in zip(shown.items(), times.items(), strict=True):
+        assert time == pytest.approx(expected, rel=1e-5)
+        # To what the noise of that very sample, 1 mm, hides.
+        assert residual == pytest.approx(by, abs=6e-3)
+    # They do not disturb what is kept.
+    assert max(map(abs, spoilt.accelerometers["Qx"].traces["slow"].high)) < 6e-3
+    assert not spoilt.accelerometers["Qy"].traces["slow"].left_out
+
+
+def test_the_file_holds_them_a_list_a_line(results, tmp_path):
+    clean, _, _ = results
+    path = tmp_path / "result.json"
+    write_result(clean, path)
+    assert read_result(path) == clean
+    lines = path.read_text().splitlines()
+    assert sum(line.lstrip().startswith('"low": [') for line in lines) == 12  # two a trace
+    assert len(lines) < 2500
+
+
+def test_samples_in_step_with_the_spindle_leave_no_gap_over_the_revolution(results):
+    # 20 Hz at 1 rev/s: twenty angles, so that 15 parts have samples and 30 have not.
+    clean, _, _ = results
+    sizes = {n: len(t.by_angle.mean) for n, t in clean.accelerometers["Qx"].traces.items()}
+    assert sizes == {"slow": 60, "middle": 30, "fast": 15}
+    for trace in clean.accelerometers["Qx"].traces.values():
+        assert None not in trace.by_angle.mean
+
+
+@pytest.mark.parametrize("digits", [4, 6])
+def test_values_are_rounded_as_python_writes_them(digits):
+    rng = np.random.default_rng(7)
+    values = rng.standard_normal(4000) * 10.0 ** rng.integers(-20, 20, 4000)
+    special = [
+        0.0,
+        -0.0,
+        np.nan,
+        9.99996,
+        999.95,
+        1e5,
+        1e-5,
+        0.000999995,
+        -1e3,
+        1e-15,
+        1e15,
+        1e-300,
+    ]
+    values = np.append(values, special)
+    expected = [float(f"{value:.{digits}g}") for value in values]
+    np.testing.assert_array_equal(_rounded(values, digits), expected)

@@ -1,0 +1,121 @@
+"""A result file read back: what is damaged is refused, and not applied."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from counterspin.calibration.result import SCHEMA, read_result
+from counterspin.errors import RecordError
+
+K_II = {"value": 2e-5, "u": 1e-9, "unit": "g/g^2", "estimated": True}
+RESULT = {
+    "schema": 1,
+    "method": "joint",
+    "model": "exact",
+    "accelerometers": {
+        "Qx": {
+            "coefficients": {"K_II": K_II},
+            "correlation": {"terms": ["K_II"], "matrix": [[1.0]]},
+            "residual": {"rms": 0.01, "unit": "m", "dof": 100.0},
+            "traces": {
+                "run1": {
+                    "time": [0.5, 1.5],
+                    "low": [-0.25, -0.125],
+                    "high": [0.25, 0.125],
+                    "spectrum": {"frequency": [0.1, 0.2], "power": [0.75, 1.25]},
+                    "quantiles": {"normal": [-0.6, 0.6], "found": [-0.7, 0.7]},
+                }
+            },
+        }
+    },
+    "runs": {"run1": {"rate": 3.25, "drift": 0.0, "samples": 100, "rejected": 0}},
+    "inputs": {"gravity": 9.8, "latitude": 0.7, "radius": 2.5},
+    "provenance": {"version": "0", "inputs": {}},
+}
+
+
+def stored(folder, document):
+    path = folder / "result.json"
+    path.write_text(document if isinstance(document, str) else json.dumps(document))
+    return path
+
+
+def test_a_whole_result(tmp_path):
+    found = read_result(stored(tmp_path, RESULT)).accelerometers["Qx"]
+    assert found.coefficients["K_II"].value == 2e-5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"g/g^2"', '"ug/g^2"', "damaged result: K_II of Qx is in ug/g^2, not in g/g^2"),
+        ('"u": 1e-09', '"u": -1.0', "damaged result: K_II of Qx is 2e-05 ± -1.0"),
+        ('"value": 2e-05', '"value": 1e999', "damaged result: K_II of Qx is inf ± 1e-09"),
+        ('"value": 2e-05', '"value": NaN', "a damaged one (NaN is not a number that JSON knows)"),
+        ('"u": 1e-09', '"u": 1e-09, "dof": 0.0', "K_II of Qx has 0.0 degrees of freedom"),
+        ('"gravity": 9.8', '"gravity": 0.0', "damaged result: the gravity is 0.0 m/s^2"),
+        ('"rate": 3.25', '"rate": 0.0', "damaged result: the rate of run1 is 0.0 rad/s"),
+        ("-0.25, -0.125", "-0.25", "the trace of Qx in run1 are of unequal length"),
+        ("0.75, 1.25", "0.75", "the trace of Qx in run1 are of unequal length"),
+        ("-0.7, 0.7", "-0.7", "the trace of Qx in run1 are of unequal length"),
+        (json.dumps(RESULT["accelerometers"]), "{}", "damaged result: it has no accelerometers"),
+        (json.dumps({"K_II": K_II}), "{}", "damaged result: Qx has no coefficients"),
+        ('["K_II"]', '["K_II", "K_F"]', "the correlation matrix of Qx is not one of 2 terms"),
+        ('"method": "joint", ', "", "not a result file: method: Field required"),
+        (json.dumps(RESULT), "[]", "not a result file: Input should be"),
+    ],
+)
+def test_damage_is_told(tmp_path, old, new, words):
+    text = json.dumps(RESULT)
+    assert old in text
+    path = stored(tmp_path, text.replace(old, new))
+    with pytest.raises(RecordError) as caught:
+        read_result(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert words in str(caught.value)
+
+
+# Results of earlier versions
+
+FROZEN = sorted((Path(__file__).parents[1] / "frozen").glob("schema-*.json"))
+
+
+def test_every_schema_has_its_frozen_examples():
+    assert {int(path.name.split("-")[1]) for path in FROZEN} == set(range(1, SCHEMA + 1))
+
+
+def kept(old, new):
+    """Return whether a document still says all that an older one says."""
+    if isinstance(old, dict):
+        return all(key in new and kept(value, new[key]) for key, value in old.items())
+    if isinstance(old, list):
+        return len(old) == len(new) and all(map(kept, old, new))
+    return old == new
+
+
+@pytest.mark.parametrize("path", FROZEN, ids=lambda path: path.stem)
+def test_results_of_earlier_versions_are_read_whole(path):
+    old = json.loads(path.read_text(encoding="utf-8"))
+    read = read_result(path)
+    assert kept(old, json.loads(read.to_json()))
+    for name, found in read.accelerometers.items():
+        stated = old["accelerometers"][name]["coefficients"]["K_II"]
+        assert (found.coefficients["K_II"].value, found.coefficients["K_II"].u) == (
+            stated["value"],
+            stated["u"],
+        )
+    # What they did not know of is absent, not invented.
+    assert all(not found.conformity for found in read.accelerometers.values())
+
+
+def test_a_lost_number_would_be_noticed():
+    assert kept({"a": [1.0, {"b": 2}]}, {"a": [1.0, {"b": 2, "new": 3}]})
+    assert not kept({"a": [1.0]}, {"a": [1.1]})
+    assert not kept({"a": 1}, {"b": 1})
+
+
+def test_a_newer_schema_is_named(tmp_path):
+    path = stored(tmp_path, RESULT | {"schema": SCHEMA + 1})
+    with pytest.raises(RecordError, match=r"written by a newer counterspin \(schema"):
+        read_result(path)

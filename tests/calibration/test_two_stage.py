@@ -1,0 +1,419 @@
+"""`calibrate --method two-stage` on simulated folders: what it finds, says and warns of."""
+
+import json
+import math
+import os
+from dataclasses import fields
+
+import polars as pl
+import pytest
+from campaigns import SMALL, campaign_of, changed, without, write
+from scipy.special import chdtrc
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.observed import observe
+from counterspin.calibration.result import read_result
+from counterspin.calibration.two_stage import TwoStageOptions, k_ii, two_stage
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.simulation import simulate
+from counterspin.cli import main
+from counterspin.errors import NotIdentifiableError
+
+TRIALS = 200 if os.environ.get("COUNTERSPIN_FULL") else 12
+
+K_II = {"Qx": 2.7e-5, "Qy": -3.2e-5}
+PRIORS = (
+    'scale_factor = "1.002 g/g"',
+    'bias = "0.005 ± 2e-6 g"\nscale_factor = "1.002 ± 5e-6 g/g"',
+)
+MODEL = '[[runs]]\nname = "slow"'
+
+
+def modelled(model):
+    """Return the replacement that puts a [model] before the runs."""
+    return (MODEL, f"[model]\n{model}\n\n{MODEL}")
+
+
+def made(folder, *pairs, text=SMALL):
+    simulate(write(folder, changed(text, *pairs)), folder / "made")
+    return folder / "made"
+
+
+def result_of(folder, *pairs, text=SMALL, **options):
+    return calibrate(
+        made(folder, *pairs, text=text), method="two-stage", options=TwoStageOptions(**options)
+    )
+
+
+def qx(result):
+    return result.accelerometers["Qx"]
+
+
+# --- values and their uncertainty -----------------------------------------------------------------
+
+
+def test_json_has_the_fields_of_the_contract(tmp_path, capsys):
+    folder, file = made(tmp_path, PRIORS), tmp_path / "result.json"
+    assert main(["calibrate", str(folder), "--method", "two-stage", "--json", str(file)]) == 0
+    assert "K_II of Qx = " in capsys.readouterr().out
+    document = json.loads(file.read_text(encoding="utf-8"))
+    assert (document["schema"], document["method"], document["model"]) == (1, "two-stage", "exact")
+    found = document["accelerometers"]["Qx"]
+    k_ii = found["coefficients"]["K_II"]
+    assert set(k_ii) == {
+        *("value", "u", "u_noise", "u_prior", "u_considered", "dof", "unit", "estimated")
+    }
+    assert k_ii["u"] ** 2 == pytest.approx(
+        k_ii["u_noise"] ** 2 + k_ii["u_prior"] ** 2 + k_ii["u_considered"] ** 2, rel=1e-12
+    )
+    assert (k_ii["dof"], k_ii["unit"], k_ii["estimated"]) == (None, "g/g^2", True)
+    for name, truth in K_II.items():
+        c = document["accelerometers"][name]["coefficients"]["K_II"]
+        assert abs(c["value"] - truth) < 4 * c["u"]
+    assert found["correlation"]["terms"] == ["K_II", "K_F"]
+    assert found["correlation"]["matrix"][0][0] == pytest.approx(1.0, rel=1e-12)
+    residual = found["residual"]
+    assert residual["unit"] == "m"
+    assert residual["dof"] == 3 * 20 - 9
+    assert residual["rms"] == pytest.approx(0.01, rel=0.4)
+    assert residual["lack_of_fit_p"] == pytest.approx(chdtrc(51, residual["chi2"]), rel=1e-12)
+    run = document["runs"]["middle"]
+    assert run["rate"] == pytest.approx(math.pi, rel=1e-6)
+    assert (run["rate_unit"], run["drift_unit"]) == ("rad/s", "1/s")
+    assert run["drift"] == pytest.approx(1e-6, abs=5 * run["u_drift"])
+    assert (run["samples"], run["rejected"]) == (801, 0)
+    assert run["parabolas"]["Qx"]["sigma_from_residuals"] is False
+    assert run["parabolas"]["Qx"]["strobes"] == 20
+    assert set(document["provenance"]["inputs"]) == {
+        *("campaign.toml", "slow.csv", "middle.csv", "fast.csv")
+    }
+    assert read_result(file).accelerometers["Qx"].coefficients["K_II"].value == k_ii["value"]
+
+
+def test_what_the_method_does_not_determine_has_its_prior_or_nothing(tmp_path):
+    known = qx(result_of(tmp_path / "a", PRIORS)).coefficients
+    assert list(known) == ["K_II", "K_F", "K_I", "K_III"]
+    assert (known["K_I"].estimated, known["K_I"].value, known["K_I"].u) == (False, 1.002, 5e-6)
+    assert (known["K_III"].estimated, known["K_III"].value, known["K_III"].u) == (False, None, None)
+    assert known["K_F"].estimated
+    unknown = qx(result_of(tmp_path / "b", ('scale_factor = "1.002 g/g"\n', ""))).coefficients
+    assert (unknown["K_I"].estimated, unknown["K_I"].value, unknown["K_I"].u) == (False, None, None)
+
+
+def test_bias_is_estimated_or_taken_as_known(tmp_path):
+    folder = made(tmp_path, PRIORS)
+    free = qx(calibrate(folder, method="two-stage"))
+    taken = qx(calibrate(folder, method="two-stage", options=TwoStageOptions(fit_bias=False)))
+    assert free.coefficients["K_F"].estimated
+    k_f = taken.coefficients["K_F"]
+    assert (k_f.estimated, k_f.value, k_f.u) == (False, 0.005, 2e-6)
+    # 2e-6 g of K_F stand for 2e-6 g/g^2 (g/2)/(R^2 w^4/4g) of K_II, mostly that of the fast run.
+    assert taken.coefficients["K_II"].u_considered > 2e-8
+    assert free.coefficients["K_II"].u_considered < 1e-10
+
+
+def test_prior_of_k_ii_counts(tmp_path):
+    prior = (
+        'scale_factor = "1.002 g/g"',
+        'scale_factor = "1.002 g/g"\nK_II = "2.8e-5 ± 2e-7 g/g^2"',
+    )
+    plain = qx(result_of(tmp_path / "a")).coefficients["K_II"]
+    c = qx(result_of(tmp_path / "b", prior)).coefficients["K_II"]
+    weight = plain.u**2 / (plain.u**2 + 2e-7**2)
+    assert c.value == pytest.approx(plain.value + weight * (2.8e-5 - plain.value), rel=1e-9)
+    assert c.u == pytest.approx(math.sqrt(weight) * 2e-7, rel=1e-6)
+    assert c.u_prior == pytest.approx(weight * 2e-7, rel=1e-6)
+    tight = changed(prior[1], ("2e-7", "1e-12"))
+    held = qx(result_of(tmp_path / "c", (prior[0], tight))).coefficients["K_II"]
+    assert (held.estimated, held.value, held.u) == (False, 2.8e-5, 1e-12)
+
+
+def test_uncertain_radius_and_gravity_are_considered(tmp_path):
+    inputs = (
+        ('"2.5 m"', '"2.5 ± 2.5e-3 m"'),
+        ('"9.8066 m/s^2"', '"9.8066 ± 4.9033e-3 m/s^2"'),
+    )
+    sure = qx(result_of(tmp_path / "a")).coefficients
+    unsure = qx(result_of(tmp_path / "b", *inputs)).coefficients
+    # b2 is K_II R^2 w^4/(4 g) + K_F g/2.
+    u = unsure["K_II"].u_considered
+    assert u == pytest.approx(math.hypot(2 * 1e-3, 5e-4) * unsure["K_II"].value, rel=1e-6)
+    assert unsure["K_F"].u_considered == pytest.approx(5e-4 * unsure["K_F"].value, rel=1e-6)
+    assert sure["K_II"].u_considered < 1e-12
+    assert unsure["K_II"].value == sure["K_II"].value
+
+
+def test_tilt_is_considered_run_by_run(tmp_path):
+    tilt = modelled(
+        'considered = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }'
+    )
+    folder = made(tmp_path, tilt)
+    campaign = read_campaign(folder)
+    outcome = two_stage(
+        campaign, list(observe(campaign)), campaign.accelerometers["Qx"], TwoStageOptions()
+    )
+    gain = outcome.second.gain[0]
+    size = 0.5 * math.pi / 648000 * 1.002 * 9.8066 / 2
+    c = outcome.result.coefficients["K_II"]
+    assert c.u_considered == pytest.approx(size * math.hypot(*gain), rel=1e-4)
+    assert "platform.tilt.north" not in outcome.result.left_out
+
+
+def test_given_noise_is_all_of_it(tmp_path):
+    noise = 'displacement = "0.01 m"\nquantisation = "0.02 m"\nacceleration = "1e-6 g/Hz^0.5"'
+    found = qx(result_of(tmp_path, ('[noise]\ndisplacement = "0.01 m"', f"[noise]\n{noise}")))
+    assert found.noise["displacement"].value == pytest.approx(math.hypot(0.01, 0.02 / 12**0.5))
+    assert found.noise["acceleration"].value == pytest.approx(9.8066e-6)
+    plain = qx(result_of(tmp_path / "b"))
+    assert found.coefficients["K_II"].u_noise > 1.15 * plain.coefficients["K_II"].u_noise
+    assert found.residual.chi2 is None  # residuals about a parabola are not those of the walk
+
+
+@pytest.mark.parametrize("how", ["asked", "estimate", "absent"])
+def test_sigma_from_the_residuals(tmp_path, capsys, how):
+    noise = '[noise]\ndisplacement = "0.01 m"\n'
+    given = {"asked": noise, "estimate": changed(noise, ("0.01 m", "estimate")), "absent": ""}
+    folder = made(tmp_path, (noise, given[how]))
+    sigma = ["--sigma", "residuals"] if how == "asked" else []
+    file = tmp_path / "result.json"
+    command = ["calibrate", str(folder), "--method", "two-stage", "--json", str(file), *sigma]
+    assert main(command) == 0
+    text = capsys.readouterr().out
+    assert "estimated from the residuals" in text
+    result = read_result(file)
+    for run in result.runs.values():
+        assert run.parabolas["Qx"].sigma_from_residuals
+        assert run.parabolas["Qx"].sigma == pytest.approx(0.01, rel=0.6)
+    c = qx(result).coefficients["K_II"]
+    assert 17 <= c.dof <= 51  # between one run's degrees of freedom and all runs'
+    assert qx(result).residual.chi2 is None
+
+
+def test_degrees_of_freedom_grow_with_what_is_not_from_residuals(tmp_path):
+    folder = made(tmp_path, ('"2.5 m"', '"2.5 ± 5e-3 m"'))
+    c = qx(
+        calibrate(folder, method="two-stage", options=TwoStageOptions(from_residuals=True))
+    ).coefficients["K_II"]
+    # GUM G.4.1: u^4 over the sum of u_i^4/dof_i, here of the noise alone.
+    alone = c.dof * (c.u_noise / c.u) ** 4
+    assert 17 <= alone <= 51
+    assert c.u_considered > 0.1 * c.u_noise
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [
+        PRIORS,
+        modelled('terms = ["K_F", "K_II", "K_OO"]'),  # which cannot be told apart
+        modelled('considered = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }'),
+        ('angle = { column = "angle_rad", unit = "rad" }\n', ""),
+    ],
+    ids=["plain", "alike", "considered", "nominal angle"],
+)
+def test_k_ii_alone_is_that_of_the_whole_result(tmp_path, asked):
+    campaign = read_campaign(made(tmp_path, asked))
+    observed = list(observe(campaign))
+    for accelerometer in campaign.accelerometers.values():
+        whole = two_stage(campaign, observed, accelerometer, TwoStageOptions())
+        found, second = k_ii(campaign, observed, accelerometer, TwoStageOptions())
+        expected = whole.result.coefficients["K_II"]
+        assert found.estimated == expected.estimated
+        if expected.estimated:
+            assert (found.value, found.u) == pytest.approx((expected.value, expected.u), rel=1e-9)
+        else:
+            assert (found.value, found.u) == (None, None)
+        assert second.considered == whole.second.considered
+        assert second.solution.considered_sd == pytest.approx(whole.second.solution.considered_sd)
+        assert len(second.ignored) < len(whole.second.ignored)
+
+
+# --- what cannot be told apart --------------------------------------------------------------------
+
+
+def test_terms_that_act_alike_are_said_with_their_combination(tmp_path, capsys):
+    folder, file = made(tmp_path, PRIORS), tmp_path / "result.json"
+    main(["calibrate", str(folder), "--method", "two-stage", "--json", str(file)])
+    text = " ".join(capsys.readouterr().out.split())
+    found = qx(read_result(file))
+    second, bias = found.confounded
+    assert (second.terms, second.determined) == (["K_II", "K_OO"], "K_II + K_OO")
+    assert bias.terms == ["K_F", "K_PP", "delta_O", "platform.tilt.north"]
+    assert bias.determined == "K_F + K_PP - delta_O - 1.002 platform.tilt.north"
+    for item in (second, bias):
+        c = found.coefficients[item.terms[0]]
+        assert (item.value, item.u) == (c.value, c.u)
+        assert item.correlation == -1.0
+        assert f"determined: {item.determined} = " in text
+    assert found.left_out["K_OO"].sensitivity == pytest.approx(1.0, rel=1e-6)
+    assert set(found.left_out) >= {"K_PP", "platform.drift.north", "platform.g_sensitivity.zx"}
+    # Equivalent K_II of 1 deg/h/g, at the fast run 0.77e-6 (physics.md, section 7).
+    per_degree = math.radians(1) / 3600
+    assert found.left_out["platform.g_sensitivity.zx"].sensitivity * per_degree == pytest.approx(
+        0.78e-6, rel=0.03
+    )
+
+
+def test_combination_holds_what_the_simulation_put_into_its_terms(tmp_path):
+    truth = (
+        'K_II = "2.7e-5 g/g^2"',
+        'K_II = "2.7e-5 g/g^2"\nK_OO = "5e-6 g/g^2"\nK_PP = "4e-6 g/g^2"',
+    )
+    second, bias = qx(result_of(tmp_path, truth)).confounded
+    assert abs(second.value - 3.2e-5) < 4 * second.u
+    assert abs(bias.value - (0.005 + 4e-6)) < 4 * bias.u
+    assert second.u < 1e-6
+
+
+def test_two_terms_that_were_asked_for_and_act_alike_are_both_undetermined(tmp_path):
+    asked = modelled('terms = ["K_F", "K_II", "K_OO"]')
+    found = qx(result_of(tmp_path, asked))
+    for symbol in ("K_II", "K_OO"):
+        c = found.coefficients[symbol]
+        assert (c.estimated, c.value) == (False, None)
+    assert found.correlation.terms == ["K_F"]
+    assert abs(found.confounded[0].value - 2.7e-5) < 4 * found.confounded[0].u
+    assert any("do not determine K_II" in warning for warning in found.warnings)
+
+
+def test_what_is_known_of_a_term_that_acts_alike_is_in_u(tmp_path):
+    known = modelled('considered = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }')
+    plain = qx(result_of(tmp_path / "a"))
+    found = qx(result_of(tmp_path / "b", known))
+    assert found.confounded[0].terms[0] == "K_F"
+    c = found.coefficients["K_II"]
+    assert c.u_considered == pytest.approx(2e-6, rel=1e-4)
+    assert c.value == pytest.approx(plain.coefficients["K_II"].value - 1e-6, rel=1e-6)
+
+
+def test_fewer_rates_than_unknowns_are_refused(tmp_path, capsys):
+    folder = made(tmp_path, ('"0.25 rev/s"', '"1 rev/s"'), ('"0.5 rev/s"', '"-1 rev/s"'))
+    assert main(["calibrate", str(folder), "--method", "two-stage"]) == 1
+    error = capsys.readouterr().err
+    assert "K_II, K_F" in error
+    assert "different rates, whatever their sense; the campaign has 1" in error
+    assert "Traceback" not in error
+
+
+def test_only_horizontal_displacement_has_strobes(tmp_path):
+    force = (
+        'displacement = { column = "north_m", unit = "m" }',
+        'specific_force = { column = "f", unit = "g" }',
+    )
+    with pytest.raises(NotIdentifiableError, match=r"Qy: .* specific force; use --method joint"):
+        result_of(tmp_path / "a", force)
+    up = (
+        'input_axis = "north"\npendulous_axis = "down"',
+        'input_axis = "up"\npendulous_axis = "east"',
+    )
+    with pytest.raises(NotIdentifiableError, match=r"90\.000 deg above the horizontal"):
+        result_of(tmp_path / "b", up)
+
+
+# --- options and warnings -------------------------------------------------------------------------
+
+
+def test_as_printed_is_half_and_says_so(tmp_path):
+    folder = made(tmp_path, PRIORS)
+    for ripple, unit in (("amplitude", "rad/s"), ("ratio", "1")):
+        options = TwoStageOptions(model="as-printed", weighted=False, ripple=ripple)
+        found = qx(calibrate(folder, method="two-stage", options=options))
+        c = found.coefficients["K_II"]
+        assert c.value == pytest.approx(2.7e-5 / 2, abs=4 * c.u)
+        assert abs(c.value - 2.7e-5) > 10 * c.u
+        assert found.second_unknown["spindle.ripple"].unit == unit
+        assert "K_II is half of what" in found.warnings[0]
+        assert found.left_out == {}
+
+
+def test_without_an_angle_the_drift_is_an_unknown(tmp_path, capsys):
+    no_angle = ('angle = { column = "angle_rad", unit = "rad" }\n', "")
+    ripple = ('ripple = [{ harmonic = 1, ratio = 1e-5, phase = "30 deg" }]\n', "")
+    folder = made(tmp_path, no_angle, ripple, PRIORS)
+    result = calibrate(folder, method="two-stage")
+    drift = qx(result).second_unknown["spindle.drift"]
+    assert (drift.estimated, drift.unit) == (True, "1/s")
+    assert drift.value == pytest.approx(1e-6, abs=4 * drift.u + 2e-9)
+    assert any("no angle" in warning for warning in result.warnings)
+    assert any("K_F and spindle.drift" in warning for warning in qx(result).warnings)
+
+
+@pytest.mark.parametrize("terms", ['["K_F", "K_II", "K_III"]', '["K_F", "K_II"]'])
+def test_strong_ripple_is_warned_of_unless_k_iii_is_known(tmp_path, terms):
+    model = modelled(f"terms = {terms}")
+    strong = ("ratio = 1e-5", "ratio = 1e-2")
+    (warning,) = qx(result_of(tmp_path / "a", model, strong)).warnings
+    assert warning.startswith("Qx: K_III is neither estimated nor known beforehand")
+    assert "Give it a prior" in warning
+    assert qx(result_of(tmp_path / "b", model)).warnings == []
+    prior = ('scale_factor = "1.002 g/g"', 'scale_factor = "1.002 g/g"\nK_III = "0 ± 1e-6 g/g^3"')
+    known = qx(result_of(tmp_path / "c", model, strong, prior))
+    assert known.warnings == []
+    assert known.coefficients["K_II"].u_considered > 1e-9
+
+
+def test_runs_that_do_not_agree_are_named(tmp_path):
+    wrong = (PRIORS[0], 'bias = "0.00501 ± 1e-8 g"\nscale_factor = "1.002 g/g"')
+    (warning,) = qx(result_of(tmp_path / "a", wrong)).warnings
+    assert "do not agree with the model" in warning
+    assert "slow is farthest off" in warning
+    # Without weights the sum of squares is not distributed like chi-square.
+    assert qx(result_of(tmp_path / "b", wrong, weighted=False)).warnings == []
+
+
+def test_strobes_in_gaps_are_counted(tmp_path):
+    folder = made(tmp_path)
+    frame = pl.read_csv(folder / "fast.csv")
+    time = frame["time_s"]
+    frame.filter(~time.is_between(5.1, 7.9)).write_csv(folder / "fast.csv")
+    result = calibrate(folder, method="two-stage")
+    # Qx has its strobes at 0.25 s, Qy at 0.5 s of each revolution.
+    assert "Qx: 3 strobes fell into gaps of the record and were left out." in qx(result).warnings
+    assert result.runs["fast"].parabolas["Qx"].strobes == 17
+
+
+# --- end to end -----------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_whole_trials_scatter_as_they_claim(tmp_path):
+    # Encoder noise included: each trial identifies its own rotation, and strobes by it.
+    chi2, covered = 0.0, 0
+    for trial in range(TRIALS):
+        folder = tmp_path / str(trial)
+        campaign = campaign_of(folder, changed(SMALL, ("seed = 1", f"seed = {trial}")))
+        simulate(campaign, folder)
+        runs = list(observe(campaign))
+        for name, truth in K_II.items():
+            found = two_stage(campaign, runs, campaign.accelerometers[name], TwoStageOptions())
+            c = found.result.coefficients["K_II"]
+            chi2 += ((c.value - truth) / c.u) ** 2
+            covered += abs(c.value - truth) < 1.96 * c.u
+    n = len(K_II) * TRIALS
+    assert 1e-4 < chdtrc(n, chi2) < 1 - 1e-4
+    assert covered / n == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / n))
+
+
+def test_truth_is_not_looked_at(tmp_path):
+    folder = made(tmp_path)
+    with_truth = calibrate(folder, method="two-stage")
+    text = SMALL
+    for table in ("simulation", "truth.Qx", "truth.Qy", "truth.spindle", "truth.noise"):
+        text = without(text, table)
+    write(folder, text)
+    bare = calibrate(folder, method="two-stage")
+    assert bare.accelerometers == with_truth.accelerometers
+
+
+@pytest.mark.parametrize("key", [field.name for field in fields(TwoStageOptions)])
+def test_options_in_words_are_those_that_the_command_line_takes(key, tmp_path, monkeypatch):
+    """Typed again, they are the same options."""
+    other = {"model": "as-printed", "ripple": "ratio"}
+    options = TwoStageOptions(**{key: other.get(key, not getattr(TwoStageOptions(), key))})
+    seen = []
+    monkeypatch.setattr(
+        "counterspin.calibration.calibrate.calibrate",
+        lambda _where, *, options, **_: seen.append(options) or 1 / 0,
+    )
+    main(["calibrate", str(tmp_path), "--method=two-stage", *options.words()])
+    assert seen == [options]
+    assert not TwoStageOptions().words()

@@ -1,0 +1,299 @@
+"""Simulated records: what is in them, that they can be had again, and what stands in their way."""
+
+import math
+
+import numpy as np
+import polars as pl
+import pytest
+from campaigns import SMALL, campaign_of, changed, without, write
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign import simulation as module
+from counterspin.campaign.simulation import simulate, simulate_run
+from counterspin.cli import main
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.physics import simulation
+from counterspin.physics.motion import Trajectory
+
+SILENT = changed(without(SMALL, "truth.noise"), ('[noise]\ndisplacement = "0.01 m"', "[noise]"))
+RECORDS = ("slow.csv", "middle.csv", "fast.csv")
+
+
+def columns_of(folder, text, run=0, seed=0):
+    campaign = campaign_of(folder, text)
+    return campaign, simulate_run(campaign, campaign.runs[run], np.random.default_rng(seed))
+
+
+def contents(folder):
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+# --- what is recorded -----------------------------------------------------------------------------
+
+
+def test_without_noise_the_record_is_what_the_error_model_says(tmp_path):
+    campaign, columns = columns_of(tmp_path, SILENT, run=1)
+    run = campaign.runs[1]
+    time = columns["time_s"]
+    assert time.size == 20 * 2 * 20 + 1  # 40 s at 20 Hz, both ends included
+    np.testing.assert_array_equal(time, np.arange(801) / 20.0)
+    spindle = run.truth.spindle
+    assert spindle.drift == 1e-6
+    assert spindle.ripples[0].amplitude == pytest.approx(1e-5 * math.pi, rel=1e-12)
+    np.testing.assert_array_equal(columns["angle_rad"], spindle.angle(time))
+    motion = Trajectory(spindle, 2.5, campaign.site)
+    for name, column, start in (("Qx", "east_m", (0.02, -1e-3)), ("Qy", "north_m", (0.0, 0.0))):
+        expected = simulation.recorded(
+            motion,
+            campaign.accelerometers[name].mounting,
+            campaign.simulation.truth.coefficients[name],
+            {},
+            time,
+        )
+        expected = expected + start[0] + start[1] * time
+        np.testing.assert_allclose(columns[column], expected, rtol=0.0, atol=1e-14)
+
+
+def test_columns_are_in_the_units_of_the_campaign(tmp_path):
+    _, si = columns_of(tmp_path, SILENT)
+    text = changed(
+        SILENT,
+        ('"time_s", unit = "s"', '"time", unit = "ms"'),
+        ('"angle_rad", unit = "rad"', '"angle", unit = "deg"'),
+        ('"east_m", unit = "m"', '"east", unit = "mm"'),
+    )
+    _, scaled = columns_of(tmp_path, text)
+    assert list(scaled) == ["time", "angle", "east", "north_m"]
+    np.testing.assert_allclose(scaled["time"], 1e3 * si["time_s"], rtol=1e-14)
+    np.testing.assert_allclose(scaled["angle"], np.degrees(si["angle_rad"]), rtol=1e-14)
+    np.testing.assert_allclose(scaled["east"], 1e3 * si["east_m"], rtol=1e-14)
+
+
+def test_timing_offset_samples_the_angle_later(tmp_path):
+    text = changed(SILENT, ("[accelerometers.Qx]", 'timing_offset = "2 ms"\n[accelerometers.Qx]'))
+    campaign, columns = columns_of(tmp_path, text)
+    expected = campaign.runs[0].truth.spindle.angle(columns["time_s"] + 2e-3)
+    np.testing.assert_array_equal(columns["angle_rad"], expected)
+
+
+def test_noise_has_the_sizes_that_are_stated(tmp_path):
+    noise = 'displacement = "0.02 m"\nangle = "3e-6 rad"\ntiming = "1e-4 s"'
+    text = changed(SILENT, ("[noise]", f"[noise]\n{noise}"), ("= 20\n", "= 200\n"))
+    _, clean = columns_of(tmp_path, changed(SILENT, ("= 20\n", "= 200\n")))
+    _, noisy = columns_of(tmp_path, text)
+    n = clean["time_s"].size
+    sizes = {"time_s": 1e-4, "angle_rad": 3e-6, "east_m": 0.02, "north_m": 0.02}
+    drawn = np.array([(noisy[c] - clean[c]) / size for c, size in sizes.items()])
+    np.testing.assert_allclose(drawn.std(axis=1), 1.0, atol=4.0 / math.sqrt(2 * n))
+    assert np.abs(drawn.mean(axis=1)).max() < 4.0 / math.sqrt(n)
+    assert np.abs(np.corrcoef(drawn) - np.eye(4)).max() < 4.5 / math.sqrt(n)
+
+
+def test_accelerometer_noise_walks(tmp_path):
+    text = changed(SILENT, ("[noise]", '[noise]\nacceleration = "1e-5 g/Hz^0.5"'))
+    _, clean = columns_of(tmp_path, SILENT)
+    walk, step = 1e-5 * 9.8066, 0.05
+    ends = []
+    for seed in range(150):
+        _, noisy = columns_of(tmp_path, text, seed=seed)
+        drawn = noisy["east_m"] - clean["east_m"]
+        ends.append(drawn[-1])
+    assert abs(drawn[0]) < 1e-15
+    # Second differences of the twice integrated noise have the variance 2/3 N^2 h^3.
+    assert np.std(np.diff(drawn, 2)) == pytest.approx(walk * math.sqrt(2 / 3 * step**3), rel=0.1)
+    duration = clean["time_s"][-1]
+    expected = walk * math.sqrt(duration**3 / 3)
+    assert np.std(ends) == pytest.approx(expected, rel=4.0 / math.sqrt(2 * 150))
+
+
+def test_displacement_is_quantised_after_its_noise(tmp_path):
+    text = changed(SILENT, ("[noise]", '[noise]\nquantisation = "1 mm"\ndisplacement = "0.01 m"'))
+    _, clean = columns_of(tmp_path, changed(text, ('quantisation = "1 mm"\n', "")))
+    _, rounded = columns_of(tmp_path, text)
+    steps = rounded["east_m"] / 1e-3
+    np.testing.assert_allclose(steps, np.round(steps), rtol=0.0, atol=1e-9)
+    error = rounded["east_m"] - clean["east_m"]
+    assert np.abs(error).max() <= 0.5e-3 * (1 + 1e-9)
+    assert error.std() == pytest.approx(1e-3 / math.sqrt(12), rel=0.05)
+
+
+def test_a_run_s_own_truth_and_length_come_first(tmp_path):
+    text = changed(
+        SILENT,
+        (
+            'record = "slow.csv"',
+            'record = "slow.csv"\nduration = "10 s"\n'
+            'truth = { drift = "5e-6 1/s", tilt = { north = "10 arcsec" } }',
+        ),
+    )
+    campaign, columns = columns_of(tmp_path, text)
+    assert columns["time_s"][-1] == 10.0
+    spindle = campaign.runs[0].truth.spindle
+    assert (spindle.drift, campaign.runs[1].truth.spindle.drift) == (5e-6, 1e-6)
+    _, level = columns_of(tmp_path, SILENT)
+    tilt = math.radians(10 / 3600)
+    change = columns["east_m"][-1] - level["east_m"][200]
+    # -K_I g t^2/2 per radian, beside 5e-6 of drift in R cos(theta).
+    assert change == pytest.approx(-1.002 * 9.8066 * 50.0 * tilt, rel=0.03)
+
+
+# --- files ----------------------------------------------------------------------------------------
+
+
+def test_same_seed_makes_the_same_files_and_another_seed_others(tmp_path):
+    path = write(tmp_path, SMALL)
+    written = simulate(path, tmp_path / "a")
+    assert [file.name for file in written] == list(RECORDS)
+    simulate(path, tmp_path / "b")
+    assert contents(tmp_path / "a") == contents(tmp_path / "b")
+    assert (tmp_path / "a" / "campaign.toml").read_text(encoding="utf-8") == SMALL
+    simulate(write(tmp_path, changed(SMALL, ("seed = 1", "seed = 2"))), tmp_path / "c")
+    for name in RECORDS:
+        assert (tmp_path / "a" / name).read_bytes() != (tmp_path / "c" / name).read_bytes()
+
+
+def test_adding_or_changing_a_run_changes_no_other(tmp_path):
+    more = '[[runs]]\nname = "more"\nrate = "-1 rev/s"\nrecord = "more.csv"\n\n'
+    text = changed(
+        SMALL,
+        ("[simulation]", more + "[simulation]"),
+        ('record = "slow.csv"', 'record = "slow.csv"\nrevolutions = 7'),
+    )
+    simulate(write(tmp_path, SMALL), tmp_path / "a")
+    simulate(write(tmp_path, text), tmp_path / "b")
+    before, after = contents(tmp_path / "a"), contents(tmp_path / "b")
+    assert after["middle.csv"] == before["middle.csv"]
+    assert after["fast.csv"] == before["fast.csv"]
+    assert len(after["slow.csv"]) < 0.5 * len(before["slow.csv"])
+    assert after["more.csv"] != before["fast.csv"]
+
+
+def test_runs_of_one_rate_have_their_own_noise(tmp_path):
+    text = changed(SMALL, ("1 rev/s", "0.5 rev/s"))
+    simulate(write(tmp_path, text), tmp_path / "a")
+    middle, fast = (pl.read_csv(tmp_path / "a" / name)["east_m"].to_numpy() for name in RECORDS[1:])
+    apart = middle - fast
+    assert apart.std() == pytest.approx(0.01 * math.sqrt(2), rel=0.1)
+
+
+def test_parquet_holds_what_csv_holds_to_the_last_bit(tmp_path):
+    simulate(write(tmp_path, SMALL), tmp_path / "a")
+    simulate(write(tmp_path, SMALL.replace(".csv", ".parquet")), tmp_path / "b")
+    for name in ("slow", "fast"):
+        csv = pl.read_csv(tmp_path / "a" / f"{name}.csv")
+        assert csv.columns == ["time_s", "angle_rad", "east_m", "north_m"]
+        assert csv.equals(pl.read_parquet(tmp_path / "b" / f"{name}.parquet"))
+
+
+def test_records_in_subfolders_stay_there_and_calibrate(tmp_path):
+    text = changed(SMALL, ('"slow.csv"', '"data/slow/run.csv"'), ('"fast.csv"', '"data/fast.csv"'))
+    written = simulate(write(tmp_path, text), tmp_path / "made")
+    assert written[0] == tmp_path / "made" / "data" / "slow" / "run.csv"
+    assert set(calibrate(tmp_path / "made", method="two-stage").runs) == {"slow", "middle", "fast"}
+
+
+def test_record_outside_the_campaign_s_folder_is_refused(tmp_path):
+    outside = tmp_path / "elsewhere" / "run.csv"
+    for record in (outside.as_posix(), "../elsewhere/run.csv"):
+        path = write(tmp_path / "c", changed(SMALL, ('"slow.csv"', f'"{record}"')))
+        with pytest.raises(CampaignError, match=r"runs\[0\]\.record: .*run\.csv.* inside") as info:
+            simulate(path, tmp_path / "made")
+        assert info.value.exit_status == 2
+    assert not outside.exists()
+    assert not (tmp_path / "made").exists()
+
+
+def test_simulating_into_its_own_folder_leaves_the_description(tmp_path):
+    path = write(tmp_path, SMALL)
+    simulate(path, tmp_path)
+    assert path.read_text(encoding="utf-8") == SMALL
+    assert sorted(contents(tmp_path)) == sorted(["campaign.toml", *RECORDS])
+
+
+# --- what stands in the way -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["middle.csv", "campaign.toml"])
+def test_what_is_there_is_not_overwritten_unless_told_to(tmp_path, name):
+    path = write(tmp_path, SMALL)
+    other = write(tmp_path / "made", "mine", name)
+    with pytest.raises(CounterspinError, match=rf"{name} exists; .*--overwrite"):
+        simulate(path, tmp_path / "made")
+    assert contents(tmp_path / "made") == {name: b"mine"}
+    simulate(path, tmp_path / "made", overwrite=True)
+    assert other.read_bytes() != b"mine"
+
+
+def test_campaign_without_truth_cannot_be_simulated(tmp_path):
+    text = SMALL
+    for table in ("simulation", "truth.Qx", "truth.Qy", "truth.spindle", "truth.noise"):
+        text = without(text, table)
+    with pytest.raises(CampaignError, match=r"truth: missing; .*\[truth.NAME\]"):
+        simulate(write(tmp_path, text), tmp_path / "made")
+    campaign = campaign_of(tmp_path, text)
+    with pytest.raises(ValueError, match="nothing of what to simulate"):
+        simulate_run(campaign, campaign.runs[0], np.random.default_rng(0))
+
+
+def test_formats_that_cannot_be_written_are_named_at_once(tmp_path):
+    text = changed(SMALL, ("slow.csv", "slow.mat"), ("fast.csv", "fast.h5"))
+    with pytest.raises(CampaignError) as info:
+        simulate(write(tmp_path, text), tmp_path / "made")
+    assert "slow.mat cannot be simulated; write .csv or .parquet" in str(info.value)
+    assert "fast.h5" in str(info.value)
+    assert not (tmp_path / "made").exists()
+
+
+def test_folder_that_cannot_be_made_is_an_error(tmp_path):
+    path = write(tmp_path, SMALL)
+    (tmp_path / "file").write_text("x", encoding="utf-8")
+    with pytest.raises(CounterspinError, match=r"file.made: cannot be made \(Not a directory\)"):
+        simulate(path, tmp_path / "file" / "made")
+
+
+def test_nothing_half_written_is_left(tmp_path, monkeypatch):
+    def full(frame, path):
+        path.write_text("time_s,ang", encoding="utf-8")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(module, "WRITERS", {".csv": full})
+    with pytest.raises(CounterspinError, match=r"slow\.csv: cannot be written \(No space left"):
+        simulate(write(tmp_path, SMALL), tmp_path / "made")
+    assert contents(tmp_path / "made") == {}
+
+
+def test_command_line(tmp_path, capsys):
+    path = write(tmp_path, SMALL)
+    assert main(["simulate", str(path), "-o", str(tmp_path / "made")]) == 0
+    assert "Wrote 3 records and campaign.toml" in capsys.readouterr().out
+    assert sorted(contents(tmp_path / "made")) == sorted(["campaign.toml", *RECORDS])
+    assert main(["simulate", str(path), "-o", str(tmp_path / "made")]) == 1
+    error = capsys.readouterr().err
+    assert error.startswith("counterspin: ")
+    assert error.count("\n") == 1
+    assert "Traceback" not in error
+    bad = write(tmp_path / "bad", without(SMALL, "truth.Qx").replace("20 Hz", "20 m"))
+    assert main(["simulate", str(bad), "-o", str(tmp_path / "other")]) == 2
+    assert "simulation.sampling_rate" in capsys.readouterr().err
+
+
+def test_what_cannot_be_true_is_not_simulated(tmp_path):
+    text = changed(SMALL, ('K_II = "2.7e-5 g/g^2"', 'K_II = "27 g/g^2"'))
+    text = changed(text, ('[noise]\ndisplacement = "0.01 m"', '[noise]\nquantisation = "estimate"'))
+    campaign = write(tmp_path, without(text, "truth.noise"))
+    with pytest.raises(CampaignError) as caught:
+        simulate(campaign, tmp_path / "records")
+    noise, coefficient = caught.value.problems
+    assert noise.startswith("noise.quantisation: a simulation needs its true size; write it in")
+    assert coefficient.startswith("truth.Qx.K_II: 27 g/g^2 is more than 5 times")
+    assert not (tmp_path / "records").exists()
+
+
+def test_more_rows_than_there_is_room_for(tmp_path):
+    text = changed(SMALL, ('rate = "0.5 rev/s"', 'rate = "1e-6 rad/s"'))
+    campaign = write(tmp_path, text)
+    with pytest.raises(CampaignError) as caught:
+        simulate(campaign, tmp_path / "records")
+    (problem,) = caught.value.problems
+    assert problem.startswith("runs[1]: 2.51e+09 rows are more than can be simulated")
+    assert not (tmp_path / "records").exists()

@@ -1,0 +1,317 @@
+"""A certificate holds the result's numbers in SI, and says nothing that nobody has said."""
+
+from base64 import b64decode
+
+import numpy as np
+import pytest
+from results import coefficient, result
+
+from certificates import ISSUE, document, find
+from counterspin.calibration.result import read_result
+from counterspin.calibration.result_parts import Conformity
+from counterspin.campaign.quantity import unit_factor
+from counterspin.certificates.administrative import Issue
+from counterspin.certificates.build import check_certifiable
+from counterspin.certificates.coverage import coverage_factor, region_factor
+from counterspin.certificates.elements import NAMESPACES, clean, factor, number
+from counterspin.certificates.reading import read_certificate
+from counterspin.certificates.units import from_si, si_unit, to_si
+from counterspin.errors import RecordError
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+
+G = 9.80665
+QUANTITY = "//dcc:measurementResult//dcc:quantity[@refType='basic_measuredValue']"
+
+
+# Units
+
+
+def test_units_as_d_si_writes_them():
+    assert si_unit("g")[0].text == r"\metre\second\tothe{-2}"
+    assert si_unit("g/g")[0].text == r"\one"
+    assert si_unit("g/g^2")[0].text == r"\metre\tothe{-1}\second\tothe{2}"
+    assert si_unit("g/g^3")[0].text == r"\metre\tothe{-2}\second\tothe{4}"
+    assert si_unit("rad/s/g")[0].text == r"\radian\metre\tothe{-1}\second"
+    with pytest.raises(ValueError, match="furlong"):
+        si_unit("furlong")
+
+
+@pytest.mark.parametrize("unit", sorted({row.unit for row in [*TERMS.values()]}))
+def test_the_error_model_is_the_same_in_si(unit):
+    # g (sum of K (a/g)^n) = sum of K' a^n, with the table's own products.
+    force = np.array([[-23.0], [4.0], [11.0]])  # m/s^2
+    for row in TERMS.values():
+        if row.unit == unit:
+            in_g = G * 0.7 * row.evaluate(force / G)
+            in_si = to_si(0.7, unit, G) * row.evaluate(force)
+            scale = G if unit == "rad" else 1.0  # an angle is not counted in g either way
+            assert in_si * scale == pytest.approx(in_g * scale, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    "unit", sorted({row.unit for row in [*TERMS.values(), *PLATFORM_TERMS.values()]})
+)
+def test_conversion_agrees_with_that_of_quantities_and_goes_back(unit):
+    wanted = si_unit(unit)[0].words
+    assert to_si(3.0, unit, G) == pytest.approx(
+        3.0 * unit_factor(unit, wanted, gravity=G), rel=1e-15
+    )
+    assert from_si(to_si(3.0, unit, G), unit, G) == pytest.approx(3.0, rel=1e-15)
+
+
+# Coverage
+
+
+def test_coverage_factors_are_those_of_the_tables():
+    # Student's t: GUM table G.2; chi-square and F at 95 %: NIST handbook 1.3.6.7.
+    assert coverage_factor(None) == 1.96
+    assert coverage_factor(1) == pytest.approx(12.71, abs=0.005)
+    assert coverage_factor(10) == pytest.approx(2.23, abs=0.005)
+    assert region_factor(1, None) == coverage_factor(None)
+    assert region_factor(2, None) ** 2 == pytest.approx(5.991, abs=0.0005)
+    assert region_factor(3, None) ** 2 == pytest.approx(7.815, abs=0.0005)
+    assert region_factor(3, 10.0) ** 2 / 3 == pytest.approx(3.708, abs=0.0005)
+    assert region_factor(1, 10.0) == coverage_factor(10)
+
+
+def test_numbers_are_spelt_as_the_schema_has_them():
+    assert factor(12.7062) == "12.7062"
+    assert factor(0.95) == "0.95"
+    assert factor(2.0) == "2"
+    assert float(number(0.1 + 0.2)) == 0.1 + 0.2
+
+
+# The numbers of a certificate
+
+
+def test_a_coefficient_in_si_by_hand(tmp_path):
+    made = document(tmp_path, result())
+    real = f"{QUANTITY}[dcc:name/dcc:content='K_II']/si:real"
+    assert float(find(made, f"{real}/si:value")[0].text) == pytest.approx(2.7e-5 / 9.8, rel=1e-15)
+    assert find(made, f"{real}/si:unit")[0].text == r"\metre\tothe{-1}\second\tothe{2}"
+    mu = f"{real}/si:measurementUncertaintyUnivariate/si:expandedMU"
+    k = float(find(made, f"{mu}/si:coverageFactor")[0].text)
+    assert k == pytest.approx(2.0086, abs=1e-4)  # t for 50 degrees of freedom
+    expanded = float(find(made, f"{mu}/si:valueExpandedMU")[0].text)
+    assert expanded == pytest.approx(k * 1e-9 / 9.8, rel=1e-15)
+    assert find(made, f"{mu}/si:coverageProbability")[0].text == "0.95"
+    assert find(made, f"{mu}/si:distribution")[0].text == "t"
+    # u is 1.02e-10 s^2/m: its second digit is that of 1e-11.
+    assert find(made, f"{real}/si:significantDigit")[0].text == "-11"
+    said = find(made, f"{QUANTITY}[dcc:name/dcc:content='K_II']/dcc:description/dcc:content")[0]
+    assert "(2.70000 ± 0.00020) x 1e-5 g/g^2 (U, k = 2.0086)" in said.text
+    gravity = find(made, "//dcc:statement/dcc:nonSIDefinition")[0].text
+    assert gravity == "1 g = 9.8 m/s^2, the local gravity of the site"
+
+
+def test_everything_reads_back_to_the_same_numbers(tmp_path):
+    given = result(
+        coefficients={
+            "K_F": coefficient(0.005028816, 1.2e-9, "g"),
+            "K_I": coefficient(1.0019743, 4.9e-6, "g/g", dof=7.25),
+            "K_II": coefficient(-2.70416e-5, 7.21e-10, "g/g^2", dof=50.0),
+            "K_III": coefficient(3.4e-6, 1.05e-6, "g/g^3"),
+            "delta_O": coefficient(1e-4, 3e-6, "rad"),
+        },
+        correlation={
+            "terms": ["K_I", "K_II", "K_III", "K_F", "delta_O"],
+            "matrix": [
+                [1.0000000000000002, 0.5, -0.25, 0.1, 0.0],
+                [0.5, 1.0, -0.999, 0.3, 0.01],
+                [-0.25, -0.999, 1.0, 0.2, 0.02],
+                [0.1, 0.3, 0.2, 1.0, 0.03],
+                [0.0, 0.01, 0.02, 0.03, 1.0],
+            ],
+        },
+    )
+    found = read_certificate(document(tmp_path, given), "x.xml")
+    assert (found.identifier, found.gravity) == ("CS-42", 9.8)
+    ours, theirs = given.accelerometers["Qx"], found.accelerometers["Qx"]
+    assert list(theirs.coefficients) == list(ours.coefficients)
+    for symbol, c in theirs.coefficients.items():
+        # A product and a quotient, each rounded by half of 2^-52.
+        assert c.value == pytest.approx(ours.coefficients[symbol].value, rel=1e-15)
+        assert c.u == pytest.approx(ours.coefficients[symbol].u, rel=1e-15)
+        assert (c.dof, c.unit) == (ours.coefficients[symbol].dof, ours.coefficients[symbol].unit)
+    assert list(theirs.terms) == ours.correlation.terms
+    u = np.array([ours.coefficients[symbol].u for symbol in theirs.terms])
+    expected = np.array(ours.correlation.matrix) * np.outer(u, u)
+    assert theirs.covariance == pytest.approx(expected, rel=2e-15)
+    assert np.diag(theirs.covariance) == pytest.approx(u**2, rel=1e-15)
+
+
+def test_the_region_takes_the_fewest_degrees_of_freedom(tmp_path):
+    given = result(
+        coefficients={
+            "K_F": coefficient(0.005, 1e-6, "g", dof=200.0),
+            "K_I": coefficient(1.0, 1e-6, "g/g"),
+            "K_II": coefficient(2.7e-5, 1e-9, "g/g^2", dof=50.0),
+        }
+    )
+    made = document(tmp_path, given)  # correlated are K_F and K_II
+    region = "//si:ellipsoidalRegionMUXMLList"
+    k = float(find(made, f"{region}/si:coverageFactorXMLList")[0].text)
+    assert k == region_factor(2, 50.0)
+    units = [e.text for e in find(made, f"{region}//si:unitXMLList")]
+    assert units[0] == r"\metre\tothe{2}\second\tothe{-4}"
+    assert units[1] == units[2] == r"\one"
+    assert units[3] == r"\metre\tothe{-2}\second\tothe{4}"
+
+
+def test_what_is_not_determined_is_left_out_and_said(tmp_path):
+    given = result(
+        coefficients={
+            "K_II": coefficient(2.7e-5, 1e-9, "g/g^2"),
+            "K_I": {"value": 1.002, "u": 5e-6, "unit": "g/g", "estimated": False},
+            "K_III": {"value": None, "u": None, "unit": "g/g^3", "estimated": False},
+        },
+        correlation={"terms": ["K_II"], "matrix": [[1.0]]},
+    )
+    made = document(tmp_path, given)
+    assert [e.text for e in find(made, f"{QUANTITY}/dcc:name/dcc:content")] == ["K_II"]
+    said = [e.text for e in find(made, "//dcc:statement/dcc:declaration/dcc:content")]
+    assert "K_III of Qx: not determined by the records; no value is certified." in said
+    (known,) = [line for line in said if line.startswith("K_I of Qx")]
+    assert "taken as 1.0020000 ± 0.0000050 g/g (k = 1), which was known beforehand" in known
+    assert not find(made, "//si:realListXMLList")  # one coefficient has no covariance
+
+
+def test_what_the_result_rests_on_is_stated(tmp_path):
+    together = {"terms": ["K_II", "K_OO"], "correlation": -1.0, "determined": "K_II + K_OO"}
+    given = result(
+        confounded=[{**together, "value": 2.7e-5, "u": 1e-9}],
+        left_out={"platform.tilt.north": {"sensitivity": 0.06, "unit": "rad"}},
+    )
+    (statement,) = find(
+        document(tmp_path, given),
+        "//dcc:statement[starts-with(dcc:name/dcc:content, 'What the result rests on')]",
+    )
+    assert statement.get("refId") == "item-1"
+    path = "dcc:declaration/dcc:content"
+    apart, zero = (e.text for e in statement.xpath(path, namespaces=NAMESPACES))
+    assert apart.endswith("determined: K_II + K_OO = 27.0000 ± 0.0010 ug/g^2.")
+    # One arcsec is 4.848e-6 rad.
+    assert zero.endswith("K_II would move with 1 arcsec of platform.tilt.north by 0.29 ug/g^2.")
+
+
+def test_a_result_that_nobody_may_certify_is_refused():
+    with pytest.raises(RecordError, match="half of the true one"):
+        check_certifiable(result().model_copy(update={"model": "as-printed"}), ["Qx"])
+    unknown = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
+    with pytest.raises(RecordError, match="determine no coefficient of Qx"):
+        check_certifiable(result(coefficients={"K_II": unknown}), ["Qx"])
+    check_certifiable(result(), ["Qx"])
+
+
+# What else it says
+
+
+def test_administrative_data_are_those_of_the_laboratory(tmp_path):
+    made = document(tmp_path, result())
+    core = "//dcc:coreData"
+    assert [e.text for e in find(made, f"{core}/dcc:usedLangCodeISO639_1")] == ["en", "de"]
+    assert find(made, f"{core}/dcc:countryCodeISO3166_1")[0].text == "DE"
+    assert find(made, f"{core}/dcc:endPerformanceDate")[0].text == "2026-01-14"
+    assert find(made, f"{core}/dcc:issueDate")[0].text == "2026-01-20"
+    content = find(made, "//dcc:item[@id='item']/dcc:name/dcc:content")[0]
+    assert (content.text, content.get("lang")) == ("Plattform", "de")
+    serial = "//dcc:subItems//dcc:identification[@refType='basic_serialNumber']/dcc:value"
+    assert find(made, serial)[0].text == "Q-104"  # as the result has it
+    signs = [e.text for e in find(made, "//dcc:respPerson/dcc:mainSigner")]
+    assert signs == ["true", "false"]
+    temperature = find(made, "//dcc:influenceCondition[@refType='basic_temperature']//si:real")[0]
+    assert [e.text for e in temperature[:2]] == ["20.5", r"\degreecelsius"]
+
+
+def test_an_identifier_with_a_stroke_makes_no_folder(tmp_path):
+    made = document(tmp_path, result(), issue=Issue("2026/1 a", ISSUE.date))
+    assert find(made, "//dcc:uniqueIdentifier")[0].text == "2026/1 a"
+    assert find(made, "/*/dcc:document/dcc:fileName")[0].text == "2026_1_a.pdf"
+
+
+def test_no_condition_is_made_up(tmp_path):
+    text = """schema = 1
+certificate = { begin = 2026-01-12, end = 2026-01-12, traceability = "To the SI." }
+laboratory = { name = "L", city = "C", country = "DE" }
+customer = { name = "K", city = "C" }
+item = { name = "I", manufacturer = "M", model = "1", serial_number = "2" }
+persons = [{ name = "P", role = "R" }]
+"""
+    made = document(tmp_path, result(), text=text)
+    names = [e.text for e in find(made, "//dcc:influenceCondition/dcc:name/dcc:content")]
+    assert names == [
+        "Local gravity",
+        "Geographic latitude",
+        "Radius of the centrifuge",
+        "Rotation rate of each run",
+        "Platform, as estimated with the coefficients",
+    ]
+
+
+def test_result_and_report_are_attached(tmp_path):
+    given = result()
+    made = document(tmp_path, given, report=b"%PDF-1.7 for people")
+    (data,) = find(made, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
+    (tmp_path / "r.json").write_bytes(b64decode(data.text))
+    assert read_result(tmp_path / "r.json") == given
+    (data,) = find(made, "/dcc:digitalCalibrationCertificate/dcc:document/dcc:dataBase64")
+    assert b64decode(data.text) == b"%PDF-1.7 for people"
+
+
+def test_warnings_are_not_hidden_and_no_character_breaks_the_document(tmp_path):
+    given = result(warnings=["Qx: does not fit\x00 & more"])
+    given = given.model_copy(update={"warnings": ["of the campaign"]})
+    made = document(tmp_path, given)
+    assert [e.text for e in find(made, "/*/dcc:comment/dcc:content")] == [
+        "Warning: of the campaign",
+        "Warning: Qx: does not fit\ufffd & more",
+    ]
+    assert clean("\x0bab\ud800 ") == "\ufffdab\ufffd"
+
+
+@pytest.mark.parametrize(
+    ("rule", "verdict", "high", "word"),
+    [
+        ("simple", "pass", 5e-5, ["pass"]),
+        ("guarded", "fail", 1e-5, ["fail"]),
+        ("guarded", "undecided", 2.7001e-5, ["conditionalPass"]),
+        ("guarded", "undecided", 2.6999e-5, ["conditionalFail"]),
+        ("probability", "undecided", 2.7e-5, []),
+    ],
+)
+def test_verdicts_in_the_words_of_the_schema(tmp_path, rule, verdict, high, word):
+    judged = Conformity(
+        specification=f"<= {high} g/g^2",
+        low=None,
+        high=high,
+        unit="g/g^2",
+        rule=rule,
+        guard_band=2e-9 if rule == "guarded" else 0.0,
+        needed=0.95 if rule == "probability" else None,
+        verdict=verdict,
+        probability=0.9,
+        risk=None if verdict == "undecided" else 0.1,
+    )
+    made = document(tmp_path, result(), verdicts={"Qx": {"K_II": judged}})
+    assert [e.text for e in find(made, "//dcc:statement/dcc:conformity")] == word
+    (statement,) = find(made, "//dcc:statement[dcc:norm='JCGM 106:2012']")
+    assert find(made, f"//dcc:quantity[@id='{statement.get('refId')}']/dcc:name/dcc:content")
+    lines = " ".join(statement.itertext())
+    assert f"K_II of Qx, specified as <= {high} g/g^2: {verdict}" in lines
+    assert ("guard band 2e-9 g/g^2" in lines) == (rule == "guarded")
+    assert ("probability needed 0.95" in lines) == (rule == "probability")
+
+
+def test_what_is_no_certificate_is_refused():
+    with pytest.raises(RecordError, match=r"x\.xml: is not XML"):
+        read_certificate(b"no", "x.xml")
+    with pytest.raises(RecordError, match="not a calibration certificate"):
+        read_certificate(b"<a/>", "x.xml")
+
+
+def test_a_factor_of_zero_is_refused(tmp_path):
+    made = document(tmp_path, result())
+    spoilt = made.replace(b"coverageFactor>1.96<", b"coverageFactor>0<")
+    assert spoilt != made
+    with pytest.raises(RecordError, match="not a calibration certificate"):
+        read_certificate(spoilt, "x.xml")

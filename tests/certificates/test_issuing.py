@@ -1,0 +1,137 @@
+"""`counterspin certificate` writes one file, whole or not at all, the same every time."""
+
+import io
+import json
+
+import pypdf
+import pytest
+from results import result
+from signing_keys import write_pair
+
+from certificates import LAB, find, write_lab
+from counterspin import cli
+from counterspin.calibration.pages.full_report import identifier_of
+from counterspin.certificates.reading import read_certificate
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    """Work in a folder with a result and a laboratory's file, at a fixed time."""
+    monkeypatch.setenv("COLUMNS", "120")  # numbers in one piece
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")  # 2027-01-15
+    (tmp_path / "r.json").write_text(result().to_json(), encoding="utf-8")
+    write_lab(tmp_path)
+    return tmp_path
+
+
+def command(capsys, *words):
+    """Run `counterspin certificate` and return its status, output and complaint."""
+    status = cli.main(["certificate", *words])
+    printed = capsys.readouterr()
+    return status, printed.out, printed.err
+
+
+def test_the_same_result_gives_the_same_bytes(desk, capsys):
+    for name in ("a.xml", "b.xml", "a.pdf", "b.pdf"):
+        status, out, err = command(capsys, "r.json", "LAB.toml", "-o", name)
+        assert (status, err) == (0, "")
+        assert out == f"Wrote {name}: certificate {identifier_of(result())} of Qx.\n"
+    assert (desk / "a.xml").read_bytes() == (desk / "b.xml").read_bytes()
+    assert (desk / "a.pdf").read_bytes() == (desk / "b.pdf").read_bytes()
+    assert find((desk / "a.xml").read_bytes(), "//dcc:issueDate")[0].text == "2027-01-15"
+
+
+def test_the_pdf_holds_the_xml_byte_for_byte(desk, capsys):
+    for name in ("c.xml", "c.pdf"):
+        assert command(capsys, "r.json", "LAB.toml", "-o", name)[0] == 0
+    read = pypdf.PdfReader(io.BytesIO((desk / "c.pdf").read_bytes()))
+    ((name, (data,)),) = read.attachments.items()
+    assert name == f"{identifier_of(result())}.xml"
+    assert data == (desk / "c.xml").read_bytes()
+    text = "\n".join(page.extract_text() for page in read.pages)
+    for words in ("Calibration certificate", "Kalibrierlabor", "0815", "Rückgeführt auf das SI."):
+        assert words in text
+    assert "(2.70000 ± 0.00020) × 10⁻⁵ g/g²" in " ".join(text.split())
+
+
+def test_the_laboratory_s_specification_goes_before_the_campaign_s(desk, capsys):
+    write_lab(desk, LAB + '\n[specification]\nK_II = "abs <= 1e-5 g/g^2"\n')
+    assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml")[0] == 0
+    made = (desk / "c.xml").read_bytes()
+    assert [e.text for e in find(made, "//dcc:statement/dcc:conformity")] == ["fail"]
+    # Without it, that of the result counts: up to 5e-5.
+    write_lab(desk)
+    assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml")[0] == 0
+    made = (desk / "c.xml").read_bytes()
+    assert [e.text for e in find(made, "//dcc:statement/dcc:conformity")] == ["pass"]
+
+
+def test_a_signed_certificate_is_verified_and_says_that_it_is_signed(desk, capsys):
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    key, cert = map(str, write_pair(desk / "k", ec.generate_private_key(ec.SECP256R1())))
+    signing = ("--key", key, "--cert", cert)
+    assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml", *signing)[0] == 0
+    made = (desk / "c.xml").read_bytes()
+    assert find(made, "//dcc:cryptElectronicSignature")[0].text == "true"
+    status, out, _ = command(capsys, "--verify", "c.xml", "--cert", cert)
+    assert status == 0
+    assert "(2.70000 ± 0.00020) x 1e-5 g/g^2" in out
+    assert out.endswith("The signature is valid.\n")
+    (desk / "d.xml").write_bytes(made.replace(b">9.8<", b">9.9<", 1))
+    status, out, err = command(capsys, "--verify", "d.xml", "--cert", cert)
+    assert (status, out) == (1, "")
+    assert "d.xml: the signature is not valid" in err
+
+
+def test_only_those_chosen_are_certified(desk, capsys):
+    given = json.loads((desk / "r.json").read_text())
+    given["accelerometers"]["Qy"] = given["accelerometers"]["Qx"]
+    (desk / "r.json").write_text(json.dumps(given))
+    write_lab(desk, LAB.replace('language = "de"', 'accelerometers = ["Qy"]'))
+    status, out, _ = command(capsys, "r.json", "LAB.toml", "-o", "c.xml")
+    assert status == 0
+    assert out.endswith("Not certified, as certificate.accelerometers has it: Qx.\n")
+    assert list(read_certificate((desk / "c.xml").read_bytes(), "").accelerometers) == ["Qy"]
+
+
+def test_a_day_of_issue_before_the_end_is_told(desk, capsys, monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1700000000")
+    _, out, _ = command(capsys, "r.json", "LAB.toml", "-o", "c.xml")
+    assert "The day of issue, 2023-11-14, lies before certificate.end, 2026-01-14." in out
+
+
+def test_the_example_certifies_and_is_told_to_be_one(desk, capsys):
+    assert command(capsys, "--init", "mine.toml")[0] == 0
+    status, out, _ = command(capsys, "r.json", "mine.toml", "-o", "c.xml")
+    assert status == 0
+    assert "Still the example's: certificate.traceability, laboratory.name" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "told"),
+    [
+        (("r.json", "LAB.toml", "-o", "c.txt"), 2, "c.txt: name the file .xml or .pdf"),
+        (("r.json", "LAB.toml"), 2, "-o FILE.xml"),
+        ((), 2, "--init LAB.toml"),
+        (("r.json", "LAB.toml", "-o", "c.xml", "--key", "k.pem"), 2, "given together"),
+        (("none.json", "LAB.toml", "-o", "c.xml"), 1, "none.json: cannot be read"),
+        (("LAB.toml", "LAB.toml", "-o", "c.xml"), 1, "not a result file"),
+        (("printed.json", "LAB.toml", "-o", "c.xml"), 1, "printed.json: this result was computed"),
+        (("newer.json", "LAB.toml", "-o", "c.xml"), 1, "update counterspin"),
+        (("r.json", "LAB.toml", "-o", "no/c.xml"), 1, "cannot be written"),
+        (("r.json", "LAB.toml", "-o", "c.xml", "--schema", "no"), 1, "no such file or folder"),
+        (("--verify", "none.xml"), 1, "none.xml: cannot be read"),
+        (("--verify", "r.json"), 1, "is not XML"),
+    ],
+)
+def test_a_mistake_leaves_nothing_behind(desk, capsys, words, status, told):
+    printed = result().model_copy(update={"model": "as-printed"})
+    (desk / "printed.json").write_text(printed.to_json(), encoding="utf-8")
+    (desk / "newer.json").write_text('{"schema": 2}', encoding="utf-8")
+    before = sorted(desk.iterdir())
+    got, out, err = command(capsys, *words)
+    assert (got, out) == (status, "")
+    assert told in err
+    assert sorted(desk.iterdir()) == before

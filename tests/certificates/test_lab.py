@@ -1,0 +1,92 @@
+"""What the laboratory must say is asked for all at once; what it says is checked."""
+
+import pytest
+from results import result
+
+from certificates import LAB, lab_of, write_lab
+from counterspin.certificates.lab import example_keys, read_lab, write_example
+from counterspin.errors import CampaignError, CounterspinError
+
+
+def problems(folder, text, given=None):
+    with pytest.raises(CampaignError) as caught:
+        read_lab(write_lab(folder, text), given or result())
+    return caught.value.problems
+
+
+def test_every_gap_is_told_at_once_by_its_key(tmp_path):
+    assert problems(tmp_path, "schema = 1") == (
+        "certificate.begin: is missing",
+        "certificate.end: is missing",
+        "certificate.traceability: is missing",
+        "laboratory.name: is missing",
+        "laboratory.city: is missing",
+        "laboratory.country: is missing",
+        "customer.name: is missing",
+        "customer.city: is missing",
+        "item.name: is missing",
+        "item.manufacturer: is missing",
+        "item.model: is missing",
+        "item.serial_number: is missing",
+        "persons[0].name: is missing",
+        "persons[0].role: is missing",
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ('name = "Kunde"', 'name = "  "', "customer.name: must not be empty"),
+        ('name = "Kunde"', 'name = "a\\u0007b"', "customer.name: holds a control character"),
+        ('number = "7"', 'nummer = "7"', 'customer.nummer: unknown key; did you mean "number"?'),
+        ("2026-01-14", "2026-01-11", "certificate.end: lies before certificate.begin"),
+        ('language = "de"', 'language = "German"', "certificate.language: 'German' is not"),
+        ('country = "DE"', 'country = "Germany"', "laboratory.country: 'Germany' is not"),
+        ('language = "de"', 'place = "lab"', "certificate.place: 'lab' is no such place"),
+        ('language = "de"', "issued = 2026-01-13", "certificate.issued: lies before"),
+        ('language = "de"', "received = 2026-01-13", "certificate.received: lies after"),
+        ('language = "de"', "accelerometers = []", "certificate.accelerometers: must have"),
+        ('language = "de"', 'accelerometers = ["Qy"]', 'accelerometers[0]: the result has no "Qy"'),
+        ("degC", "K", 'conditions.temperature: must be a temperature, such as "20.0 ± 0.3 degC"'),
+        ("[conditions]", "[accelerometers.Qz]\n[conditions]", "accelerometers.Qz: the result has"),
+        (
+            "[conditions]",
+            '[accelerometers.Qx]\nserial_number = "1"\n[conditions]',
+            'accelerometers.Qx.serial_number: is "1", but the result is that of "Q-104"',
+        ),
+        (
+            "[conditions]",
+            '[specification]\nK_II = "abs <= 5e-5 g"\n[conditions]',
+            "specification.K_II: 'g' is not a unit of second-order coefficient",
+        ),
+    ],
+)
+def test_a_mistake_is_told_by_its_key(tmp_path, old, new, told):
+    assert old in LAB
+    (problem,) = problems(tmp_path, LAB.replace(old, new, 1))
+    assert told in problem
+
+
+def test_a_missing_file_is_told_where_to_get_one(tmp_path):
+    with pytest.raises(CampaignError, match=r"certificate --init LAB\.toml"):
+        read_lab(tmp_path / "LAB.toml", result())
+
+
+def test_the_example_serves_as_it_is_and_says_that_it_is_one(tmp_path):
+    path = write_example(tmp_path / "LAB.toml")
+    lab, specifications = read_lab(path, result())
+    assert specifications is None
+    keys = example_keys(lab)
+    assert {"laboratory.name", "certificate.traceability", "persons[0].name"} <= set(keys)
+    assert "certificate.language" not in keys
+    text = path.read_text("utf-8").replace("Example Customer", "Somebody")
+    assert "customer.name" not in example_keys(lab_of(tmp_path, result(), text))
+    assert example_keys(lab_of(tmp_path, result())) == []
+    with pytest.raises(CounterspinError, match="exists"):
+        write_example(path)
+
+
+def test_a_specification_is_read_with_the_site_s_gravity(tmp_path):
+    text = LAB + '\n[specification]\nK_F = "abs <= 0.098 m/s^2"\n'
+    _, specifications = read_lab(write_lab(tmp_path, text), result())
+    assert specifications.terms["Qx"]["K_F"].high == pytest.approx(0.01, rel=1e-14)

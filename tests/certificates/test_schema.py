@@ -1,0 +1,113 @@
+"""A certificate keeps to the schema of DCC; no schema is fetched from anywhere."""
+
+import os
+from pathlib import Path
+
+import pytest
+from results import CONFORMITY, coefficient, result
+
+from certificates import document
+from counterspin.calibration.result_parts import Conformity
+from counterspin.certificates.schema import check_schema
+from counterspin.errors import CounterspinError, RecordError
+
+BESIDE = Path(__file__).parents[3] / "shared" / "dcc"
+SCHEMA = Path(os.environ.get("COUNTERSPIN_DCC_SCHEMA") or BESIDE)
+
+needs_schema = pytest.mark.skipif(
+    not SCHEMA.exists(),
+    reason="the schema of DCC is not here: name its folder in COUNTERSPIN_DCC_SCHEMA",
+)
+
+#: Files as PTB publishes them: each names the next by an address.
+DCC = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" xmlns:si="https://ptb.de/si"
+ targetNamespace="https://ptb.de/dcc" elementFormDefault="qualified">
+ <xs:import namespace="https://ptb.de/si" schemaLocation="https://ptb.example/si/v2/SI.xsd"/>
+ <xs:element name="a"><xs:complexType><xs:sequence>
+  <xs:element ref="si:b" maxOccurs="9"/>
+ </xs:sequence></xs:complexType></xs:element>
+</xs:schema>"""
+SI = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" xmlns:q="urn:q"
+ targetNamespace="https://ptb.de/si" elementFormDefault="qualified">
+ <xs:import namespace="urn:q" schemaLocation="../elsewhere/q.xsd"/>
+ <xs:element name="b" type="q:number"/>
+</xs:schema>"""
+Q = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" targetNamespace="urn:q">
+ <xs:simpleType name="number"><xs:restriction base="xs:integer"/></xs:simpleType>
+</xs:schema>"""
+GOOD = b'<a xmlns="https://ptb.de/dcc"><b xmlns="https://ptb.de/si">1</b></a>'
+BAD = b'<a xmlns="https://ptb.de/dcc">\n <b xmlns="https://ptb.de/si">one</b>\n</a>'
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for name, text in (("dcc/v1/dcc.xsd", DCC), ("dcc/si.xsd", SI), ("dcc/deep/er/q.xsd", Q)):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text)
+    return tmp_path / "dcc"
+
+
+@needs_schema
+def test_a_certificate_with_everything_is_valid(tmp_path):
+    many = {
+        "K_F": coefficient(0.005, 1e-9, "g"),
+        "K_I": {"value": 1.002, "u": 5e-6, "unit": "g/g", "estimated": False},
+        "K_II": coefficient(-2.7e-5, 1e-9, "g/g^2", dof=3.5),
+    }
+    given = result(coefficients=many, warnings=["Qx: hm"])
+    verdicts = {"Qx": {"K_II": Conformity.model_validate(CONFORMITY)}}
+    made = document(tmp_path, given, verdicts=verdicts)
+    check_schema(made, SCHEMA, "x.xml")
+
+
+@needs_schema
+def test_a_certificate_with_as_little_as_possible_is_valid(tmp_path):
+    unknown = {"value": None, "u": None, "unit": "g/g^2", "estimated": False}
+    given = result(coefficients={"K_II": unknown}, correlation=None)
+    given = given.model_copy(
+        update={
+            "platform": {},
+            "provenance": given.provenance.model_copy(update={"inputs": {}}),
+        }
+    )
+    check_schema(document(tmp_path, given, report=None), SCHEMA, "x.xml")
+
+
+@needs_schema
+def test_a_fault_is_told_with_its_line(tmp_path):
+    made = document(tmp_path, result()).replace(b">1.96<", b">1,96<", 1)
+    with pytest.raises(RecordError, match=r"x\.xml: does not keep.*\n  line \d+: .*1,96") as caught:
+        check_schema(made, SCHEMA, "x.xml")
+    assert "{https" not in str(caught.value)
+
+
+def test_imports_are_found_in_the_folder_whatever_their_address(folder):
+    check_schema(GOOD, folder, "x.xml")
+    with pytest.raises(RecordError, match=r"line 2: Element 'si:b': 'one' is not a valid"):
+        check_schema(BAD, folder, "x.xml")
+
+
+def test_what_is_no_xml_is_told(folder):
+    with pytest.raises(RecordError, match=r"x\.xml: is not XML"):
+        check_schema(GOOD[:-5], folder, "x.xml")
+
+
+def test_of_a_file_the_folder_above_is_searched_too(folder):
+    check_schema(GOOD, folder / "v1" / "dcc.xsd", "x.xml")
+
+
+def test_what_the_folder_lacks_is_not_fetched(folder):
+    (folder / "si.xsd").unlink()
+    with pytest.raises(CounterspinError, match="files that it imports are not in the folder"):
+        check_schema(GOOD, folder, "x.xml")
+
+
+def test_a_folder_without_a_schema_is_told(tmp_path):
+    with pytest.raises(CounterspinError, match="holds no schema of DCC"):
+        check_schema(GOOD, tmp_path, "x.xml")
+    with pytest.raises(CounterspinError, match="no such file or folder"):
+        check_schema(GOOD, tmp_path / "none", "x.xml")
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.xsd").write_text(DCC)
+    with pytest.raises(CounterspinError, match="several schemas of DCC"):
+        check_schema(GOOD, tmp_path, "x.xml")

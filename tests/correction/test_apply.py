@@ -1,0 +1,421 @@
+"""`counterspin apply`: what comes back is what was there, and what cannot be is refused."""
+
+import io
+import math
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+import counterspin as cs
+from counterspin import cli
+from counterspin.calibration.result import Result, described
+from counterspin.calibration.result_parts import (
+    AccelerometerResult,
+    BudgetLine,
+    Coefficient,
+    Correlation,
+    Inputs,
+    Provenance,
+    Residual,
+    RunResult,
+)
+from counterspin.correction.apply import apply, instrument_of
+from counterspin.correction.apply_file import apply_file, parse_others
+from counterspin.errors import CampaignError, ConvergenceError
+from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, indicated
+
+PAGE = (Path(__file__).parents[2] / "docs" / "apply.md").read_text(encoding="utf-8")
+G = 9.8066
+
+MODEL = {"K_F": 0.0050, "K_I": 1.0020, "K_II": 2.7e-5, "K_III": 3e-6}
+CROSS = {"K_IP": 4e-5, "K_PP": -2e-5, "K_OO": 1e-5, "delta_O": 2e-4, "delta_P": -3e-4}
+RESIDUAL = Residual(rms=0.01, unit="m", dof=1000.0)
+MOUNTINGS = {"Qx": QX, "Qy": QY, "Qz": QZ}
+
+
+def coefficient(symbol, value, u=0.0, estimated=True, **more):
+    unit = TERMS[symbol].unit
+    return Coefficient(value=value, u=u, unit=unit, estimated=estimated, **more)
+
+
+def accelerometer(values, mounting=QX, **changes):
+    parts = {
+        "coefficients": {s: coefficient(s, v) for s, v in values.items()},
+        "correlation": None,
+        "residual": RESIDUAL,
+        "axes": list(mounting.axes),
+        "observable": "displacement",
+    }
+    return AccelerometerResult(**(parts | changes))
+
+
+def result(accelerometers=None, model="exact", rate=4 * math.pi):
+    return Result(
+        method="joint",
+        model=model,
+        accelerometers=accelerometers or {"Qx": accelerometer(MODEL)},
+        runs={"run1": RunResult(rate=rate, drift=0.0, samples=1000, rejected=0)},
+        inputs=Inputs(gravity=G, latitude=0.8, radius=2.5),
+        provenance=Provenance(version="0.1.0", inputs={}),
+    )
+
+
+def three():
+    models = {
+        name: {s: v * (1 + k / 7) for s, v in (MODEL | CROSS).items()} | {"K_I": 1 + 1e-3 * k}
+        for k, name in enumerate(MOUNTINGS)
+    }
+    found = result({n: accelerometer(models[n], m) for n, m in MOUNTINGS.items()})
+    return found, models
+
+
+def run(*words):
+    return cli.main(["apply", *map(str, words)])
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    cs.write_result(result(), tmp_path / "result.json")
+    return tmp_path
+
+
+def written(text, name="data.csv"):
+    Path(name).write_text(text, encoding="utf-8")
+    return name
+
+
+# --- the page -------------------------------------------------------------------------------
+
+
+def blocks(kind):
+    return re.findall(rf"^```{kind}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
+
+
+def test_example_of_the_page_gives_back_the_truth(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (csv,) = blocks("csv")
+    written(csv, "flight.csv")
+    for line in "".join(blocks("sh")).splitlines():
+        program, *words = shlex.split(line)
+        assert program == "counterspin"
+        assert cli.main(words) == 0, line
+    report = capsys.readouterr().out
+    assert "4 rows of Qx, from -1.0005 to 9.5213 g" in report
+    assert "applied as estimated: K_F" in report
+    found = cs.read_result(tmp_path / "result.json").accelerometers["Qx"]
+    assert found.axes == list(QX.axes)
+    assert found.observable == "displacement"
+
+    # The truth of the example campaign, by the closed form of the error model.
+    truth = cs.read_campaign(tmp_path / "example").simulation.truth.coefficients["Qx"]
+    table = pl.read_csv("corrected.csv")
+    force = np.stack([table["Qx_corrected"].to_numpy(), *np.zeros((2, 4))], axis=1)
+    departure = np.abs(indicated(QX, truth, force @ QX.matrix) - table["Qx"].to_numpy())
+    u = table["Qx_corrected_u"].to_numpy()
+    assert np.all(departure < 5 * u)
+    assert np.all(np.abs(table["Qx_corrected"] - table["Qx"]).to_numpy()[1:] > 20 * u[1:])
+
+    (python,) = blocks("python")
+    space = {}
+    exec(compile(python, "apply.md", "exec"), space)
+    np.testing.assert_allclose(space["correction"].corrected, table["Qx_corrected"], rtol=1e-15)
+    np.testing.assert_allclose(space["correction"].u, table["Qx_corrected_u"], rtol=1e-15)
+
+
+def test_options_of_the_page_are_those_of_the_program(capsys):
+    assert cli.main(["apply", "--help"]) == 0
+    (table,) = re.findall(r"^## Options\n(.*?)^Terms", PAGE, re.MULTILINE | re.DOTALL)
+    told = set(re.findall(r"`(--[a-z-]+)", table))
+    # What stands at the beginning of a row: the rest is prose.
+    helped = set(re.findall(r"^\W+(--[a-z-]+)", capsys.readouterr().out, re.MULTILINE))
+    assert told == helped - {"--accelerometer", "--output"}
+
+
+# --- files ----------------------------------------------------------------------------------
+
+
+def test_round_trip_through_files_of_both_kinds(folder, capsys):
+    force = np.linspace(-39.0, 39.0, 157)
+    y = indicated(QX, MODEL, np.outer(force, [1.0, 0.0, 0.0]))
+    pl.DataFrame({"t": force * 0.1, "east": y}).write_parquet("in.parquet")
+    pl.DataFrame({"t": force * 0.1, "east": y}).write_csv("in.csv")
+    for source in ("in.parquet", "in.csv"):
+        for target in ("out.csv", "out.parquet"):
+            words = ["result.json", source, "--accelerometer", "Qx", "--input", "east"]
+            assert run(*words, "-o", target) == 0
+            read = pl.read_csv if target.endswith("csv") else pl.read_parquet
+            table = read(target)
+            assert table.columns == ["t", "east", "east_corrected", "east_corrected_u"]
+            np.testing.assert_array_equal(table["east"], y)
+            np.testing.assert_allclose(table["east_corrected"], force, rtol=0, atol=1e-12)
+    said = capsys.readouterr().out
+    assert "157 rows of east" in said
+    assert "Warning" not in said
+
+
+def test_metres_per_second_squared_use_the_site_s_gravity(folder):
+    force = np.array([0.5, -3.0, 12.0])
+    y = G * indicated(QX, MODEL, np.outer(force, [1.0, 0.0, 0.0]))
+    pl.DataFrame({"Qx": y}).write_csv("in.csv")
+    words = ["result.json", "in.csv", "--accelerometer", "Qx", "-o", "out.csv"]
+    assert run(*words, "--unit", "m/s^2") == 0
+    np.testing.assert_allclose(pl.read_csv("out.csv")["Qx_corrected"], G * force, atol=1e-11)
+
+
+def test_the_input_s_cells_stay_as_they_are(folder):
+    written('# made by hand\nnote;a\n"b; c";1.50\n# later\n;0.00100\n', "in.csv")
+    assert run("result.json", "in.csv", "--accelerometer=Qx", "--input=a", "-o", "out.csv") == 0
+    table = pl.read_csv("out.csv", infer_schema=False)
+    assert table["a"].to_list() == ["1.50", "0.00100"]
+    assert table["note"].to_list() == ["b; c", None]
+
+
+def test_a_missing_number_leaves_its_row_empty(folder, capsys):
+    written("t,Qx\n0,1.0\n1,\n2,nan\n3,2.0\n")
+    assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 0
+    assert pl.read_csv("out.csv")["Qx_corrected"].is_null().to_list() == [False, True, True, False]
+    assert "2 of them lack a number" in capsys.readouterr().out
+    written("Qx,\nnan,\n", "none.csv")
+    assert run("result.json", "none.csv", "--accelerometer", "Qx", "-o", "no.csv") == 1
+    assert "no row has all the numbers" in capsys.readouterr().err
+    assert not Path("no.csv").exists()
+
+
+def test_other_axes_from_columns_constants_and_other_accelerometers(folder, capsys):
+    found, models = three()
+    cs.write_result(found, folder / "three.json")
+    rng = np.random.default_rng(8)
+    force = rng.uniform(-20.0, 20.0, size=(50, 3))
+    pl.DataFrame(
+        {n.lower(): indicated(m, models[n], force) for n, m in MOUNTINGS.items()}
+        | {"down": -force[:, 2], "north": force[:, 1]}
+    ).write_csv("all.csv")
+    words = ["three.json", "all.csv", "--accelerometer", "Qx", "--input", "qx", "-o", "out.csv"]
+    ways = (
+        ["--pendulous", "down", "--output-axis", "north"],
+        ["--others", "Qy=qy, Qz=qz"],
+        ["--others", "Qy=qy", "--pendulous", "down"],
+    )
+    for way in ways:
+        assert run(*words, *way) == 0
+        got = pl.read_csv("out.csv")["qx_corrected"]
+        np.testing.assert_allclose(got, force[:, 0], rtol=0, atol=1e-12)
+
+    assert run(*words) == 2
+    said = capsys.readouterr().err
+    assert "K_IP, K_PP, delta_O of Qx need the specific force along its pendulous axis" in said
+    assert '--pendulous "-1 g"' in said
+    assert "K_OO, delta_P of Qx need the specific force along its output axis" in said
+    assert run(*words, "--others", "Qz=qz") == 2
+    assert "along its output axis" in capsys.readouterr().err
+    assert run(*words, "--others", "Qy=qy, Qz=qz", "--pendulous", "down") == 2
+    assert "given more than once" in capsys.readouterr().err
+
+    level = force * [1.0, 1.0, 0.0] + [0.0, 0.0, 1.0]
+    pl.DataFrame({"qx": indicated(QX, models["Qx"], level), "o": level[:, 1]}).write_csv("all.csv")
+    for constant in ("-1 g", "-1 ± 1e-3 g", f"{-G} m/s^2"):
+        assert run(*words, "--pendulous", constant, "--output-axis", "o") == 0
+        got = pl.read_csv("out.csv")["qx_corrected"]
+        np.testing.assert_allclose(got, force[:, 0], rtol=0, atol=1e-12)
+        # K_IP a_I + 2 K_PP a_P + delta_O, times 1e-3 g, is all that is uncertain.
+        slope = CROSS["K_IP"] * force[:, 0] - 2 * CROSS["K_PP"] + CROSS["delta_O"]
+        expected = np.abs(slope) * (1e-3 if "±" in constant else 0.0)
+        u = pl.read_csv("out.csv")["qx_corrected_u"]
+        np.testing.assert_allclose(u, expected, rtol=0.01, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (["--accelerometer", "Qz", "-o", "o.csv"], 2, "no accelerometer 'Qz'; it has Qx"),
+        (["--accelerometer", "Qx", "-o", "data.csv"], 2, "is the input"),
+        (["--accelerometer", "Qx", "-o", "./data.csv"], 2, "is the input"),
+        (["--accelerometer", "Qx", "-o", "o.xlsx"], 2, "must end in one of .csv"),
+        (["--accelerometer", "Qx", "-o", "no/o.csv"], 1, "cannot be written"),
+        (["--accelerometer", "Qx", "-o", "o.csv", "--input", "Qy"], 1, "no column 'Qy'"),
+        (["--accelerometer", "Qx", "-o", "o.csv", "--input", "who"], 1, "line 2: column 'who'"),
+        (["--accelerometer", "Qx", "-o", "o.csv", "--unit", "m"], 2, "--unit: 'm' is not a unit"),
+        (["--accelerometer", "Qx", "-o", "o.csv", "--pendulous", "down"], 2, "neither a column"),
+        (["--accelerometer", "Qx", "-o", "o.csv", "--pendulous", "-1"], 2, "has no unit"),
+        (["--accelerometer", "Qx", "-o", "o.csv", "--others", "Qy"], 2, "not of the form"),
+        (
+            ["--accelerometer", "Qx", "-o", "o.csv", "--input", "other", "--others", "Qx=Qx"],
+            2,
+            "to be corrected",
+        ),
+        (["--accelerometer", "Qx"], 2, "--output"),
+    ],
+)
+def test_refusals(folder, capsys, words, status, message):
+    text = "who,Qx,other\nme,1.0,2.0\n"
+    written(text)
+    assert run("result.json", "data.csv", *words) == status
+    said = capsys.readouterr().err
+    assert message in said
+    assert "Traceback" not in said
+    assert Path("data.csv").read_text(encoding="utf-8") == text
+    assert sorted(p.name for p in folder.iterdir()) == ["data.csv", "result.json"]
+
+
+def test_which_column_is_asked_only_where_it_is_open(folder, capsys):
+    written("east,north\n1.0,2.0\n")
+    words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
+    assert run(*words) == 2
+    assert "Name it with --input; the file has east, north" in capsys.readouterr().err
+    assert run(*words, "--output-axis", "north") == 0
+    assert pl.read_csv("out.csv").columns[-1] == "east_corrected_u"
+    assert run("result.json", "out.csv", *words[2:4], "--input", "east", "-o", "o.csv") == 2
+    assert "'east_corrected' already" in capsys.readouterr().err
+
+
+def test_a_row_beyond_the_model_is_named_by_its_line(folder, capsys):
+    found = result({"Qx": accelerometer({"K_I": 1.0, "K_III": -1e-4})})
+    cs.write_result(found, folder / "result.json")
+    written("# x\nQx\n1.0\n39.0\n")
+    assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 1
+    said = capsys.readouterr().err
+    assert "data.csv, line 4: the indication of Qx cannot be corrected: it indicates 39 g" in said
+    assert "turns round at 57.735 g, where it indicates 38.49 g" in said
+    assert not Path("out.csv").exists()
+
+
+def test_as_printed_is_refused_unless_forced(folder, capsys):
+    cs.write_result(result(model="as-printed"), folder / "result.json")
+    written("Qx\n1.0\n")
+    words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
+    assert run(*words) == 2
+    assert "K_II is half of what the accelerometer has" in capsys.readouterr().err
+    assert run(*words, "--force") == 0
+
+
+def test_others_are_read_as_pairs():
+    assert parse_others(None) == {}
+    assert parse_others("Qy=a, Qz = b c") == {"Qy": "a", "Qz": "b c"}
+    for wrong in ("Qy", "Qy=", "=a", "Qy=a,Qy=b", "Qy=a,"):
+        with pytest.raises(CampaignError, match="not of the form"):
+            parse_others(wrong)
+
+
+# --- what is applied, and how sure it is ----------------------------------------------------
+
+
+def test_what_is_not_determined_is_not_applied_and_said():
+    found = accelerometer({"K_F": 0.005})
+    nothing = coefficient("K_III", None, None, estimated=False)
+    scale = coefficient("K_I", None, None, estimated=False)
+    terms = found.coefficients | {"K_III": nothing, "K_I": scale}
+    done = apply(result({"Qx": accelerometer({}, coefficients=terms)}), "Qx", [1.005])
+    assert done.corrected[0] == pytest.approx(1.0, abs=1e-15)
+    assert done.u[0] == 0.0
+    assert done.notes == ("Qx: applied as estimated: K_F.",)
+    assert "does not determine them: K_III, K_I" in done.warnings[0]
+    assert "no value of K_I (scale factor); 1 g/g is taken" in done.warnings[1]
+    # Where the campaign never asked for K_I the same is true.
+    (warning,) = apply(result({"Qx": found}), "Qx", [1.005]).warnings
+    assert "1 g/g is taken" in warning
+
+
+def test_prior_knowledge_is_applied_with_its_uncertainty():
+    known = {"K_III": coefficient("K_III", 3e-6, 1e-7, estimated=False)}
+    found = result({"Qx": accelerometer({"K_I": 1.0}, known=known)})
+    done = apply(found, "Qx", [10.0 + 3e-3])
+    assert done.corrected[0] == pytest.approx(10.0, abs=1e-12)
+    assert done.u[0] == pytest.approx(1e-4 / (1 + 3 * 3e-6 * 100), rel=1e-9)
+    assert done.notes == ("Qx: applied as estimated: K_I; as known beforehand: K_III.",)
+
+
+def test_results_repeat_what_the_campaign_knows_beforehand(tmp_path):
+    cs.init(tmp_path)
+    file = tmp_path / "campaign.toml"
+    text = file.read_text(encoding="utf-8").replace('# K_III = "0', 'K_OO = "2e-6')
+    file.write_text(text.replace("g/g^3", "g/g^2", 1), encoding="utf-8")
+    parts = described(cs.read_campaign(tmp_path).accelerometers["Qx"], ["K_F", "K_I"])
+    assert parts["known"] == {"K_OO": coefficient("K_OO", 2e-6, 1e-5, estimated=False)}
+    found = AccelerometerResult(coefficients={}, correlation=None, residual=RESIDUAL, **parts)
+    assert found.axes == list(QX.axes)
+    assert AccelerometerResult.model_validate_json(found.model_dump_json()) == found
+
+
+def test_errors_that_cancel_are_seen_to_cancel():
+    """K_F was estimated with K_PP considered, both seen as one: K_F + K_PP is what is known."""
+    line = BudgetLine(
+        source="K_PP (considered)",
+        u=2e-6,
+        unit="g/g^2",
+        sensitivity=-1.0,
+        contribution=2e-6,
+        share=1.0,
+    )
+    found = accelerometer(
+        {},
+        coefficients={"K_F": coefficient("K_F", 0.005, math.hypot(2e-6, 1e-8))},
+        known={"K_PP": coefficient("K_PP", 0.0, 2e-6, estimated=False)},
+        budget={"K_F": [line]},
+    )
+    level, side = (apply(result({"Qx": found}), "Qx", [0.5], pendulous=p).u[0] for p in (-1.0, 0.0))
+    assert level == pytest.approx(1e-8, rel=1e-6)
+    assert side == pytest.approx(2e-6, rel=1e-4)
+
+
+def test_uncertainty_against_trials():
+    """Scatter of corrections with coefficients drawn from the covariance of the result.
+
+    With 2000 trials a standard deviation is known to 1/sqrt(4000) = 1.6 %; 8 % is 5 sigma.
+    """
+    u = {"K_F": 2e-6, "K_I": 5e-6, "K_II": 4e-7, "K_III": 3e-8}
+    r = np.array([[1, 0.2, -0.9, 0], [0.2, 1, 0, -0.8], [-0.9, 0, 1, 0], [0, -0.8, 0, 1]])
+    terms = {s: coefficient(s, v, u[s], dof=12.0 + 100 * u[s]) for s, v in MODEL.items()}
+    shuffled = [2, 0, 3, 1]
+    correlation = Correlation(
+        terms=[*(list(MODEL)[k] for k in shuffled), "platform.drift.north"],
+        matrix=np.pad(r[np.ix_(shuffled, shuffled)], (0, 1)).tolist(),
+    )
+    found = result({"Qx": accelerometer({}, coefficients=terms, correlation=correlation)})
+    covariance = instrument_of(found, "Qx").covariance
+    sd = np.array(list(u.values()))
+    np.testing.assert_allclose(covariance, r * np.outer(sd, sd), rtol=1e-14)
+    y = np.array([-30.0, -1.0, 0.0, 1.0, 30.0])
+    done = apply(found, "Qx", y)
+    assert done.dof == pytest.approx(12.0, abs=1e-3)
+    drawn = np.random.default_rng(3).multivariate_normal(list(MODEL.values()), covariance, 2000)
+    scatter = np.std(
+        [
+            apply(
+                result({"Qx": accelerometer(dict(zip(MODEL, d.tolist(), strict=True)))}), "Qx", y
+            ).corrected
+            for d in drawn
+        ],
+        axis=0,
+    )
+    np.testing.assert_allclose(done.u, scatter, rtol=0.08)
+
+
+def test_a_level_that_the_calibration_never_saw_is_said():
+    found = result(rate=2 * math.pi)  # 2.5 m x (2 pi)^2 / g = 10.06 g
+    assert apply(found, "Qx", [10.0, -10.1]).warnings == ()
+    (warning,) = apply(found, "Qx", [40.0, math.nan]).warnings
+    assert "reaches 40 g, and the calibration reached 10.1 g" in warning
+
+
+def test_results_of_earlier_versions_have_no_axes():
+    found, _ = three()
+    old = {n: one.model_copy(update={"axes": None}) for n, one in found.accelerometers.items()}
+    found = found.model_copy(update={"accelerometers": old})
+    assert apply(found, "Qx", [1.0], pendulous="-1 g", output_axis=0.0).corrected.shape == (1,)
+    with pytest.raises(CampaignError, match="where the axes of Qx point"):
+        apply(found, "Qx", [1.0], others={"Qy": [0.0], "Qz": [1.0]})
+
+
+def test_python_names_the_sample(tmp_path):
+    found = result({"Qx": accelerometer({"K_I": 1.0, "K_III": -1e-4})})
+    with pytest.raises(ConvergenceError, match=r"sample 1 \(counted from 0\) of Qx"):
+        apply(found, "Qx", [1.0, 50.0])
+    pl.read_csv(io.StringIO("Qx\n1.0\n")).write_csv(tmp_path / "in.csv")
+    done = apply_file(found, "Qx", str(tmp_path / "in.csv"), str(tmp_path / "out.csv"))
+    assert done.at_one_g.indicated == done.low == done.high == 1.0
+    assert done.most.correction == pytest.approx(1e-4, rel=1e-3)

@@ -1,0 +1,153 @@
+"""Weighted mean, drift and E_n score: closed forms, and that their claims hold over many trials."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from counterspin.errors import NotIdentifiableError
+from counterspin.histories.consistency import drift, en_score, weighted_mean
+
+numbers = st.integers(-1000, 1000).map(lambda n: n / 8)
+spreads = st.integers(1, 400).map(lambda n: n / 16)
+series = st.lists(st.tuples(numbers, spreads), min_size=2, max_size=8)
+
+
+# The mean
+
+
+def test_two_measurements_by_hand():
+    # Weights 1 and 1/4: mean 1/5 of the way, chi2 = 5^2/(1 + 4).
+    found = weighted_mean([10.0, 15.0], [1.0, 2.0])
+    assert found.value == pytest.approx(11.0)
+    assert found.u == pytest.approx(math.sqrt(0.8))
+    assert found.agreement.chi2 == pytest.approx(5.0)
+    assert found.agreement.dof == 1
+    assert found.agreement.birge == pytest.approx(math.sqrt(5.0))
+    # With one degree of freedom chi-square is a squared normal variable.
+    assert found.agreement.p == pytest.approx(math.erfc(math.sqrt(5.0 / 2.0)))
+    assert found.difference == pytest.approx([-1.0, 4.0])
+    assert found.z == pytest.approx([-math.sqrt(5.0), math.sqrt(5.0)])
+
+
+def test_two_degrees_of_freedom_are_an_exponential():
+    found = weighted_mean([1.0, 2.0, 6.0], [1.0, 1.0, 1.0])
+    assert found.agreement.chi2 == pytest.approx(14.0)
+    assert found.agreement.p == pytest.approx(math.exp(-7.0))
+
+
+def test_one_measurement_has_nothing_to_agree_with():
+    found = weighted_mean([3.0], [0.5])
+    assert (found.value, found.u) == (pytest.approx(3.0), pytest.approx(0.5))
+    assert found.agreement.p is None
+    assert found.agreement.birge is None
+    assert np.isnan(found.z).all()
+
+
+@given(series)
+def test_z_is_difference_over_its_own_uncertainty(measured):
+    values, u = np.array(measured).T
+    found = weighted_mean(values, u)
+    # Var(x_i - mean) = u_i^2 - u^2; the tolerance is its cancellation.
+    spread = u**2 - found.u**2
+    clear = spread > 1e-6 * u**2
+    assert found.z[clear] == pytest.approx(
+        (found.difference / np.sqrt(np.where(clear, spread, 1.0)))[clear], rel=1e-8, abs=1e-8
+    )
+
+
+def test_z_of_a_measurement_with_nearly_all_the_weight():
+    assert weighted_mean([0.0, 3.0], [1e-12, 1.0]).z == pytest.approx([-3.0, 3.0])
+
+
+@pytest.mark.parametrize("u", [[1.0, 0.0], [1.0, -1.0], [1.0, math.nan], [1.0]])
+def test_an_uncertainty_that_is_none(u):
+    with pytest.raises((ValueError, NotIdentifiableError)):
+        weighted_mean([1.0, 2.0], u)
+
+
+# The drift
+
+
+def test_line_through_two_points():
+    found = drift([2000.0, 2004.0], [1.0, 3.0], [0.3, 0.4])
+    assert found.slope == pytest.approx(0.5)
+    assert found.u == pytest.approx(0.5 / 4.0)  # root of 0.3^2 + 0.4^2, over four years
+    assert found.p == pytest.approx(math.erfc(4.0 / math.sqrt(2.0)))
+    assert found.agreement.p is None
+    value, u = found.at([2000.0, 2004.0])
+    assert value == pytest.approx([1.0, 3.0])
+    assert u == pytest.approx([0.3, 0.4])
+
+
+@given(series, st.integers(-50, 50))
+def test_an_exact_line_is_found(measured, slope):
+    u = np.array([spread for _, spread in measured])
+    time = np.arange(u.size) * 0.5 + 2020.0
+    found = drift(time, 7.0 + slope * (time - 2020.0), u)
+    assert found.slope == pytest.approx(slope, abs=1e-7)
+    assert found.agreement.chi2 == pytest.approx(0.0, abs=1e-8)
+
+
+def test_agrees_with_the_textbook_formula():
+    time, y = np.array([0.0, 1.0, 2.5, 4.0]), np.array([1.0, 1.3, 0.9, 1.8])
+    u = np.array([0.1, 0.2, 0.15, 0.3])
+    w = u**-2
+    sw, sx, sy = w.sum(), (w * time).sum(), (w * y).sum()
+    delta = sw * (w * time**2).sum() - sx**2
+    found = drift(time, y, u)
+    assert found.slope == pytest.approx((sw * (w * time * y).sum() - sx * sy) / delta)
+    assert found.u == pytest.approx(math.sqrt(sw / delta))
+    assert (found.time, found.value) == (pytest.approx(sx / sw), pytest.approx(sy / sw))
+
+
+def test_one_date_has_no_drift():
+    assert drift([5.0, 5.0, 5.0], [1.0, 2.0, 3.0], [1.0, 1.0, 1.0]) is None
+    assert drift([5.0], [1.0], [1.0]) is None
+
+
+def test_drift_is_unbiased_and_its_interval_covers():
+    rng = np.random.default_rng(17043)
+    trials, true = 2000, 0.3
+    time = np.array([0.0, 0.4, 1.1, 1.9, 2.5, 3.6])
+    u = np.array([0.5, 0.2, 0.4, 0.3, 0.6, 0.25])
+    found = [drift(time, 5.0 + true * time + rng.normal(0.0, u), u) for _ in range(trials)]
+    slopes, claimed = np.array([one.slope for one in found]), found[0].u
+    # Four and a half standard deviations of each statistic: 1 in 150 000.
+    assert abs(slopes.mean() - true) < 4.5 * claimed / math.sqrt(trials)
+    assert abs(slopes.std() / claimed - 1.0) < 4.5 / math.sqrt(2.0 * trials)
+    covered = np.mean(np.abs(slopes - true) < 1.959963984540054 * claimed)
+    assert abs(covered - 0.95) < 4.5 * math.sqrt(0.95 * 0.05 / trials)
+    p = np.array([one.agreement.p for one in found])
+    assert abs(np.mean(p < 0.1) - 0.1) < 4.5 * math.sqrt(0.1 * 0.9 / trials)
+    level = np.array([one.at(2.0)[0] for one in found])
+    assert abs(level.std() / found[0].at(2.0)[1] - 1.0) < 4.5 / math.sqrt(2.0 * trials)
+
+
+def test_drift_is_rarely_seen_where_there_is_none():
+    rng = np.random.default_rng(13528)
+    trials, u = 2000, np.full(4, 0.2)
+    p = np.array([drift(np.arange(4.0), rng.normal(0.0, u), u).p for _ in range(trials)])
+    for level in (0.01, 0.2, 0.7):
+        assert abs(np.mean(p < level) - level) < 4.5 * math.sqrt(level * (1 - level) / trials)
+
+
+# E_n
+
+
+def test_en_score_by_hand():
+    # U = 1.96 u where the degrees of freedom are infinite; with 1 and 2, Student's closed forms.
+    assert en_score((1.0, 3.0, None), (11.0, 4.0, None)) == pytest.approx(10.0 / (5 * 1.959963985))
+    first = math.tan(0.475 * math.pi)
+    second = 0.95 * math.sqrt(2.0 / (1.0 - 0.95**2))
+    assert en_score((5.0, 1.0, 1.0), (2.0, 1.0, 2.0)) == pytest.approx(
+        -3.0 / math.hypot(first, second)
+    )
+
+
+@given(numbers, spreads, numbers, spreads)
+def test_en_score_of_equals_is_z_over_1_96(a, u_a, b, u_b):
+    z = (b - a) / math.hypot(u_a, u_b)
+    assert en_score((a, u_a, None), (b, u_b, None)) == pytest.approx(z / 1.959963984540054)

@@ -1,0 +1,402 @@
+"""Results of instruments over time: which files count, what they say together, what is told."""
+
+import copy
+import inspect
+import json
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from counterspin.calibration.result import SCHEMA
+from counterspin.calibration.result_parts import Part
+from counterspin.cli import main
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.histories import result as history_result
+from counterspin.histories.history import history
+from counterspin.histories.page import control_plot, history_blocks, history_figure
+from counterspin.physics.accelerometer import TERMS
+from counterspin.reports.blocks import Plot
+from counterspin.reports.figure import save
+
+ROOT = Path(__file__).parents[2]
+FROZEN = ROOT / "tests" / "frozen"
+BASE = json.loads((FROZEN / "schema-1-joint.json").read_text(encoding="utf-8"))
+DATES = ("2022-03-01", "2023-03-01", "2024-03-01", "2025-03-01", "2026-03-01")
+U = 5e-8
+
+
+def result(value=2.7e-5, date="2024-03-05", serial="Q-104", *, u=U, run=None, **changes):
+    """Return the frozen result's Qx with another K_II, date and serial number."""
+    made = copy.deepcopy(BASE) | changes
+    qx = made["accelerometers"]["Qx"]
+    qx["coefficients"]["K_II"] |= {"value": value, "u": u}
+    if serial is not None:
+        qx["serial_number"] = serial
+    made["accelerometers"] = {"Qx": qx}
+    made["details"] = {} if date is None else {"date": date}
+    made["provenance"]["inputs"] = {
+        "campaign.toml": "sha256:00",
+        "run1.csv": f"sha256:{run or f'{value}{date}'}",
+    }
+    return made
+
+
+def stored(folder, **results):
+    folder.mkdir(parents=True, exist_ok=True)
+    for name, document in results.items():
+        text = document if isinstance(document, str) else json.dumps(document)
+        # A lone surrogate becomes a byte that is no UTF-8.
+        (folder / f"{name}.json").write_text(text, encoding="utf-8", errors="surrogateescape")
+    return folder
+
+
+def series(folder, values, dates=DATES, **options):
+    return stored(
+        folder,
+        **{
+            f"r{i}": result(v, d, **options)
+            for i, (v, d) in enumerate(zip(values, dates, strict=False))
+        },
+    )
+
+
+def only(found):
+    assert len(found.instruments) == 1
+    return found.instruments[0]
+
+
+# What the results say
+
+
+def test_results_are_in_order_with_their_differences(tmp_path):
+    folder = series(tmp_path, [2.71e-5, 2.70e-5, 2.72e-5], DATES[:3][::-1])
+    found = only(history([folder]))
+    assert [point.date for point in found.points] == list(DATES[:3])
+    assert [Path(point.file).name for point in found.points] == ["r2.json", "r1.json", "r0.json"]
+    assert found.mean == pytest.approx(2.71e-5)
+    assert found.u_mean == pytest.approx(U / math.sqrt(3.0))
+    assert [p.difference for p in found.points] == pytest.approx([1e-7, -1e-7, 0.0], abs=1e-15)
+    # u of each difference: root of u^2 - u^2/3.
+    assert found.points[0].z == pytest.approx(1e-7 / (U * math.sqrt(2.0 / 3.0)))
+    expanded = 1.959963984540054 * U * math.sqrt(2.0)
+    assert [p.e_n for p in found.points[1:]] == pytest.approx([-2e-7 / expanded, 1e-7 / expanded])
+    assert found.points[0].e_n is None
+
+
+def test_drift_is_per_year(tmp_path):
+    found = only(history([series(tmp_path, [2.70e-5 + 1e-7 * i for i in range(5)])]))
+    # Leap years make calendar years differ from 365.25 days by 0.3 % at most.
+    assert found.drift.value == pytest.approx(1e-7, rel=0.003)
+    assert found.drift.level == pytest.approx(2.72e-5, rel=1e-5)
+    assert found.drift.date == "2024-02-29"
+    # Times -2, -1, 0, 1, 2: u of the slope is u over the root of 10.
+    assert found.drift.u == pytest.approx(U / math.sqrt(10.0), rel=0.003)
+
+
+@pytest.mark.parametrize(
+    ("shifts", "verdict", "words"),
+    [
+        ([0], "single", "one result, with nothing to compare it with"),
+        ([0, 1], "constant", "2 results agree with"),
+        ([0, 6], "differ", "Two results cannot tell a drift from a jump"),
+        ([0, 0.5, -0.5, 0.5, 0], "constant", "No drift is seen"),
+        ([0, 2, 4, 6, 8], "drifts", "better than with a constant"),
+        ([0, 0, 0, 0, 8], "disagree", "Farthest from the others is"),
+        ([0, 6, 0, 6, 0], "disagree", "not by a steady drift"),
+    ],
+)
+def test_verdicts(tmp_path, shifts, verdict, words):
+    found = history([series(tmp_path, [2.7e-5 + U * shift for shift in shifts])])
+    assert only(found).verdict == verdict
+    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
+    assert words in told
+
+
+def test_results_of_one_date(tmp_path):
+    found = only(history([series(tmp_path, [2.7e-5, 2.75e-5], [DATES[0]] * 2)]))
+    assert found.drift is None
+    assert found.verdict == "disagree"
+
+
+def test_false_alarms_are_as_rare_as_stated(tmp_path):
+    """Over trials, a constant instrument is called anything else in about 1 % for each test."""
+    rng = np.random.default_rng(6)
+    trials = 60
+    alarms = 0
+    for trial in range(trials):
+        folder = series(tmp_path / str(trial), 2.7e-5 + rng.normal(0.0, U, 4), DATES[:4])
+        alarms += only(history([folder])).verdict != "constant"
+    # Two tests of 1 % each: at most 2 % expected; more than 7 of 60 has probability below 1e-4.
+    assert alarms <= 7
+
+
+def test_gravity_of_other_sites_is_converted(tmp_path):
+    there = result(2.7e-5, "2023-03-01") | {"inputs": BASE["inputs"] | {"gravity": 9.78}}
+    here = result(2.7e-5, "2024-03-01") | {"inputs": BASE["inputs"] | {"gravity": 9.83}}
+    folder = stored(tmp_path, there=there, here=here)
+    found = history([folder])
+    assert found.gravity == 9.83
+    assert found.converted
+    # K_II in SI is K_II/g: the same sensor has a larger number where g is larger.
+    assert only(found).points[0].value == pytest.approx(2.7e-5 * 9.83 / 9.78, rel=1e-12)
+    assert only(found).points[1].value == 2.7e-5
+    bias = only(history([folder], term="K_F")).points[0]
+    stated = BASE["accelerometers"]["Qx"]["coefficients"]["K_F"]["value"]
+    assert bias.value == pytest.approx(stated * 9.78 / 9.83, rel=1e-12)
+    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
+    assert "g = 9.83 m/s^2" in told
+
+
+# Which files count
+
+
+def test_frozen_results_of_every_schema_are_read():
+    found = history([FROZEN])
+    assert not found.damaged
+    assert [one.serial_number for one in found.instruments] == ["P-7 Qx", "P-7 Qy"]
+    for instrument, name in zip(found.instruments, ("Qx", "Qy"), strict=True):
+        assert instrument.stated_by == "campaign"
+        stated = [
+            json.loads(path.read_text("utf-8"))["accelerometers"][name]["coefficients"]["K_II"]
+            for path in (FROZEN / "schema-1-joint.json", FROZEN / "schema-1-two-stage.json")
+        ]
+        assert [(p.value, p.u) for p in instrument.points] == [(c["value"], c["u"]) for c in stated]
+    assert "serial number of the campaign" in str(list(history_blocks(found)))
+
+
+def test_instruments_are_kept_apart(tmp_path):
+    series(tmp_path / "a", [2.7e-5, 2.7e-5], serial="A")
+    series(tmp_path / "deep" / "b", [3.1e-5, 3.1e-5, 3.1e-5], serial="B")
+    found = history([tmp_path])
+    assert [(i.serial_number, len(i.points)) for i in found.instruments] == [("A", 2), ("B", 3)]
+    assert only(history([tmp_path], serial="B")).mean == pytest.approx(3.1e-5)
+    assert only(history([tmp_path / "a", tmp_path / "a" / "r0.json"])).serial_number == "A"
+    with pytest.raises(CampaignError, match='no result is of "C"; known: A, B'):
+        history([tmp_path], serial="C")
+
+
+def test_a_campaign_s_serial_number_chooses_its_accelerometers():
+    assert len(history([FROZEN], serial="P-7").instruments) == 2
+    assert only(history([FROZEN], serial="P-7 Qy")).points[0].accelerometer == "Qy"
+
+
+def without_estimate():
+    made = result()
+    made["accelerometers"]["Qx"]["coefficients"]["K_II"] |= {"estimated": False}
+    return made
+
+
+def without_term():
+    made = result()
+    del made["accelerometers"]["Qx"]["coefficients"]["K_II"]
+    return made
+
+
+@pytest.mark.parametrize(
+    ("document", "reason"),
+    [
+        (result(date=None), "has no date"),
+        (result(date="last spring"), 'its date "last spring" cannot be read'),
+        (result(serial=None), "has no serial number"),
+        (result(model="as-printed"), "which return half the true K_II"),
+        (without_estimate(), "does not determine K_II"),
+        (without_term(), "has no K_II"),
+        (result(2.9e-5, run="same"), "is of the same records as"),
+        (result(2.8e-5, run="same", method="two-stage"), "is of the same records as"),
+        ({"schema": 1, "campaigns": {}}, "is a summary of several campaigns"),
+    ],
+)
+def test_what_has_no_place_is_told(tmp_path, document, reason):
+    folder = stored(tmp_path, good=result(run="same"), other=document)
+    found = history([folder])
+    assert [Path(p.file).name for p in only(found).points] == ["good.json"]
+    (left,) = found.left_out
+    assert Path(left.file).name == "other.json"
+    assert reason in left.reason
+    assert found.damaged == []
+    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
+    assert reason in told
+
+
+def test_joint_goes_before_two_stage_of_the_same_records(tmp_path):
+    stored(tmp_path, a=result(2.8e-5, run="x", method="two-stage"), b=result(2.7e-5, run="x"))
+    assert [p.method for p in only(history([tmp_path])).points] == ["joint"]
+
+
+def test_copies_count_once(tmp_path):
+    folder = stored(tmp_path, a=result(), b=result())
+    found = history([folder, folder / "a.json"])
+    assert len(only(found).points) == 1
+    (left,) = found.left_out
+    assert left.reason == f"the same file as {folder / 'a.json'}"
+
+
+def test_shared_records_are_told(tmp_path):
+    first, second = result(2.7e-5, DATES[0]), result(2.71e-5, DATES[1])
+    for document, own in ((first, "b"), (second, "c")):
+        document["provenance"]["inputs"] = {"1.csv": "sha256:a", "2.csv": f"sha256:{own}"}
+    found = history([stored(tmp_path, first=first, second=second)])
+    assert len(only(found).points) == 2
+    (note,) = found.notes
+    assert "second.json shares 1 of its 2 records with" in note
+
+
+def test_other_json_files_are_passed_over(tmp_path):
+    folder = stored(tmp_path, good=result(), plan={"schema": 1, "runs": []}, numbers=[1, 2])
+    found = history([folder])
+    assert [Path(name).name for name in found.passed_over] == ["numbers.json", "plan.json"]
+    assert found.damaged == []
+    # One that is named is meant as a result.
+    assert len(history([folder / "good.json", folder / "plan.json"]).damaged) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (json.dumps(result())[:300], "not a result file, or a damaged one"),
+        ("", "not a result file, or a damaged one"),
+        ("[" * 100_000, "damaged"),
+        (json.dumps(result() | {"schema": SCHEMA + 1}), "written by a newer counterspin"),
+        (json.dumps(result(u=-1.0)), "damaged result"),
+        ("\udc80", "damaged"),
+    ],
+    ids=["cut", "empty", "deep", "newer", "negative", "bytes"],
+)
+def test_a_damaged_file_stops_no_other(tmp_path, text, words, capsys):
+    folder = stored(tmp_path, good=result(), bad=text)
+    found = history([folder])
+    assert len(only(found).points) == 1
+    (damaged,) = found.damaged
+    assert words in damaged.reason
+    kept = tmp_path / "kept.txt"
+    assert main(["history", str(folder), "--json", str(kept)]) == 1
+    told = capsys.readouterr()
+    assert "Q-104" in told.out
+    assert "bad.json" in told.out.replace("\n", "")
+    assert told.err.startswith("counterspin: 1 of the files are results that cannot be read")
+    assert json.loads(kept.read_text("utf-8"))["damaged"][0]["file"].endswith("bad.json")
+
+
+def test_nothing_to_show_says_why(tmp_path):
+    with pytest.raises(CounterspinError, match=r"no results in .*`counterspin calibrate DIR"):
+        history([tmp_path])
+    stored(tmp_path, a=result(date=None))
+    with pytest.raises(CounterspinError, match=r"a\.json, Qx: has no date"):
+        history([tmp_path])
+
+
+def test_wrong_usage(tmp_path, capsys):
+    assert main(["history"]) == 2
+    assert "give result files, or folders" in capsys.readouterr().err
+    assert main(["history", str(tmp_path / "x"), str(tmp_path / "y")]) == 2
+    told = capsys.readouterr().err
+    assert "2 mistakes" in told
+    assert told.count("there is no such file or folder") == 2
+    stored(tmp_path, a=result())
+    for term, words in (("K_IV", "no term is called"), ("platform.tilt.up", "to the platform")):
+        assert main(["history", str(tmp_path), "--term", term]) == 2
+        assert words in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("term", ["K_F", "K_III"])
+def test_other_terms(tmp_path, term):
+    found = history([stored(tmp_path, a=result())], term=term)
+    stated = BASE["accelerometers"]["Qx"]["coefficients"][term]
+    assert (only(found).points[0].value, found.unit) == (stated["value"], TERMS[term].unit)
+
+
+def test_a_date_with_a_zone_is_brought_to_utc(tmp_path):
+    folder = stored(tmp_path, a=result(date="2026-03-01T01:00:00+02:00"))
+    assert only(history([folder])).points[0].date == "2026-02-28T23:00:00"
+
+
+# What is shown
+
+
+def test_control_plot_shows_results_mean_and_drift(tmp_path):
+    found = history([series(tmp_path, [2.70e-5 + 1e-7 * i for i in range(5)])])
+    mean, drift, results = control_plot(found, only(found)).series
+    assert results.kind == "points"
+    assert results.y == pytest.approx([27.0, 27.1, 27.2, 27.3, 27.4])
+    assert results.high[0] - results.low[0] == pytest.approx(2 * 1.959963984540054 * U * 1e6)
+    assert results.x == pytest.approx([2022.16, 2023.16, 2024.16, 2025.16, 2026.16], abs=0.01)
+    assert mean.y == pytest.approx((27.2, 27.2))
+    assert drift.y == pytest.approx((27.0, 27.4), abs=1e-3)
+    assert drift.stands_out
+    assert any(isinstance(block, Plot) for block in history_blocks(found))
+
+
+def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):
+    series(tmp_path / "a", [2.7e-5, 2.71e-5, 2.69e-5], serial="A")
+    series(tmp_path / "b", [3.1e-5], serial="B")
+    found = history([tmp_path])
+    for name in ("one.svg", "two.svg"):
+        save(history_figure(found), tmp_path / name)
+    drawn = (tmp_path / "one.svg").read_text("utf-8")
+    assert drawn == (tmp_path / "two.svg").read_text("utf-8")
+    assert "K_II of A" in drawn
+    assert "K_II of B" in drawn
+    assert "K_II, µg/g²" in drawn
+
+
+def test_the_axis_of_the_figure_has_whole_numbers(tmp_path):
+    series(tmp_path, [2.7e-5, 2.70001e-5], u=1e-11)
+    save(history_figure(history([tmp_path])), tmp_path / "one.svg")
+    # Not 0.0001, with 27 above the axis.
+    assert ">27.0001" in (tmp_path / "one.svg").read_text("utf-8")
+
+
+def test_names_in_the_figure_are_letters_and_no_formulas(tmp_path):
+    serial = r"A$\frac$ 日<b>"
+    series(tmp_path / "a", [2.7e-5, 2.71e-5], serial=serial)
+    save(history_figure(history([tmp_path / "a"])), tmp_path / "one.svg")
+    assert r"K_II of A$\frac$ 日&lt;b&gt;" in (tmp_path / "one.svg").read_text("utf-8")
+
+
+def test_command_writes_what_it_shows(tmp_path, capsys):
+    folder = series(tmp_path / "results", [2.7e-5, 2.71e-5, 2.69e-5])
+    chart, kept = tmp_path / "chart.svg", tmp_path / "history.json"
+    words = ["history", str(folder), "--figure", str(chart), "--json", str(kept)]
+    assert main(words) == 0
+    shown = capsys.readouterr().out
+    assert "K_II is constant: 3 results agree with 27.000 ± 0.029 ug/g^2" in shown.replace(
+        "\n", " "
+    )
+    assert chart.read_text("utf-8").startswith("<?xml")
+    written = history_result.History.model_validate_json(kept.read_text("utf-8"))
+    assert written == history([folder])
+    # Its own output is no result of an instrument.
+    assert main(["history", str(tmp_path)]) == 0
+
+
+def test_unwritable_target_leaves_nothing(tmp_path, capsys):
+    folder = series(tmp_path / "results", [2.7e-5])
+    assert main(["history", str(folder), "--json", str(tmp_path / "no" / "h.json")]) == 1
+    assert "cannot be written" in capsys.readouterr().err
+    assert main(["history", str(folder), "--figure", str(tmp_path / "h.gif")]) == 1
+    shown = capsys.readouterr()
+    assert ".svg, .png, .pdf" in shown.err
+    assert not shown.out
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["results"]
+
+
+# The page
+
+
+def test_page_has_every_key():
+    page = (ROOT / "docs" / "history.md").read_text(encoding="utf-8")
+    tables = dict(re.findall(r"^<!-- fields: (\w+) -->\n((?:\|.*\n)+)", page, re.MULTILINE))
+    models = {
+        name: model
+        for name, model in vars(history_result).items()
+        if inspect.isclass(model) and issubclass(model, Part) and model is not Part
+    }
+    assert set(tables) == set(models)
+    for name, model in models.items():
+        listed = re.findall(r"^\| `(\w+)` \|", tables[name], re.MULTILINE)
+        assert listed == [field.alias or key for key, field in model.model_fields.items()]
+    verdicts = history_result.Verdict.__args__
+    assert all(f"| `{verdict}` |" in page for verdict in verdicts)

@@ -1,0 +1,184 @@
+"""The budget: every line what it says, and all of them the whole."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_campaign import ARCSEC, DEG_H, RATES, SITE, noisy, simulated, three_rates, unknowns
+
+from counterspin.inference.joint import fit as joint
+from counterspin.inference.joint.budget import NOISE, budget
+from counterspin.inference.joint.fit import Considered, Model, Unknown
+from counterspin.inference.noise.model import Noise
+
+TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
+PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6), "K_OO": (1e-6, 2e-6)}
+INPUTS = {
+    "centrifuge.radius": 1e-4,
+    "site.gravity": 1e-4,
+    "site.latitude": 1e-3,
+    joint.TIMING: 1e-5,
+}
+NOISES = {"Qx": Noise(0.01), "Qy": Noise(0.02, 3e-4)}
+SCALES = {"Qx": TRUTH["K_I"], "Qy": TRUTH["K_I"]}
+
+
+@pytest.fixture(scope="module")
+def series():
+    rng = np.random.default_rng(1)
+    clean = [one for name in ("Qx", "Qy") for one in three_rates(TRUTH, accelerometer=name)]
+    return [noisy(one, NOISES[one.accelerometer], rng) for one in clean]
+
+
+@pytest.fixture(scope="module")
+def model():
+    tilts = tuple(
+        Unknown(f"run{i}", f"platform.tilt.{axis}", (0.0, 0.5 * ARCSEC), 1e-2)
+        for i in (1, 2, 3)
+        for axis in ("north", "east")
+    )
+    drift = Unknown("", "platform.drift.up", (0.0, 0.01 * DEG_H), 10 * DEG_H)
+    own = tuple(u for name in ("Qx", "Qy") for u in unknowns((*TRUTH, "K_OO"), PRIORS, name))
+    considered = (
+        Considered("Qx", "K_PP", (0.0, 2e-6), 1e-4),
+        Considered("Qy", "K_IO", (1e-6, 3e-6), 1e-4),
+        Considered("", "platform.g_sensitivity.zx", (0.0, 0.02 * DEG_H), 10 * DEG_H),
+    )
+    return Model((*own, *tilts, drift), considered, INPUTS)
+
+
+@pytest.fixture(scope="module")
+def fit(series, model):
+    plain = replace(model, inputs=None)
+    first = joint.solve_joint(joint.prepare(series, plain, SCALES), plain, NOISES)
+    return joint.solve_joint(
+        joint.prepare(series, model, SCALES, first.solution.estimate), model, NOISES
+    )
+
+
+def test_the_lines_are_the_whole(fit, model):
+    for index, unknown in enumerate(model.unknowns):
+        lines = budget(fit, index)
+        squares = math.fsum(line.contribution**2 for line in lines)
+        whole = fit.solution.covariance[index, index]
+        assert squares == pytest.approx(whole, rel=1e-10), unknown.name
+        assert math.fsum(line.share for line in lines) == pytest.approx(1.0, abs=1e-10)
+        assert [x.contribution for x in lines] == sorted(
+            (x.contribution for x in lines), reverse=True
+        )
+        for line in lines:
+            if line.kind == NOISE:
+                assert line.u is None
+                assert line.sensitivity is None
+            else:
+                assert line.contribution == pytest.approx(
+                    abs(line.sensitivity) * line.u, rel=1e-9
+                ), (unknown.name, line)
+
+
+def test_kinds_add_up_to_the_parts_of_u(fit, model):
+    parts = {
+        "noise": fit.solution.covariance_noise,
+        "prior": fit.solution.covariance_prior,
+        "considered": fit.solution.covariance_considered,
+    }
+    for index in range(len(model.unknowns)):
+        lines = budget(fit, index)
+        for kind, covariance in parts.items():
+            kinds = (kind, "input") if kind == "considered" else (kind,)
+            squares = sum(line.contribution**2 for line in lines if line.kind in kinds)
+            assert squares == pytest.approx(
+                covariance[index, index], rel=1e-8, abs=1e-8 * fit.solution.u[index] ** 2
+            )
+
+
+def test_each_accelerometer_s_noise_has_its_own_line(series, fit, model):
+    names = [u.name for u in model.unknowns]
+    index = names.index("Qx.K_II")
+    lines = {line.source: line for line in budget(fit, index) if line.kind == NOISE}
+    # Qx's K_II rests on Qx's records.
+    assert (
+        lines["Qx"].contribution
+        > 100 * lines.get("Qy", replace(lines["Qx"], contribution=0)).contribution
+    )
+    drift = {line.source: line for line in budget(fit, names.index("platform.drift.up"))}
+    assert {"Qx", "Qy"} <= set(drift)
+
+
+def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
+    """Priors, considered terms and inputs moved one by one, and all estimated again."""
+    index = [u.name for u in model.unknowns].index("Qx.K_II")
+    plain = replace(model, inputs=None)
+
+    def estimate(changed, chosen=series):
+        found = joint.solve_joint(joint.prepare(chosen, changed, SCALES), changed, NOISES)
+        return found.solution.estimate[index]
+
+    base = estimate(plain)
+    compared = set()
+    for line in budget(fit, index):
+        if line.kind == NOISE:
+            continue
+        step = 10 * line.u
+
+        def shifted(group, line=line, step=step):
+            return tuple(
+                replace(u, prior=(u.prior[0] + step, u.prior[1])) if u.name == line.source else u
+                for u in group
+            )
+
+        if line.kind == "prior":
+            changed = estimate(replace(plain, unknowns=shifted(model.unknowns)))
+        elif line.kind == "considered":
+            changed = estimate(replace(plain, considered=shifted(model.considered)))
+        elif line.source == joint.TIMING:
+            continue  # its own test goes through the records' angles
+        else:
+            step = line.u
+            moved = []
+            for one in series:
+                motion = joint.INPUTS[line.source](one.trajectory, step)
+                error = one.error + one.reference() - one.reference(motion)
+                moved.append(replace(one, trajectory=motion, error=error))
+            changed = estimate(plain, moved)
+        compared.add(line.kind)
+        derivative = (changed - base) / step
+        small = 1e-3 * fit.solution.u[index] / step
+        assert derivative == pytest.approx(line.sensitivity, rel=2e-3, abs=small), line.source
+    assert compared == {"prior", "considered", "input"}
+
+
+def test_a_record_in_g_depends_on_the_gravity_assumed():
+    """What was recorded in g becomes m/s^2 with the gravity that is taken."""
+    one = [
+        replace(simulated(f"run{i}", r, TRUTH, observable="specific_force"), in_g=True)
+        for i, r in enumerate(RATES)
+    ]
+    model = Model(unknowns(TRUTH), inputs={"site.gravity": 1e-4})
+    plain = replace(model, inputs=None)
+    noise = {"Qx": Noise(1e-3)}
+    first = joint.solve_joint(joint.prepare(one, plain, SCALES), plain, noise).solution
+    fit = joint.solve_joint(joint.prepare(one, model, SCALES, first.estimate), model, noise)
+    step = 1e-3
+    moved = []
+    for s in one:
+        motion = joint.INPUTS["site.gravity"](s.trajectory, step)
+        output = (s.error + s.reference()) * (SITE.gravity + step) / SITE.gravity
+        moved.append(replace(s, trajectory=motion, error=output - s.reference(motion)))
+    after = joint.solve_joint(joint.prepare(moved, plain, SCALES), plain, noise).solution
+    np.testing.assert_allclose(
+        (after.estimate - first.estimate) / step,
+        fit.solution.sensitivity_considered[:, 0],
+        rtol=2e-3,
+        atol=1e-7 * np.abs(fit.solution.sensitivity_considered).max(),
+    )
+
+
+def test_an_unknown_known_exactly_has_no_budget():
+    model = Model(unknowns(TRUTH, {"K_F": (5.03e-3, 0.0)}))
+    found = joint.solve_joint(
+        joint.prepare(three_rates(TRUTH), model, SCALES), model, {"Qx": Noise(0.01)}
+    )
+    assert budget(found, 0) == ()
+    assert sum(line.share for line in budget(found, 2)) == pytest.approx(1.0, abs=1e-9)

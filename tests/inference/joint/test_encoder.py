@@ -1,0 +1,283 @@
+"""What the encoder's noise hides of the rotation is in the columns, in u and in the budget."""
+
+import math
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_campaign import LEVEL, RATES, noisy, simulated, unknowns
+from scipy.special import stdtrit
+
+from counterspin.inference.joint import encoder
+from counterspin.inference.joint import fit as joint
+from counterspin.inference.joint.budget import ENCODER, budget
+from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.fit import Model
+from counterspin.inference.noise.model import Noise
+from counterspin.physics import simulation
+from counterspin.physics.accelerometer import QX
+from counterspin.physics.spindle import Ripple, Spindle, fit_spindle
+
+FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
+TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
+MODEL = Model(unknowns(TRUTH))
+TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
+#: Coefficients large enough for their part of a column to show in differences.
+LARGE = {
+    "K_F": 0.01,
+    "K_I": 1.05,
+    "K_II": 3e-3,
+    "K_III": 3e-4,
+    "K_IP": 2e-3,
+    "K_IO": 4e-3,
+    "K_OO": -2e-3,
+    "K_PP": 1e-3,
+    "K_OQ": 2e-3,
+    "delta_O": 5e-3,
+    "delta_P": 8e-3,
+}
+TILTED = np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8], [0.0, -0.8, 0.6]])
+
+
+def encoded(series, encoder_noise, rng):
+    """The series as a calibration sees them: about the spindle fitted to a noisy angle."""
+    found = []
+    for one in series:
+        angle = one.trajectory.spindle.angle(one.time)
+        angle = angle + encoder_noise * rng.standard_normal(one.time.size)
+        fit = fit_spindle(one.time, angle, one.trajectory.spindle.rate * (1 + 1e-6))
+        motion = replace(one.trajectory, spindle=fit.spindle)
+        error = one.error + one.reference() - one.reference(motion)
+        found.append(replace(one, trajectory=motion, error=error, angle_error=fit.error))
+    return found
+
+
+def rippled(observable, size, rng, **more):
+    """Runs whose rate has a first and a third harmonic of this ratio, of any phase."""
+    series = []
+    for i, rate in enumerate(RATES, start=1):
+        phases = rng.uniform(0, 2 * math.pi, 2)
+        ripples = tuple(
+            Ripple(n, rate * size, phase) for n, phase in zip((1, 3), phases, strict=True)
+        )
+        spindle = Spindle(rate, 1e-6, ripples, start_angle=rng.uniform(0, 6))
+        series.append(
+            simulated(f"run{i}", rate, TRUTH, observable=observable, spindle=spindle, **more)
+        )
+    return series
+
+
+# Columns ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("observable", ["displacement", "velocity", "specific_force"])
+@pytest.mark.parametrize("attitude", [LEVEL, TILTED], ids=["level", "tilted"])
+def test_columns_are_what_the_simulation_does(observable, attitude):
+    """One ripple, start angle or drift more, simulated in full, against the chain rule."""
+    spindle = Spindle(RATES[1], 1e-5, start_angle=0.4)
+    one = simulated("run", RATES[1], LARGE, observable=observable, spindle=spindle)
+    rng = np.random.default_rng(1)
+    fit = fit_spindle(
+        one.time, spindle.angle(one.time) + 1e-6 * rng.standard_normal(one.time.size), RATES[1]
+    )
+    # The root as a diagonal: each term is one parameter then.
+    u = np.sqrt(np.sum(fit.error.root**2, axis=1))
+    error = replace(fit.error, rate=RATES[1], root=np.diag(u), deviation=0 * u)
+    one = replace(one, attitude=attitude, angle_error=error)
+    symbols = ["encoder.angle"] + [
+        f"encoder.ripple{n}.{q}" for n in (1, 2, 3, 4) for q in ("cos", "sin")
+    ]
+    known = {s: value - (s == "K_I") for s, value in LARGE.items() if s != "K_F"}
+    columns = encoder.columns(one, symbols, known)
+
+    def recorded(turned):
+        motion = replace(one.trajectory, spindle=turned)
+        return simulation.recorded(motion, QX, LARGE, {}, one.time, observable, attitude=attitude)
+
+    def turned(symbol, step):
+        if symbol == "encoder.angle":
+            return replace(spindle, start_angle=spindle.start_angle + step)
+        n = int(symbol.split(".")[1].removeprefix("ripple"))
+        cos = symbol.endswith("cos")
+        more = Ripple(n, step, math.pi if cos else math.pi / 2)
+        start = spindle.start_angle + (step / (n * RATES[1]) if cos else 0.0)
+        return replace(spindle, ripples=(more,), start_angle=start)
+
+    own = np.vander(one.time, one.order, increasing=True)
+    for symbol, column in zip(symbols, columns.T, strict=True):
+        step = 1e-4
+        change = (recorded(turned(symbol, step)) - recorded(turned(symbol, -step))) / (2 * step)
+        expected = change * u[0 if symbol == "encoder.angle" else 3 + symbols.index(symbol) - 1]
+        apart = column - expected
+        if one.order:
+            apart = apart - own @ np.linalg.lstsq(own, apart, rcond=None)[0]
+        # Differences err by the step squared; integrated Coriolis forces of K_I - 1 are left out.
+        assert np.abs(apart).max() < 2e-5 * np.abs(expected).max() + 1e-12, symbol
+    # Without the coefficients' part the comparison would fail.
+    plain = encoder.columns(one, symbols, {})
+    assert np.abs(plain - columns).max() > 1e-3 * np.abs(columns).max()
+
+
+def test_terms_over_blocks_are_averaged():
+    one = encoded([simulated("run", RATES[2], TRUTH)], 1e-6, np.random.default_rng(2))[0]
+    spread = np.full(one.time.size, 2e-3)
+    mean = encoder.columns(replace(one, spread=spread), ["encoder.ripple2.sin"], {"K_I": 0.0})
+    fine = [
+        encoder.columns(replace(one, time=one.time + shift), ["encoder.ripple2.sin"], {})
+        for shift in (-2e-3, 2e-3)
+    ]
+    np.testing.assert_allclose(mean, 0.5 * (fine[0] + fine[1]), rtol=1e-12)
+
+
+# Which terms --------------------------------------------------------------------------------------
+
+
+def chosen(observable, encoder_noise, noise):
+    rng = np.random.default_rng(3)
+    series = encoded(rippled(observable, 0.0, rng), encoder_noise, rng)
+    model = encoder.with_encoder(MODEL, series, {"Qx": noise})
+    return series, model
+
+
+def test_a_quiet_encoder_needs_no_terms_in_displacement():
+    _, model = chosen("displacement", 1e-6, Noise(0.01))
+    assert model is MODEL
+
+
+def test_terms_that_the_records_know_are_unknowns():
+    _, model = chosen("specific_force", 1e-5, Noise(1e-4))
+    assert not model.considered
+    assert len(model.unknowns) == len(TRUTH) + 3 * 11
+    assert {u.owner for u in model.unknowns} == {"Qx", "run1", "run2", "run3"}
+
+
+@pytest.mark.parametrize(
+    ("observable", "encoder_noise", "noise"),
+    [
+        ("displacement", 2e-5, Noise(0.01)),
+        ("displacement", 2e-5, Noise(0.01, 1e-3)),
+        ("velocity", 2e-7, Noise(1e-4)),
+        ("specific_force", 4e-8, Noise(1e-4, 1e-6)),
+    ],
+)
+def test_what_is_left_out_or_considered_is_as_small_as_stated(observable, encoder_noise, noise):
+    series, model = chosen(observable, encoder_noise, noise)
+    assert model.considered
+    every = tuple(
+        joint.Considered(run.run, symbol, (0.0, 1.0), 10.0)
+        for run in series
+        for symbol in encoder._symbols(run.angle_error)
+    )
+    whole = replace(MODEL, considered=every)
+    prepared = joint.prepare(series, whole, {"Qx": TRUTH["K_I"]})
+    solution = joint.solve_joint(prepared, whole, {"Qx": noise}).solution
+    names = [c.name for c in every]
+    kept = {c.name for c in model.considered}
+    taken = {u.name for u in model.unknowns}
+    share = solution.sensitivity_considered**2 / np.diag(solution.covariance_noise)[:, None]
+    for place, name in enumerate(names):
+        limit = math.inf if name in taken else 1e-2 if name in kept else 1e-5
+        assert share[:, place].max() < limit, name
+
+
+def test_a_run_without_an_angle_has_no_terms():
+    assert encoder.with_encoder(MODEL, rippled("velocity", 0.0, np.random.default_rng(4)), {}) is (
+        MODEL
+    )
+
+
+# Coverage -----------------------------------------------------------------------------------------
+
+
+def hidden(encoder_noise, samples):
+    """A ripple of twice the standard uncertainty that the encoder leaves of it."""
+    return 2.0 * encoder_noise * math.sqrt(2.0 / samples)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("observable", "encoder_noise", "request_"),
+    [
+        ("specific_force", 1e-5, NoiseRequest(1e-4, 0.0)),
+        ("specific_force", 1e-5, NoiseRequest(None, 0.0)),
+        ("velocity", 1e-4, NoiseRequest(1e-4, 0.0)),
+        ("velocity", 1e-4, NoiseRequest(None, 0.0)),
+        ("displacement", 1e-3, NoiseRequest(1e-2, 0.0)),
+    ],
+)
+def test_u_covers_what_the_encoder_hides(observable, encoder_noise, request_):
+    rng = np.random.default_rng(5)
+    noise = Noise(1e-2 if observable == "displacement" else 1e-4)
+    trials = 2000 if FULL else 40
+    inside, distance, blind = np.zeros(TRUE.size), np.zeros(TRUE.size), np.zeros(TRUE.size)
+    for _ in range(trials):
+        size = hidden(encoder_noise, 385)
+        true = [noisy(one, noise, rng) for one in rippled(observable, size, rng)]
+        series = encoded(true, encoder_noise, rng)
+        found = estimate(series, MODEL, {"Qx": request_}, reject=False)
+        p = TRUE.size
+        z = (found.fit.solution.estimate[:p] - TRUE) / found.fit.solution.u[:p]
+        inside += np.abs(z) < stdtrit(np.minimum(found.dof[:p], 1e6), 0.975)
+        distance += z**2
+        ignorant = [replace(one, angle_error=None) for one in series]
+        without = estimate(ignorant, MODEL, {"Qx": NoiseRequest(noise.white, 0.0)}, reject=False)
+        blind += ((without.fit.solution.estimate - TRUE) / without.fit.solution.u) ** 2
+    assert (np.abs(inside / trials - 0.95) < 4 * math.sqrt(0.95 * 0.05 / trials)).all()
+    assert (np.abs(distance - trials) < 5 * math.sqrt(2 * trials)).all()
+    if observable != "displacement":
+        # Taken as exact, the rotation would put K_II by this much more than u off.
+        assert blind[2] / trials > (15 if observable == "specific_force" else 1.6) ** 2
+
+
+def test_the_noise_is_not_mistaken():
+    """What the encoder hides stands in the residuals, and must not count as noise."""
+    rng = np.random.default_rng(6)
+    true = rippled("specific_force", hidden(1e-5, 385), rng)
+    series = encoded([noisy(one, Noise(1e-4), rng) for one in true], 1e-5, rng)
+    found = estimate(series, MODEL, {"Qx": NoiseRequest(None, 0.0)}, reject=False)
+    rows = sum(one.time.size for one in series)
+    assert found.fit.noise["Qx"].white == pytest.approx(1e-4, rel=4 / math.sqrt(2 * rows))
+
+
+def test_the_budget_names_the_parts_of_the_rotation():
+    rng = np.random.default_rng(7)
+    series = encoded(rippled("specific_force", 0.0, rng), 1e-5, rng)
+    series = [noisy(one, Noise(1e-4), rng) for one in series]
+    found = estimate(series, MODEL, {"Qx": NoiseRequest(1e-4, 0.0)}, reject=False)
+    for index, u in enumerate(found.fit.solution.u[:4]):
+        lines = budget(found.fit, index)
+        assert math.fsum(x.contribution**2 for x in lines) == pytest.approx(u**2, rel=1e-10)
+        for line in lines:
+            if line.kind == ENCODER:
+                product = abs(line.sensitivity) * line.u
+                assert line.contribution == pytest.approx(product, rel=1e-12)
+    lines = {line.source: line for line in budget(found.fit, 2)}
+    # The fastest run decides K_II, and its ripple of twice the angle stands where K_II does.
+    ripples = lines["run3.ripple1"], lines["run3.ripple3"]
+    assert all(line.kind == ENCODER for line in ripples)
+    for n, line in zip((1, 3), ripples, strict=True):
+        expected = n * RATES[2] * 1e-5 * math.sqrt(2 / 385)
+        assert line.u == pytest.approx(expected, rel=0.15)
+    assert max(x.share for x in ripples) > 1e-3
+    # Two quadratures are one line, and the noise keeps its own.
+    assert len([s for s in lines if s.startswith("run3.ripple")]) <= 4
+    assert lines["Qx"].kind == "noise"
+
+
+def test_a_ripple_that_the_encoder_hides_leaves_fewer_digits_not_wrong_ones():
+    """The limits: a perfect encoder changes nothing; a blind one leaves what the output says."""
+    rng = np.random.default_rng(8)
+    true = [noisy(one, Noise(1e-4), rng) for one in rippled("specific_force", 0.0, rng)]
+    request = {"Qx": NoiseRequest(1e-4, 0.0)}
+    exact = estimate(true, MODEL, request, reject=False).fit.solution
+    u = []
+    for size in (1e-9, 1e-6, 1e-5, 1e-3):
+        series = encoded(true, size, np.random.default_rng(9))
+        u.append(estimate(series, MODEL, request, reject=False).fit.solution.u[2])
+    assert u[0] == pytest.approx(exact.u[2], rel=1e-3)
+    assert u == sorted(u)
+    assert u[3] < 3 * exact.u[2]
+    series = encoded(true, 1e-9, np.random.default_rng(9))
+    found = estimate(series, MODEL, request, reject=False).fit.solution
+    np.testing.assert_allclose(found.estimate[:4], exact.estimate, atol=0.05 * exact.u.max())

@@ -1,0 +1,328 @@
+"""The whole joint estimate: noise given and estimated, rotation without angles, outliers on top."""
+
+import math
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_campaign import (
+    DEG_H,
+    NOTHING,
+    RATES,
+    SITE,
+    noisy,
+    simulated,
+    three_rates,
+    unknowns,
+)
+from scipy.special import stdtrit
+
+from counterspin.errors import ConvergenceError
+from counterspin.inference.joint import fit as joint
+from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.fit import ROTATION, Considered, Model, Unknown
+from counterspin.inference.noise.model import Noise
+from counterspin.physics.motion import Trajectory
+from counterspin.physics.spindle import Spindle
+
+FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
+TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
+PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}
+MODEL = Model(unknowns(TRUTH))
+TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
+WHITE = Noise(0.01)
+#: A walk that the records show in every trial: within a run it reaches forty times the white.
+MIXED = Noise(0.01, 2e-3)
+
+
+@pytest.fixture(scope="module")
+def clean():
+    return three_rates(TRUTH, per_revolution=16)
+
+
+def bound(series, noise):
+    """Standard uncertainties where the noise is known."""
+    prepared = joint.prepare(series, MODEL, {"Qx": TRUTH["K_I"]})
+    return joint.solve_joint(prepared, MODEL, {"Qx": noise}).solution.u
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("noise", "request_", "trials"),
+    [
+        (WHITE, NoiseRequest(None, 0.0), 4000 if FULL else 120),
+        (MIXED, NoiseRequest(None, None), 4000 if FULL else 40),
+        (MIXED, NoiseRequest(0.01, None), 4000 if FULL else 20),
+    ],
+    ids=["white", "mixed", "white given"],
+)
+def test_with_estimated_noise_the_bound_is_reached_and_students_intervals_cover(
+    clean, noise, request_, trials
+):
+    rng = np.random.default_rng(11)
+    error, u, dof = (np.empty((trials, TRUE.size)) for _ in range(3))
+    for row in range(trials):
+        drawn = [noisy(one, noise, rng) for one in clean]
+        found = estimate(drawn, MODEL, {"Qx": request_}, reject=False)
+        assert found.components["Qx"].dropped == ()
+        error[row] = found.fit.solution.estimate - TRUE
+        u[row], dof[row] = found.fit.solution.u, found.dof
+    # Estimated weights cost a little where few degrees of freedom lie behind them.
+    ratio = error.std(axis=0) / bound(clean, noise)
+    np.testing.assert_allclose(ratio, 1.0, atol=0.02 + 3.5 / math.sqrt(2 * trials))
+    for level in (0.68, 0.95, 0.99):
+        inside = np.abs(error / u) < stdtrit(dof, 0.5 + level / 2)
+        spread = math.sqrt(level * (1 - level) / trials)
+        # Satterthwaite's approximation is allowed half a per cent.
+        assert (np.abs(inside.mean(axis=0) - level) < 0.005 + 3.5 * spread).all()
+    if noise is WHITE:
+        rows = sum(one.time.size - 2 for one in clean)
+        np.testing.assert_allclose(dof, rows - TRUE.size, rtol=1e-6)
+    else:
+        # K_F rests on the walk, of which a run has few degrees of freedom; K_I does not.
+        assert np.median(dof[:, 0]) < 60
+        assert np.median(dof[:, 1]) > 200
+
+
+def test_given_noise_is_taken_as_it_is(clean):
+    rng = np.random.default_rng(12)
+    drawn = [noisy(one, WHITE, rng) for one in clean]
+    found = estimate(drawn, MODEL, {"Qx": NoiseRequest(0.02, 0.0)})
+    assert found.fit.noise == {"Qx": Noise(0.02)}
+    assert not found.components
+    assert np.isinf(found.dof).all()
+    np.testing.assert_allclose(found.fit.solution.u, 2 * bound(clean, WHITE), rtol=1e-6)
+
+
+def test_a_component_that_is_not_there_is_dropped_and_costs_nothing(clean):
+    rng = np.random.default_rng(13)
+    trials, kept = 30, 0
+    for _ in range(trials):
+        drawn = [noisy(one, WHITE, rng) for one in clean]
+        found = estimate(drawn, MODEL, {"Qx": NoiseRequest(None, None)}, reject=False)
+        kept += "random_walk" in found.components["Qx"].estimated
+        if found.components["Qx"].dropped:
+            assert found.components["Qx"].dropped == ("random_walk",)
+            # Its weights are those of white noise; what may not show is beside them in u.
+            solution = replace(found.fit.solution, covariance_unseen=None)
+            alone = bound(clean, Noise(found.fit.noise["Qx"].white))
+            np.testing.assert_allclose(solution.u, alone, rtol=1e-5)
+            assert found.fit.solution.u[0] > 1.05 * alone[0]
+    # At most 5 % at the boundary: six or more of 30 have a probability of 3e-3.
+    assert kept < 6
+
+
+@pytest.mark.parametrize("white", [None, 2e-3])
+def test_quantisation_larger_than_the_noise(white):
+    step, noise = 0.01, Noise(2e-3)
+    # 31.4 samples a revolution, so that the steps do not fall alike in every revolution.
+    series = [simulated(f"run{i}", r, TRUTH, per_revolution=31) for i, r in enumerate(RATES)]
+    rng = np.random.default_rng(14)
+    trials, distance = 25, 0.0
+    for _ in range(trials):
+        drawn = []
+        for one in series:
+            reference = one.reference()
+            # A platform is never started twice at the same place.
+            output = noisy(one, noise, rng).error + reference + rng.uniform(0, step)
+            drawn.append(replace(one, error=step * np.round(output / step) - reference))
+        found = estimate(drawn, MODEL, {"Qx": NoiseRequest(white, 0.0, step)})
+        level = found.fit.noise["Qx"]
+        assert level.quantisation == step
+        assert math.sqrt(level.sample_variance) == pytest.approx(
+            math.hypot(2e-3, step / math.sqrt(12)), rel=0.1
+        )
+        z = (found.fit.solution.estimate - TRUE) / found.fit.solution.u
+        distance += z[2] ** 2
+        assert sum(mask.sum() for mask in found.outliers) == 0
+    assert abs(distance - trials) < 4 * math.sqrt(2 * trials)
+
+
+def test_what_is_known_of_a_considered_term_is_taken_away_before_the_noise_is_estimated(clean):
+    model = Model(
+        unknowns(("K_I", "K_II", "K_III")), (Considered("Qx", "K_F", PRIORS["K_F"], 0.1),)
+    )
+    drawn = [noisy(one, WHITE, np.random.default_rng(15)) for one in clean]
+    found = estimate(drawn, model, {"Qx": NoiseRequest(None, 0.0)})
+    # 5 mg in 48 s are 57 m.
+    assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=4 / math.sqrt(2 * 570))
+
+
+def test_noise_of_the_time_stamps_counts_once(clean):
+    jitter = {one.run: 2e-3 * (2 * rank) for rank, one in enumerate(clean)}
+    series = [replace(one, jitter=jitter[one.run]) for one in clean]
+    rng = np.random.default_rng(16)
+    drawn = [noisy(one, Noise(math.hypot(0.01, one.jitter)), rng) for one in series]
+    rows = sum(one.time.size for one in drawn)
+    for request in (NoiseRequest(None, 0.0), NoiseRequest(None, None), NoiseRequest(0.01, 0.0)):
+        found = estimate(drawn, MODEL, {"Qx": request})
+        assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=6 / math.sqrt(2 * rows))
+        chi2 = found.fit.solution.chi2 / found.fit.solution.dof
+        assert chi2 == pytest.approx(1.0, abs=4 * math.sqrt(2 / rows))
+        assert found.fit.noise["Qx"].quantisation == 0.0
+
+
+def test_two_accelerometers_estimate_their_own_noise_and_share_the_platform():
+    platform = {"platform.drift.up": 0.1 * DEG_H}
+    series = [
+        one
+        for name in ("Qx", "Qy")
+        for one in three_rates(TRUTH, platform, accelerometer=name, per_revolution=16)
+    ]
+    levels = {"Qx": WHITE, "Qy": Noise(0.03)}
+    rng = np.random.default_rng(17)
+    drawn = [noisy(one, levels[one.accelerometer], rng) for one in series]
+    drift = Unknown("", "platform.drift.up", NOTHING, 10 * DEG_H)
+    model = Model((*unknowns(TRUTH), *unknowns(TRUTH, owner="Qy"), drift))
+    both = {"Qx": NoiseRequest(None, 0.0), "Qy": NoiseRequest(None, 0.0)}
+    found = estimate(drawn, model, both)
+    for name, level in levels.items():
+        assert found.fit.noise[name].white == pytest.approx(level.white, rel=0.12)
+    # What both say has more degrees of freedom than either; what one says has its own.
+    own, shared = found.dof[2], found.dof[-1]
+    assert own == pytest.approx(577 - 6 + 2 - 5, abs=12)
+    weight = found.fit.solution.u[-1] ** 2
+    parts = []
+    for name in ("Qx", "Qy"):
+        alone = [one for one in drawn if one.accelerometer == name]
+        solo = estimate(alone, Model((*unknowns(TRUTH, owner=name), drift)), {name: both[name]})
+        parts.append((weight / solo.fit.solution.u[-1] ** 2, solo.dof[-1]))
+    # Welch and Satterthwaite: 1/dof is the sum of (share^2/dof).
+    assert 1 / shared == pytest.approx(sum(share**2 / dof for share, dof in parts), rel=0.02)
+    given = estimate(drawn, model, {"Qx": NoiseRequest(0.01, 0.0), "Qy": NoiseRequest(None, 0.0)})
+    assert np.isinf(given.dof[:4]).all() or (given.dof[:4] > 1e5).all()
+    assert set(given.components) == {"Qy"}
+
+
+def test_platform_errors_are_seen_through_the_scale_factor_that_was_found():
+    truth = TRUTH | {"K_I": 1.05}
+    platform = {"platform.tilt.north": 3e-3}
+    series = three_rates(truth, platform, per_revolution=16)
+    tilts = tuple(Unknown(f"run{i}", "platform.tilt.north", NOTHING, 1e-2) for i in (1, 2, 3))
+    model = Model((*unknowns(TRUTH, {"K_F": (5.03e-3, 1e-9)}), *tilts))
+    found = estimate(series, model, {"Qx": NoiseRequest(1e-4, 0.0)})
+    # 1.05 x 3e-3: with K_I = 1 the tilt would be 5 % too large.
+    for tilt in found.fit.solution.estimate[-3:]:
+        assert tilt == pytest.approx(3e-3, rel=1e-4)
+
+
+# No angle -----------------------------------------------------------------------------------------
+
+
+def unangled(start, rate_error, drift, observable="displacement", revolutions=12):
+    """Series about the nominal rate, of a spindle that turned otherwise."""
+    series = []
+    for i, rate in enumerate(RATES, start=1):
+        turned = Spindle(rate * (1 + rate_error), drift, start_angle=start)
+        one = simulated(
+            f"run{i}", rate, TRUTH, spindle=turned, revolutions=revolutions, observable=observable
+        )
+        nominal = Trajectory(Spindle(rate), 2.5, SITE)
+        moved = one.error + one.reference() - one.reference(nominal)
+        series.append(replace(one, trajectory=nominal, error=moved))
+    return series
+
+
+ROTATIONS = tuple(
+    Unknown(f"run{i}", symbol, NOTHING, limit)
+    for i in (1, 2, 3)
+    for symbol, limit in zip(ROTATION, (math.pi, 1.0, 1e-2), strict=True)
+)
+
+
+@pytest.mark.parametrize(
+    ("start", "rate_error", "drift", "revolutions"),
+    [
+        (0.0, 1e-4, 1e-6, 12),
+        (0.3, 1e-4, 1e-6, 100),
+        (-2.5, 1e-3, 1e-6, 12),
+        (math.pi, 1e-4, 0.0, 12),
+        (1.5, 1e-2, 1e-6, 100),
+    ],
+)
+def test_the_rotation_is_found_from_the_displacement(start, rate_error, drift, revolutions):
+    model = Model((*unknowns(TRUTH, PRIORS), *ROTATIONS))
+    rng = np.random.default_rng(18)
+    series = unangled(start, rate_error, drift, revolutions=revolutions)
+    trials, z = (8 if revolutions < 50 else 4), []
+    for _ in range(trials):
+        drawn = [noisy(one, WHITE, rng) for one in series]
+        found = estimate(drawn, model, {"Qx": NoiseRequest(0.01, 0.0)})
+        z.append((found.fit.solution.estimate[:4] - TRUE) / found.fit.solution.u[:4])
+        for one, rate in zip(found.fit.prepared, RATES, strict=True):
+            spindle = one.series.trajectory.spindle
+            turn = math.remainder(spindle.start_angle - start, 2 * math.pi)
+            index = [u.name for u in model.unknowns].index(f"{one.series.run}.spindle.start_angle")
+            u = found.fit.solution.u[index : index + 3]
+            assert abs(turn) < 5 * u[0]
+            assert abs(spindle.rate - rate * (1 + rate_error)) < 5 * u[1]
+            assert abs(spindle.drift - drift) < 5 * u[2]
+    z = np.array(z)
+    assert abs(np.sum(z[:, 2] ** 2) - trials) < 4 * math.sqrt(2 * trials)
+    assert abs(z[:, 2].mean()) < 4 / math.sqrt(trials)
+
+
+def test_a_rotation_that_cannot_be_found_is_said():
+    model = Model((*unknowns(TRUTH, PRIORS), *ROTATIONS))
+    with pytest.raises(ConvergenceError, match="nominal rate is too far off"):
+        estimate(unangled(0.0, 0.7, 0.0), model, {"Qx": NoiseRequest(0.01, 0.0)})
+
+
+# Outliers -----------------------------------------------------------------------------------------
+
+
+def test_spikes_and_gaps_leave_k_ii_within_its_uncertainty(clean):
+    series = three_rates(TRUTH, per_revolution=64)
+    rng = np.random.default_rng(19)
+    trials, z, planted_in_all, missed, false_alarms = 20, [], 0, 0, 0
+    for _ in range(trials):
+        drawn, masks = [], []
+        for one in series:
+            n = one.time.size
+            gap = np.zeros(n, dtype=bool)
+            first = rng.integers(n // 3, n // 2)
+            gap[first : first + 40] = True
+            dirty = noisy(one, WHITE, rng)
+            spikes = rng.random(n) < 0.005
+            size = np.exp(rng.uniform(math.log(0.1), math.log(5.0), n)) * rng.choice([-1, 1], n)
+            dirty = replace(dirty, error=dirty.error + spikes * size).without(gap)
+            drawn.append(dirty)
+            masks.append(spikes[~gap])
+        found = estimate(drawn, MODEL, {"Qx": NoiseRequest(0.01, 0.0)})
+        planted = np.concatenate(masks)
+        seen = np.concatenate(found.outliers)
+        planted_in_all += planted.sum()
+        missed += (planted & ~seen).sum()
+        false_alarms += (seen & ~planted).sum()
+        z.append((found.fit.solution.estimate - TRUE) / found.fit.solution.u)
+        for one, mask, data in zip(found.fit.prepared, found.outliers, drawn, strict=True):
+            np.testing.assert_array_equal(one.series.time, data.time[~mask])
+    # Ten standard deviations and more: all are found; 0.01 good samples of a series are lost.
+    assert planted_in_all > 100
+    assert missed == 0
+    assert false_alarms <= 4
+    distance = np.sum(np.square(z), axis=0)
+    assert (np.abs(distance - trials) < 4 * math.sqrt(2 * trials)).all()
+
+
+@pytest.mark.parametrize(
+    ("observable", "noise"),
+    [
+        ("displacement", Noise(1e-2, 2e-3)),
+        ("displacement", Noise(1e-3, 2e-3)),
+        ("displacement", Noise(1e-4, 2e-3)),
+        ("displacement", Noise(1e-6, 2e-3)),
+        ("velocity", Noise(1e-6, 3e-4)),
+        ("specific_force", Noise(0.0, 3e-4)),
+    ],
+)
+def test_an_accelerometer_s_walk_is_not_outlying(observable, noise):
+    rng = np.random.default_rng(21)
+    series = three_rates(TRUTH, per_revolution=64, observable=observable)
+    rejected = 0
+    for _ in range(4):
+        drawn = [noisy(one, noise, rng) for one in series]
+        found = estimate(drawn, MODEL, {"Qx": NoiseRequest(noise.white, noise.random_walk)})
+        rejected += sum(mask.sum() for mask in found.outliers)
+    assert rejected <= 2

@@ -1,0 +1,601 @@
+"""The joint fit itself: its bound, its coverage, what it separates and what it says it cannot."""
+
+import math
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_campaign import (
+    ARCSEC,
+    DEG_H,
+    NOTHING,
+    RATES,
+    SITE,
+    redrawn,
+    simulated,
+    three_rates,
+    unknowns,
+)
+from scipy.special import ndtri
+
+from counterspin.errors import NotIdentifiableError
+from counterspin.inference.identifiability import assess
+from counterspin.inference.joint import fit as joint
+from counterspin.inference.joint.fit import Considered, Model, Unknown
+from counterspin.inference.noise.model import Noise
+from counterspin.physics.spindle import Spindle
+
+FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
+TRIALS = 10_000 if FULL else 250
+TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
+PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}
+WHITE = Noise(0.01)
+MIXED = Noise(0.01, 3e-4)  # the walk reaches six times the white noise within a run
+SCALES = {"Qx": TRUTH["K_I"], "Qy": TRUTH["K_I"]}
+
+
+def offsets(model, truth):
+    """True values less nominal, in the order of the model."""
+    return np.array([truth[u.symbol] - u.nominal for u in model.unknowns])
+
+
+def covers(z, level):
+    return np.abs(z) < ndtri(0.5 + level / 2)
+
+
+def within_sampling_error(inside, level):
+    """Whether a share of successes agrees with its probability to four standard deviations."""
+    inside = np.asarray(inside)
+    spread = math.sqrt(level * (1 - level) / inside.shape[0])
+    return np.abs(inside.mean(axis=0) - level) < 4 * spread
+
+
+def dense_bound(prepared, model, noise):
+    """Cramer-Rao's bound as the textbooks write it, with n x n covariances; by scaled columns."""
+    sd = np.array([u.prior[1] for u in model.unknowns])
+    information = np.zeros((sd.size, sd.size))
+    scale = np.sqrt(sum(np.square(one.design).sum(axis=0) for one in prepared))
+    for one in prepared:
+        t = one.series.time
+        early, late = np.minimum.outer(t, t), np.maximum.outer(t, t)
+        covariance = noise.white**2 * np.eye(t.size)
+        covariance += noise.random_walk**2 * early**2 * (3 * late - early) / 6
+        own = np.column_stack([np.ones(t.size), t / t[-1]])
+        whole = np.column_stack([own, one.design / scale])
+        block = whole.T @ np.linalg.solve(covariance, whole)
+        information += block[2:, 2:] - block[2:, :2] @ np.linalg.solve(block[:2, :2], block[:2, 2:])
+    information += np.diag((scale * sd) ** -2.0)
+    return np.sqrt(np.diag(np.linalg.inv(information))) / scale
+
+
+@pytest.fixture(scope="module")
+def paper():
+    """The paper's four coefficients at its three rates, without noise."""
+    model = Model(unknowns(TRUTH, PRIORS))
+    return model, joint.prepare(three_rates(TRUTH), model, SCALES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [WHITE, MIXED], ids=["white", "mixed"])
+def test_the_cramer_rao_bound_is_reached_and_intervals_cover(paper, noise):
+    model, prepared = paper
+    fit = joint.solve_joint(prepared, model, {"Qx": noise})
+    np.testing.assert_allclose(fit.solution.u, dense_bound(prepared, model, noise), rtol=1e-5)
+
+    # Trials: noise is drawn and so are the priors' values, as in a campaign.
+    rng = np.random.default_rng(1)
+    errors = np.empty((TRIALS, len(TRUTH)))
+    for errors_of in errors:
+        drawn = {s: (v + u * rng.standard_normal(), u) for s, (v, u) in PRIORS.items()}
+        trial = replace(model, unknowns=unknowns(TRUTH, drawn))
+        fit = joint.solve_joint(redrawn(prepared, noise, rng), trial, {"Qx": noise})
+        errors_of[:] = fit.solution.estimate - offsets(model, TRUTH)
+    z = errors / fit.solution.u
+    # A standard deviation of n draws has one of 1/sqrt(2 n) of itself.
+    np.testing.assert_allclose(z.std(axis=0), 1.0, atol=3.5 / math.sqrt(2 * TRIALS))
+    assert (np.abs(z.mean(axis=0)) < 4 / math.sqrt(TRIALS)).all()
+    for level in (0.68, 0.95, 0.99):
+        assert within_sampling_error(covers(z, level), level).all()
+
+
+def test_uncertainty_is_split_into_noise_and_priors(paper):
+    model, prepared = paper
+    solution = joint.solve_joint(prepared, model, {"Qx": WHITE}).solution
+    # K_I is known four times better beforehand than from such short records.
+    k_i = [u.symbol for u in model.unknowns].index("K_I")
+    assert solution.u[k_i] < PRIORS["K_I"][1]
+    assert solution.sensitivity_prior[k_i, k_i] == pytest.approx(
+        (solution.u[k_i] / PRIORS["K_I"][1]) ** 2, rel=1e-9
+    )
+    shifted = replace(model, unknowns=unknowns(TRUTH, PRIORS | {"K_F": (5.03e-3 + 1e-6, 2e-6)}))
+    moved = joint.solve_joint(prepared, shifted, {"Qx": WHITE}).solution
+    np.testing.assert_allclose(
+        moved.estimate - solution.estimate, 1e-6 * solution.sensitivity_prior[:, 0], atol=1e-14
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("noise", [WHITE, MIXED], ids=["white", "mixed"])
+def test_a_considered_term_drawn_from_its_prior_is_covered_by_u_and_not_by_u_noise(paper, noise):
+    model, _ = paper
+    k_oo = Considered("Qx", "K_OO", (1e-6, 2e-6), 1e-4)
+    tilts = [
+        Considered(f"run{i}", "platform.tilt.north", (0.0, 0.5 * ARCSEC), 1e-2) for i in (1, 2, 3)
+    ]
+    considering = replace(model, considered=(k_oo, *tilts))
+    prepared = joint.prepare(three_rates(TRUTH), considering, SCALES)
+    rng = np.random.default_rng(2)
+    z = np.empty((TRIALS, 2))
+    for row in z:
+        drawn = redrawn(prepared, noise, rng)
+        drawn = [
+            # The series' own considered columns: K_OO, then its run's tilt.
+            replace(
+                one,
+                series=replace(
+                    one.series,
+                    error=one.series.error
+                    + one.fixed @ [rng_k_oo, 0.5 * ARCSEC * rng.standard_normal()],
+                ),
+            )
+            for rng_k_oo in (1e-6 + 2e-6 * rng.standard_normal(),)
+            for one in drawn
+        ]
+        solution = joint.solve_joint(drawn, considering, {"Qx": noise}).solution
+        error = solution.estimate[2] - TRUTH["K_II"]
+        row[:] = error / solution.u[2], error / math.sqrt(solution.covariance_noise[2, 2])
+    assert within_sampling_error(covers(z[:, 0], 0.95), 0.95)
+    assert z[:, 0].std() == pytest.approx(1.0, abs=3.5 / math.sqrt(2 * TRIALS))
+    assert covers(z[:, 1], 0.95).mean() < 0.5
+
+
+# What is left out -----------------------------------------------------------------------------
+
+EXTRA = {"K_OO": 1e-6}
+D_ZX = 0.05 * DEG_H
+
+
+@pytest.fixture(scope="module")
+def cross_coupled():
+    """K_OO and a gyro's g-sensitivity in the truth: simulated on the turned platform."""
+    return three_rates(TRUTH | EXTRA, {"platform.g_sensitivity.zx": D_ZX}, per_revolution=64)
+
+
+def both(kind, owner_prior=(0.0, 2e-6), gyro_prior=(0.0, 0.05 * DEG_H)):
+    return (
+        kind("Qx", "K_OO", owner_prior, 1e-4),
+        kind("", "platform.g_sensitivity.zx", gyro_prior, 10 * DEG_H),
+    )
+
+
+def k_ii_of(series, model, noise=WHITE):
+    fit = joint.solve_joint(joint.prepare(series, model, SCALES), model, {"Qx": noise})
+    index = [u.name for u in model.unknowns].index("Qx.K_II")
+    return fit.solution, index, fit.solution.estimate[index] - TRUTH["K_II"]
+
+
+def test_terms_left_out_silently_bias_k_ii_by_tens_of_u_noise(cross_coupled):
+    fine = Noise(1e-4)
+    solution, index, error = k_ii_of(cross_coupled, Model(unknowns(TRUTH, PRIORS)), fine)
+    assert abs(error) > 30 * math.sqrt(solution.covariance_noise[index, index])
+    # Level, one sense: K_OO adds itself to K_II; D_zx adds g D/(R w) at the weights of the rates.
+    # Level, K_OO adds itself to K_II; so does g D/(R w), of which the fastest run's counts most.
+    gyro = D_ZX * SITE.gravity / (2.5 * RATES[2])
+    assert error == pytest.approx(EXTRA["K_OO"] + gyro, abs=0.02 * EXTRA["K_OO"] + gyro)
+
+
+@pytest.mark.parametrize("kind", [Unknown, Considered], ids=["estimated", "considered"])
+@pytest.mark.parametrize("noise", [WHITE, Noise(1e-4)], ids=["centimetres", "tenth-millimetres"])
+def test_estimated_with_a_prior_or_considered_u_covers(cross_coupled, kind, noise):
+    base = unknowns(TRUTH, PRIORS)
+    extra = both(kind)
+    model = Model(base + extra) if kind is Unknown else Model(base, extra)
+    solution, index, error = k_ii_of(cross_coupled, model, noise)
+    u = math.sqrt(solution.covariance[index, index])
+    u_noise = math.sqrt(solution.covariance_noise[index, index])
+    assert abs(error) < 2 * u
+    if noise is not WHITE and kind is Considered:
+        assert u > 1000 * u_noise
+
+
+def test_both_spin_senses_separate_gyro_sensitivity_from_k_ii():
+    terms = ("K_F", "K_I", "K_II", "K_III")
+    gyro = Unknown("", "platform.g_sensitivity.zx", NOTHING, 10 * DEG_H)
+    model = Model((*unknowns(terms), gyro))
+    platform = {"platform.g_sensitivity.zx": 0.3 * DEG_H}
+    one_sense = three_rates(TRUTH, platform)
+    two_senses = [
+        *three_rates(TRUTH, platform, revolutions=6),
+        *[
+            simulated(f"back{i}", -rate, TRUTH, platform, revolutions=6)
+            for i, rate in enumerate(RATES)
+        ],
+    ]
+    alone, index, _ = k_ii_of(one_sense, Model(unknowns(terms)))
+    free_one, _, error_one = k_ii_of(one_sense, model)
+    free_two, _, error_two = k_ii_of(two_senses, model)
+    known_two, _, _ = k_ii_of(two_senses, Model(unknowns(terms)))
+    assert abs(error_one) < 0.1 * free_one.u[index]
+    assert abs(error_two) < 0.1 * free_two.u[index]
+    # One sense pays for the gyro's term; both senses do not.
+    assert free_one.u[index] > 3 * alone.u[index]
+    assert free_two.u[index] == pytest.approx(known_two.u[index], rel=1e-2)
+
+
+# Several accelerometers, attitudes, observables ---------------------------------------------------
+
+
+def test_two_accelerometers_share_the_platform():
+    platform = {
+        "platform.drift.up": 2e-8,
+        "platform.tilt.north": 0.4 * ARCSEC,
+        "platform.tilt.east": -0.7 * ARCSEC,
+    }
+    runs = ("run1", "run2", "run3")
+    shared = (
+        Unknown("", "platform.drift.up", NOTHING, 10 * DEG_H),
+        *(
+            Unknown(run, f"platform.tilt.{axis}", (0.0, 0.5 * ARCSEC), 1e-2)
+            for run in runs
+            for axis in ("north", "east")
+        ),
+    )
+    own = {
+        name: unknowns(("K_F", "K_I", "K_II"), {"K_F": (TRUTH["K_F"], 2e-6)}, name)
+        for name in ("Qx", "Qy")
+    }
+    truth = {s: TRUTH[s] for s in ("K_F", "K_I", "K_II")}
+    series = {name: three_rates(truth, platform, accelerometer=name) for name in ("Qx", "Qy")}
+    noise = {"Qx": WHITE, "Qy": Noise(0.02)}
+
+    def drift_of(names):
+        model = Model((*(u for name in names for u in own[name]), *shared))
+        chosen = [one for name in names for one in series[name]]
+        fit = joint.solve_joint(joint.prepare(chosen, model, SCALES), model, noise)
+        index = [u.symbol for u in model.unknowns].index("platform.drift.up")
+        estimate, u = fit.solution.estimate[index], fit.solution.u[index]
+        assert estimate == pytest.approx(2e-8, abs=0.2 * u)
+        return u, model, fit.solution
+
+    u_x, _, _ = drift_of(("Qx",))
+    u_y, _, _ = drift_of(("Qy",))
+    u_both, model, solution = drift_of(("Qx", "Qy"))
+    # Two independent determinations of one drift: their information adds up.
+    assert u_both**-2 == pytest.approx(u_x**-2 + u_y**-2, rel=1e-3)
+    # A tilt about north is Qx's alone, about east Qy's; each differs from run to run.
+    names = [u.name for u in model.unknowns]
+    for axis in ("north", "east"):
+        found = [solution.estimate[names.index(f"{run}.platform.tilt.{axis}")] for run in runs]
+        u = [solution.u[names.index(f"{run}.platform.tilt.{axis}")] for run in runs]
+        error = np.array(found) - platform[f"platform.tilt.{axis}"]
+        # K_F's own prior leaves the mean tilt as uncertain as it was.
+        assert (np.abs(error) < 2 * np.array(u)).all()
+        assert max(u) < 0.5 * ARCSEC
+
+
+#: East stays the input axis's place for two of them; rows say where x, y, z of the platform point.
+PENDULOUS_VERTICAL = np.eye(3)
+OUTPUT_VERTICAL = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+INPUT_VERTICAL = np.array([[0, 0, 1.0], [0, 1.0, 0], [-1.0, 0, 0]])
+SQUARES = {"K_II": 2.7e-5, "K_OO": -8e-6, "K_PP": 1.5e-5}
+
+
+def test_three_attitudes_separate_the_three_squares():
+    truth = {"K_F": 5.03e-3, "K_I": 1.00197} | SQUARES
+    attitudes = {"p": PENDULOUS_VERTICAL, "o": OUTPUT_VERTICAL, "i": INPUT_VERTICAL}
+    model = Model(unknowns(truth, {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}))
+    series = [
+        simulated(f"{name}{i}", rate, truth, attitude=attitude)
+        for name, attitude in attitudes.items()
+        for i, rate in enumerate(RATES)
+    ]
+    level, tipped = (
+        joint.solve_joint(joint.prepare(chosen, model, SCALES), model, {"Qx": WHITE}).solution
+        for chosen in (series[:3], series)
+    )
+    names = [u.name for u in model.unknowns]
+    for symbol, value in SQUARES.items():
+        index = names.index(f"Qx.{symbol}")
+        assert tipped.u[index] < 2e-7
+        assert tipped.estimate[index] == pytest.approx(value, abs=0.1 * tipped.u[index])
+
+    nominal = [u.nominal for u in model.unknowns]
+    said = assess(level, names, nominal=nominal)
+    assert not said.determined["Qx.K_II"]
+    assert not said.determined["Qx.K_OO"]
+    sums = [item for item in said.confounded if {"Qx.K_II", "Qx.K_OO"} <= set(item.terms)]
+    assert len(sums) == 1
+    assert sums[0].determined == "Qx.K_II + Qx.K_OO"
+    assert sums[0].value == pytest.approx(SQUARES["K_II"] + SQUARES["K_OO"], abs=2 * sums[0].u)
+    assert sums[0].u < 3e-7
+    assert all(assess(tipped, names, nominal=nominal).determined[f"Qx.{s}"] for s in SQUARES)
+
+
+@pytest.mark.parametrize(
+    ("observable", "noise"),
+    [
+        ("displacement", WHITE),
+        ("displacement", MIXED),
+        ("velocity", Noise(1e-3)),
+        ("velocity", Noise(1e-3, 3e-4)),
+        ("specific_force", Noise(1e-3)),
+        ("specific_force", Noise(0.0, 3e-4)),
+    ],
+)
+def test_every_observable_shows_the_same_truth(observable, noise):
+    model = Model(unknowns(TRUTH))
+    clean = joint.prepare(three_rates(TRUTH, observable=observable), model, SCALES)
+    solution = joint.solve_joint(clean, model, {"Qx": noise}).solution
+    # The truth is linear in these coefficients: without noise nothing but rounding is left.
+    assert (np.abs(solution.estimate - offsets(model, TRUTH)) < 1e-6 * solution.u).all()
+    correlation = solution.covariance / np.outer(solution.u, solution.u)
+    rng = np.random.default_rng(5)
+    trials, distance, misfit = 40, 0.0, 0.0
+    for _ in range(trials):
+        fit = joint.solve_joint(redrawn(clean, noise, rng), model, {"Qx": noise})
+        z = (fit.solution.estimate - offsets(model, TRUTH)) / solution.u
+        distance += z @ np.linalg.solve(correlation, z)
+        misfit += fit.solution.chi2
+    for chi2, dof in ((distance, trials * len(TRUTH)), (misfit, trials * fit.solution.dof)):
+        assert abs(chi2 - dof) < 4 * math.sqrt(2 * dof)
+    left, rows = joint.residuals(fit, 0)
+    assert left.shape == clean[0].series.time.shape
+    assert rows.std() == pytest.approx(1.0, abs=4 / math.sqrt(2 * rows.size))
+
+
+# What cannot be told apart ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["Qx", "Qy"])
+def test_k_i_and_k_ip_are_named_and_only_their_difference_is_determined(name):
+    truth = TRUTH | {"K_IP": 4e-6}
+    model = Model(unknowns(truth, owner=name))
+    # As many samples and revolutions as the real campaign; u(K_IP) of Qy is then 1.7e-4.
+    series = three_rates(truth, accelerometer=name, revolutions=100, per_revolution=64)
+    solution = joint.solve_joint(
+        joint.prepare(series, model, {name: 1.0}), model, {name: WHITE}
+    ).solution
+    said = assess(
+        solution,
+        [u.symbol for u in model.unknowns],
+        nominal=[u.nominal for u in model.unknowns],
+    )
+    assert not said.determined["K_IP"]
+    assert said.determined["K_II"]
+    pair = next(item for item in said.confounded if set(item.terms) == {"K_I", "K_IP"})
+    assert pair.determined == "K_I - K_IP"
+    assert abs(pair.correlation) > 0.97
+    assert pair.value == pytest.approx(truth["K_I"] - truth["K_IP"], abs=3 * pair.u)
+    assert pair.u < 6e-5  # 0.01/2.5 sqrt(2/19200), and what K_III costs
+
+
+def test_bias_and_its_likes_are_one_combination():
+    symbols = ("K_F", "K_I", "K_II", "K_PP", "delta_O")
+    tilt = Unknown("", "platform.tilt.north", NOTHING, 1e-2)
+    model = Model((*unknowns(symbols), tilt))
+    truth = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_PP": 3e-6}
+    solution = joint.solve_joint(
+        joint.prepare(three_rates(truth), model, SCALES), model, {"Qx": WHITE}
+    ).solution
+    names = [u.symbol for u in model.unknowns]
+    said = assess(solution, names, nominal=[u.nominal for u in model.unknowns])
+    alike = {"K_F", "K_PP", "delta_O", "platform.tilt.north"}
+    assert not any(said.determined[name] for name in alike - {"K_F"})
+    item = next(item for item in said.confounded if set(item.terms) == alike)
+    # a_P = -1 in the level attitude, so that delta_O a_P is a bias of the other sign; a tilt is
+    # seen through the scale factor.
+    assert item.determined == "K_F + K_PP - delta_O - 1.002 platform.tilt.north"
+    assert item.value == pytest.approx(5e-3 + 3e-6, abs=3 * item.u)
+    assert item.u < 1e-6
+    assert said.determined["K_II"]
+
+
+# Checks of an answer ------------------------------------------------------------------------------
+
+
+def test_a_run_left_out_is_the_fit_without_its_records(paper):
+    model, prepared = paper
+    rng = np.random.default_rng(6)
+    fit = joint.solve_joint(redrawn(prepared, WHITE, rng), model, {"Qx": WHITE})
+    without = joint.leave_out(fit, "run2")
+    direct = joint.solve_joint([fit.prepared[0], fit.prepared[2]], model, {"Qx": WHITE}).solution
+    np.testing.assert_allclose(without.estimate, direct.estimate, rtol=1e-12)
+    np.testing.assert_allclose(without.covariance, direct.covariance, rtol=1e-12)
+    alone = replace(fit, prepared=fit.prepared[:1], blocks=fit.blocks[:1])
+    assert joint.leave_out(alone, "run1") is None
+
+
+def test_other_noise_of_one_accelerometer_is_the_fit_with_that_noise():
+    model = Model(tuple(u for name in SCALES for u in unknowns(("K_F", "K_I"), owner=name)))
+    truth = {s: TRUTH[s] for s in ("K_F", "K_I")}
+    series = [one for name in SCALES for one in three_rates(truth, accelerometer=name)]
+    prepared = joint.prepare(series, model, SCALES)
+    fit = joint.solve_joint(prepared, model, {"Qx": WHITE, "Qy": MIXED})
+    changed = joint.with_noise(fit, {"Qy": WHITE})
+    direct = joint.solve_joint(prepared, model, {"Qx": WHITE, "Qy": WHITE})
+    assert changed.noise == direct.noise
+    np.testing.assert_array_equal(changed.solution.covariance, direct.solution.covariance)
+    assert not np.allclose(fit.solution.u[2:], direct.solution.u[2:], rtol=0.1)
+
+
+@pytest.mark.parametrize("level", [Noise(0.02), Noise(3.0, 0.0, 0.5)])
+def test_another_level_of_white_noise_is_the_fit_with_that_noise(level):
+    model = Model(unknowns(("K_F", "K_I", "K_II")), (Considered("Qx", "K_III", (0.0, 1e-7), 1e-4),))
+    # Of time stamps' noise the runs have differently much.
+    series = [
+        replace(one, jitter=0.01 * (index + 1)) for index, one in enumerate(three_rates(TRUTH))
+    ]
+    prepared = redrawn(joint.prepare(series, model, SCALES), WHITE, np.random.default_rng(8))
+    changed = joint.with_noise(joint.solve_joint(prepared, model, {"Qx": WHITE}), {"Qx": level})
+    direct = joint.solve_joint(prepared, model, {"Qx": level})
+    np.testing.assert_allclose(changed.solution.covariance, direct.solution.covariance, rtol=1e-10)
+    np.testing.assert_allclose(changed.solution.estimate, direct.solution.estimate, rtol=1e-10)
+    for one, other in zip(changed.blocks, direct.blocks, strict=True):
+        assert one.rss == pytest.approx(other.rss, rel=1e-9, abs=0)
+    assert changed.noise == direct.noise
+
+
+def test_residuals_are_what_was_drawn_less_what_the_fit_can_explain(paper):
+    model, prepared = paper
+    rng = np.random.default_rng(7)
+    for noise in (WHITE, MIXED):
+        fit = joint.solve_joint(redrawn(prepared, noise, rng), model, {"Qx": noise})
+        whitened = [joint.residuals(fit, i)[1] for i in range(3)]
+        rss = sum(float(w @ w) for w in whitened)
+        step = fit.solution.estimate - [
+            u.prior[0] - u.nominal if math.isfinite(u.prior[1]) else 0.0 for u in model.unknowns
+        ]
+        priors = sum(
+            (step[i] / u.prior[1]) ** 2
+            for i, u in enumerate(model.unknowns)
+            if math.isfinite(u.prior[1])
+        )
+        # Block by block, the same sum of squares as the solution's own.
+        assert rss + priors == pytest.approx(fit.solution.chi2, rel=1e-9)
+        plain, _ = joint.residuals(fit, 0)
+        own = np.column_stack([np.ones(plain.size), prepared[0].series.time])
+        if noise is WHITE:
+            assert np.abs(own.T @ plain).max() < 1e-8 * np.abs(own.T).max() * plain.size
+
+
+def test_block_means_lose_nothing_of_k_ii():
+    dense = [
+        one.without(one.time == one.time[-1])
+        for one in three_rates(TRUTH, per_revolution=320, revolutions=6)
+    ]
+    size = 5  # 64 blocks a revolution
+    blocks = []
+    for one in dense:
+        whole = one.time.reshape(-1, size)
+        blocks.append(
+            replace(
+                one,
+                time=whole.mean(axis=1),
+                spread=whole.std(axis=1),
+                count=np.full(len(whole), float(size)),
+                error=one.error.reshape(-1, size).mean(axis=1),
+            )
+        )
+    model = Model(unknowns(TRUTH))
+    for noise in (WHITE, MIXED):
+        full, means = (
+            joint.solve_joint(joint.prepare(s, model, SCALES), model, {"Qx": noise}).solution
+            for s in (dense, blocks)
+        )
+        np.testing.assert_allclose(means.estimate, full.estimate, atol=2e-4 * full.u.min())
+        ratio = means.u / full.u
+        assert ratio[2] == pytest.approx(1.0, abs=1e-3)
+        assert (ratio < 1.006).all()
+
+
+def test_a_record_too_short_for_its_own_start_is_refused():
+    model = Model(unknowns(("K_F", "K_II")))
+    short = simulated("run1", 2.0, {}, revolutions=1, per_revolution=1)
+    short = short.without(np.array([True, False]))
+    with pytest.raises(NotIdentifiableError, match="too short"):
+        joint.solve_joint(joint.prepare([short], model, SCALES), model, {"Qx": WHITE})
+
+
+# Uncertain inputs ---------------------------------------------------------------------------------
+
+
+def test_preparing_again_gives_what_preparing_anew_does():
+    k_oo = Considered("Qx", "K_OO", (1e-6, 2e-6), 1e-4)
+    gyro = Considered("", "platform.drift.up", (0.0, 1e-9), 1e-6)
+    tilt = Unknown("run1", "platform.tilt.north", (0.0, 1e-5), 1e-2)
+    series = three_rates(TRUTH)
+    before = Model((*unknowns(TRUTH, PRIORS), tilt), (gyro,))
+    after = replace(before, considered=(k_oo, gyro), inputs={"centrifuge.radius": 1e-4})
+    fit = joint.solve_joint(joint.prepare(series, before, SCALES), before, {"Qx": WHITE})
+    other = {"Qx": 1.5}
+    again = joint.prepare_again(fit, after, other)
+    anew = joint.prepare(series, after, other, fit.solution.estimate)
+    for one, two in zip(again, anew, strict=True):
+        assert (one.scale_factor, one.unknowns, one.considered) == (
+            two.scale_factor,
+            two.unknowns,
+            two.considered,
+        )
+        for got, expected in ((one.design, two.design), (one.fixed, two.fixed)):
+            error = np.abs(got - expected).max(axis=0)
+            assert (error < 1e-12 * np.abs(expected).max(axis=0)).all()
+
+
+def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
+    spindle = {rate: Spindle(rate, 1e-6, start_angle=0.4) for rate in RATES}
+    series = [
+        simulated(f"run{i}", rate, TRUTH, spindle=spindle[rate]) for i, rate in enumerate(RATES)
+    ]
+    sizes = {
+        "centrifuge.radius": 1e-4,
+        "site.gravity": 1e-4,
+        "site.latitude": 1e-3,
+        joint.TIMING: 1e-6,
+    }
+    model = Model(unknowns(TRUTH, PRIORS), inputs=sizes)
+    plain = replace(model, inputs=None)
+    noise = {"Qx": WHITE}
+    first = joint.solve_joint(joint.prepare(series, plain, SCALES), plain, noise).solution
+    fit = joint.solve_joint(joint.prepare(series, model, SCALES, first.estimate), model, noise)
+
+    def assumed(name, size):
+        """The estimate from the same output when another value of the input is taken."""
+        moved = []
+        for one in series:
+            if name == joint.TIMING:
+                # Angles taken later were reached later: the spindle was behind by that time.
+                behind = replace(
+                    one.trajectory.spindle,
+                    start_angle=float(one.trajectory.spindle.angle(np.array([-size]))[0]),
+                    rate=float(one.trajectory.spindle.angular_rate(np.array([-size]))[0]),
+                )
+                motion = replace(one.trajectory, spindle=behind)
+            else:
+                motion = joint.INPUTS[name](one.trajectory, size)
+            error = one.error + one.reference() - one.reference(motion)
+            moved.append(replace(one, trajectory=motion, error=error))
+        prepared = joint.prepare(moved, plain, SCALES)
+        return joint.solve_joint(prepared, plain, noise).solution.estimate
+
+    for place, (name, size) in enumerate(sizes.items()):
+        by_difference = (assumed(name, size) - assumed(name, -size)) / (2 * size)
+        scale = np.abs(fit.solution.sensitivity_considered[:, place]).max()
+        np.testing.assert_allclose(
+            fit.solution.sensitivity_considered[:, place],
+            by_difference,
+            rtol=5e-3,
+            atol=1e-6 * scale,
+            err_msg=name,
+        )
+
+
+def test_freedom_is_what_chi_square_comes_to_in_each_run():
+    """Priors drawn, noise drawn: the mean of each run's sum of squares, to sampling error."""
+    priors = {"K_F": (5.03e-3, 2e-6), "K_II": (2.7e-5, 1e-7)}
+    model = Model(
+        (
+            *unknowns(TRUTH, priors),
+            Unknown("run1", "platform.tilt.north", (0.0, ARCSEC), 1e-2),
+            Unknown("", "platform.drift.up", (0.0, np.inf), 10 * DEG_H),
+        )
+    )
+    rng = np.random.default_rng(23)
+    clean = joint.prepare(three_rates(TRUTH, revolutions=2, per_revolution=6), model, SCALES)
+    sd = np.array([u.prior[1] if np.isfinite(u.prior[1]) else 0.0 for u in model.unknowns])
+    trials, sums = 1500, np.zeros(3)
+    for _ in range(trials):
+        off = sd * rng.standard_normal(sd.size)
+        drawn = []
+        for one in redrawn(clean, WHITE, rng):
+            error = one.series.error + one.design @ off[list(one.unknowns)]
+            drawn.append(replace(one, series=replace(one.series, error=error)))
+        fit = joint.solve_joint(drawn, model, {"Qx": WHITE})
+        sums += [np.sum(joint.residuals(fit, index)[1] ** 2) for index in range(3)]
+    expected = np.array(joint.freedom(fit))
+    np.testing.assert_allclose(
+        sums / trials, expected, atol=4 * np.sqrt(2 * expected / trials).max()
+    )
+    # Eleven unknowns in all and three priors: not a whole number, and not the same in each run.
+    assert expected.sum() == pytest.approx(fit.solution.dof - 3, abs=3)
+    assert np.ptp(expected) > 0.1

@@ -1,0 +1,323 @@
+import os
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.special import ndtri, stdtrit
+
+from counterspin.errors import NotIdentifiableError
+from counterspin.inference.noise.model import Noise, make_whitener
+from counterspin.inference.noise.restricted_likelihood import RestrictedLikelihood
+from counterspin.inference.noise.variance_components import (
+    KEEP,
+    RecordData,
+    effective_dof,
+    effective_dof_of,
+    estimate,
+)
+
+TRIALS = 4000 if os.environ.get("COUNTERSPIN_FULL") else 160
+STEP = 0.5
+
+
+def columns(times, rate=2.0):
+    """K_F's column, that is K_II's slow part, and the two harmonics of a turn, metres per unit."""
+    return np.column_stack([times**2 / 2, np.cos(rate * times), np.cos(2 * rate * times)])
+
+
+def walk_of(rng, order, n, step):
+    """Exact samples of a once or doubly integrated unit white noise."""
+    push, lever = rng.normal(size=(2, n))
+    velocity = np.sqrt(step) * push
+    if order == 1:
+        return np.cumsum(velocity)
+    before = np.concatenate(([0], np.cumsum(velocity)[:-1]))
+    return np.cumsum(before * step + step**1.5 * (push / 2 + lever / np.sqrt(12)))
+
+
+def record(rng, n, noise, order=2):
+    times = np.arange(n) * STEP
+    signal = noise.random_walk * walk_of(rng, order, n, STEP) + noise.white * rng.normal(size=n)
+    if noise.quantisation:
+        signal = noise.quantisation * np.round(signal / noise.quantisation)
+    return RecordData(times, order, columns(times), signal + 3.0 + 0.2 * times * (order == 2))
+
+
+def test_white_noise_alone_is_rss_over_n_minus_p():
+    rng = np.random.default_rng(1)
+    data = record(rng, 200, Noise(0.3))
+    found = estimate([data], random_walk=0.0)
+    everything = np.column_stack([np.ones(200), data.times, data.design])
+    rss = np.linalg.lstsq(everything, data.observations, rcond=None)[1][0]
+    assert found.white**2 == pytest.approx(rss / 195, rel=1e-9)
+    assert found.degrees_of_freedom == 195
+    assert found.estimated == ("white",)
+    assert found.covariance[0, 0] == pytest.approx(2 * (rss / 195) ** 2 / 195, rel=1e-8)
+    assert not found.covariance[1].any()
+
+    def variances(noise):
+        return noise.white**2 * np.array([1.0, 7.0])
+
+    np.testing.assert_allclose(effective_dof_of(variances, found), 195, rtol=1e-8)
+
+
+def dense_restricted(data, noise, prior_rows, prior_values):
+    """Restricted log-likelihood as the textbooks write it, n x n."""
+    n = len(data.times)
+    t = data.times - data.times[0]
+    early, late = np.minimum.outer(t, t), np.maximum.outer(t, t)
+    covariance = (
+        noise.white**2 * np.eye(n) + noise.random_walk**2 * early**2 * (3 * late - early) / 6
+    )
+    x = np.column_stack([np.ones(n), t, data.design])
+    rows = np.column_stack([np.zeros((len(prior_rows), 2)), prior_rows])
+    information = x.T @ np.linalg.solve(covariance, x) + rows.T @ rows
+    right = x.T @ np.linalg.solve(covariance, data.observations) + rows.T @ prior_values
+    beta = np.linalg.solve(information, right)
+    e, f = data.observations - x @ beta, prior_values - rows @ beta
+    return -0.5 * (
+        np.linalg.slogdet(covariance)[1]
+        + np.linalg.slogdet(information)[1]
+        + e @ np.linalg.solve(covariance, e)
+        + f @ f
+    )
+
+
+@pytest.mark.parametrize("priors", [np.zeros((0, 3)), np.diag([50.0, 0.0, 3.0])[[0, 2]]])
+def test_likelihood_is_the_dense_one_but_for_a_constant(priors):
+    data = record(np.random.default_rng(2), 40, Noise(0.3, 0.2))
+    values = np.full(len(priors), 0.4)
+    likelihood = RestrictedLikelihood.of([data], priors, values)
+    noises = [Noise(0.3, 0.2), Noise(0.5, 0.01), Noise(0.02, 0.4), Noise(1.0, 0.0)]
+    ours = [likelihood.value(2 * np.log(n.white), (n.random_walk / n.white) ** 2) for n in noises]
+    dense = [dense_restricted(data, n, priors, values) for n in noises]
+    np.testing.assert_allclose(np.diff(ours), np.diff(dense), atol=1e-6)
+    # The slope that finds the scale is the value's.
+    up, down = (likelihood.value(a, 0.3) for a in (-2 + 1e-4, -2 - 1e-4))
+    assert likelihood.slope(-2, 0.3) == pytest.approx((up - down) / 2e-4, rel=1e-6)
+    assert likelihood.slope(likelihood.best_scale(0.3), 0.3) == pytest.approx(0, abs=1e-9)
+
+
+@pytest.fixture(scope="module")
+def mixed():
+    """Trials of a short mixed-noise record: noise components, coefficients, u, dof."""
+    noise, n, rng = Noise(0.3, 0.1), 120, np.random.default_rng(3)
+    times = np.arange(n) * STEP
+    polynomials = np.column_stack([np.ones(n), times])
+
+    def covariance(level):
+        whitener = make_whitener(times, 2, level)
+        design = columns(times)
+        if whitener.keeps_polynomials:
+            design = np.column_stack([design, polynomials])
+        return whitener, np.linalg.pinv(whitener.apply(design))
+
+    def variances(level):
+        return np.square(covariance(level)[1][:3]).sum(axis=1)
+
+    rows = []
+    for _ in range(TRIALS):
+        data = record(rng, n, noise)
+        found = estimate([data])
+        whitener, gain = covariance(found.noise)
+        estimated = gain[:3] @ whitener.apply(data.observations)
+        u = np.sqrt(variances(found.noise))
+        rows.append((found, estimated, u, effective_dof_of(variances, found)))
+    return noise, rows, np.sqrt(variances(noise))
+
+
+@pytest.mark.slow
+def test_components_are_unbiased_and_their_covariance_holds(mixed):
+    noise, rows, _ = mixed
+    components = np.array([(f.white**2, f.random_walk**2) for f, *_ in rows])
+    truth = np.array([noise.white, noise.random_walk]) ** 2
+    spread = components.std(axis=0, ddof=1)
+    assert (np.abs(components.mean(axis=0) - truth) < 4 * spread / np.sqrt(TRIALS)).all()
+    # The information is observed at each estimate: its typical value, to what 160 trials can tell.
+    claimed = np.sqrt([np.median([f.covariance[k, k] for f, *_ in rows]) for k in range(2)])
+    np.testing.assert_allclose(claimed, spread, rtol=0.3)
+
+
+@pytest.mark.slow
+def test_estimates_reach_the_bound(mixed):
+    _, rows, bound = mixed
+    scatter = np.array([estimated for _, estimated, *_ in rows]).std(axis=0, ddof=1)
+    # Estimated weights cost a few per cent; the scatter itself is known to 1/sqrt(2 trials).
+    assert (scatter < bound * (1.04 + 3 / np.sqrt(2 * TRIALS))).all()
+    assert (scatter > bound * (1 - 4 / np.sqrt(2 * TRIALS))).all()
+
+
+@pytest.mark.slow
+def test_student_intervals_cover(mixed):
+    _, rows, _ = mixed
+    estimated, u, dof = (np.array([row[k] for row in rows]) for k in (1, 2, 3))
+    student = (np.abs(estimated) < stdtrit(dof, 0.975) * u).mean(axis=0)
+    normal = (np.abs(estimated) < ndtri(0.975) * u).mean(axis=0)
+    sampling = np.sqrt(0.95 * 0.05 / TRIALS)
+    np.testing.assert_allclose(student, 0.95, atol=3 * sampling + 0.01)
+    # A handful of degrees of freedom carry the slow column, nearly all rows the harmonic.
+    assert np.median(dof[:, 0]) < 0.5 * np.median(dof[:, 2]) < 60
+    assert (normal <= student).all()
+
+
+@pytest.mark.slow
+def test_a_walk_that_is_not_there_is_seldom_kept():
+    rng = np.random.default_rng(4)
+    kept = sum(
+        "random_walk" in estimate([record(rng, 100, Noise(0.3))]).estimated for _ in range(TRIALS)
+    )
+    # 5 % at most; the mixture's half at zero is larger in short records, so somewhat fewer.
+    assert kept / TRIALS < 0.05 + 3 * np.sqrt(0.05 * 0.95 / TRIALS)
+    assert kept > 0
+
+
+def test_the_threshold_is_that_of_the_mixture():
+    from scipy.special import chdtrc
+
+    assert 0.5 * chdtrc(1, KEEP) == pytest.approx(0.05, rel=1e-12)
+
+
+def test_a_walk_that_is_there_is_kept_and_found():
+    rng = np.random.default_rng(5)
+    found = estimate([record(rng, 800, Noise(0.3, 0.05))])
+    assert found.estimated == ("white", "random_walk")
+    assert found.dropped == ()
+    assert found.converged
+    levels = np.array([found.white**2, found.random_walk**2])
+    assert (np.abs(levels - [0.09, 0.0025]) < 4 * np.sqrt(np.diag(found.covariance))).all()
+    assert found.evaluations <= 40
+    likelihoods = found.log_likelihoods
+    assert likelihoods["white", "random_walk"] - likelihoods["white",] > 10
+
+
+@pytest.mark.parametrize("order", [2, 1])
+def test_a_walk_alone_leaves_no_white_noise(order):
+    found = estimate([record(np.random.default_rng(6), 400, Noise(0.0, 0.2), order)])
+    assert found.dropped == ("white",)
+    assert found.white == 0
+    assert found.random_walk == pytest.approx(0.2, rel=4 / np.sqrt(2 * 400))
+    assert found.covariance[1, 1] == pytest.approx(2 * 0.2**4 / 395, rel=0.3)
+
+
+def test_velocity_records_share_their_noise():
+    rng = np.random.default_rng(7)
+    records = [record(rng, n, Noise(0.3, 0.2), order=1) for n in (300, 500)]
+    found = estimate(records)
+    levels = np.array([found.white**2, found.random_walk**2])
+    assert (np.abs(levels - [0.09, 0.04]) < 4 * np.sqrt(np.diag(found.covariance))).all()
+    alone = estimate(records[:1])
+    assert (np.diag(found.covariance) < np.diag(alone.covariance)).all()
+
+
+def test_specific_force_cannot_tell_a_walk_from_white_noise():
+    rng = np.random.default_rng(8)
+    design = rng.normal(size=(300, 2))
+    data = RecordData(np.arange(300) * 0.5, 0, design, 0.1 * rng.normal(size=300))
+    found = estimate([data])
+    assert found.estimated == ("white",)
+    assert found.degrees_of_freedom == 298
+    # With the walk given, the white part is what is left: 0.1^2 = white^2 + N^2/h.
+    given = estimate([data], random_walk=0.03)
+    assert given.white**2 + 0.03**2 / 0.5 == pytest.approx(found.white**2, rel=1e-3)
+    assert given.random_walk == 0.03
+
+
+def test_given_components_stay_as_given():
+    data = record(np.random.default_rng(9), 400, Noise(0.3, 0.1))
+    both = estimate([data])
+    white_only = estimate([data], random_walk=both.random_walk)
+    walk_only = estimate([data], white=both.white)
+    assert white_only.white == pytest.approx(both.white, rel=1e-3)
+    assert walk_only.random_walk == pytest.approx(both.random_walk, rel=2e-3)
+    # Knowing the other one helps, and how much is what the joint covariance says.
+    given = 1 / np.diag(np.linalg.inv(both.covariance))
+    assert white_only.covariance[0, 0] == pytest.approx(given[0], rel=0.01)
+    assert walk_only.covariance[1, 1] == pytest.approx(given[1], rel=0.01)
+    neither = estimate([data], white=0.3, random_walk=0.1)
+    assert (neither.white, neither.random_walk, neither.estimated) == (0.3, 0.1, ())
+    assert not neither.covariance.any()
+
+
+def test_quantisation_larger_than_the_noise():
+    rng = np.random.default_rng(10)
+    data = record(rng, 500, Noise(0.05, 0.0, 1.0))
+    # The start velocity sweeps the signal over many steps, so that rounding errors are spread.
+    swept = 1.0 * np.round(data.observations + 0.37 * data.times)
+    found = estimate([replace(data, observations=swept)], quantisation=1.0)
+    assert found.quantisation == 1.0
+    assert found.noise.sample_variance == pytest.approx(1 / 12, rel=4 * np.sqrt(2 / 500))
+    # Most residuals equal zero: no smaller than the step allows, and not singular.
+    still = np.zeros(500)
+    still[::50] = 1.0
+    found = estimate([replace(data, observations=still)], quantisation=1.0)
+    assert found.white == 0
+    assert found.estimated == ()
+    assert found.noise.sample_variance == pytest.approx(1 / 12)
+
+
+def test_start_errors_and_repeated_columns_count_once():
+    data = record(np.random.default_rng(11), 200, Noise(0.3))
+    more = np.column_stack(
+        [data.design, np.ones(200), data.times, data.design[:, 0], np.zeros(200)]
+    )
+    plain, padded = estimate([data]), estimate([replace(data, design=more)])
+    assert padded.degrees_of_freedom == plain.degrees_of_freedom
+    assert padded.white == pytest.approx(plain.white, rel=1e-6)
+
+
+def test_priors_give_back_degrees_of_freedom():
+    data = record(np.random.default_rng(12), 60, Noise(0.3))
+    loose, tight = (
+        estimate([data], random_walk=0.0, prior_rows=np.eye(3) * w, prior_values=np.zeros(3))
+        for w in (1e-6, 1e6)
+    )
+    free = estimate([data], random_walk=0.0)
+    assert loose.white == pytest.approx(free.white, rel=1e-6)
+    assert loose.degrees_of_freedom == pytest.approx(55, abs=1e-6)
+    assert tight.degrees_of_freedom == pytest.approx(58, abs=1e-6)
+
+
+def test_dof_of_a_sum_of_two_variances():
+    """Welch-Satterthwaite: s1^2/n1 + s2^2/n2."""
+    s1, s2, n1, n2 = 2.0, 3.0, 8, 15
+    covariance = np.diag([2 * s1**4 / (n1 - 1), 2 * s2**4 / (n2 - 1)])
+    parts = np.array([s1**2 / n1, s2**2 / n2])
+    welch = parts.sum() ** 2 / (parts**2 / [n1 - 1, n2 - 1]).sum()
+    gradient = [[1 / n1, 1 / n2], [0, 0]]
+    dof = effective_dof([parts.sum(), 1.0], gradient, covariance)
+    np.testing.assert_allclose(dof, [welch, np.inf], rtol=1e-12)
+
+
+def test_what_cannot_be_estimated_is_refused():
+    data = record(np.random.default_rng(13), 40, Noise(0.3))
+    with pytest.raises(NotIdentifiableError, match="all zero"):
+        estimate([replace(data, observations=np.zeros(40))])
+    short = RecordData(data.times[:5], 2, np.asarray(data.design)[:5], data.observations[:5])
+    with pytest.raises(NotIdentifiableError, match="too few"):
+        estimate([short])
+    with pytest.raises(ValueError, match="no records"):
+        estimate([])
+    with pytest.raises(ValueError, match="different observables"):
+        estimate([data, replace(data, order=1)])
+    with pytest.raises(ValueError, match="all components"):
+        estimate([data], white=0.0, random_walk=0.0)
+
+
+def test_records_may_name_the_unknowns_that_they_see():
+    """A column of a record's own, with a prior: compact and with zeros for the others."""
+    rng = np.random.default_rng(31)
+    compact, dense = [], []
+    for k in range(3):
+        times = np.sort(rng.uniform(0, 40, 150)) + 0.05 * np.arange(150)
+        common, own = np.cos(times), np.sin((k + 2) * times)
+        y = 0.3 * common + 0.1 * rng.standard_normal(150) + 2e-2 * walk_of(rng, 2, 150, STEP)
+        compact.append(RecordData(times, 2, np.column_stack([own, common]), y, places=[k + 1, 0]))
+        design = np.zeros((150, 4))
+        design[:, [k + 1, 0]] = np.column_stack([own, common])
+        dense.append(RecordData(times, 2, design, y))
+    prior = {"prior_rows": np.eye(4) / 0.05, "prior_values": np.zeros(4)}
+    one, other = (estimate(records, **prior) for records in (compact, dense))
+    assert (one.white, one.random_walk) == pytest.approx((other.white, other.random_walk), rel=1e-6)
+    assert one.degrees_of_freedom == pytest.approx(other.degrees_of_freedom, rel=1e-9)
+    for names, value in one.log_likelihoods.items():
+        assert value == pytest.approx(other.log_likelihoods[names], rel=1e-9)

@@ -1,0 +1,129 @@
+"""The first stage's parabola against closed forms, brute force and its own claims."""
+
+import math
+
+import numpy as np
+import pytest
+from scipy.special import stdtrit
+
+from counterspin.errors import NotIdentifiableError
+from counterspin.inference.two_stage.first_stage import first_stage
+from counterspin.inference.two_stage.strobes import Strobes
+
+SIGMA = 0.01
+
+
+def strobes(time, error=None, noise_factor=None):
+    return Strobes(
+        time,
+        np.zeros(time.size) if error is None else error,
+        np.ones(time.size) if noise_factor is None else noise_factor,
+        lost=0,
+    )
+
+
+@pytest.mark.parametrize(("period", "printed"), [(4, 8.38735e-8), (2, 3.35494e-7), (1, 1.34198e-6)])
+def test_sigma_of_b2_on_the_paper_s_plan(period, printed):
+    n = 100
+    found = first_stage(strobes((0.25 + np.arange(n)) * period), SIGMA)
+    # The quadratic orthogonal polynomial on n even points has the norm n(n^2-1)(n^2-4)/180.
+    closed = SIGMA / period**2 * math.sqrt(180 / (n * (n**2 - 1) * (n**2 - 4)))
+    assert found.u_b2 == pytest.approx(closed, rel=1e-10)
+    assert found.u_b2 == pytest.approx(printed, rel=1e-5)
+
+
+def test_parabola_is_recovered_far_from_time_zero():
+    time = 300.0 + 0.7 * np.arange(50)
+    truth = np.array([0.3, -2e-3, 5e-4])
+    found = first_stage(strobes(time, np.polynomial.polynomial.polyval(time, truth)), SIGMA)
+    # Rounding of 50 m, made larger by the condition of so far an extrapolation, (315/17)^2.
+    np.testing.assert_allclose(found.coefficients, truth, rtol=1e-10)
+    assert np.abs(found.residuals).max() < 350 * 50 * 2.3e-16 * 10
+    np.testing.assert_allclose(
+        found.gain @ np.vander(time, 3, increasing=True), np.eye(3), atol=1e-7
+    )
+    assert found.b2 == found.coefficients[2]
+
+
+def test_weights_are_those_of_the_noise_factors():
+    rng = np.random.default_rng(2)
+    time = np.sort(rng.uniform(0.0, 10.0, 12))
+    factor = rng.uniform(0.7, 1.0, 12)
+    error = rng.standard_normal(12)
+    found = first_stage(strobes(time, error, factor), SIGMA)
+    x = np.vander(time, 3, increasing=True)
+    information = x.T @ np.diag(1 / (SIGMA * factor) ** 2) @ x
+    expected = np.linalg.solve(information, x.T @ (error / (SIGMA * factor) ** 2))
+    np.testing.assert_allclose(found.coefficients, expected, rtol=1e-9)
+    np.testing.assert_allclose(found.covariance, np.linalg.inv(information), rtol=1e-9)
+    assert found.chi2 == pytest.approx(np.sum((found.residuals / (SIGMA * factor)) ** 2), rel=1e-12)
+    assert found.dof == 9
+
+
+def test_sigma_is_as_given_or_from_the_residuals_and_says_which():
+    time = np.arange(5.0)
+    # The one residual pattern of five points beside two more: the cubic orthogonal polynomial.
+    cubic = np.array([-1.0, 2.0, 0.0, -2.0, 1.0])
+    error = 1.0 + 0.5 * time + 0.2 * time**2 + 0.03 * cubic
+    given = first_stage(strobes(time, error), SIGMA)
+    assert (given.sigma, given.sigma_from_residuals) == (SIGMA, False)
+    assert given.chi2 == pytest.approx(10 * 0.03**2 / SIGMA**2, rel=1e-9)
+    own = first_stage(strobes(time, error))
+    assert own.sigma_from_residuals
+    assert own.sigma == pytest.approx(0.03 * math.sqrt(10 / 2), rel=1e-9)
+    assert own.u_b2 / given.u_b2 == pytest.approx(own.sigma / SIGMA, rel=1e-12)
+    np.testing.assert_array_equal(own.coefficients, given.coefficients)
+
+
+def test_four_strobes_are_enough_and_three_are_refused():
+    assert first_stage(strobes(np.arange(4.0)), SIGMA).dof == 1
+    with pytest.raises(NotIdentifiableError, match="3 strobes cannot determine a parabola"):
+        first_stage(strobes(np.arange(3.0)), SIGMA)
+
+
+def walk_covariance(time, random_walk):
+    """N^2 times the integral of (t1 - u)(t2 - u) over u from 0 to the earlier, by Gauss nodes."""
+    x, w = np.polynomial.legendre.leggauss(4)
+    early = np.minimum.outer(time, time)
+    u = early[..., None] * (1 + x) / 2
+    product = (time[:, None, None] - u) * (time[None, :, None] - u)
+    return random_walk**2 * np.sum(product * w, axis=-1) * early / 2
+
+
+def test_random_walk_adds_its_covariance():
+    time = 3.0 + 2.0 * np.arange(40)
+    plain = first_stage(strobes(time), SIGMA)
+    walk = 2e-4
+    found = first_stage(strobes(time), SIGMA, walk)
+    expected = plain.covariance + plain.gain @ walk_covariance(time, walk) @ plain.gain.T
+    np.testing.assert_allclose(found.covariance, expected, rtol=1e-9)
+    assert found.u_b2 > 2 * plain.u_b2  # so that it is the walk that was tested
+
+
+def test_random_walk_s_claim_is_the_scatter_of_brute_force():
+    rng = np.random.default_rng(3)
+    walk, step, each, count, trials = 2e-4, 0.05, 40, 20, 4000
+    time = each * step * np.arange(1, count + 1)
+    found = first_stage(strobes(time), 0.0, walk)
+    # White acceleration, one value a step, integrated twice by plain sums.
+    acceleration = walk / math.sqrt(step) * rng.standard_normal((trials, each * count))
+    velocity = np.cumsum(acceleration, axis=1) * step
+    position = np.cumsum(velocity - 0.5 * step * acceleration, axis=1) * step
+    b2 = position[:, each - 1 :: each] @ found.gain[2]
+    # A standard deviation from n draws scatters by 1/sqrt(2 n) = 1.1 %.
+    assert np.std(b2) / found.u_b2 == pytest.approx(1.0, abs=4 / math.sqrt(2 * trials))
+
+
+@pytest.mark.parametrize("given", [True, False])
+def test_95_percent_interval_of_b2_covers_95_percent(given):
+    rng = np.random.default_rng(4)
+    time, trials = np.arange(8.0), 4000
+    truth = 1e-3
+    factor = np.linspace(0.7, 1.0, 8)
+    covered = 0
+    for _ in range(trials):
+        error = truth * time**2 + SIGMA * factor * rng.standard_normal(8)
+        found = first_stage(strobes(time, error, factor), SIGMA if given else None)
+        k = 1.959964 if given else stdtrit(found.dof, 0.975)  # 2.57 with 5 degrees of freedom
+        covered += abs(found.b2 - truth) < k * found.u_b2
+    assert covered / trials == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / trials))

@@ -1,0 +1,333 @@
+"""Pictures as SVG: what is drawn where, and that pages can take it as it is."""
+
+import math
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+from counterspin.reports.blocks import Bars, HeatMap, Plot, Series
+from counterspin.reports.chart_layout import shortened, text_width, thinned
+from counterspin.reports.charts import COLOURS_OF_PAPER, svg
+
+LINE = Plot(
+    "Drift <&> $x$",
+    "time / s",
+    "drift / (ppm/h)",
+    (
+        Series("fitted", (0.0, 1.0, 2.0), (1.0, 3.0, 2.0), (0.0, 2.0, 1.0), (2.0, 4.0, 3.0)),
+        Series("seen", (0.0, 1.0, 2.0), (1.1, None, 2.2), kind="points"),
+        Series("rejected", (0.5,), (4.0,), kind="points", stands_out=True),
+    ),
+    levels=(0.0,),
+)
+BARS = Bars("Budget", ("noise", "priors"), (90.0, 10.0), ("90 %", "10 %"))
+MAP = HeatMap("Correlations", ("K_F", "K_II"), ((1.0, -0.95), (-0.95, 1.0)))
+PICTURES = [LINE, BARS, MAP]
+
+NAMESPACE = "{http://www.w3.org/2000/svg}"
+
+every_picture = pytest.mark.parametrize("picture", PICTURES, ids=["plot", "bars", "heat map"])
+every_theme = pytest.mark.parametrize("theme", ["light", "page"])
+
+
+def words(text):
+    return [node.text for node in ET.fromstring(text).iter(f"{NAMESPACE}text")]
+
+
+def number_pairs(path):
+    numbers = [float(n) for n in re.findall(r"-?[\d.]+", path)]
+    return list(zip(numbers[::2], numbers[1::2], strict=True))
+
+
+def paths(text, colour, *, kind="stroke"):
+    """Return the points of every path of a colour of paper that crosses the drawing."""
+    found = ET.fromstring(text).iter(f"{NAMESPACE}path")
+    style = f"{kind}: {COLOURS_OF_PAPER[colour]}"
+    return [
+        number_pairs(p.get("d"))
+        for p in found
+        if style in p.get("style", "") and "clip" in str(p.attrib)
+    ]
+
+
+@every_picture
+@every_theme
+def test_is_an_element_for_any_page(picture, theme):
+    text = svg(picture, theme=theme)
+    root = ET.fromstring(text)
+    assert root.tag == f"{NAMESPACE}svg"
+    assert root.get("width") == "100%"
+    assert "height" not in root.attrib
+    x, y, width, height = map(float, root.get("viewBox").split())
+    assert (x, y, width) == (0.0, 0.0, 504.0)
+    assert height > 20.0
+    assert root[0].tag == f"{NAMESPACE}title"
+    assert root[0].text == picture.title
+    # A style sheet would reach everything else on the page.
+    assert "<style" not in text
+    assert "<metadata" not in text
+
+
+@every_theme
+def test_same_picture_gives_the_same_text_in_any_process(theme):
+    code = f"""
+import sys
+from counterspin.reports.blocks import *
+from counterspin.reports.charts import svg
+for picture in {PICTURES!r}:
+    sys.stdout.buffer.write(svg(picture, theme={theme!r}).encode())
+"""
+    first = [svg(picture, theme=theme) for picture in PICTURES]
+    run = subprocess.run(
+        [sys.executable, "-c", code],
+        stdout=subprocess.PIPE,
+        env={"PYTHONHASHSEED": "7"},
+        check=True,
+    )
+    assert [svg(picture, theme=theme) for picture in PICTURES] == first
+    assert run.stdout.decode() == "".join(first)
+
+
+def test_ids_are_unique_across_pictures_and_lead_somewhere():
+    taken = []
+    for picture in [*PICTURES, Bars("Another", BARS.labels, BARS.values, BARS.texts)]:
+        text = svg(picture)
+        ids = re.findall(r' id="([^"]+)"', text)
+        assert set(re.findall(r'href="#([^"]+)"|url\(#([^)]+)\)', text)) <= {
+            pair for name in ids for pair in ((name, ""), ("", name))
+        }
+        taken += ids
+    assert taken
+    assert len(taken) == len(set(taken))
+
+
+@every_picture
+def test_a_page_chooses_every_colour_and_the_font(picture):
+    text = svg(picture, theme="page")
+    assert "font-family" not in text
+    bare = re.sub(r"var\(--([a-z0-9-]+), (currentColor|#[0-9a-f]{6})\)", r"<\1>", text.lower())
+    bare = re.sub(r"var\(--ink, currentcolor\)", "<ink>", bare)
+    assert re.findall(r"(?<![(\"])#[0-9a-f]{3,6}\b", bare) == []
+    assert re.findall(r"(?:fill|stroke): (?!<|none)\S+", bare) == []
+    named = set(re.findall(r"var\(--([a-z0-9-]+)", text))
+    assert named <= set(COLOURS_OF_PAPER)
+    assert "ink" in named
+
+
+def test_paper_has_colours_of_its_own():
+    text = svg(LINE)
+    assert "var(" not in text
+    assert set(re.findall(r"#[0-9a-f]{6}\b", text)) <= set(COLOURS_OF_PAPER.values()) | set(
+        re.findall(r"#(?=p)\w+", text)
+    )
+
+
+def test_words_are_words_and_taken_as_they_are():
+    odd = {"time / $s^2$", "a_b < c & d", 'x$y$ #0100fe id="m" "z"\u3000d="M 1  2"'}
+    x_label, y_label, label = sorted(odd)
+    plot = Plot("", x_label, y_label, (Series(label, (0.0, 1.0), (0.0, 1.0)),))
+    assert odd <= set(words(svg(plot)))
+
+
+def test_letters_that_matplotlib_lacks_and_xml_forbids():
+    text = svg(Bars("加速度計\x01", ("加速度計",), (1.0,), ("1 %",)))
+    assert "加速度計" in words(text)
+    assert ET.fromstring(text)[0].text == "加速度計\ufffd"
+
+
+# Curves
+
+
+def test_line_keeps_its_proportions():
+    (line,) = paths(svg(LINE), "series-1")
+    (x0, y0), (x1, y1), (x2, y2) = line
+    assert x1 - x0 == pytest.approx(x2 - x1, abs=1e-4)
+    # Heights 1, 3, 2, upwards on paper being downwards in SVG.
+    assert (y2 - y1) / (y0 - y1) == pytest.approx(0.5, abs=1e-4)
+
+
+def test_gap_breaks_the_line_and_a_lone_value_is_seen():
+    values = (1.0, 2.0, None, 3.0, None, 1.0, 2.0)
+    plot = Plot("", "x", "y", (Series("", tuple(map(float, range(7))), values),))
+    text = svg(plot)
+    strokes = [
+        p for p in ET.fromstring(text).iter(f"{NAMESPACE}path") if "0072b2" in str(p.attrib).lower()
+    ]
+    line, dot = sorted(strokes, key=lambda path: -len(path.get("d")))
+    assert line.get("d").count("L") == 2
+    assert "stroke-linecap: round" in dot.get("style")
+    (start, end) = number_pairs(dot.get("d"))
+    assert start == end
+
+
+def test_error_bars_and_level_stand_at_their_heights():
+    plot = Plot(
+        "",
+        "run",
+        "K_II",
+        (Series("", (0.0, 1.0), (5.0, 6.0), (4.0, 3.0), (6.0, 9.0), kind="points"),),
+        levels=(4.0,),
+        x_names=("run1", "run2"),
+    )
+    text = svg(plot)
+    bars = [bar for bar in paths(text, "series-1") if len(bar) == 2]
+    (low1, high1), (low2, high2) = [[y for _, y in bar] for bar in bars]
+    assert (low2 - high2) / (low1 - high1) == pytest.approx(3.0, abs=1e-4)
+    (level,) = [path for path in paths(text, "muted") if len(path) == 2]
+    assert level[0][1] == pytest.approx(low1, abs=1e-4)
+    assert {"run1", "run2"} <= set(words(text))
+
+
+def test_points_at_the_same_whole_numbers_stand_beside_each_other():
+    def points(height, **kind):
+        return Series("", (1.0, 3.0), (height, height), (0.0, 0.0), (9.0, 9.0), **kind)
+
+    plot = Plot("", "harmonic", "ppm", (points(5.0, kind="points"), points(6.0, kind="points")))
+    text = svg(plot)
+    ticks = [word for word in words(text) if word in "0123456"]
+    assert ticks[:3] == ["1", "2", "3"]
+    first, second = (
+        [bar[0][0] for bar in paths(text, colour) if len(bar) == 2]
+        for colour in ("series-1", "series-2")
+    )
+    # Two steps of the axis between 1 and 3; 0.12 of one between the series.
+    step = 0.5 * (first[1] - first[0])
+    assert second[0] - first[0] == pytest.approx(0.12 * step, rel=1e-4)
+    assert second[1] - second[0] == pytest.approx(2.0 * step, rel=1e-4)
+
+
+def test_logarithmic_axes():
+    plot = Plot(
+        "",
+        "f",
+        "p",
+        (Series("", (1e-6, 1e-3, 1.0), (1.0, 1e4, -1.0)), Series("", (1.0, 2.0), (1.0, 1e8))),
+        log_x=True,
+        log_y=True,
+    )
+    text = svg(plot)
+    assert {"10⁻⁶", "1", "10⁸"} <= set(words(text))
+    # What is not positive has no logarithm, and is a gap.
+    (line,) = paths(text, "series-1")
+    assert len(line) == 2
+
+
+def test_nothing_to_draw_is_an_empty_drawing():
+    for y in ((None, None), (math.nan, math.inf)):
+        assert svg(Plot("", "x", "y", (Series("a", (0.0, 1.0), y),), log_y=True))
+    assert svg(Plot("", "x", "y", ()))
+    assert svg(Bars("", (), (), ()))
+    assert svg(HeatMap("", (), ()))
+
+
+def test_many_names_stand_upright():
+    names = tuple(f"2024-03-{day:02d} fast" for day in range(1, 25))
+    text = svg(
+        Plot("", "", "y", (Series("", tuple(map(float, range(24))), (1.0,) * 24),), x_names=names)
+    )
+    upright = re.findall(r'rotate\(-90\)"[^>]*>([^<]*)<', text)
+    assert set(names) <= set(upright)
+
+
+# Many points
+
+
+@pytest.mark.parametrize("kind", ["points", "line"])
+def test_thinning_keeps_every_outlier(kind):
+    rng = np.random.default_rng(11)
+    y = rng.normal(size=200_000)
+    y[[5, 123_456, 199_990]] = [9.0, -8.0, 7.5]
+    x = np.linspace(0.0, 1e4, y.size)
+    seen_x, seen_y, _, _ = thinned(
+        Series("", tuple(x), tuple(y), kind=kind), log_x=False, log_y=False
+    )
+    assert seen_x.size < 3000
+    assert {9.0, -8.0, 7.5} <= set(seen_y)
+    assert (np.diff(seen_x) > 0.0).all()
+    # Each hundredth of the axis keeps its own extremes.
+    for part in np.array_split(np.arange(y.size), 100):
+        there = (seen_x >= x[part[0]]) & (seen_x <= x[part[-1]])
+        assert seen_y[there].max() >= np.sort(y[part])[-2]
+    if kind == "points":
+        # Not the extremes alone: half of a normal distribution lies within 0.674 of its middle.
+        assert np.mean(np.abs(seen_y) < 0.674) > 0.2
+
+
+def test_thinning_keeps_gaps():
+    y = [math.sin(0.01 * i) for i in range(5000)]
+    y[2000:3000] = [None] * 1000
+    seen_x, seen_y, _, _ = thinned(
+        Series("", tuple(map(float, range(5000))), tuple(y)), log_x=False, log_y=False
+    )
+    before, after = seen_x[seen_x < 2000.0][-1], seen_x[seen_x >= 3000.0][0]
+    between = (seen_x > before) & (seen_x < after)
+    assert between.any()
+    assert np.isnan(seen_y[between]).all()
+
+
+def test_a_long_record_is_a_small_drawing():
+    n = 100_000
+    y = tuple(np.random.default_rng(5).normal(size=n))
+    text = svg(Plot("", "t", "y", (Series("", tuple(map(float, range(n))), y, kind="points"),)))
+    assert len(text) < 150_000
+
+
+# Bars and heat map
+
+
+def test_bars_are_as_long_as_their_values_and_texts_stay_inside():
+    text = svg(Bars("", ("first", "second"), (40.0, 10.0), ("0.04 ug/g^2, 80 %", "20 %")))
+    first, second = [
+        [x for x, _ in bar] for bar in paths(text, "series-1", kind="fill") if len(bar) >= 4
+    ]
+    assert (max(first) - min(first)) / (max(second) - min(second)) == pytest.approx(4.0, rel=1e-3)
+    ends = {
+        node.text: float(node.get("x")) for node in ET.fromstring(text).iter(f"{NAMESPACE}text")
+    }
+    assert max(first) < ends["0.04 ug/g^2, 80 %"]
+    assert ends["0.04 ug/g^2, 80 %"] + text_width("0.04 ug/g^2, 80 %") <= 504.0
+
+
+def test_long_names_are_shortened():
+    name = "considered: platform.g_sensitivity.zx of the second spindle"
+    for room in (40.0, 100.0, 200.0):
+        short = shortened(name, room)
+        assert short.endswith("…")
+        assert room - 15.0 < text_width(short) <= room
+    assert shortened(name, 1e3) == name
+
+
+def luminance(rgb):
+    linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in rgb]
+    return float(np.dot([0.2126, 0.7152, 0.0722], linear))
+
+
+def rgb(colour):
+    return np.array([int(colour[i : i + 2], 16) / 255.0 for i in (1, 3, 5)])
+
+
+@pytest.mark.parametrize(("value", "colour"), [(-0.9999, "negative"), (0.9999, "positive")])
+def test_numbers_in_a_heat_map_are_read_on_both_ends(value, colour):
+    text = svg(HeatMap("", ("a", "b"), ((1.0, value), (value, 1.0))))
+    assert f"{value:.2f}".replace("-", "−") in words(text)
+    cells = re.findall(rf"fill: {COLOURS_OF_PAPER[colour]}; fill-opacity: ([\d.]+)", text)
+    assert len(cells) == 2
+    opacity = float(cells[0])
+    ground = opacity * rgb(COLOURS_OF_PAPER[colour]) + (1.0 - opacity) * np.ones(3)
+    lighter, darker = luminance(ground) + 0.05, luminance(rgb(COLOURS_OF_PAPER["ink"])) + 0.05
+    assert lighter / darker >= 4.5
+
+
+def test_a_small_number_has_no_sign():
+    text = svg(HeatMap("", ("a", "b"), ((1.0, -0.004), (-0.006, 1.0))))
+    assert {"0.00", "−0.01"} <= set(words(text))
+
+
+def test_heat_map_grows_in_strength_with_the_number():
+    text = svg(HeatMap("", ("a", "b"), ((1.0, 0.25), (0.5, 1.0))))
+    opacity = [float(o) for o in re.findall(r"fill-opacity: ([\d.]+)", text)]
+    assert max(opacity) == pytest.approx(2.0 * min(opacity))

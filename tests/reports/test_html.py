@@ -1,0 +1,341 @@
+import json
+import re
+from datetime import datetime, timedelta, timezone
+from itertools import pairwise
+
+import lxml.html
+import pytest
+from pages import NASTY, blocks, page, residuals
+
+from counterspin.reports.blocks import Heading, Paragraph, Picture, Plot, Series, Table
+from counterspin.reports.charts import svg
+from counterspin.reports.html import _asset
+from counterspin.reports.zoomable import can_zoom, plot_data
+
+
+def parsed(text):
+    return lxml.html.document_fromstring(text)
+
+
+def words(element):
+    return " ".join(element.text_content().split())
+
+
+@pytest.fixture(scope="module", params=["Qx", NASTY], ids=["plain", "nasty"])
+def name(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def text(name):
+    return page(name)
+
+
+@pytest.fixture(scope="module")
+def tree(text):
+    return parsed(text)
+
+
+# What is in it
+
+
+def test_every_block_appears_once_and_in_order(tree, name):
+    body = words(tree.body)
+    places = [0]
+    for block in blocks(name):
+        match block:
+            case Heading(text, _):
+                found = [
+                    h for h in tree.xpath("//h1|//h2|//h3") if words(h) == " ".join(text.split())
+                ]
+                assert len(found) == 1
+            case Paragraph(text, "equation"):
+                [equation] = tree.xpath("//p[@class='equation']")
+                assert words(equation).replace("_", "") == text.replace("_", "")
+            case Paragraph(text, _):
+                at = body.index(" ".join(text.split()))
+                assert at > places[-1]
+                places.append(at)
+            case _:
+                continue
+
+
+def test_headings_are_nested_and_the_first_is_the_report_s(tree):
+    levels = [int(h.tag[1]) for h in tree.xpath("//h1|//h2|//h3")]
+    assert levels[0] == 1
+    assert levels.count(1) == 1
+    assert all(after - before <= 1 for before, after in pairwise(levels))
+
+
+def test_the_answer_comes_first_then_warnings_then_contents(tree):
+    kinds = tree.xpath(
+        "//main//*[self::h1 or self::p or self::nav]/@class|//main//nav/@aria-labelledby"
+    )
+    assert kinds[:4] == ["answer", "warning", "quiet", "contents"]
+    [answer] = tree.xpath("//p[@class='answer']")
+    assert words(answer.find("strong")).endswith("= 27.04 ± 0.11 ug/g^2")
+    assert words(answer.find("span")) == "= 2.7e-5 g/g^2 (95 %: a to b)"
+
+
+def test_contents_lead_to_the_chapters(tree, name):
+    links = {words(a): a.get("href") for a in tree.xpath("//nav//a")}
+    chapters = [
+        block.text for block in blocks(name) if isinstance(block, Heading) and block.level == 2
+    ]
+    assert list(links) == [" ".join(chapter.split()) for chapter in chapters]
+    for chapter, href in links.items():
+        [target] = tree.xpath(f"//*[@id='{href.removeprefix('#')}']")
+        assert words(target) == chapter
+
+
+def test_tables_say_what_heads_what(tree, name):
+    [table] = tree.xpath("//table")
+    made = next(block for block in blocks(name) if isinstance(block, Table))
+    assert [words(th) for th in table.xpath("thead//th[@scope='col']")] == [
+        "Symbol",
+        "Words",
+        "Value",
+    ]
+    rows = table.xpath("tbody/tr")
+    assert [tuple(cell.text_content() for cell in row) for row in rows] == list(made.rows)
+    assert [row.get("class") for row in rows] == [None, "quiet", None]
+    assert all(row[0].tag == "th" and row[0].get("scope") == "row" for row in rows)
+    assert table.xpath("tbody/tr/td[2]/@class") == ["right"] * 3
+    [box] = table.xpath("..")
+    assert box.get("class") == "scroll"
+    assert box.get("tabindex") == "0"
+    assert words(table.xpath("preceding::h2[1]")[0]) in " ".join(box.get("aria-label").split())
+
+
+def test_every_picture_has_a_caption_and_stands_still_without_a_script(tree, name):
+    pictures = [block for block in blocks(name) if isinstance(block, Picture)]
+    figures = tree.xpath("//figure")
+    captions = [figure.find("figcaption").text_content() for figure in figures]
+    assert captions == [picture.title for picture in pictures]
+    for figure, picture in zip(figures, pictures, strict=True):
+        [still] = figure.xpath("div[@class='still']/svg")
+        assert still.get("role") == "img"
+        assert len(figure.xpath("script")) == (isinstance(picture, Plot) and picture.zoom)
+
+
+def test_identifier_date_and_end_are_there(tree, name):
+    assert words(tree.xpath("//header")[0]).startswith(" ".join(f"LAB 7/26 {name}".split()))
+    assert tree.xpath("//header/time/@datetime") == ["2026-03-01T00:00:00+00:00"]
+    assert words(tree.xpath("//footer")[0]).startswith("End of LAB 7/26")
+    assert tree.find("head/title").text == f"Calibration of {name}"
+
+
+def test_a_report_without_heading_gets_its_title_as_one():
+    tree = parsed(page(made=[Paragraph("a")], title="T"))
+    assert [words(h) for h in tree.xpath("//h1")] == ["T"]
+    assert not tree.xpath("//nav")
+
+
+def test_the_date_is_said_in_utc():
+    there = datetime(2026, 3, 1, 1, 30, tzinfo=timezone(timedelta(hours=2)))
+    assert "2026-02-28 23:30 UTC" in page(date=there)
+
+
+def test_equations_have_indices_and_names_of_code_have_none(tree):
+    [equation] = tree.xpath("//p[@class='equation']")
+    assert equation.xpath("sub/text()") == ["ind", "F", "II", "I"]
+
+
+# What nobody may bring in
+
+
+def test_hostile_words_stay_words(tree, text):
+    assert all(
+        script.get("type") in (None, "application/json") for script in tree.xpath("//script")
+    )
+    # Our two, and one for each plot that can be zoomed.
+    assert len(tree.xpath("//script[not(@type)]")) == 2
+    assert len(tree.xpath("//script[@type]")) == 2
+    assert len(tree.xpath("//style")) == 1
+    assert not tree.xpath("//@*[starts-with(name(), 'on')]")
+    assert "alert(" not in "".join(tree.xpath("//script[not(@type)]/text()|//style/text()"))
+
+
+def test_nothing_is_asked_for_from_outside(tree, text):
+    for attribute in ("href", "src", "srcset", "action", "data", "poster", "xlink:href"):
+        for found in tree.xpath(f"//@*[name() = '{attribute}']"):
+            assert re.match(r"#|data:,$", found), (attribute, found)
+    assert not tree.xpath(
+        "//iframe|//object|//embed|//base|//img|//form|//*[@http-equiv='refresh']"
+    )
+    assert "@import" not in text
+    assert all(found.startswith("#") for found in re.findall(r"url\(\s*[\"']?([^)]*)", text))
+    # Names of namespaces, and where uPlot says whose it is, are no requests.
+    addresses = set(re.findall(r"(?:https?:|wss?:)?//[\w.-]+\.[a-z]{2,}[^\s\"')]*", text))
+    assert addresses <= {
+        "http://www.w3.org/2000/svg",
+        "http://www.w3.org/1999/xlink",
+        "https://github.com/leeoniya/uPlot",
+    }
+
+
+def test_the_policy_allows_what_is_inside_and_no_more(tree):
+    [policy] = tree.xpath("//meta[@http-equiv='Content-Security-Policy']/@content")
+    allowed = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    assert allowed == {
+        "default-src": "'none'",
+        "style-src": "'unsafe-inline'",
+        "script-src": "'unsafe-inline'",
+        "img-src": "data:",
+        "base-uri": "'none'",
+        "form-action": "'none'",
+    }
+    # It holds only for what comes after it.
+    assert tree.xpath("//head/*")[1].get("http-equiv") == "Content-Security-Policy"
+
+
+def test_ids_are_unique_and_every_reference_has_its_target(tree, text):
+    ids = tree.xpath("//@id")
+    assert len(ids) == len(set(ids))
+    named = set(re.findall(r"(?:href=\"#|url\(#|aria-labelledby=\")([^\")]+)", text))
+    assert named <= set(ids)
+
+
+def test_two_like_headings_have_two_names():
+    tree = parsed(page(made=[Heading("A b"), Heading("A: b"), Heading("µ", 3), Heading("²", 3)]))
+    assert tree.xpath("//h2[position() > 0]/@id|//h3/@id")[1:] == [
+        "at-a-b",
+        "at-a-b-2",
+        "at-part",
+        "at-part-2",
+    ]
+
+
+def test_the_same_blocks_give_the_same_bytes(text, name):
+    assert page(name) == text
+    assert page(name, identifier="another") != text
+
+
+# Plots that can be zoomed
+
+
+def zoomed(text):
+    return [json.loads(found) for found in parsed(text).xpath("//figure/script/text()")]
+
+
+def unpacked(packed):
+    return [None if value is None else value * packed["step"] for value in packed["values"]]
+
+
+def test_data_of_plots_are_right_to_what_a_screen_shows(text, name):
+    plot = residuals(label=name)
+    first, _ = zoomed(text)
+    assert (first["x_label"], first["y_label"], first["levels"]) == (
+        "time, s",
+        "residual, mm",
+        [0.0],
+    )
+    assert [one["label"] for one in first["series"]] == [name, "mean", "left out"]
+    for one, series in zip(first["series"], plot.series, strict=True):
+        for key in ("x", "y", "low", "high"):
+            wanted = getattr(series, key)
+            if one[key] is None:
+                assert wanted is None or (series.kind == "band" and key == "y")
+                continue
+            known = [value for value in wanted if value is not None]
+            spread = max(known) - min(known)
+            for found, value in zip(unpacked(one[key]), wanted, strict=True):
+                assert (found is None) == (value is None)
+                assert found is None or abs(found - value) <= 0.5 * spread / 2e4
+
+
+def test_logarithmic_data_keep_their_digits_at_both_ends():
+    series = Series("a", (1e-3, 1.2345678e5), (9.87654e-9, 3.0))
+    data = json.loads(plot_data(Plot("t", "x", "y", (series,), log_x=True, log_y=True)))
+    assert unpacked(data["series"][0]["x"]) == [1e-3, 1.235e5]
+    assert unpacked(data["series"][0]["y"]) == [9.877e-9, 3.0]
+
+
+def test_what_is_no_number_is_a_gap():
+    series = Series("a", (0.0, 1.0, 2.0), (float("nan"), 5.0, float("inf")))
+    data = json.loads(plot_data(Plot("t", "x", "y", (series,))))
+    assert unpacked(data["series"][0]["y"]) == [None, pytest.approx(5.0, rel=1e-4), None]
+
+
+def test_a_plot_of_names_or_of_one_place_is_not_zoomed():
+    series = (Series("a", (0.0, 0.0), (1.0, 2.0)),)
+    assert not can_zoom(Plot("t", "x", "y", series, zoom=True))
+    two = (Series("a", (0.0, 1.0), (1.0, 2.0)),)
+    assert can_zoom(Plot("t", "x", "y", two, zoom=True))
+    assert not can_zoom(Plot("t", "x", "y", two, zoom=True, x_names=("p", "q")))
+    assert not can_zoom(Plot("t", "x", "y", two))
+
+
+def test_what_draws_zoomed_plots_comes_only_where_there_is_one():
+    assert "uPlot=function" not in page(made=[Paragraph("a")])
+    assert "uPlot=function" in page(made=[residuals()])
+    assert "Copyright (c) 2022 Leon Sorokin" in page(made=[residuals()])
+
+
+@pytest.mark.parametrize("kind", ["line", "points", "band"])
+def test_zoomed_and_still_pictures_have_the_same_colours(kind):
+    x = (0.0, 1.0, 2.0)
+    plot = Plot(
+        "t",
+        "x",
+        "y",
+        (
+            Series("", x, x, (0.0, 0.5, 1.0), (2.0, 3.0, 4.0), kind="band"),
+            *(Series(f"s{index}", x, x, x, x, kind=kind) for index in range(8)),
+            Series("o", x, x, kind="points", stands_out=True),
+        ),
+    )
+    used = {one["colour"] for one in json.loads(plot_data(plot))["series"]}
+    drawn = set(re.findall(r"var\((--(?:series-\d|warning))", svg(plot, theme="page")))
+    assert drawn == used - {"--muted"}
+
+
+def test_a_long_campaign_fits_into_3_mb():
+    # A record's traces have 1500 stretches, however long it is.
+    plots = [residuals(f"Residuals of Q{index}, run") for index in range(20)]
+    assert len(page(made=plots).encode()) < 3e6
+
+
+# Colours
+
+
+def palettes():
+    style = _asset("report.css")
+    light = style[style.index(":root {") : style.index("}")]
+    return {"light": light, "dark": _asset("dark.css")}
+
+
+def luminance(colour):
+    """Return the relative luminance of WCAG 2.1."""
+    parts = (int(colour[at : at + 2], 16) / 255.0 for at in (1, 3, 5))
+    linear = [
+        part / 12.92 if part <= 0.04045 else ((part + 0.055) / 1.055) ** 2.4 for part in parts
+    ]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def contrast(one, other):
+    high, low = sorted((luminance(one), luminance(other)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_words_and_lines_stand_out_from_their_ground(theme):
+    colours = dict(re.findall(r"(--[\w-]+): (#[0-9a-f]{6});", palettes()[theme]))
+    grounds = [
+        colours[name] for name in ("--ground", "--raised", "--good-ground", "--warning-ground")
+    ]
+    # WCAG 2.1: 4.5 for words (1.4.3), 3 for what is drawn (1.4.11).
+    for ground in grounds:
+        assert contrast(colours["--ink"], ground) >= 4.5
+        assert contrast(colours["--muted"], ground) >= 4.5
+    assert contrast(colours["--link"], colours["--ground"]) >= 4.5
+    for name in ("--warning", "--good", *(f"--series-{index}" for index in range(1, 7))):
+        assert contrast(colours[name], colours["--ground"]) >= 3.0
+
+
+def test_both_palettes_hold_the_same_colours():
+    names = {theme: set(re.findall(r"(--[\w-]+):", text)) for theme, text in palettes().items()}
+    assert names["light"] == names["dark"]
+    used = set(re.findall(r"var\((--[\w-]+)", page() + _asset("report.js"))) - {"--${entry.colour}"}
+    assert used <= names["light"]

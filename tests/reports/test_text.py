@@ -1,0 +1,466 @@
+"""The report as text: what it says, rounded, whole at 80 columns, without invented values."""
+
+import io
+import math
+import re
+import subprocess
+import sys
+
+import pytest
+from rich.console import Console
+
+from counterspin.calibration.pages.sections import sections
+from counterspin.calibration.pages.terminal import print_result, render
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import (
+    AccelerometerResult,
+    BudgetLine,
+    Coefficient,
+    Comparison,
+    Confounded,
+    Correlation,
+    Inputs,
+    Jackknife,
+    NoiseLine,
+    ParabolaResult,
+    Provenance,
+    Residual,
+    RippleResult,
+    RunResult,
+)
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.reports.numbers import NOT_DETERMINED
+from counterspin.reports.text import report_console
+
+ARCSEC = math.pi / 648000.0
+DEG_H = math.pi / 180.0 / 3600.0
+
+K_II = Coefficient(
+    value=2.70445e-5,
+    u=7.0e-10,
+    u_noise=6.0e-10,
+    u_prior=3.0e-10,
+    u_considered=2.0e-10,
+    dof=20.0,
+    unit="g/g^2",
+    estimated=True,
+)
+K_F = Coefficient(value=0.0050321, u=2e-6, u_noise=2e-6, unit="g", estimated=True)
+K_I = Coefficient(value=1.0019743, u=5e-6, unit="g/g", estimated=False)
+K_III = Coefficient(value=None, u=None, unit="g/g^3", estimated=False)
+
+
+def every_term():
+    """Return every coefficient there is, with values as long as they come."""
+    return {
+        symbol: Coefficient(
+            value=-1.23456789e-5, u=2.3e-11, u_noise=2.3e-11, unit=row.unit, estimated=True
+        )
+        for symbol, row in TERMS.items()
+    }
+
+
+def accelerometer(**changes):
+    parts = {
+        "coefficients": {"K_F": K_F, "K_I": K_I, "K_II": K_II, "K_III": K_III},
+        "correlation": Correlation(
+            terms=["K_F", "K_II"],
+            matrix=[[1.0, -0.9612], [-0.9612, 1.0]],
+        ),
+        "residual": Residual(rms=0.0099812, unit="m", dof=35000.0),
+    }
+    return AccelerometerResult(**(parts | changes))
+
+
+def run(**changes):
+    return RunResult(
+        **({"rate": math.pi / 2, "drift": 0.0, "samples": 20101, "rejected": 0} | changes)
+    )
+
+
+def result(**changes):
+    parts = {
+        "method": "joint",
+        "model": "exact",
+        "title": "Three-rate campaign",
+        "accelerometers": {"Qx": accelerometer()},
+        "runs": {"run1": run()},
+        "inputs": Inputs(gravity=9.8066, latitude=math.radians(45.75), radius=2.5),
+        "provenance": Provenance(version="0.1.0", inputs={"campaign.toml": "sha256:" + "0f" * 32}),
+    }
+    return Result(**(parts | changes))
+
+
+def full():
+    """Return a result in which everything is present."""
+    found = accelerometer(
+        coefficients=every_term() | {"K_II": K_II, "K_III": K_III},
+        confounded=[
+            Confounded(
+                terms=["K_I", "K_IP"],
+                correlation=1.0 - 6e-11,
+                determined="K_I - K_IP",
+                value=1.0019743,
+                u=1.2e-7,
+            ),
+            Confounded(
+                terms=["K_F", "K_PP", "delta_O"], correlation=-0.98, determined="K_F + K_PP"
+            ),
+        ],
+        residual=Residual(rms=0.0099812, unit="m", dof=35000.0, chi2=34650.0, lack_of_fit_p=0.4123),
+        noise={
+            "displacement": NoiseLine(value=0.0100213, u=3.81e-5, unit="m", estimated=True),
+            "acceleration": NoiseLine(value=2.94e-5, unit="m/s^2/Hz^0.5", estimated=False),
+        },
+        budget={
+            "K_II": [
+                BudgetLine(
+                    source="noise of the records",
+                    u=None,
+                    unit="",
+                    sensitivity=None,
+                    contribution=6.0e-10,
+                    share=36 / 45,
+                ),
+                BudgetLine(
+                    source="platform.tilt.north (run1)",
+                    u=0.5 * ARCSEC,
+                    unit="rad",
+                    sensitivity=3e-10 / (0.5 * ARCSEC),
+                    contribution=3.0e-10,
+                    share=9 / 45,
+                ),
+            ]
+        },
+        second_unknown={
+            "spindle.drift": Coefficient(value=1e-9, u=2e-10, unit="1/s", estimated=True)
+        },
+        jackknife=[
+            Jackknife(run="run1", value=2.70446e-5, shift=1e-10, z=0.31),
+            Jackknife(run="run2", value=None, shift=None, z=None),
+        ],
+        two_stage=Comparison(
+            value=2.7041e-5, u=5.3e-9, difference=-3.5e-9, u_difference=5.2e-9, z=-0.673
+        ),
+        warnings=["Qx: The runs do not agree with the model ± anything."],
+    )
+    tilt = Coefficient(value=0.21 * ARCSEC, u=0.05 * ARCSEC, unit="rad", estimated=True)
+    turning = run(
+        u_rate=2.4e-10,
+        drift=-1e-12,
+        u_drift=7.5e-13,
+        ripples=[
+            RippleResult(harmonic=1, amplitude=7.9e-7, u_amplitude=1.6e-8, phase=0.1, u_phase=0.02),
+            RippleResult(harmonic=3, amplitude=1e-8, u_amplitude=1.6e-8, phase=0.1, u_phase=None),
+        ],
+        angle_rms=1e-6,
+        rejected=12,
+        counts={"rows": 20113, "outliers": 12},
+        notes=["12 outliers in column 'east_m' were left out."],
+        terms={"platform.tilt.north": tilt},
+        parabolas={
+            "Qx": ParabolaResult(
+                b0=0.01, b1=0.02, b2=0.024683966, u_b2=3.8e-8, sigma=0.01,
+                sigma_from_residuals=False, strobes=101,
+            )
+        },
+        fit={"Qx": {"chi2_per_dof": 1.0213, "lack_of_fit_p": None, "spectrum": "white"}},
+    )  # fmt: skip
+    return result(
+        accelerometers={"Qx": found, "Qy": accelerometer()},
+        platform={
+            "platform.drift.north": Coefficient(
+                value=0.01 * DEG_H, u=0.002 * DEG_H, unit="rad/s", estimated=True
+            )
+        },
+        runs={"run1": turning, "run2": run(rate=-math.pi)},
+        details={"laboratory": "Centrifuge hall", "serial_number": "17"},
+        warnings=["run2: the spindle turned at another rate."],
+    )
+
+
+def text_of(found, width=160, **options):
+    stream = io.StringIO()
+    print_result(found, Console(file=stream, width=width, highlight=False), **options)
+    return stream.getvalue()
+
+
+def line_with(text, *words):
+    """Return the one line that holds all the words."""
+    lines = [line for line in text.splitlines() if all(word in line for word in words)]
+    assert len(lines) == 1, f"{words} is in {len(lines)} lines of\n{text}"
+    return lines[0]
+
+
+def squeezed(text):
+    return " ".join(text.split())
+
+
+# The answer
+
+
+def test_answer_comes_first_with_student_s_interval():
+    lines = text_of(result()).splitlines()
+    assert lines[0] == "Three-rate campaign"
+    # t(0.975, 20) = 2.0860 (GUM table G.2: 2.09), times 0.00070
+    assert lines[1] == (
+        "K_II of Qx = 27.04450 ± 0.00070 ug/g^2   (95 %: 27.04304 to 27.04596, 20 dof)"
+    )
+
+
+def test_infinite_degrees_of_freedom_give_the_normal_interval():
+    normal = K_II.model_copy(update={"dof": None})
+    found = result(accelerometers={"Qx": accelerometer(coefficients={"K_II": normal})})
+    assert "(95 %: 27.04313 to 27.04587)" in text_of(found)
+
+
+def test_gravity_and_the_meaning_of_the_uncertainty_are_stated():
+    text = squeezed(text_of(result()))
+    assert "Joint method, exact model. ± is one standard uncertainty (k = 1)." in text
+    assert "the site's own gravity, g = 9.8066 m/s^2" in text
+    assert "K2 is K_II/K_I" in text
+
+
+@pytest.mark.parametrize("prior", [None, 3.21e-6])
+def test_undetermined_answer_invents_no_value(prior):
+    u = None if prior is None else 2e-6
+    unknown = Coefficient(value=prior, u=u, unit="g/g^2", estimated=False)
+    found = result(accelerometers={"Qx": accelerometer(coefficients={"K_II": unknown})})
+    answer = line_with(text_of(found), "K_II of Qx")
+    assert answer.startswith("K_II of Qx: not determined by these records")
+    assert ("known beforehand: 3.2 ± 2.0 ug/g^2" in answer) == (prior is not None)
+    assert "95 %" not in answer
+
+
+def test_a_campaign_without_the_second_order_term_is_reported():
+    found = result(accelerometers={"Qx": accelerometer(coefficients={"K_F": K_F})})
+    assert "K_II of" not in text_of(found)
+
+
+# Coefficients
+
+
+def test_coefficients_are_rounded_to_their_uncertainty_and_name_its_origin():
+    text = text_of(result())
+    assert squeezed(line_with(text, "second-order")) == (
+        "K_II second-order coefficient 27.04450 ± 0.00070 ug/g^2 "
+        "noise 73 %, priors 18 %, considered 8.2 %"
+    )
+    assert squeezed(line_with(text, "bias")) == "K_F bias 5032.1 ± 2.0 ug noise 100 %"
+    assert squeezed(line_with(text, "scale factor")) == (
+        "K_I scale factor 1.0019743 ± 0.0000050 g/g prior alone"
+    )
+
+
+def test_undetermined_coefficient_shows_no_value():
+    line = squeezed(line_with(text_of(result()), "third-order"))
+    assert line == f"K_III third-order coefficient - ug/g^3 {NOT_DETERMINED}"
+
+
+def test_platform_terms_are_in_the_units_of_the_field():
+    text = text_of(full())
+    assert squeezed(line_with(text, "gyro drift about north")).startswith(
+        "gyro drift about north 0.0100 ± 0.0020 deg/h"
+    )
+    assert squeezed(line_with(text, "tilt about north (run1)")).startswith(
+        "tilt about north (run1) 0.210 ± 0.050 arcsec"
+    )
+
+
+def test_second_unknown_of_the_two_stage_method_is_named():
+    line = squeezed(line_with(text_of(full()), "drift of the rate"))
+    assert line.startswith("C drift of the rate, common to all runs 3.60 ± 0.72 ppm/h")
+
+
+def test_every_term_of_both_tables_has_words_here():
+    terms = {
+        symbol: Coefficient(value=1e-9, u=1e-9, unit=row.unit, estimated=True)
+        for symbol, row in PLATFORM_TERMS.items()
+    }
+    text = text_of(full().model_copy(update={"platform": terms}), 200)
+    for row in (*TERMS.values(), *PLATFORM_TERMS.values()):
+        assert row.words in text
+
+
+# What stands beside them
+
+
+def test_confounded_sets_are_told_in_words():
+    text = squeezed(text_of(full()))
+    assert (
+        "K_I and K_IP cannot be told apart by these records (correlation 1 - 6e-11); "
+        "determined: K_I - K_IP = 1.00197430 ± 0.00000012 g/g." in text
+    )
+    assert (
+        "K_F, K_PP and delta_O are hardly told apart by these records (correlation -0.9800); "
+        "determined: K_F + K_PP." in text
+    )
+
+
+def test_fit_noise_and_checks_are_told():
+    text = squeezed(text_of(full()))
+    assert (
+        "Residuals: rms 0.00998 m with 35000 degrees of freedom; chi-square/dof 0.99, "
+        "probability of a worse fit 0.41." in text
+    )
+    # 2.94e-5 m/s^2 is 2.998 ug where g is 9.8066 m/s^2.
+    assert (
+        "Noise: displacement 0.010021 ± 0.000038 m (estimated from the residuals); "
+        "acceleration 2.99798 ug/Hz^0.5 (as given)." in text
+    )
+    assert (
+        "The two-stage method gives K_II = 27.0410 ± 0.0053 ug/g^2; the difference is "
+        "-0.0035 ± 0.0052 ug/g^2, or -0.673 of its standard uncertainties: they agree." in text
+    )
+
+
+def test_disagreement_with_the_two_stage_method_is_told():
+    apart = Comparison(value=2.8e-5, u=5e-9, difference=1e-6, u_difference=5e-9, z=200.0)
+    found = result(accelerometers={"Qx": accelerometer(two_stage=apart)})
+    assert "200 of its standard uncertainties: they do not agree" in squeezed(text_of(found))
+
+
+def test_jackknife_is_written_to_the_place_of_the_estimate():
+    rows = text_of(full()).partition("Run left out")[2].splitlines()
+    assert rows[2].split() == ["run1", "27.04460", "0.00010", "0.31"]
+    assert rows[3].split() == ["run2", *NOT_DETERMINED.split() * 2, "-"]
+
+
+def test_warnings_are_in_words_and_yellow_beside_what_they_are_about():
+    text = text_of(full())
+    first = text.index("Warning: run2: the spindle turned at another rate.")
+    second = text.index("Warning: The runs do not agree with the model ± anything.")
+    assert first < text.index("Accelerometer Qx") < second < text.index("Accelerometer Qy")
+    stream = io.StringIO()
+    print_result(
+        full(), Console(file=stream, force_terminal=True, color_system="standard", width=100)
+    )
+    assert "\x1b[33mWarning: run2" in stream.getvalue()
+    assert "\x1b[33mWarning: The runs" in stream.getvalue()
+
+
+def test_budget_is_written_when_asked_for():
+    assert "Uncertainty budget" not in text_of(full())
+    rows = text_of(full(), budget=True).partition("Uncertainty budget of K_II, Qx")[2]
+    assert squeezed(line_with(rows.partition("Accelerometer Qy")[0], "noise of the records")) == (
+        "noise of the records 0.00060 80 %"
+    )
+    assert squeezed(line_with(rows, "0.5 arcsec")) == (
+        "platform.tilt.north (run1) 0.5 arcsec 0.0006 0.00030 20 %"
+    )
+    # sqrt(6^2 + 3^2) = 6.7
+    assert squeezed(line_with(rows, "combined")) == "combined 0.00067"
+
+
+def test_details_are_written_when_asked_for():
+    assert "sha256" not in text_of(full())
+    text = squeezed(text_of(full(), details=True))
+    assert "campaign.toml sha256:" + "0f" * 32 in text
+    assert "(correlation): K_F and K_II -0.9612." in text
+    assert "run1: rows 20113, outliers 12." in text
+    assert "rms 0.206 arcsec" in text
+    assert "Radius 2.5 m, latitude 45.75 deg." in text
+
+
+def test_what_the_campaign_says_of_itself_is_repeated():
+    assert "laboratory Centrifuge hall; serial number 17." in text_of(full())
+
+
+# Runs
+
+
+def test_runs_say_how_they_turned_and_what_was_left_out():
+    text = text_of(full())
+    row = squeezed(line_with(text, "1.57079632679(24)"))
+    # -1e-12 and 7.5e-13 1/s are -0.0036 and 0.0027 ppm/h; 7.9e-7 of pi/2 rad/s is 0.503 ppm
+    assert row == "run1 1.57079632679(24) -0.0036(27) 1: 0.503(10) 20101 12"
+    assert squeezed(line_with(text, "3: 0.006(10)")) == "3: 0.006(10)"
+    assert squeezed(line_with(text, "-3.14159 ")) == "run2 -3.14159 0 - 20101 0"
+    assert "run1: 12 outliers in column 'east_m' were left out." in text
+
+
+def test_first_stage_and_fit_of_each_run():
+    text = text_of(full())
+    assert squeezed(line_with(text, "0.024683966(38)")) == "run1 Qx 101 0.024683966(38) 0.01 given"
+    assert squeezed(line_with(text, "white")) == "run1 Qx 1.021 - white"
+    assert "chi2 per dof" in text
+
+
+# How it is set
+
+
+@pytest.mark.parametrize("width", [80, 100])
+def test_nothing_is_cut_or_split_at_usual_widths(width):
+    found = full()
+    text = text_of(found, width, budget=True, details=True)
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= width
+    tokens = set(text.split())
+    numbers = 0
+    for block in sections(found, budget=True, details=True):
+        for row in getattr(block, "rows", ()):
+            for column, cell in zip(block.columns, row, strict=True):
+                if not column.wraps:
+                    numbers += 1
+                    assert tokens.issuperset(cell.split()), cell
+    assert numbers > 80
+
+
+@pytest.mark.parametrize("width", [30, 44, 60])
+def test_nothing_is_lost_in_a_narrow_terminal(width):
+    found = full()
+    text = text_of(found, width, budget=True, details=True)
+    assert "…" not in text
+    assert max(map(len, text.splitlines())) <= width
+    for block in sections(found, budget=True, details=True):
+        if not hasattr(block, "rows"):
+            assert "".join(block.text.split()) in "".join(text.split())
+    wide = text_of(found, 200, budget=True, details=True)
+    # Whatever is folded, every character of the wide setting is still there.
+    for character in "0123456789±":
+        assert text.count(character) == wide.count(character)
+
+
+def test_plain_output_has_no_escape_codes_and_names_are_not_markup():
+    found = result(title="[bold]Batch[/bold] [3]", runs={"[red]": run()})
+    stream = io.StringIO()
+    print_result(found, report_console(stream), budget=True, details=True)
+    assert "\x1b" not in stream.getvalue()
+    assert stream.getvalue().startswith("[bold]Batch[/bold] [3]\n")
+    assert "[red]" in stream.getvalue()
+
+
+def test_piped_output_is_a_hundred_columns_wide(monkeypatch):
+    monkeypatch.delenv("COLUMNS", raising=False)
+    assert report_console(io.StringIO()).width == 100
+    monkeypatch.setenv("COLUMNS", "72")
+    assert report_console(io.StringIO()).width == 72
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_a_stream_that_lacks_the_characters_gets_others(encoding):
+    raw = io.BytesIO()
+    stream = io.TextIOWrapper(raw, encoding=encoding)
+    print_result(full(), report_console(stream), budget=True, details=True)
+    stream.flush()
+    text = raw.getvalue().decode(encoding)
+    sign = "±" if encoding == "latin-1" else "+/-"
+    assert f"K_II of Qx = 27.04450 {sign} 0.00070 ug/g^2" in text
+    assert f"the model {sign} anything" in text
+    assert "?" not in text
+
+
+def test_no_number_is_nan_or_in_python_s_own_form():
+    text = text_of(full(), budget=True, details=True)
+    assert not re.search(r"\bnan\b|\bNone\b|\binf\b|e-0\d|np\.", text)
+
+
+def test_render_gives_what_print_result_prints():
+    stream = io.StringIO()
+    Console(file=stream, width=160, highlight=False).print(render(full(), budget=True))
+    assert stream.getvalue() == text_of(full(), budget=True)
+
+
+def test_matplotlib_is_not_loaded():
+    code = "import sys, counterspin.reports.text; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -1,0 +1,72 @@
+"""Numbers as in print: what is set, what is left alone, and what a poor terminal gets."""
+
+import pytest
+
+from counterspin.reports.blocks import (
+    Bars,
+    Column,
+    Heading,
+    HeatMap,
+    Paragraph,
+    Plot,
+    Series,
+    Table,
+)
+from counterspin.reports.numbers import format_compact, format_estimate, speakable
+from counterspin.reports.typography import typeset, typeset_block
+
+
+@pytest.mark.parametrize(
+    ("plain", "printed"),
+    [
+        (format_estimate(2.70445e-5, 3.7e-9, "g/g^2"), "(2.70445 ± 0.00037) × 10⁻⁵ g/g²"),
+        (format_compact(2.70445e-5, 3.7e-9), "2.70445(37) × 10⁻⁵"),
+        ("3.1(1.2)e12", "3.1(1.2) × 10¹²"),
+        ("± 0.0012 ug", "± 0.0012 µg"),
+        ("1e-5 g/g^2", "10⁻⁵ g/g²"),
+        ("6e-7 (< 0.1 %)", "6 × 10⁻⁷ (< 0.1 %)"),
+        ("3e-6 m/s^2 and s^-1", "3 × 10⁻⁶ m/s² and s⁻¹"),
+        ("K_II, ug/g^2 per unit", "K_II, µg/g² per unit"),
+        ("by 29 ug/g^2.", "by 29 µg/g²."),
+        ("0.0080 ug. 3 ug", "0.0080 µg. 3 µg"),
+        ("ug.csv", "ug.csv"),
+        # Not numbers, or not such ones.
+        ("run1e5.csv", "run1e5.csv"),
+        ("file.1e5", "file.1e5"),
+        ("a^2.5 and x^b", "a^2.5 and x^b"),
+        ("debug, ugly, mug, A.ug", "debug, ugly, mug, A.ug"),
+        ("g/Hz^0.5", "g/Hz^0.5"),
+        ("8c969ed83a48ee1b", "8c969ed83a48ee1b"),
+        ("2 x 3", "2 x 3"),
+    ],
+)
+def test_typeset(plain, printed):
+    assert typeset(plain) == printed
+    assert typeset(printed) == printed
+
+
+def test_every_kind_of_block_is_set_but_commands():
+    assert typeset_block(Heading("ug", 3)) == Heading("µg", 3)
+    assert typeset_block(Paragraph("g^2", "quiet")) == Paragraph("g²", "quiet")
+    assert typeset_block(Paragraph("run g^2", "command")) == Paragraph("run g^2", "command")
+    table = Table((Column("ug", "right"),), (("1e-5 g",),), frozenset({0}))
+    assert typeset_block(table) == Table((Column("µg", "right"),), (("10⁻⁵ g",),), frozenset({0}))
+    plot = Plot("ug", "s^2", "m^2", (Series("1e3 ug", (0.0,), (1.0,)),), zoom=True)
+    assert typeset_block(plot) == Plot(
+        "µg", "s²", "m²", (Series("10³ µg", (0.0,), (1.0,)),), zoom=True
+    )
+    bars = Bars("ug", ("ug.csv",), (1.0,), ("6e-7",))
+    assert typeset_block(bars) == Bars("µg", ("ug.csv",), (1.0,), ("6 × 10⁻⁷",))
+    assert typeset_block(HeatMap("ug", ("K",), ((1.0,),))) == HeatMap("µg", ("K",), ((1.0,),))
+
+
+@pytest.mark.parametrize(
+    ("encoding", "said"),
+    [
+        ("utf-8", "2 × 10⁻⁵ µg/g²"),
+        ("latin-1", "2 × 10^-5 µg/g²"),
+        ("ascii", "2 x 10^-5 ug/g^2"),
+    ],
+)
+def test_a_terminal_without_raised_digits(encoding, said):
+    assert speakable("2 × 10⁻⁵ µg/g²", encoding) == said

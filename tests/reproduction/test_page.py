@@ -1,0 +1,40 @@
+"""The comparison with the paper, as text: all of it, in any usual width."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from counterspin.reproduction.comparison import reproduce
+from counterspin.reproduction.page import render_reproduction
+from counterspin.reproduction.result import Reproduction, Row, Section
+
+
+def rendered(reproduction, width):
+    out = io.StringIO()
+    Console(file=out, width=width).print(render_reproduction(reproduction))
+    return out.getvalue()
+
+
+@pytest.mark.parametrize("width", [80, 100, 160])
+def test_every_number_is_whole_in_the_width(width):
+    shown = reproduce()
+    text = rendered(shown, width)
+    assert max(len(line) for line in text.splitlines()) <= width
+    words = text.split()
+    for row in shown.rows:
+        assert row.printed_text in words
+        assert row.ours_text in words
+    for section in shown.sections:
+        assert section.title in text
+
+
+def test_a_figure_the_paper_does_not_have_is_a_dash():
+    row = Row("a.b", "something", None, 2.5, "m", "not in the paper", ".1f")
+    text = rendered(Reproduction({}, (Section("Part", (row,)),)), 80)
+    assert next(line.split()[:4] for line in text.splitlines() if line.startswith("something")) == [
+        "something",
+        "-",
+        "2.5",
+        "m",
+    ]

@@ -1,0 +1,150 @@
+"""``counterspin reproduce``: every figure again, from a simulation that is checked by another."""
+
+import json
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from counterspin.reproduction.comparison import reproduce
+from counterspin.reproduction.plan import (
+    DRIFT_RATE,
+    GRAVITY,
+    RADIUS,
+    RATES,
+    RIPPLE_PHASE,
+    RIPPLE_RATIO,
+    TABLE_1,
+    simulate_strobes,
+)
+
+
+@pytest.fixture(scope="module")
+def reproduction():
+    return reproduce()
+
+
+@pytest.mark.parametrize(("nominal_reference", "drift"), [(False, 0.0), (True, 1e-6)])
+def test_simulation_agrees_with_a_differential_equation(nominal_reference, drift):
+    """Navigation as an initial value problem, written out here from Eq. 1, 2 and 7."""
+    rate, phase = RATES[0], RIPPLE_PHASE
+    ripple = RIPPLE_RATIO * rate
+
+    def indicated_acceleration(t):
+        nominal = rate * t + phase
+        theta = (
+            rate * t + drift * rate * t**2 / 2 - RIPPLE_RATIO * (np.cos(nominal) - np.cos(phase))
+        )
+        omega = rate * (1 + drift * t) + ripple * np.sin(nominal)
+        alpha = drift * rate + ripple * rate * np.cos(nominal)
+        a = -RADIUS * (omega**2 * np.cos(theta) + alpha * np.sin(theta)) / GRAVITY
+        return GRAVITY * (
+            TABLE_1["K_F"]
+            + TABLE_1["K_I"] * a
+            + TABLE_1["K_II"] * a**2
+            + TABLE_1["K_III"] * a**3
+            - TABLE_1["K_IP"] * a
+        )
+
+    time, error = simulate_strobes(rate, drift=drift, nominal_reference=nominal_reference)
+    few = 8  # strobes; more take long and show nothing else
+    solution = solve_ivp(
+        lambda t, state: [state[1], indicated_acceleration(t)],
+        (0.0, time[few - 1]),
+        [RADIUS, 0.0],
+        method="DOP853",
+        t_eval=time[:few],
+        rtol=1e-12,
+        atol=1e-12,
+    )
+    # The reference at a strobe is R cos(pi/2) = 0. Displacements reach 24 m by then.
+    np.testing.assert_allclose(error[:few], solution.y[0], rtol=0, atol=1e-9)
+
+
+def test_rows_have_keys_of_their_own_and_reasons(reproduction):
+    keys = [row.key for row in reproduction.rows]
+    assert len(set(keys)) == len(keys)
+    assert all(row.why for row in reproduction.rows)
+
+
+@pytest.mark.parametrize(
+    ("key", "printed", "ours"),
+    [
+        ("sigma_b2.1", "6.62200e-05", "8.38735e-08"),
+        ("sigma_b2.2", "6.58370e-05", "3.35494e-07"),
+        ("sigma_b2.3", "6.67250e-05", "1.34198e-06"),
+        ("sigma_k_ii.printed_b2", "3.0362e-07", "3.0355e-07"),
+        ("sigma_k_ii.standard_gravity", "3.0362e-07", "3.0375e-07"),
+        ("sigma_k_ii.quarter", "3.0362e-07", "6.0709e-07"),
+        ("sigma_k_ii.plan_printed", "3.036e-07", "3.223e-09"),
+        ("sigma_k_ii.plan_printed_weighted", "3.036e-07", "2.814e-09"),
+        ("sigma_k_ii.exact", "3.036e-07", "5.312e-09"),
+        ("sigma_k_ii.exact_alone", "3.036e-07", "5.230e-09"),
+        ("sigma_k_ii.exact_drift", "3.036e-07", "8.270e-09"),
+        ("k_ii.as_printed", "2.0000e-05", "1.0000e-05"),
+        ("k_ii.exact", "2.0000e-05", "2.0000e-05"),
+        ("eq5.ripple_mean", "-1.500", "0.000"),
+        ("eq13.k_ii_parabola", "0.5000", "0.2500"),
+        ("eq15.ripple_parabola", "-0.750", "0.000"),
+        ("eq15.drift_slope", "2.00", "0.00"),
+        ("eq15.drift_parabola", "0.00", "-0.50"),
+        ("separation.without", "2.0000e-05", "2.0000e-05"),
+        ("separation.with", "2.0000e-05", "2.0000e-05"),
+        ("separation.printed_without", "2.0000e-05", "1.0000e-05"),
+        ("separation.drift_separated", "2.0000e-05", "2.0000e-05"),
+    ],
+)
+def test_figure(reproduction, key, printed, ours):
+    row = reproduction[key]
+    assert (row.printed_text, row.ours_text) == (printed, ours)
+
+
+def test_harmonic_constants_are_the_closed_forms(reproduction):
+    """At the strobes: K_II R^2 w^2/(4 g), -7/9 K_III R^3 w^4/g^2, K_IP R."""
+    rate = RATES[-1]
+    expected = {
+        "eq13.k_ii_constant": TABLE_1["K_II"] * RADIUS**2 * rate**2 / (4 * GRAVITY),
+        "eq13.k_iii_constant": -7 / 9 * TABLE_1["K_III"] * RADIUS**3 * rate**4 / GRAVITY**2,
+        "eq13.k_ip_constant": TABLE_1["K_IP"] * RADIUS,
+    }
+    for key, value in expected.items():
+        # Table 2's ripple of 5e-7 is in the simulation and not in the closed forms.
+        assert reproduction[key].ours == pytest.approx(value, rel=2e-5)
+
+
+def test_ripple_shifts_the_strobes_by_a_constant_only(reproduction):
+    """-K_I R (w_p/w0)(sin phi + cos phi) at the nominal strobes, no parabola."""
+    expected = -RADIUS * RIPPLE_RATIO * (np.sin(RIPPLE_PHASE) + np.cos(RIPPLE_PHASE))
+    assert reproduction["eq15.ripple_constant"].ours == pytest.approx(
+        TABLE_1["K_I"] * expected, rel=1e-4
+    )
+
+
+def test_what_remains_of_the_ripple_is_its_product_with_k_iii(reproduction):
+    """b2 of K_III is -3/4 K_III R^3 w^6 eps sin(phi)/g^2; at the fastest rate that is all."""
+    rate = RATES[-1]
+    relative = (-3 * TABLE_1["K_III"] * RADIUS * rate**2 * RIPPLE_RATIO * np.sin(RIPPLE_PHASE)) / (
+        GRAVITY * TABLE_1["K_II"]
+    )
+    departure = reproduction["separation.without"].ours / TABLE_1["K_II"] - 1
+    assert departure == pytest.approx(relative, rel=0.1)
+
+
+def test_the_second_column_takes_up_the_drift(reproduction):
+    """-3/4 K_I R w x = -1/2 K_I R w C; K_II under drift grows as w^3 and takes some of it."""
+    taken_up = reproduction["separation.drift_as_ripple"].ours
+    assert taken_up == pytest.approx(2 / 3 * DRIFT_RATE, rel=0.03)
+    ignored = reproduction["separation.drift_ignored"].ours
+    sigma = reproduction["sigma_k_ii.exact_alone"].ours
+    assert abs(ignored - TABLE_1["K_II"]) > 0.5 * sigma
+
+
+def test_json_holds_every_figure(reproduction):
+    written = json.loads(json.dumps(reproduction.to_dict(), allow_nan=False))
+    rows = {row["key"]: row for section in written["sections"] for row in section["rows"]}
+    assert set(rows) == {row.key for row in reproduction.rows}
+    exact = rows["sigma_k_ii.exact"]
+    assert exact["printed"] == 3.0362e-7
+    assert exact["counterspin"] == reproduction["sigma_k_ii.exact"].ours
+    assert exact["unit"] == "g/g^2"
+    assert written["inputs"]["gravity"] == {"value": 9.8, "unit": "m/s^2"}

@@ -1,0 +1,431 @@
+"""Studies: what they find of the paper's plan, and that it does not matter who does the work."""
+
+import json
+import os
+import signal
+import warnings
+from dataclasses import replace
+from importlib.resources import files
+
+import numpy as np
+import polars as pl
+import pytest
+from scipy import stats
+
+from counterspin import workers as crew
+from counterspin.cli import main
+from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
+from counterspin.studies import work as study_work
+from counterspin.studies.choice import choose_engine, prepare
+from counterspin.studies.description import read_study
+from counterspin.studies.draws import stream
+from counterspin.studies.engine import StudyEngine
+from counterspin.studies.preparation import analyses_of, truth_of, world_of
+from counterspin.studies.study import study
+
+FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
+
+PAPER = (files("counterspin.reproduction") / "paper.toml").read_text(encoding="utf-8")
+
+VARYING = """
+[study]
+trials = 6000
+seed = 3
+[study.vary]
+"Qx.K_II" = { normal = "2e-5 ± 1e-6 g/g^2" }
+spindle.drift = { uniform = ["-5e-7 1/s", "5e-7 1/s"], per = "run" }
+spindle.ripple.ratio = { uniform = ["0 ppm", "500 ppm"], per = "run" }
+spindle.ripple.phase = { uniform = ["0 deg", "360 deg"], per = "run" }
+centrifuge.radius = { normal = "2.5 ± 1e-5 m" }
+[study.analyses.exact]
+method = "two-stage"
+[study.analyses.residuals]
+method = "two-stage"
+sigma = "residuals"
+"""
+
+#: A plan whose whole records take milliseconds.
+SHORT = PAPER.replace("revolutions = 100", "revolutions = 12").replace('"50 Hz"', '"8 Hz"')
+
+
+def write(folder, text):
+    folder.mkdir(exist_ok=True)
+    (folder / "campaign.toml").write_text(text, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def paper(tmp_path):
+    return write(tmp_path / "paper", PAPER)
+
+
+def coefficient(result, analysis, name):
+    (one,) = (a for a in result.analyses if a.name == analysis)
+    (found,) = (c for c in one.coefficients if c.name == name)
+    return found.summary
+
+
+# What it finds
+
+
+def test_paper_s_plan_exact_unbiased_and_as_printed_half_the_truth(paper):
+    n = 10_000_000 if FULL else 200_000
+    result = study(paper, trials=n)
+    exact = coefficient(result, "two-stage", "Qx.K_II")
+    # K_III and the ripple of Table 2 add 4e-11, which the method does not know.
+    assert abs(exact.bias) < 4e-11 + 4.0 * exact.se_bias
+    assert exact.sd == pytest.approx(5.312e-9, rel=5.0 / np.sqrt(2 * n) + 1e-3)  # physics.md 6
+    assert exact.u == pytest.approx(5.312e-9, rel=1e-3)
+    assert exact.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n) + 2e-4)
+    printed = coefficient(result, "as-printed", "Qx.K_II")
+    assert printed.covered == (0.0, 0.0, 0.0)
+    assert 1.0 + printed.bias / printed.truth == pytest.approx(0.5, rel=1e-3)
+    assert printed.sd == pytest.approx(3.223e-9, rel=5.0 / np.sqrt(2 * n) + 1e-3)
+    joint = coefficient(result, "joint", "Qx.K_II")
+    assert joint.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n) + 1e-4)
+    good = {one.name: one.trustworthy for one in result.analyses}
+    assert good == {"joint": True, "two-stage": True, "as-printed": False}
+    assert result.verdict[0].startswith("joint is trustworthy here and has the smallest errors")
+    assert "0.5 times the truth" in result.verdict[-1]
+    bound = next(c for a in result.analyses for c in a.coefficients if c.symbol == "K_II")
+    assert bound.efficiency == pytest.approx(1.0, abs=0.02)
+
+
+# Each shortcut against the slower one
+
+
+def engines(folder, *names):
+    description = read_study(folder)
+    world, truth = world_of(description.campaign), truth_of(description)
+    analyses = analyses_of(description)
+    return truth, [
+        [choose_engine(world, truth, one, name).engine for one in analyses] for name in names
+    ]
+
+
+def test_surrogate_is_exact_quadrature_trial_by_trial(tmp_path):
+    folder = write(tmp_path / "a", PAPER + VARYING)
+    truth, made = engines(folder, "surrogate", "exact")
+    draws = truth.draw(stream(3, 0, 0), 300)
+    for fast, slow in zip(*made, strict=True):
+        (a,), (b,) = (one.trials(draws, stream(3, 0, 1)) for one in (fast, slow))
+        assert np.abs((a.estimate - b.estimate) / b.u).max() < 1e-5
+        assert np.abs(a.u / b.u - 1.0).max() < 1e-7
+
+
+def test_outside_its_box_a_surrogate_hands_over_to_quadrature(tmp_path):
+    wide = VARYING.replace("500 ppm", "700 ppm")
+    folder = write(tmp_path / "a", PAPER + wide)
+    truth, made = engines(folder, "auto", "exact")
+    draws = truth.draw(stream(3, 0, 0), 200)
+    assert (
+        not made[0][0]
+        .surrogates[0]
+        .holds([draws.drift[0], draws.ripple_cos[0], draws.ripple_sin[0], draws.radius])
+        .all()
+    )
+    for fast, slow in zip(*made, strict=True):
+        (a,), (b,) = (one.trials(draws, stream(3, 0, 1)) for one in (fast, slow))
+        assert np.abs((a.estimate - b.estimate) / b.u).max() < 1e-5
+
+
+@pytest.mark.slow
+def test_sufficient_statistics_are_distributed_as_whole_records(tmp_path):
+    joint = '[study.analyses.joint]\nmethod = "joint"\n'
+    varying = '[study.vary]\n"platform.tilt.north" = { normal = "0 ± 3 arcsec", per = "run" }\n'
+    analyses = VARYING[VARYING.index("[study.analyses.exact]") :]
+    folder = write(tmp_path / "a", SHORT + varying + analyses + joint)
+    n = 2000 if FULL else 150
+    truth, made = engines(folder, "auto", "full")
+    few, many = truth.draw(stream(3, 0, 0), n), truth.draw(stream(4, 0, 0), 20 * n)
+    for fast, slow in zip(*made, strict=True):
+        a, b = fast.trials(many, stream(4, 0, 1)), slow.trials(few, stream(3, 0, 1))
+        a = a[0] if isinstance(a, tuple) else a
+        for row in range(b.estimate.shape[0]):
+            # Each is one in a thousand, and there are a dozen.
+            assert stats.ks_2samp(a.estimate[row], b.estimate[row]).pvalue > 1e-3
+            sd = a.estimate[row].std()
+            assert abs(a.estimate[row].mean() - b.estimate[row].mean()) < 4.0 * sd / np.sqrt(n)
+            assert b.estimate[row].std() == pytest.approx(sd, rel=4.0 / np.sqrt(2 * n))
+            off = abs(np.mean(b.u[row]) - np.mean(a.u[row]))
+            assert off <= 4.0 * a.u[row].std() / np.sqrt(n) + 1e-3 * np.mean(a.u[row])
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (("[truth.noise]", '[truth.noise]\nquantisation = "0.01 m"'), "quantisation"),
+        (('angle = "1e-6 rad"', 'angle = "1e-3 rad"'), "noise of the recorded angle"),
+        (("[truth.noise]", '[truth.noise]\nacceleration = "1e-5 g/Hz^0.5"'), "not white"),
+        (("[truth.spindle]", '[truth.platform]\ntilt.north = "1 deg"\n[truth.spindle]'), "second"),
+        (('K_IP = "6e-6 g/g^2"', 'K_OQ = "6e-6 g/g^2"'), "kink"),
+    ],
+)
+def test_shortcut_refuses_outside_its_validity(tmp_path, change, reason):
+    folder = write(tmp_path / "a", change[1].join(PAPER.rsplit(change[0], 1)))
+    description = read_study(folder)
+    world, truth = world_of(description.campaign), truth_of(description)
+    two_stage = next(one for one in analyses_of(description) if one.name == "two-stage")
+    with pytest.raises(NotIdentifiableError, match=reason):
+        choose_engine(world, truth, two_stage, "surrogate")
+    assert choose_engine(world, truth, two_stage, "auto").kind == "full"
+
+
+def test_noise_levels_vary(tmp_path):
+    levels = """[study.vary]
+noise.angle = { uniform = ["1 urad", "3 urad"] }
+noise.quantisation = { fixed = "30 mm" }
+noise.acceleration = { fixed = "1e-5 g/Hz^0.5" }
+noise.timing = { normal = "1 ± 0.1 us" }
+[study.analyses.two-stage]
+method = "two-stage"
+sigma = "residuals"
+"""
+    description = read_study(write(tmp_path / "a", SHORT + levels))
+    world, truth = world_of(description.campaign), truth_of(description)
+    (analysis,) = analyses_of(description)
+    part = choose_engine(world, truth, analysis, "auto")
+    assert "noise.angle, noise.quantisation, noise.acceleration, noise.timing varies" in part.words
+    draws = truth.draw(stream(3, 0, 0), 40)
+    assert draws.noise["noise.acceleration"] == pytest.approx(9.8e-5)
+    assert np.all((draws.noise["noise.angle"] >= 1e-6) & (draws.noise["noise.angle"] <= 3e-6))
+    found = part.engine.trials(draws, stream(3, 0, 1))
+    quiet = replace(draws, noise={})
+    still = part.engine.trials(quiet, stream(3, 0, 1))
+    # Steps of 30 mm add 30/sqrt(12) = 8.7 mm to 10 mm of noise: sigma grows by sqrt(1 + 0.75).
+    assert np.median(found.u[0] / still.u[0]) == pytest.approx(np.sqrt(1.75), rel=0.15)
+
+
+def test_joint_fit_of_a_varying_rotation_needs_whole_records(tmp_path):
+    text = SHORT + VARYING[: VARYING.index("[study.analyses")]
+    description = read_study(write(tmp_path / "a", text))
+    joint = next(one for one in analyses_of(description) if one.name == "joint")
+    part = choose_engine(world_of(description.campaign), truth_of(description), joint, "auto")
+    assert part.kind == "full"
+    assert "rotation varies" in part.words
+
+
+# Who does the work
+
+
+def figures(result):
+    return json.dumps(result.to_dict())
+
+
+@pytest.fixture
+def varying(tmp_path):
+    return write(tmp_path / "varying", PAPER + VARYING)
+
+
+def prepared(folder):
+    description = read_study(folder)
+    return prepare(
+        world_of(description.campaign), truth_of(description), analyses_of(description), 3
+    )
+
+
+def test_result_is_the_same_for_any_number_of_workers(varying):
+    assert figures(study(varying)) == figures(study(varying, workers=2))
+
+
+@pytest.mark.parametrize("size", [1, 2, 64])
+def test_result_is_the_same_for_any_sharing_out(varying, size):
+    engine = prepared(varying)
+    whole, parts = (study_work.Ledger(engine, 5000) for _ in range(2))
+    study_work.run_batches(engine, whole)
+    study_work.run_batches(engine, parts, batches_per_task=size)
+    assert np.array_equal(whole.sums, parts.sums)
+
+
+def test_a_trial_does_not_depend_on_how_many_there_are(varying, tmp_path):
+    for n, name in ((2500, "few"), (5000, "many")):
+        study(varying, trials=n, output=tmp_path / name, keep_trials=True)
+    few, many = (pl.read_parquet(tmp_path / name / "trials.parquet") for name in ("few", "many"))
+    assert few.equals(many.head(2500))
+    assert many["trial"].to_list() == list(range(5000))
+    assert "exact.Qx.K_II.estimate" in many.columns
+
+
+def test_dask_s_workers_give_the_same(varying):
+    distributed = pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
+    with (
+        warnings.catch_warnings(),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, dashboard_address=None, processes=True
+        ) as cluster,
+    ):
+        warnings.simplefilter("ignore")
+        result = study(varying, trials=50_000, cluster=cluster.scheduler_address)
+    assert figures(result) == figures(study(varying, trials=50_000))
+
+
+def test_cluster_that_does_not_answer_is_told(varying, monkeypatch):
+    monkeypatch.setattr(crew, "_ANSWER", 0.5)
+    pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
+    with pytest.raises(CounterspinError, match="no Dask scheduler answers"):
+        study(varying, cluster="tcp://127.0.0.1:9")
+
+
+def test_worker_that_is_killed_loses_and_doubles_nothing(varying):
+    engine = prepared(varying)
+    whole, other = (study_work.Ledger(engine, 100_000) for _ in range(2))
+    study_work.run_batches(engine, whole)
+    killed = []
+
+    def kill_one(done, total):
+        if done and not killed:
+            import multiprocessing
+
+            worker = multiprocessing.active_children()[0]
+            os.kill(worker.pid, signal.SIGKILL)
+            killed.append(worker.pid)
+
+    study_work.run_batches(engine, other, workers=2, progress=kill_one, batches_per_task=2)
+    assert killed
+    assert other.trials_done == 100_000
+    assert np.array_equal(whole.sums, other.sums)
+
+
+def test_interrupted_study_is_valid_and_resumes(varying, tmp_path):
+    out = tmp_path / "out"
+
+    def stop(done, total):
+        if done >= 4000:
+            raise KeyboardInterrupt
+
+    part = study(varying, trials=120_000, output=out, keep_trials=True, progress=stop)
+    assert not part.complete
+    assert 4000 <= part.trials < 120_000
+    assert json.loads((out / "study.json").read_text())["complete"] is False
+    assert len(pl.read_parquet(out / "trials.parquet")) == part.trials
+    done = study(varying, trials=120_000, output=out, keep_trials=True, resume=True)
+    assert figures(done) == figures(study(varying, trials=120_000))
+    assert len(pl.read_parquet(out / "trials.parquet")) == 120_000
+    assert sorted(path.name for path in out.iterdir()) == ["study.json", "trials.parquet"]
+
+
+def test_resuming_another_study_is_refused(varying, paper, tmp_path):
+    out = tmp_path / "out"
+
+    def stop(done, total):
+        if done:
+            raise KeyboardInterrupt
+
+    study(varying, trials=120_000, output=out, progress=stop)
+    with pytest.raises(CounterspinError, match="another one"):
+        study(paper, trials=120_000, output=out, resume=True)
+    with pytest.raises(CounterspinError, match="holds no study"):
+        study(varying, output=tmp_path / "new", resume=True)
+
+
+def test_engine_travels_in_a_pickle(varying):
+    import pickle
+
+    engine = pickle.loads(pickle.dumps(prepared(varying)))
+    assert isinstance(engine, StudyEngine)
+    assert np.array_equal(engine.batch(1, 50).sums, prepared(varying).batch(1, 50).sums)
+
+
+# The description
+
+
+def test_all_mistakes_at_once(tmp_path):
+    text = (
+        PAPER
+        + """
+[study]
+trials = 1
+[study.vary]
+K_IX = { fixed = "1 g" }
+K_II = { normal = "1e-5 g/g^2" }
+K_III = { uniform = ["1e-5 g/g^3", "1e-6 g/g^3"] }
+"centrifuge.radius" = { normal = "2 ± 1 s" }
+"noise.displacement" = { fixed = "1 mm", uniform = ["1 mm", "2 mm"] }
+[study.analyses.one]
+method = "joint"
+weighted = true
+[study.analyses.two]
+method = "two-stage"
+terms = ["K_XX"]
+"""
+    )
+    folder = write(tmp_path / "a", text.replace("trials = 1\n", ""))
+    with pytest.raises(CampaignError) as caught:
+        read_study(folder)
+    for words in (
+        "study.vary.K_IX: is nothing that a study can vary",
+        'study.vary.K_II: a normal distribution is written "MEAN ± SD UNIT"',
+        "study.vary.K_III: the least value must be below the greatest",
+        "study.vary.\"centrifuge.radius\": 's' is not a unit of",
+        'study.vary."noise.displacement": has one of normal, uniform and fixed',
+        "study.analyses.one.weighted: is an option of the two-stage method",
+        'study.analyses.two: model.terms[0]: no term is called "K_XX"',
+    ):
+        assert words in str(caught.value)
+    write(folder, text)
+    with pytest.raises(CampaignError, match=r"study\.trials"):
+        read_study(folder)
+
+
+def test_study_s_own_file_names_its_campaign(paper, tmp_path):
+    file = tmp_path / "study.toml"
+    file.write_text('schema = 1\ncampaign = "paper"\n[study]\ntrials = 50\n', encoding="utf-8")
+    assert read_study(file).trials == 50
+    assert read_study(file).campaign.title == "The paper's plan"
+    file.write_text('schema = true\ncampaign = "paper"\nstudies = 1\n', encoding="utf-8")
+    with pytest.raises(CampaignError, match="did you mean"):
+        read_study(file)
+
+
+def test_chosen_terms_are_those_of_the_analysis(tmp_path):
+    text = PAPER + '[study.analyses.few]\nmethod = "joint"\nterms = ["K_F", "K_II"]\n'
+    (one,) = read_study(write(tmp_path / "a", text)).analyses
+    assert one.campaign.model.terms == ("K_F", "K_II")
+    assert one.campaign.model.considered == ()
+
+
+def test_campaign_without_truth_is_refused(tmp_path):
+    text = PAPER[: PAPER.index("# What the records are made from")]
+    with pytest.raises(CampaignError, match=r"truth: missing; a study needs"):
+        read_study(write(tmp_path / "a", text))
+
+
+def test_records_that_no_study_can_make_are_refused(tmp_path):
+    velocity = PAPER.replace('displacement = { column = "east_m", unit = "m" }', "").replace(
+        'bias = "0.004', 'velocity = { column = "v", unit = "m/s" }\nbias = "0.004'
+    )
+    velocity = velocity.replace('displacement = "0.01 m"', 'velocity = "0.01 m/s"')
+    with pytest.raises(CampaignError, match=r"accelerometers\.Qx: a study needs records of disp"):
+        study(write(tmp_path / "velocity", velocity))
+    text = PAPER.replace('angle = { column = "angle_rad", unit = "rad" }', "")
+    with pytest.raises(NotIdentifiableError, match="two-stage method needs a recorded angle"):
+        study(write(tmp_path / "angle", text))
+
+
+def test_joint_fit_without_a_recorded_angle_is_studied_by_whole_records(tmp_path):
+    text = SHORT.replace('angle = { column = "angle_rad", unit = "rad" }', "")
+    text += '[study.analyses.joint]\nmethod = "joint"\n'
+    (one,) = study(write(tmp_path / "angle", text), trials=4).analyses
+    assert one.engine == "full records (no angle is recorded, and the rotation has to be found)"
+
+
+# The command
+
+
+def test_command_prints_and_writes(varying, tmp_path, capsys):
+    out = tmp_path / "out"
+    status = main(["study", str(varying), "--trials", "3000", "-o", str(out)])
+    shown = capsys.readouterr()
+    assert status == 0, shown.err
+    assert "surrogate of degree 4" in shown.out
+    assert "Verdict" in shown.out
+    assert {path.name for path in out.iterdir()} == {
+        "study.json",
+        "z.svg",
+        "coverage.svg",
+        "bias-spindle.drift.svg",
+        "bias-spindle.ripple.ratio.svg",
+    }
+    kept = json.loads((out / "study.json").read_text())
+    assert kept["trials"] == 3000
+    assert set(kept["analyses"]) == {"exact", "residuals"}

@@ -1,0 +1,24 @@
+"""Triangular factors: R of a matrix does not depend on how its rows are taken."""
+
+import numpy as np
+import pytest
+
+from counterspin.arrays import PART, in_parts, triangle_of, triangular_root
+
+
+@pytest.mark.parametrize("rows", [0, 3, PART - 1, PART, PART + 1, 3 * PART + 7])
+@pytest.mark.parametrize("order", ["C", "F"])
+def test_fewer_rows_have_the_same_triangle(rows, order):
+    matrix = np.asarray(np.random.default_rng(rows).standard_normal((rows, 5)), order=order)
+    parts = in_parts(matrix)
+    assert len(parts) == rows // PART * 5 + rows % PART
+    expected = matrix.T @ matrix
+    triangle = triangle_of(parts)
+    assert not np.tril(triangle, -1).any()
+    np.testing.assert_allclose(triangle.T @ triangle, expected, rtol=0, atol=1e-13 * (rows + 1))
+
+
+def test_the_root_of_a_covariance_is_triangular_and_unique():
+    factor = np.random.default_rng(1).standard_normal((4, 6))
+    root = triangular_root(factor)
+    np.testing.assert_allclose(root, np.linalg.cholesky(factor @ factor.T), rtol=0, atol=1e-13)
