@@ -16,7 +16,7 @@ TABLES = re.findall(r"^<!-- keys: ([\w ]+) -->\n((?:\|.*\n)+)", PAGE, re.MULTILI
 SECTIONS = {
     name: value
     for name, value in (vars(settings) | vars(specification)).items()
-    if inspect.isclass(value) and issubclass(value, settings.Section) and name[0] != "_"
+    if inspect.isclass(value) and issubclass(value, settings.SettingsSection) and name[0] != "_"
 }
 MODELS = [(name, table) for names, table in TABLES for name in names.split()]
 #: The unit that makes the example of a column a valid one.
@@ -41,7 +41,7 @@ def keys_of(model):
 
 def test_every_section_has_its_table():
     # The axes are part of an accelerometer's keys.
-    assert {name for name, _ in MODELS} == set(SECTIONS) - {"Section", "AxesSettings"}
+    assert {name for name, _ in MODELS} == set(SECTIONS) - {"SettingsSection", "AxesSettings"}
 
 
 @every_table

@@ -11,7 +11,7 @@ from counterspin.reports.blocks import (
     HeatMap,
     Paragraph,
     Plot,
-    Series,
+    PlotSeries,
     Table,
 )
 from counterspin.reports.html import html
@@ -34,9 +34,9 @@ def residuals(title="Residuals of Qx, run 1", label="smallest to largest", count
         "time, s",
         "residual, mm",
         (
-            Series(label, time, middle, tuple(low), tuple(high), kind="band"),
-            Series("mean", coarse, tuple(math.sin(0.02 * t) for t in coarse)),
-            Series(
+            PlotSeries(label, time, middle, tuple(low), tuple(high), kind="band"),
+            PlotSeries("mean", coarse, tuple(math.sin(0.02 * t) for t in coarse)),
+            PlotSeries(
                 "left out",
                 (10.25, 10.25, 600.0),
                 (12.0, -13.0, 4000.0),
@@ -51,7 +51,7 @@ def residuals(title="Residuals of Qx, run 1", label="smallest to largest", count
 
 def blocks(name="Qx"):
     """Return a report with every kind of block; `name` stands wherever a user's words may."""
-    bare = Plot("Spectrum", "Hz", name, (Series(name, (1.0, 2.0), (3.0, 4.0)),), log_x=True)
+    bare = Plot("Spectrum", "Hz", name, (PlotSeries(name, (1.0, 2.0), (3.0, 4.0)),), log_x=True)
     return [
         Heading(f"Calibration of {name}", 1),
         Paragraph(

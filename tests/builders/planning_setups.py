@@ -6,13 +6,14 @@ from dataclasses import replace
 import numpy as np
 
 from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import Considered, Model, Unknown
+from counterspin.inference.joint.fit import Considered, Unknown
 from counterspin.inference.joint.series import Series
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import DEGREE_PER_HOUR, QX, QY, TERMS, term
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
-from counterspin.planning.setup import Instrument, Setup
+from counterspin.planning.setup import PlannedInstrument, Setup
 
 ARCSECOND = math.pi / 648000
 SITE = Site(9.8, math.radians(45.75))
@@ -22,7 +23,7 @@ ATTITUDES = LEVEL | {
     "about north": np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]),
     "about east": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]]),
 }
-WHITE = Noise(0.01)
+WHITE = NoiseModel(0.01)
 PLATFORM = (
     "platform.tilt.north",
     "platform.drift.north",
@@ -63,14 +64,14 @@ def make_setup(
             return list(mountings)
         return list(attitudes) if term(symbol).per_run else [""]
 
-    model = Model(
+    model = Unknowns(
         tuple(unknown(s, o, priors=priors) for s in (*symbols, *platform) for o in owners(s)),
         tuple(unknown(s, o, Considered, priors) for s in considered for o in owners(s)),
         inputs,
     )
     return Setup(
         instruments=tuple(
-            Instrument(name, mounting, observable, noise, jitter)
+            PlannedInstrument(name, mounting, observable, noise, jitter)
             for name, mounting in mountings.items()
         ),
         attitudes=dict(attitudes),
@@ -121,7 +122,7 @@ def u_by_joint_fit(setup, design):
                 found.append(one)
         return tuple(found)
 
-    model = Model(
+    model = Unknowns(
         of_runs(setup.model.unknowns), of_runs(setup.model.considered), setup.model.inputs
     )
     expected = {u.name: v for u, v in zip(setup.model.unknowns, setup.estimate, strict=True)}

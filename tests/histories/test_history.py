@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from counterspin.calibration.result import SCHEMA
-from counterspin.calibration.result_parts import Part
+from counterspin.calibration.result_parts import ResultPart
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.histories import result as history_result
@@ -392,7 +392,7 @@ def test_page_has_every_key():
     models = {
         name: model
         for name, model in vars(history_result).items()
-        if inspect.isclass(model) and issubclass(model, Part) and model is not Part
+        if inspect.isclass(model) and issubclass(model, ResultPart) and model is not ResultPart
     }
     assert set(tables) == set(models)
     for name, model in models.items():

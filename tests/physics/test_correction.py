@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from counterspin.errors import ConvergenceError
 from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting, indicated
-from counterspin.physics.correction import Instrument, Known, correct, missing_axes
+from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
 from counterspin.physics.inversion import NotInvertibleError, invert
 
 SETTINGS = settings(deadline=None, derandomize=True, max_examples=150)
@@ -144,7 +144,7 @@ def test_missing_samples_stay_missing():
 
 def instrument(mounting, values, covariance=None, name="Q"):
     covariance = np.zeros((len(values), len(values))) if covariance is None else covariance
-    return Instrument(name, mounting, values, covariance)
+    return CalibratedAccelerometer(name, mounting, values, covariance)
 
 
 MOUNTINGS = st.sampled_from(
@@ -264,7 +264,7 @@ def test_uncertainty_of_coupled_accelerometers_against_differences():
     for name, mounting in zip("xyz", mountings, strict=True):
         values = {s: row.nominal + 0.2 * size(s) * rng.normal() for s, row in TERMS.items()}
         root = rng.normal(size=(len(values),) * 2) * [[0.01 * size(s)] for s in TERMS]
-        instruments.append(Instrument(name, mounting, values, root @ root.T))
+        instruments.append(CalibratedAccelerometer(name, mounting, values, root @ root.T))
     y = np.stack([indicated(one.mounting, one.coefficients, vector) for one in instruments], 1)
     claimed = correct(instruments, y).u[0]
     variance = np.zeros(3)

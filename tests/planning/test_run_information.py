@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from planning_setups import ATTITUDES, PLATFORM, PRIORS, TWO, make_setup, u_by_joint_fit
 
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.planning.angle_functions import functions, integration, prefix_factors
 from counterspin.planning.design import Design, Predictor, RunType
 from counterspin.planning.run_information import RunInformation
@@ -21,9 +21,9 @@ CASES = {
         "symbols": ("K_F", "K_I", "K_II", "K_PP", "K_OO", "delta_P"),
         "attitudes": ATTITUDES,
     },
-    "random walk": {"noise": Noise(0.01, 3e-5)},
-    "velocity": {"noise": Noise(1e-3, 3e-5), "observable": "velocity"},
-    "specific force": {"noise": Noise(1e-3, 1e-5), "observable": "specific_force"},
+    "random walk": {"noise": NoiseModel(0.01, 3e-5)},
+    "velocity": {"noise": NoiseModel(1e-3, 3e-5), "observable": "velocity"},
+    "specific force": {"noise": NoiseModel(1e-3, 1e-5), "observable": "specific_force"},
     "two accelerometers": {
         "mountings": TWO,
         "platform": (*PLATFORM, "platform.tilt.east", "platform.g_sensitivity.zy"),

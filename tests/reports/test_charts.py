@@ -9,7 +9,7 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from counterspin.reports.blocks import Bars, HeatMap, Plot, Series
+from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
 from counterspin.reports.chart_layout import shortened, text_width, thinned
 from counterspin.reports.charts import COLOURS_OF_PAPER, svg
 
@@ -18,9 +18,9 @@ LINE = Plot(
     "time / s",
     "drift / (ppm/h)",
     (
-        Series("fitted", (0.0, 1.0, 2.0), (1.0, 3.0, 2.0), (0.0, 2.0, 1.0), (2.0, 4.0, 3.0)),
-        Series("seen", (0.0, 1.0, 2.0), (1.1, None, 2.2), kind="points"),
-        Series("rejected", (0.5,), (4.0,), kind="points", stands_out=True),
+        PlotSeries("fitted", (0.0, 1.0, 2.0), (1.0, 3.0, 2.0), (0.0, 2.0, 1.0), (2.0, 4.0, 3.0)),
+        PlotSeries("seen", (0.0, 1.0, 2.0), (1.1, None, 2.2), kind="points"),
+        PlotSeries("rejected", (0.5,), (4.0,), kind="points", stands_out=True),
     ),
     levels=(0.0,),
 )
@@ -129,7 +129,7 @@ def test_paper_has_colours_of_its_own():
 def test_words_are_words_and_taken_as_they_are():
     odd = {"time / $s^2$", "a_b < c & d", 'x$y$ #0100fe id="m" "z"\u3000d="M 1  2"'}
     x_label, y_label, label = sorted(odd)
-    plot = Plot("", x_label, y_label, (Series(label, (0.0, 1.0), (0.0, 1.0)),))
+    plot = Plot("", x_label, y_label, (PlotSeries(label, (0.0, 1.0), (0.0, 1.0)),))
     assert odd <= set(words(svg(plot)))
 
 
@@ -152,7 +152,7 @@ def test_line_keeps_its_proportions():
 
 def test_gap_breaks_the_line_and_a_lone_value_is_seen():
     values = (1.0, 2.0, None, 3.0, None, 1.0, 2.0)
-    plot = Plot("", "x", "y", (Series("", tuple(map(float, range(7))), values),))
+    plot = Plot("", "x", "y", (PlotSeries("", tuple(map(float, range(7))), values),))
     text = svg(plot)
     strokes = [
         p for p in ET.fromstring(text).iter(f"{NAMESPACE}path") if "0072b2" in str(p.attrib).lower()
@@ -169,7 +169,7 @@ def test_error_bars_and_level_stand_at_their_heights():
         "",
         "run",
         "K_II",
-        (Series("", (0.0, 1.0), (5.0, 6.0), (4.0, 3.0), (6.0, 9.0), kind="points"),),
+        (PlotSeries("", (0.0, 1.0), (5.0, 6.0), (4.0, 3.0), (6.0, 9.0), kind="points"),),
         levels=(4.0,),
         x_names=("run1", "run2"),
     )
@@ -184,7 +184,7 @@ def test_error_bars_and_level_stand_at_their_heights():
 
 def test_points_at_the_same_whole_numbers_stand_beside_each_other():
     def points(height, **kind):
-        return Series("", (1.0, 3.0), (height, height), (0.0, 0.0), (9.0, 9.0), **kind)
+        return PlotSeries("", (1.0, 3.0), (height, height), (0.0, 0.0), (9.0, 9.0), **kind)
 
     plot = Plot("", "harmonic", "ppm", (points(5.0, kind="points"), points(6.0, kind="points")))
     text = svg(plot)
@@ -205,7 +205,10 @@ def test_logarithmic_axes():
         "",
         "f",
         "p",
-        (Series("", (1e-6, 1e-3, 1.0), (1.0, 1e4, -1.0)), Series("", (1.0, 2.0), (1.0, 1e8))),
+        (
+            PlotSeries("", (1e-6, 1e-3, 1.0), (1.0, 1e4, -1.0)),
+            PlotSeries("", (1.0, 2.0), (1.0, 1e8)),
+        ),
         log_x=True,
         log_y=True,
     )
@@ -218,7 +221,7 @@ def test_logarithmic_axes():
 
 def test_nothing_to_draw_is_an_empty_drawing():
     for y in ((None, None), (math.nan, math.inf)):
-        assert svg(Plot("", "x", "y", (Series("a", (0.0, 1.0), y),), log_y=True))
+        assert svg(Plot("", "x", "y", (PlotSeries("a", (0.0, 1.0), y),), log_y=True))
     assert svg(Plot("", "x", "y", ()))
     assert svg(Bars("", (), (), ()))
     assert svg(HeatMap("", (), ()))
@@ -227,7 +230,9 @@ def test_nothing_to_draw_is_an_empty_drawing():
 def test_many_names_stand_upright():
     names = tuple(f"2024-03-{day:02d} fast" for day in range(1, 25))
     text = svg(
-        Plot("", "", "y", (Series("", tuple(map(float, range(24))), (1.0,) * 24),), x_names=names)
+        Plot(
+            "", "", "y", (PlotSeries("", tuple(map(float, range(24))), (1.0,) * 24),), x_names=names
+        )
     )
     upright = re.findall(r'rotate\(-90\)"[^>]*>([^<]*)<', text)
     assert set(names) <= set(upright)
@@ -243,7 +248,7 @@ def test_thinning_keeps_every_outlier(kind):
     y[[5, 123_456, 199_990]] = [9.0, -8.0, 7.5]
     x = np.linspace(0.0, 1e4, y.size)
     seen_x, seen_y, _, _ = thinned(
-        Series("", tuple(x), tuple(y), kind=kind), log_x=False, log_y=False
+        PlotSeries("", tuple(x), tuple(y), kind=kind), log_x=False, log_y=False
     )
     assert seen_x.size < 3000
     assert {9.0, -8.0, 7.5} <= set(seen_y)
@@ -261,7 +266,7 @@ def test_thinning_keeps_gaps():
     y = [math.sin(0.01 * i) for i in range(5000)]
     y[2000:3000] = [None] * 1000
     seen_x, seen_y, _, _ = thinned(
-        Series("", tuple(map(float, range(5000))), tuple(y)), log_x=False, log_y=False
+        PlotSeries("", tuple(map(float, range(5000))), tuple(y)), log_x=False, log_y=False
     )
     before, after = seen_x[seen_x < 2000.0][-1], seen_x[seen_x >= 3000.0][0]
     between = (seen_x > before) & (seen_x < after)
@@ -272,7 +277,7 @@ def test_thinning_keeps_gaps():
 def test_a_long_record_is_a_small_drawing():
     n = 100_000
     y = tuple(np.random.default_rng(5).normal(size=n))
-    text = svg(Plot("", "t", "y", (Series("", tuple(map(float, range(n))), y, kind="points"),)))
+    text = svg(Plot("", "t", "y", (PlotSeries("", tuple(map(float, range(n))), y, kind="points"),)))
     assert len(text) < 150_000
 
 

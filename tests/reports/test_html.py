@@ -7,7 +7,7 @@ import lxml.html
 import pytest
 from pages import NASTY, blocks, page, residuals
 
-from counterspin.reports.blocks import Heading, Paragraph, Picture, Plot, Series, Table
+from counterspin.reports.blocks import Heading, Paragraph, Picture, Plot, PlotSeries, Table
 from counterspin.reports.charts import svg
 from counterspin.reports.html import _asset
 from counterspin.reports.zoomable import can_zoom, plot_data
@@ -245,22 +245,22 @@ def test_data_of_plots_are_right_to_what_a_screen_shows(text, name):
 
 
 def test_logarithmic_data_keep_their_digits_at_both_ends():
-    series = Series("a", (1e-3, 1.2345678e5), (9.87654e-9, 3.0))
+    series = PlotSeries("a", (1e-3, 1.2345678e5), (9.87654e-9, 3.0))
     data = json.loads(plot_data(Plot("t", "x", "y", (series,), log_x=True, log_y=True)))
     assert unpacked(data["series"][0]["x"]) == [1e-3, 1.235e5]
     assert unpacked(data["series"][0]["y"]) == [9.877e-9, 3.0]
 
 
 def test_what_is_no_number_is_a_gap():
-    series = Series("a", (0.0, 1.0, 2.0), (float("nan"), 5.0, float("inf")))
+    series = PlotSeries("a", (0.0, 1.0, 2.0), (float("nan"), 5.0, float("inf")))
     data = json.loads(plot_data(Plot("t", "x", "y", (series,))))
     assert unpacked(data["series"][0]["y"]) == [None, pytest.approx(5.0, rel=1e-4), None]
 
 
 def test_a_plot_of_names_or_of_one_place_is_not_zoomed():
-    series = (Series("a", (0.0, 0.0), (1.0, 2.0)),)
+    series = (PlotSeries("a", (0.0, 0.0), (1.0, 2.0)),)
     assert not can_zoom(Plot("t", "x", "y", series, zoom=True))
-    two = (Series("a", (0.0, 1.0), (1.0, 2.0)),)
+    two = (PlotSeries("a", (0.0, 1.0), (1.0, 2.0)),)
     assert can_zoom(Plot("t", "x", "y", two, zoom=True))
     assert not can_zoom(Plot("t", "x", "y", two, zoom=True, x_names=("p", "q")))
     assert not can_zoom(Plot("t", "x", "y", two))
@@ -280,9 +280,9 @@ def test_zoomed_and_still_pictures_have_the_same_colours(kind):
         "x",
         "y",
         (
-            Series("", x, x, (0.0, 0.5, 1.0), (2.0, 3.0, 4.0), kind="band"),
-            *(Series(f"s{index}", x, x, x, x, kind=kind) for index in range(8)),
-            Series("o", x, x, kind="points", stands_out=True),
+            PlotSeries("", x, x, (0.0, 0.5, 1.0), (2.0, 3.0, 4.0), kind="band"),
+            *(PlotSeries(f"s{index}", x, x, x, x, kind=kind) for index in range(8)),
+            PlotSeries("o", x, x, kind="points", stands_out=True),
         ),
     )
     used = {one["colour"] for one in json.loads(plot_data(plot))["series"]}

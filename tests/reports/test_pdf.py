@@ -17,7 +17,7 @@ from counterspin.reports.blocks import (
     HeatMap,
     Paragraph,
     Plot,
-    Series,
+    PlotSeries,
     Table,
 )
 from counterspin.reports.pdf import Attachment, pdf
@@ -27,7 +27,7 @@ DATE = datetime(2026, 3, 1, 14, 30, tzinfo=timezone(timedelta(hours=1)))
 HOSTILE = r'#panic() #let x = [ $a^b$ ] \ *b* _c_ `d` <e> @f // g /* h */ "i" {j} ~ -- ... = \u{41}'
 
 PICTURES = [
-    Plot("Drift", "time / s", "drift", (Series("seen", (0.0, 1.0), (1.0, 2.0)),)),
+    Plot("Drift", "time / s", "drift", (PlotSeries("seen", (0.0, 1.0), (1.0, 2.0)),)),
     Bars("Budget", ("noise",), (1.0,), ("100 %",)),
     HeatMap("Correlation", ("a", "b"), ((1.0, 0.5), (0.5, 1.0))),
 ]

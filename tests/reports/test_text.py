@@ -17,7 +17,7 @@ from counterspin.calibration.result_parts import (
     BudgetLine,
     Coefficient,
     Comparison,
-    Confounded,
+    ConfoundedTerms,
     Correlation,
     Inputs,
     Jackknife,
@@ -96,14 +96,14 @@ def full():
     found = accelerometer(
         coefficients=every_term() | {"K_II": K_II, "K_III": K_III},
         confounded=[
-            Confounded(
+            ConfoundedTerms(
                 terms=["K_I", "K_IP"],
                 correlation=1.0 - 6e-11,
                 determined="K_I - K_IP",
                 value=1.0019743,
                 u=1.2e-7,
             ),
-            Confounded(
+            ConfoundedTerms(
                 terms=["K_F", "K_PP", "delta_O"], correlation=-0.98, determined="K_F + K_PP"
             ),
         ],

@@ -9,7 +9,7 @@ from counterspin.reports.blocks import (
     HeatMap,
     Paragraph,
     Plot,
-    Series,
+    PlotSeries,
     Table,
 )
 from counterspin.reports.numbers import format_compact, format_estimate, speakable
@@ -51,9 +51,9 @@ def test_every_kind_of_block_is_set_but_commands():
     assert typeset_block(Paragraph("run g^2", "command")) == Paragraph("run g^2", "command")
     table = Table((Column("ug", "right"),), (("1e-5 g",),), frozenset({0}))
     assert typeset_block(table) == Table((Column("µg", "right"),), (("10⁻⁵ g",),), frozenset({0}))
-    plot = Plot("ug", "s^2", "m^2", (Series("1e3 ug", (0.0,), (1.0,)),), zoom=True)
+    plot = Plot("ug", "s^2", "m^2", (PlotSeries("1e3 ug", (0.0,), (1.0,)),), zoom=True)
     assert typeset_block(plot) == Plot(
-        "µg", "s²", "m²", (Series("10³ µg", (0.0,), (1.0,)),), zoom=True
+        "µg", "s²", "m²", (PlotSeries("10³ µg", (0.0,), (1.0,)),), zoom=True
     )
     bars = Bars("ug", ("ug.csv",), (1.0,), ("6e-7",))
     assert typeset_block(bars) == Bars("µg", ("ug.csv",), (1.0,), ("6 × 10⁻⁷",))

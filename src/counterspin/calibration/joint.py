@@ -29,7 +29,7 @@ from counterspin.calibration.joint_problem import model_of, noise_of, series_of
 from counterspin.calibration.joint_traces import traces
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.result import described
-from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Confounded
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, ConfoundedTerms
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.diagnostics import Diagnostics
 from counterspin.inference.identifiability import Assessment, assess
@@ -50,7 +50,7 @@ class JointOutcome:
     runs: Mapping[str, Mapping[str, Coefficient]]
     fits: Mapping[str, Mapping[str, dict[str, float | str | None]]]
     outliers: Mapping[str, int]
-    confounded: tuple[Confounded, ...]
+    confounded: tuple[ConfoundedTerms, ...]
     warnings: tuple[str, ...]
     estimate: Estimate
 

@@ -17,7 +17,7 @@ from counterspin.calibration import two_stage
 from counterspin.calibration.joint_problem import left_out_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.result_parts import Comparison, Jackknife, LeftOut
+from counterspin.calibration.result_parts import Comparison, Jackknife, OmittedTerm
 from counterspin.campaign.resolved import Campaign
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.diagnostics import Diagnostics, diagnose
@@ -166,7 +166,7 @@ def compare(
     )
 
 
-def left_out(campaign: Campaign, found: Estimate) -> dict[str, dict[str, LeftOut]]:
+def left_out(campaign: Campaign, found: Estimate) -> dict[str, dict[str, OmittedTerm]]:
     """Return by accelerometer what each term left out would move its K_II by.
 
     Of a term that every run has anew, the runs' effects are combined as independent ones.
@@ -181,7 +181,7 @@ def left_out(campaign: Campaign, found: Estimate) -> dict[str, dict[str, LeftOut
     if not every:
         return {name: {} for name in campaign.accelerometers}
     moved = sensitivities(found.fit, every)
-    result: dict[str, dict[str, LeftOut]] = {}
+    result: dict[str, dict[str, OmittedTerm]] = {}
     for name in campaign.accelerometers:
         index = _k_ii(found, name)
         effects: dict[str, list[float]] = {}
@@ -189,7 +189,7 @@ def left_out(campaign: Campaign, found: Estimate) -> dict[str, dict[str, LeftOut
             effect = float(moved[index, every.index(other)])
             effects.setdefault(other.symbol, []).append(effect)
         result[name] = {
-            symbol: LeftOut(
+            symbol: OmittedTerm(
                 sensitivity=parts[0] if len(parts) == 1 else math.hypot(*parts),
                 unit=term(symbol).unit,
             )

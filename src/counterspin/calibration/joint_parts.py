@@ -14,15 +14,14 @@ import numpy as np
 from counterspin.calibration.result_parts import (
     BudgetLine,
     Coefficient,
-    Confounded,
+    ConfoundedTerms,
     Correlation,
     NoiseLine,
     Residual,
 )
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.diagnostics import Diagnostics
-from counterspin.inference.identifiability import Assessment
-from counterspin.inference.identifiability import Confounded as ConfoundedTerms
+from counterspin.inference.identifiability import Assessment, Confounded
 from counterspin.inference.joint import fit as fitting
 from counterspin.inference.joint.budget import ENCODER, NOISE, UNSEEN, Line, budget
 from counterspin.inference.joint.estimation import Estimate
@@ -141,7 +140,7 @@ def correlation(
     )
 
 
-def confounded(assessment: Assessment, name: str) -> list[Confounded]:
+def confounded(assessment: Assessment, name: str) -> list[ConfoundedTerms]:
     """Return the sets with terms of an accelerometer's own, its name left out."""
     own = f"{name}."
     return [
@@ -151,7 +150,7 @@ def confounded(assessment: Assessment, name: str) -> list[Confounded]:
     ]
 
 
-def confounded_platform(assessment: Assessment) -> list[Confounded]:
+def confounded_platform(assessment: Assessment) -> list[ConfoundedTerms]:
     """Return the sets of platform terms alone, those of a run's own rotation left out."""
     return [
         _written(item, "")
@@ -160,8 +159,8 @@ def confounded_platform(assessment: Assessment) -> list[Confounded]:
     ]
 
 
-def _written(item: ConfoundedTerms, own: str) -> Confounded:
-    return Confounded(
+def _written(item: Confounded, own: str) -> ConfoundedTerms:
+    return ConfoundedTerms(
         terms=[symbol.removeprefix(own) for symbol in item.terms],
         correlation=item.correlation,
         determined=item.determined.replace(own, "") if own else item.determined,

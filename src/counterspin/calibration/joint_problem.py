@@ -19,8 +19,9 @@ from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import Accelerometer, Campaign, Run
 from counterspin.campaign.terms import acts
 from counterspin.inference.joint.estimation import NoiseRequest
-from counterspin.inference.joint.fit import ROTATION, TIMING, Considered, Model, Unknown
+from counterspin.inference.joint.fit import ROTATION, TIMING, Considered, Unknown
 from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
 
@@ -67,7 +68,7 @@ def _jitter(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> float
     return timing * campaign.radius.value * abs(run.rate) ** power / math.sqrt(2.0)
 
 
-def model_of(campaign: Campaign) -> Model:
+def model_of(campaign: Campaign) -> Unknowns:
     """Return the unknowns and considered terms that a campaign asks for.
 
     What is known beforehand of a term that the campaign neither estimates nor considers is
@@ -98,7 +99,7 @@ def model_of(campaign: Campaign) -> Model:
             for run in campaign.runs
             for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
         ]
-    return Model(tuple(unknowns), tuple(considered), _uncertain_inputs(campaign))
+    return Unknowns(tuple(unknowns), tuple(considered), _uncertain_inputs(campaign))
 
 
 def left_out_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:

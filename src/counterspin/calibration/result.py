@@ -23,10 +23,10 @@ from pydantic import Field, ValidationError
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
-    Confounded,
+    ConfoundedTerms,
     Inputs,
-    Part,
     Provenance,
+    ResultPart,
     RunResult,
     Trace,
 )
@@ -41,7 +41,7 @@ SCHEMA: Final = 1  #: version of the JSON
 _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
 
 
-class Result(Part):
+class Result(ResultPart):
     """A calibration's result; see the parts."""
 
     schema_version: Annotated[int, Field(alias="schema")] = SCHEMA
@@ -50,7 +50,7 @@ class Result(Part):
     title: str = ""
     accelerometers: dict[str, AccelerometerResult]
     platform: dict[str, Coefficient] = Field(default={})
-    confounded: list[Confounded] = Field(default=[])
+    confounded: list[ConfoundedTerms] = Field(default=[])
     runs: dict[str, RunResult]
     inputs: Inputs
     details: dict[str, str] = Field(default={})

@@ -3,8 +3,8 @@
 Coefficients are in g-units of the stated gravity; everything else is SI unless its unit stands
 beside it.
 
-- `Coefficient`, `Correlation`, `Confounded`, `Residual`, `NoiseLine`: what was estimated
-- `BudgetLine`, `Jackknife`, `Comparison`, `LeftOut`, `Conformity`: what it rests on
+- `Coefficient`, `Correlation`, `ConfoundedTerms`, `Residual`, `NoiseLine`: what was estimated
+- `BudgetLine`, `Jackknife`, `Comparison`, `OmittedTerm`, `Conformity`: what it rests on
 - `Trace` and its parts: the residuals of a run, thinned for pictures
 - `AccelerometerResult`, `RunResult`, `Inputs`, `Provenance`: what holds these
 """
@@ -16,13 +16,13 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict
 
 
-class Part(BaseModel):
+class ResultPart(BaseModel):
     """A part of the result; unknown keys are kept out so that a slip is seen at once."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")
 
 
-class Coefficient(Part):
+class Coefficient(ResultPart):
     """One coefficient and where its uncertainty comes from.
 
     Attributes
@@ -51,14 +51,14 @@ class Coefficient(Part):
     estimated: bool
 
 
-class Correlation(Part):
+class Correlation(ResultPart):
     """Correlation matrix of the estimated coefficients, rows in the order of `terms`."""
 
     terms: list[str]
     matrix: list[list[float]]
 
 
-class Confounded(Part):
+class ConfoundedTerms(ResultPart):
     """Terms that the data cannot tell apart, or hardly, and the combination they do determine.
 
     `correlation` is that of the data alone, priors left aside.
@@ -71,7 +71,7 @@ class Confounded(Part):
     u: float | None = None
 
 
-class Residual(Part):
+class Residual(ResultPart):
     """Size of the residuals and how well the model fits.
 
     `chi2` and `lack_of_fit_p` need a noise that was given; they are None where it was estimated
@@ -85,7 +85,7 @@ class Residual(Part):
     lack_of_fit_p: float | None = None
 
 
-class BudgetLine(Part):
+class BudgetLine(ResultPart):
     """One source of uncertainty: contribution = |sensitivity| x u; share of u^2.
 
     For noise the sensitivity is None: it is a different one for every sample.
@@ -99,7 +99,7 @@ class BudgetLine(Part):
     share: float
 
 
-class NoiseLine(Part):
+class NoiseLine(ResultPart):
     """One noise component: its size, whether it was estimated, and its uncertainty then."""
 
     value: float
@@ -108,7 +108,7 @@ class NoiseLine(Part):
     estimated: bool
 
 
-class Jackknife(Part):
+class Jackknife(ResultPart):
     """K_II with one run left out; `z` is its shift over the shift's standard uncertainty."""
 
     run: str
@@ -117,7 +117,7 @@ class Jackknife(Part):
     z: float | None
 
 
-class Comparison(Part):
+class Comparison(ResultPart):
     """K_II by the two-stage method beside the joint fit; `z` is the difference over its u."""
 
     value: float
@@ -127,14 +127,14 @@ class Comparison(Part):
     z: float
 
 
-class LeftOut(Part):
+class OmittedTerm(ResultPart):
     """A term that the model leaves out: what one unit of it would move K_II by, in g/g^2."""
 
     sensitivity: float
     unit: str
 
 
-class Conformity(Part):
+class Conformity(ResultPart):
     """Whether a coefficient meets its specification, by a stated decision rule (JCGM 106).
 
     Attributes
@@ -175,7 +175,7 @@ class Conformity(Part):
     reason: str | None = None
 
 
-class Fold(Part):
+class Fold(ResultPart):
     """Residuals against the spindle's angle: equal parts of a revolution from angle 0 on.
 
     A part without a sample has None.
@@ -186,21 +186,21 @@ class Fold(Part):
     high: list[float | None]
 
 
-class Spectrum(Part):
+class Spectrum(ResultPart):
     """Spectrum of whitened residuals; frequency in Hz, power 1 for white noise."""
 
     frequency: list[float]
     power: list[float]
 
 
-class Quantiles(Part):
+class Quantiles(ResultPart):
     """Ordered whitened residuals beside what a standard normal distribution would show."""
 
     normal: list[float]
     found: list[float]
 
 
-class Trace(Part):
+class Trace(ResultPart):
     """The residuals of one accelerometer in one run, thinned for pictures.
 
     Attributes
@@ -226,7 +226,7 @@ class Trace(Part):
     quantiles: Quantiles | None = None
 
 
-class AccelerometerResult(Part):
+class AccelerometerResult(ResultPart):
     """All that was found out about one accelerometer.
 
     Attributes
@@ -255,20 +255,20 @@ class AccelerometerResult(Part):
     axes: list[tuple[float, float, float]] | None = None
     observable: str | None = None
     correlation: Correlation | None
-    confounded: list[Confounded] = []
+    confounded: list[ConfoundedTerms] = []
     residual: Residual
     noise: dict[str, NoiseLine] = {}
     budget: dict[str, list[BudgetLine]] = {}
     second_unknown: dict[str, Coefficient] = {}
     jackknife: list[Jackknife] = []
     two_stage: Comparison | None = None
-    left_out: dict[str, LeftOut] = {}
+    left_out: dict[str, OmittedTerm] = {}
     conformity: dict[str, Conformity] = {}
     traces: dict[str, Trace] = {}
     warnings: list[str] = []
 
 
-class RippleResult(Part):
+class RippleResult(ResultPart):
     """One ripple of the rate; amplitude in rad/s, phase in rad."""
 
     harmonic: int
@@ -278,7 +278,7 @@ class RippleResult(Part):
     u_phase: float | None
 
 
-class ParabolaResult(Part):
+class ParabolaResult(ResultPart):
     """First stage of the two-stage method: b0 (m), b1 (m/s), b2 (m/s^2) of one accelerometer."""
 
     b0: float
@@ -290,7 +290,7 @@ class ParabolaResult(Part):
     strobes: int
 
 
-class RunResult(Part):
+class RunResult(ResultPart):
     """What one run showed: its rotation, its samples, its own terms.
 
     `rejected` counts every sample, of any accelerometer, that was recorded but not used: repeated
@@ -314,7 +314,7 @@ class RunResult(Part):
     fit: dict[str, dict[str, float | str | None]] = {}
 
 
-class Inputs(Part):
+class Inputs(ResultPart):
     """What the result depends on beside the records."""
 
     gravity: float
@@ -325,7 +325,7 @@ class Inputs(Part):
     radius_unit: Literal["m"] = "m"
 
 
-class Provenance(Part):
+class Provenance(ResultPart):
     """What made the result: program, options and inputs.
 
     Attributes

@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.joint_problem import left_out_of
-from counterspin.calibration.result_parts import Coefficient, Confounded, LeftOut
+from counterspin.calibration.result_parts import Coefficient, ConfoundedTerms, OmittedTerm
 from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.inference.identifiability import assess
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
@@ -35,15 +35,15 @@ def unmodelled(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, .
     return tuple(dict.fromkeys([*asked_only(campaign, accelerometer), *others]))
 
 
-def left_out(second: SecondStage) -> dict[str, LeftOut]:
+def left_out(second: SecondStage) -> dict[str, OmittedTerm]:
     """Return what the terms would move K_II by of which nothing is known."""
     return {
-        symbol: LeftOut(sensitivity=float(second.shift(symbol)[0]), unit=term(symbol).unit)
+        symbol: OmittedTerm(sensitivity=float(second.shift(symbol)[0]), unit=term(symbol).unit)
         for symbol in second.ignored
     }
 
 
-def confounded(second: SecondStage, estimates: Mapping[str, Coefficient]) -> list[Confounded]:
+def confounded(second: SecondStage, estimates: Mapping[str, Coefficient]) -> list[ConfoundedTerms]:
     """Return what the estimates really are of: sums with terms that act exactly alike.
 
     Parameters
@@ -54,7 +54,7 @@ def confounded(second: SecondStage, estimates: Mapping[str, Coefficient]) -> lis
         Of its unknowns.
     """
     found = [
-        Confounded(
+        ConfoundedTerms(
             terms=list(item.terms),
             correlation=item.correlation,
             determined=item.determined,
@@ -66,7 +66,7 @@ def confounded(second: SecondStage, estimates: Mapping[str, Coefficient]) -> lis
     for symbol in second.symbols:
         if alike := second.alike(symbol):
             found.append(
-                Confounded(
+                ConfoundedTerms(
                     terms=[symbol, *alike],
                     # Estimates of terms that act the same way work against each other.
                     correlation=-1.0 if next(iter(alike.values())) > 0.0 else 1.0,

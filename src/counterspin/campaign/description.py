@@ -18,12 +18,10 @@ from counterspin.campaign.resolved import (
     Accelerometer,
     Campaign,
     Channel,
-    Model,
-    Noise,
     Run,
     RunTruth,
     Simulation,
-    Truth,
+    StatedNoise,
 )
 from counterspin.campaign.settings import (
     OBSERVABLES,
@@ -53,12 +51,9 @@ __all__ = [
     "Accelerometer",
     "Campaign",
     "Channel",
-    "Model",
-    "Noise",
     "Run",
     "RunTruth",
     "Simulation",
-    "Truth",
     "read_campaign",
 ]
 
@@ -106,10 +101,10 @@ def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> 
     problems
         Where mistakes are noted.
     """
-    return _Reading(raw, file.absolute(), problems).campaign()
+    return _DescriptionReader(raw, file.absolute(), problems).campaign()
 
 
-class _Reading:
+class _DescriptionReader:
     """One reading of a document: sections are checked one by one, whatever else is wrong."""
 
     def __init__(self, raw: Mapping[str, Any], file: Path, problems: Problems) -> None:
@@ -209,13 +204,13 @@ class _Reading:
         factor = unit_factor(settings.unit, si_unit, gravity=self.gravity)
         return Channel(settings.column, factor, settings.unit)
 
-    def _noise(self) -> Noise | None:
+    def _noise(self) -> StatedNoise | None:
         if not isinstance(self.raw.get("noise"), dict):
             return None
         settings = self.problems.check(
             NoiseSettings, self.raw["noise"], ("noise",), gravity=self.gravity
         )
-        return Noise(**settings.model_dump()) if settings else None
+        return StatedNoise(**settings.model_dump()) if settings else None
 
     def _mountings(self) -> dict[str, Mounting]:
         mountings = {}
@@ -247,7 +242,7 @@ class _Reading:
                     f"and none of {', '.join(TRUTH_TABLES)}",
                 )
 
-    def _observables(self, noise: Noise | None) -> dict[str, str]:
+    def _observables(self, noise: StatedNoise | None) -> dict[str, str]:
         observables = {}
         for name, table in self.raw_accelerometers.items():
             if not isinstance(table, dict):
@@ -329,7 +324,7 @@ class _Reading:
         )
         return settings or SimulationSettings()
 
-    def _simulation(self, noise: Noise | None) -> Simulation:
+    def _simulation(self, noise: StatedNoise | None) -> Simulation:
         return resolve_simulation(
             self._sampling(),
             self._table("truth"),

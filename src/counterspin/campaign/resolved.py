@@ -3,8 +3,8 @@
 Accelerometer coefficients are in g-units; everything else is SI, angles in rad. `Quantity`
 carries a standard uncertainty; a plain number is exact.
 
-- `Campaign`: all of it; `Channel`, `Accelerometer`, `Noise`, `Model`, `Run`: its parts
-- `Simulation`, `Truth`, `RunTruth`: what `counterspin simulate` makes the records from
+- `Campaign`: all of it; `Channel`, `Accelerometer`, `StatedNoise`, `ErrorModel`, `Run`: its parts
+- `Simulation`, `SimulatedTruth`, `RunTruth`: what `counterspin simulate` makes the records from
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class Accelerometer:
 
 
 @dataclass(frozen=True)
-class Noise:
+class StatedNoise:
     """Noise of the records: SI, or ``"estimate"`` where it is to be estimated from residuals.
 
     Attributes
@@ -97,7 +97,7 @@ class Noise:
 
 
 @dataclass(frozen=True)
-class Model:
+class ErrorModel:
     """Which terms are estimated and which are carried in the uncertainty.
 
     Attributes
@@ -165,7 +165,7 @@ class Run:
 
 
 @dataclass(frozen=True)
-class Truth:
+class SimulatedTruth:
     """What the simulated accelerometers really are; platform and spindle are in `RunTruth`.
 
     Attributes
@@ -182,7 +182,7 @@ class Truth:
     coefficients: Mapping[str, Mapping[str, float]]
     start_offset: Mapping[str, float]
     start_velocity: Mapping[str, float]
-    noise: Noise
+    noise: StatedNoise
 
 
 @dataclass(frozen=True)
@@ -201,7 +201,7 @@ class Simulation:
 
     sampling_rate: float
     seed: int
-    truth: Truth
+    truth: SimulatedTruth
 
 
 @dataclass(frozen=True)
@@ -252,8 +252,8 @@ class Campaign:
     angle: Channel | None
     timing_offset: Quantity | None
     accelerometers: Mapping[str, Accelerometer]
-    noise: Noise | None
-    model: Model
+    noise: StatedNoise | None
+    model: ErrorModel
     runs: tuple[Run, ...]
     simulation: Simulation | None
     details: Mapping[str, str]

@@ -162,13 +162,13 @@ PositiveRatio = Annotated[Ratio, AfterValidator(positive)]
 Seconds = Annotated[float, read_exactly("s"), AfterValidator(positive)]
 
 
-class Section(BaseModel):
+class SettingsSection(BaseModel):
     """A table of ``campaign.toml`` in which every key must be known."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, defer_build=True)
 
 
-class DocumentSettings(Section):
+class DocumentSettings(SettingsSection):
     """The sections that there may be; each is checked by its own model afterwards."""
 
     schema_version: Schema = Field(alias="schema")
@@ -186,7 +186,7 @@ class DocumentSettings(Section):
     study: dict[str, Any] | None = None
 
 
-class CampaignSettings(Section):
+class CampaignSettings(SettingsSection):
     """[campaign]: what a report says about the campaign; all free text, all optional."""
 
     title: Text | None = None
@@ -197,20 +197,20 @@ class CampaignSettings(Section):
     comment: Text | None = None
 
 
-class SiteSettings(Section):
+class SiteSettings(SettingsSection):
     """[site]: where the centrifuge stands."""
 
     gravity: Annotated[Quantity, _uncertain("m/s^2"), AfterValidator(_of_earth)]
     latitude: Annotated[Quantity, _uncertain("rad"), AfterValidator(_latitude)]
 
 
-class CentrifugeSettings(Section):
+class CentrifugeSettings(SettingsSection):
     """[centrifuge]: its size."""
 
     radius: Annotated[Quantity, _uncertain("m"), AfterValidator(positive)]
 
 
-class _Channel(Section):
+class _Channel(SettingsSection):
     column: Text
 
 
@@ -226,7 +226,7 @@ class AngleChannel(_Channel):
     unit: Annotated[str, _unit_of("rad")]
 
 
-class RecordsSettings(Section):
+class RecordsSettings(SettingsSection):
     """[records]: how to read every run's file."""
 
     time: TimeChannel
@@ -252,7 +252,7 @@ class ForceChannel(_Channel):
     unit: Annotated[str, _unit_of("m/s^2")]
 
 
-class AxesSettings(Section):
+class AxesSettings(SettingsSection):
     """The axes of an accelerometer; checked by themselves too, whatever else is wrong."""
 
     input_axis: Direction
@@ -285,7 +285,7 @@ AccelerometerSettings = create_model(
 )
 
 
-class NoiseSettings(Section):
+class NoiseSettings(SettingsSection):
     """[noise] and [truth.noise]: standard deviations a sample, SI."""
 
     displacement: Annotated[float | str, _noise_size("m")] = 0.0
@@ -297,7 +297,7 @@ class NoiseSettings(Section):
     timing: Annotated[float | str, _noise_size("s")] = 0.0
 
 
-class ModelSettings(Section):
+class ModelSettings(SettingsSection):
     """[model]; names and values are settled in `terms`."""
 
     terms: list[Text] | None = None
@@ -306,7 +306,7 @@ class ModelSettings(Section):
     limits: dict[str, Any] = {}
 
 
-class RippleSettings(Section):
+class RippleSettings(SettingsSection):
     """One entry of ``ripple``: a fluctuation of the rate, by ratio w_n/w0 or by amplitude."""
 
     harmonic: Annotated[int, AfterValidator(positive)] = 1
@@ -315,7 +315,7 @@ class RippleSettings(Section):
     phase: Annotated[float, read_exactly("rad")] = 0.0
 
 
-class SpindleTruthSettings(Section):
+class SpindleTruthSettings(SettingsSection):
     """[truth.spindle]: how the spindle really turns."""
 
     drift: Annotated[float, read_exactly("1/s")] | None = None
@@ -324,10 +324,10 @@ class SpindleTruthSettings(Section):
     rate_error: Annotated[Ratio, AfterValidator(_rate_error)] | None = None
 
 
-def _platform_kind(kind: str) -> type[Section]:
+def _platform_kind(kind: str) -> type[SettingsSection]:
     rows = [row for row in PLATFORM_TERMS.values() if row.kind == kind]
     units = {row.symbol.rpartition(".")[2]: row.unit for row in rows}
-    return create_model(f"True_{kind}", __base__=Section, **_keys(units, read_exactly))
+    return create_model(f"True_{kind}", __base__=SettingsSection, **_keys(units, read_exactly))
 
 
 _KINDS: Final = {
@@ -338,7 +338,7 @@ _KINDS: Final = {
 #: [truth.platform]: ``tilt.north``, ``drift.up``, ``g_sensitivity.zx`` and so on.
 PlatformTruthSettings = create_model(
     "PlatformTruthSettings",
-    __base__=Section,
+    __base__=SettingsSection,
     **{kind: (keys | None, None) for kind, keys in _KINDS.items()},  # type: ignore[call-overload]
 )
 
@@ -351,7 +351,7 @@ RunTruthSettings = create_model(
 )
 
 
-class _AccelerometerTruthKeys(Section):
+class _AccelerometerTruthKeys(SettingsSection):
     start_offset: Annotated[float, read_exactly("m")] = 0.0
     start_velocity: Annotated[float, read_exactly("m/s")] = 0.0
 
@@ -364,7 +364,7 @@ AccelerometerTruthSettings = create_model(
 )
 
 
-class SimulationSettings(Section):
+class SimulationSettings(SettingsSection):
     """[simulation]: how `counterspin simulate` samples."""
 
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = 50.0
@@ -372,7 +372,7 @@ class SimulationSettings(Section):
     revolutions: PositiveRatio = 100.0
 
 
-class RunSettings(Section):
+class RunSettings(SettingsSection):
     """[[runs]]: one run."""
 
     name: Text

@@ -18,7 +18,7 @@ import polars as pl
 
 from counterspin.arrays import Array
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.resolved import Accelerometer, Campaign, Noise, Run, Truth
+from counterspin.campaign.resolved import Accelerometer, Campaign, Run, SimulatedTruth, StatedNoise
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_whole
@@ -182,7 +182,7 @@ def simulate_run(
     return columns
 
 
-def _start_error(truth: Truth, name: str, times: Array, observable: str) -> Array | float:
+def _start_error(truth: SimulatedTruth, name: str, times: Array, observable: str) -> Array | float:
     """Return what the system's error at the start leaves in its output: nothing in a force."""
     offset, velocity = truth.start_offset.get(name, 0.0), truth.start_velocity.get(name, 0.0)
     if observable == "displacement":
@@ -199,7 +199,7 @@ def _measured(
     times: Array,
     signal: Array,
     accelerometer: Accelerometer,
-    noise: Noise,
+    noise: StatedNoise,
 ) -> Array:
     """Add the accelerometer's and the record's noise, then quantise."""
     order = observation.ORDERS[accelerometer.observable]

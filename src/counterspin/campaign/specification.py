@@ -20,7 +20,7 @@ from pydantic import AfterValidator, PlainValidator
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.settings import Section, exact
+from counterspin.campaign.settings import SettingsSection, exact
 from counterspin.inference.conformity import Rule
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 
@@ -114,7 +114,7 @@ def _probability(value: float) -> float:
     return value
 
 
-class SpecificationSettings(Section):
+class SpecificationSettings(SettingsSection):
     """The keys of [specification] that say how it is judged; all others are terms."""
 
     decision_rule: Annotated[str, PlainValidator(_rule)] = "guarded"

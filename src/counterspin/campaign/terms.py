@@ -18,7 +18,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.campaign.resolved import Model
+from counterspin.campaign.resolved import ErrorModel
 from counterspin.campaign.settings import ModelSettings, exact
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, Mounting, PlatformTerm, term
 
@@ -65,7 +65,7 @@ def resolve_model(
     *,
     problems: Problems,
     gravity: float | None,
-) -> tuple[Model, dict[str, dict[str, Quantity]]]:
+) -> tuple[ErrorModel, dict[str, dict[str, Quantity]]]:
     """Resolve names, priors and limits of [model].
 
     Parameters
@@ -109,7 +109,7 @@ def resolve_model(
     platform, accelerometers = _resolve_priors(settings.priors, given, used, problems, gravity)
     _require_priors(considered, platform, accelerometers, problems)
     limits = _resolve_limits(settings.limits, problems, gravity)
-    return Model(terms, considered, platform, limits), accelerometers
+    return ErrorModel(terms, considered, platform, limits), accelerometers
 
 
 def _expand(

@@ -14,7 +14,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, Final
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
-from counterspin.campaign.resolved import Campaign, Noise, RunTruth, Simulation, Truth
+from counterspin.campaign.resolved import (
+    Campaign,
+    RunTruth,
+    SimulatedTruth,
+    Simulation,
+    StatedNoise,
+)
 from counterspin.campaign.settings import (
     ESTIMATE,
     AccelerometerTruthSettings,
@@ -43,7 +49,7 @@ def resolve_simulation(
     settings: SimulationSettings,
     raw_truth: Mapping[str, Any],
     accelerometers: Iterable[str],
-    noise: Noise | None,
+    noise: StatedNoise | None,
     *,
     problems: Problems,
     gravity: float | None,
@@ -84,18 +90,21 @@ def resolve_simulation(
         coefficients[name] = {s: value for s, value in values.items() if value is not None}
         offsets[name], velocities[name] = table.start_offset, table.start_velocity
     true_noise = _true_noise(raw_truth, noise, problems, gravity)
-    truth = Truth(coefficients, offsets, velocities, true_noise)
+    truth = SimulatedTruth(coefficients, offsets, velocities, true_noise)
     return Simulation(settings.sampling_rate, settings.seed, truth)
 
 
 def _true_noise(
-    raw_truth: Mapping[str, Any], noise: Noise | None, problems: Problems, gravity: float | None
-) -> Noise:
+    raw_truth: Mapping[str, Any],
+    noise: StatedNoise | None,
+    problems: Problems,
+    gravity: float | None,
+) -> StatedNoise:
     if "noise" not in raw_truth:
-        return noise or Noise()
+        return noise or StatedNoise()
     path = ("truth", "noise")
     settings = problems.check(NoiseSettings, raw_truth["noise"], path, gravity=gravity)
-    return Noise(**settings.model_dump()) if settings else Noise()
+    return StatedNoise(**settings.model_dump()) if settings else StatedNoise()
 
 
 def resolve_run_truth(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from counterspin._version import __version__
 from counterspin.calibration.result import Result
 from counterspin.certificates.elements import ENGLISH, Element, dcc, text
-from counterspin.certificates.lab import Contact, Lab, Part, Person
+from counterspin.certificates.lab import Contact, Lab, LabAccelerometer, Person
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def items(lab: Lab, result: Result) -> Element:
 
 
 def _accelerometer(lab: Lab, result: Result, name: str) -> Element:
-    part = lab.accelerometers.get(name, Part())
+    part = lab.accelerometers.get(name, LabAccelerometer())
     serial_number = lab.serial_number(name, result)
     return dcc(
         "item",

@@ -15,7 +15,7 @@ from counterspin.certificates import wording
 from counterspin.certificates.administrative import Issue
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import factor
-from counterspin.certificates.lab import Contact, Lab, Part
+from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
 from counterspin.certificates.statements import Verdicts
 from counterspin.certificates.units import si_unit, to_si
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
@@ -91,7 +91,7 @@ def _item(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
     if item.inventory_number is not None:
         yield "Inventory number", item.inventory_number
     for name in lab.certified(result):
-        part = lab.accelerometers.get(name, Part())
+        part = lab.accelerometers.get(name, LabAccelerometer())
         known = (part.manufacturer, part.model, lab.serial_number(name, result))
         if any(known):
             yield f"Accelerometer {name}", ", ".join(one for one in known if one)

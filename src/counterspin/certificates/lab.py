@@ -23,7 +23,7 @@ from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean, key_path
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.campaign.settings import Section
+from counterspin.campaign.settings import SettingsSection
 from counterspin.campaign.specification import Specifications, resolve_specifications
 from counterspin.campaign.toml_file import load_document
 from counterspin.certificates.elements import clean
@@ -72,7 +72,7 @@ Words = Annotated[str, AfterValidator(_words)]
 Country = Annotated[str, _code(r"[A-Z]{2}", "a country's two letters (ISO 3166-1), such as DE")]
 
 
-class CertificateSettings(Section):
+class CertificateSettings(SettingsSection):
     """[certificate]: what it is called, when and where the calibration took place."""
 
     identifier: Words | None = None
@@ -87,7 +87,7 @@ class CertificateSettings(Section):
     accelerometers: list[Words] | None = None
 
 
-class Contact(Section):
+class Contact(SettingsSection):
     """Somebody's name and address."""
 
     name: Words
@@ -107,7 +107,7 @@ class Laboratory(Contact):
     code: Words | None = None
 
 
-class Item(Section):
+class Item(SettingsSection):
     """[item]: what was calibrated."""
 
     name: Words
@@ -117,7 +117,7 @@ class Item(Section):
     inventory_number: Words | None = None
 
 
-class Part(Section):
+class LabAccelerometer(SettingsSection):
     """[accelerometers.NAME]: an accelerometer in the item, where it is a thing of its own."""
 
     manufacturer: Words | None = None
@@ -125,7 +125,7 @@ class Part(Section):
     serial_number: Words | None = None
 
 
-class Person(Section):
+class Person(SettingsSection):
     """[[persons]]: who answers for the results."""
 
     name: Words
@@ -133,13 +133,13 @@ class Person(Section):
     email: Words | None = None
 
 
-class Conditions(Section):
+class Conditions(SettingsSection):
     """[conditions]: of the laboratory during the calibration."""
 
     temperature: Annotated[Quantity, PlainValidator(_temperature)] | None = None
 
 
-class Lab(Section):
+class Lab(SettingsSection):
     """The whole file."""
 
     schema_version: Literal[1] = Field(alias="schema")
@@ -147,7 +147,7 @@ class Lab(Section):
     laboratory: Laboratory
     customer: Contact
     item: Item
-    accelerometers: dict[str, Part] = Field(default={})
+    accelerometers: dict[str, LabAccelerometer] = Field(default={})
     persons: list[Person] = Field(min_length=1)
     conditions: Conditions = Conditions()
     specification: dict[str, Any] | None = None
@@ -159,7 +159,7 @@ class Lab(Section):
 
     def serial_number(self, name: str, result: Result) -> str | None:
         """Return an accelerometer's own serial number: as stated here, or in the result."""
-        part = self.accelerometers.get(name, Part())
+        part = self.accelerometers.get(name, LabAccelerometer())
         return part.serial_number or result.accelerometers[name].serial_number
 
 

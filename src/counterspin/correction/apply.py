@@ -20,7 +20,7 @@ from counterspin.calibration.result_parts import AccelerometerResult, Coefficien
 from counterspin.campaign.quantity import parse, unit_factor
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import TERMS, Mounting
-from counterspin.physics.correction import Instrument, Known, correct, missing_axes
+from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
 
 _SOURCE: Final = "apply"  #: what the command's own refusals begin with
 
@@ -160,7 +160,7 @@ def apply(
     )
 
 
-def instrument_of(result: Result, name: str, *, placed: bool = False) -> Instrument:
+def instrument_of(result: Result, name: str, *, placed: bool = False) -> CalibratedAccelerometer:
     """Return a calibrated accelerometer with the covariance of its coefficients.
 
     What is not estimated but known beforehand is applied too. Where the result holds a budget,
@@ -196,7 +196,7 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Instrum
     mounting = Mounting(tuple(found.axes)) if placed and found.axes else _ALONE
     terms = {s: c for s, c in _terms(found).items() if c.value is not None}
     values = {s: float(c.value) for s, c in terms.items() if c.value is not None}
-    return Instrument(name, mounting, values, _covariance(found, terms))
+    return CalibratedAccelerometer(name, mounting, values, _covariance(found, terms))
 
 
 def _terms(found: AccelerometerResult) -> dict[str, Coefficient]:
@@ -243,7 +243,7 @@ def _known(given: Any, direction: Array, factor: float, gravity: float, option: 
 
 
 def _needed(
-    accelerometer: str, missing: Sequence[tuple[Instrument, str, tuple[str, ...]]]
+    accelerometer: str, missing: Sequence[tuple[CalibratedAccelerometer, str, tuple[str, ...]]]
 ) -> list[str]:
     problems = []
     for one, axis, symbols in missing:

@@ -1,7 +1,7 @@
 """The files of a history: which are results, whose they are and when, and which say the same again.
 
 - `collect`, `Collected`: from files and folders to records of one coefficient
-- `Record`: one accelerometer in one result
+- `DatedResult`: one accelerometer in one result
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, Final, Literal
 
 from counterspin.calibration.result import Result, read_result
 from counterspin.errors import CampaignError, RecordError
-from counterspin.histories.result import LeftOut
+from counterspin.histories.result import UnusedResult
 
 #: What every result has had, whatever its schema; other documents in a folder are no results.
 _MARKS: Final = {"method", "accelerometers", "provenance"}
@@ -25,13 +25,13 @@ _SUMMARY: Final = "is a summary of several campaigns; write a result for each, w
 
 
 @dataclass(frozen=True)
-class Record:
+class DatedResult:
     """What one result says of one accelerometer.
 
     Attributes
     ----------
     serial_number, stated_by
-        As in `counterspin.histories.result.Instrument`.
+        As in `counterspin.histories.result.InstrumentHistory`.
     campaign_serial_number
         What the campaign states, or None.
     date
@@ -66,9 +66,9 @@ class Record:
 class Collected:
     """What the files hold; the parts as in `counterspin.histories.result.History`."""
 
-    records: list[Record] = field(default_factory=list)
-    left_out: list[LeftOut] = field(default_factory=list)
-    damaged: list[LeftOut] = field(default_factory=list)
+    records: list[DatedResult] = field(default_factory=list)
+    left_out: list[UnusedResult] = field(default_factory=list)
+    damaged: list[UnusedResult] = field(default_factory=list)
     passed_over: list[str] = field(default_factory=list)
 
 
@@ -101,18 +101,18 @@ def collect(paths: Sequence[Path], term: str) -> Collected:
             content = file.read_bytes()
         except OSError as error:
             found.damaged.append(
-                LeftOut(file=str(file), reason=f"cannot be read ({error.strerror})")
+                UnusedResult(file=str(file), reason=f"cannot be read ({error.strerror})")
             )
             continue
         if not named and (reason := _is_other(content)):
             if reason == _SUMMARY:
-                found.left_out.append(LeftOut(file=str(file), reason=reason))
+                found.left_out.append(UnusedResult(file=str(file), reason=reason))
             else:
                 found.passed_over.append(str(file))
             continue
         first = seen.setdefault(hashlib.sha256(content).hexdigest(), str(file))
         if first != str(file):
-            found.left_out.append(LeftOut(file=str(file), reason=f"the same file as {first}"))
+            found.left_out.append(UnusedResult(file=str(file), reason=f"the same file as {first}"))
         else:
             _enter(file, term, found)
     return found
@@ -148,18 +148,20 @@ def _enter(file: Path, term: str, found: Collected) -> None:
         result = read_result(file)
     except RecordError as error:
         reason = str(error).removeprefix(f"{file}: ")
-        found.damaged.append(LeftOut(file=str(file), reason=reason))
+        found.damaged.append(UnusedResult(file=str(file), reason=reason))
         return
     date = _date(result.details.get("date"))
     for name in result.accelerometers:
         outcome = _record(result, name, term, str(file), date)
         if isinstance(outcome, str):
-            found.left_out.append(LeftOut(file=str(file), accelerometer=name, reason=outcome))
+            found.left_out.append(UnusedResult(file=str(file), accelerometer=name, reason=outcome))
         else:
             found.records.append(outcome)
 
 
-def _record(result: Result, name: str, term: str, file: str, date: datetime | str) -> Record | str:
+def _record(
+    result: Result, name: str, term: str, file: str, date: datetime | str
+) -> DatedResult | str:
     """Return a record, or why there is none."""
     accelerometer = result.accelerometers[name]
     coefficient = accelerometer.coefficients.get(term)
@@ -175,7 +177,7 @@ def _record(result: Result, name: str, term: str, file: str, date: datetime | st
         return "has no serial number; state it in [accelerometers] or [campaign]"
     if isinstance(date, str):
         return date
-    return Record(
+    return DatedResult(
         serial_number=f"{whole} {name}" if own is None else own,
         stated_by="campaign" if own is None else "accelerometer",
         campaign_serial_number=whole,

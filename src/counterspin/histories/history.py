@@ -15,14 +15,14 @@ from typing import Final
 from counterspin.campaign.checking import did_you_mean
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.histories.consistency import Agreement, Drift, Mean, drift, en_score, weighted_mean
-from counterspin.histories.files import Collected, Record, collect
+from counterspin.histories.files import Collected, DatedResult, collect
 from counterspin.histories.result import (
     History,
-    Instrument,
-    LeftOut,
+    InstrumentHistory,
     Point,
     Scatter,
     Trend,
+    UnusedResult,
     Verdict,
 )
 from counterspin.inference.diagnostics import SIGNIFICANCE
@@ -65,7 +65,7 @@ def history(
     if not found.records:
         raise CounterspinError(_nothing(paths, found))
     gravity = max(found.records, key=lambda record: (record.date, record.file)).gravity
-    by_serial: dict[str, list[Record]] = {}
+    by_serial: dict[str, list[DatedResult]] = {}
     for record in sorted(found.records, key=lambda record: (record.date, record.file)):
         if serial in (None, record.serial_number, record.campaign_serial_number):
             by_serial.setdefault(record.serial_number, []).append(record)
@@ -104,7 +104,7 @@ def _leave_out_repeated(found: Collected) -> None:
 
     The joint method's goes before that of two stages, then the one found first.
     """
-    kept: dict[tuple[str, str, frozenset[str]], Record] = {}
+    kept: dict[tuple[str, str, frozenset[str]], DatedResult] = {}
     for record in sorted(found.records, key=lambda record: record.method != "joint"):
         # Without checksums nothing is known of what it rests on.
         key = (record.serial_number, record.accelerometer, record.records or {record.file})
@@ -112,7 +112,7 @@ def _leave_out_repeated(found: Collected) -> None:
         if first is not record:
             found.records.remove(record)
             found.left_out.append(
-                LeftOut(
+                UnusedResult(
                     file=record.file,
                     accelerometer=record.accelerometer,
                     reason=f"is of the same records as {first.file}",
@@ -135,7 +135,7 @@ def _nothing(paths: Sequence[Path | str], found: Collected) -> str:
     return f"no result in {where} has a place in a history. {reasons}{more}"
 
 
-def _shared(by_serial: dict[str, list[Record]]) -> list[str]:
+def _shared(by_serial: dict[str, list[DatedResult]]) -> list[str]:
     """Return what is amiss with independence: results that share some of their records."""
     notes = []
     for serial, records in by_serial.items():
@@ -152,7 +152,7 @@ def _shared(by_serial: dict[str, list[Record]]) -> list[str]:
 # What they say
 
 
-def _in_units_of(gravity: float, record: Record, term: str) -> Record:
+def _in_units_of(gravity: float, record: DatedResult, term: str) -> DatedResult:
     """Return the record in g-units of another gravity.
 
     A coefficient of n factors is in g/g^n, and so inversely as g^(n - 1).
@@ -161,12 +161,12 @@ def _in_units_of(gravity: float, record: Record, term: str) -> Record:
     return replace(record, value=record.value * factor, u=record.u * factor, gravity=gravity)
 
 
-def _instrument(records: Sequence[Record]) -> Instrument:
+def _instrument(records: Sequence[DatedResult]) -> InstrumentHistory:
     values, u = [record.value for record in records], [record.u for record in records]
     mean = weighted_mean(values, u)
     start = records[0].date
     line = drift([(record.date - start) / _YEAR for record in records], values, u)
-    return Instrument(
+    return InstrumentHistory(
         serial_number=records[0].serial_number,
         # One that is stated in both ways is the accelerometer's own.
         stated_by=min(record.stated_by for record in records),
@@ -179,7 +179,7 @@ def _instrument(records: Sequence[Record]) -> Instrument:
     )
 
 
-def _point(index: int, records: Sequence[Record], mean: Mean) -> Point:
+def _point(index: int, records: Sequence[DatedResult], mean: Mean) -> Point:
     record = records[index]
     alone, z = len(records) == 1, float(mean.z[index])
     before = records[index - 1] if index else None

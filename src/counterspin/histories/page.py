@@ -11,9 +11,9 @@ from collections.abc import Iterator
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING, Any, Final
 
-from counterspin.histories.result import History, Instrument, Point, Scatter
+from counterspin.histories.result import History, InstrumentHistory, Point, Scatter
 from counterspin.inference.conformity import expanded_uncertainty
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, Series, Table
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.figure import COLOURS, SETTINGS, as_words
 from counterspin.reports.numbers import (
     field_unit,
@@ -62,7 +62,7 @@ def history_blocks(history: History) -> Iterator[Block]:
     yield from _not_among_them(history)
 
 
-def verdict_in_words(history: History, instrument: Instrument) -> str:
+def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
     """Return what the results of an instrument say together, in one or two sentences."""
     name, unit, factor = history.term, *field_unit(history.unit)
     points, mean = instrument.points, instrument.mean * factor
@@ -99,7 +99,7 @@ def verdict_in_words(history: History, instrument: Instrument) -> str:
     )
 
 
-def control_plot(history: History, instrument: Instrument) -> Plot:
+def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
     """Return the results with their 95 % intervals over time, their mean and the drift."""
     unit, factor = field_unit(history.unit)
     x = tuple(_years(point.date) for point in instrument.points)
@@ -108,7 +108,7 @@ def control_plot(history: History, instrument: Instrument) -> Plot:
     ends = (min(x), max(x))
     mean, u = instrument.mean * factor, expanded_uncertainty(instrument.u_mean, None) * factor
     series = [
-        Series(
+        PlotSeries(
             "weighted mean; band: 95 %",
             ends,
             (mean, mean),
@@ -119,7 +119,7 @@ def control_plot(history: History, instrument: Instrument) -> Plot:
     ]
     if (line := instrument.drift) is not None and len(x) > 2:
         series.append(
-            Series(
+            PlotSeries(
                 "drift",
                 ends,
                 tuple(
@@ -129,7 +129,7 @@ def control_plot(history: History, instrument: Instrument) -> Plot:
             )
         )
     series.append(
-        Series(
+        PlotSeries(
             "results; bars: 95 %",
             x,
             y,
@@ -180,7 +180,7 @@ def history_figure(history: History) -> Figure:
         return figure
 
 
-def _draw(axes: Any, series: Series) -> None:
+def _draw(axes: Any, series: PlotSeries) -> None:
     x = [_date(year) for year in series.x]
     if series.kind == "points":
         assert series.low is not None
@@ -212,7 +212,7 @@ def _draw(axes: Any, series: Series) -> None:
     )
 
 
-def _name(instrument: Instrument) -> str:
+def _name(instrument: InstrumentHistory) -> str:
     if instrument.stated_by == "campaign":
         return f"{instrument.serial_number} (serial number of the campaign)"
     return instrument.serial_number
@@ -225,7 +225,7 @@ def _scatter_in_words(scatter: Scatter) -> str:
     return f"chi-square p = {p}, Birge ratio {birge}"
 
 
-def _table(history: History, instrument: Instrument) -> Table:
+def _table(history: History, instrument: InstrumentHistory) -> Table:
     unit, factor = field_unit(history.unit)
     return Table(
         columns=(

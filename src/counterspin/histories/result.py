@@ -3,8 +3,8 @@
 Values are in the unit of the term, in g-units of one gravity, which is stated.
 
 - `History`: all of it
-- `Instrument`, `Point`, `Scatter`, `Trend`: one instrument's results and what they say together
-- `LeftOut`: what could not be used, and why
+- `InstrumentHistory`, `Point`, `Scatter`, `Trend`: one instrument's results, and what they say
+- `UnusedResult`: what could not be used, and why
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Annotated, Final, Literal
 
 from pydantic import Field
 
-from counterspin.calibration.result_parts import Part
+from counterspin.calibration.result_parts import ResultPart
 
 HISTORY_SCHEMA: Final = 1  #: version of the JSON
 
@@ -21,7 +21,7 @@ HISTORY_SCHEMA: Final = 1  #: version of the JSON
 Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
 
 
-class Point(Part):
+class Point(ResultPart):
     """One result.
 
     Attributes
@@ -55,7 +55,7 @@ class Point(Part):
     e_n: float | None
 
 
-class Scatter(Part):
+class Scatter(ResultPart):
     """How results scatter about a mean or a line; p and Birge ratio need a degree of freedom."""
 
     chi2: float
@@ -64,7 +64,7 @@ class Scatter(Part):
     birge: float | None
 
 
-class Trend(Part):
+class Trend(ResultPart):
     """A straight line through the results: change per year of 365.25 days.
 
     Attributes
@@ -90,7 +90,7 @@ class Trend(Part):
     scatter: Scatter
 
 
-class Instrument(Part):
+class InstrumentHistory(ResultPart):
     """One instrument's results, oldest first.
 
     Attributes
@@ -121,7 +121,7 @@ class Instrument(Part):
     verdict: Verdict
 
 
-class LeftOut(Part):
+class UnusedResult(ResultPart):
     """A file, or one accelerometer in it, that is not in the history, and why."""
 
     file: str
@@ -129,7 +129,7 @@ class LeftOut(Part):
     reason: str
 
 
-class History(Part):
+class History(ResultPart):
     """What all files say.
 
     Attributes
@@ -157,9 +157,9 @@ class History(Part):
     unit: str
     gravity: float
     converted: bool
-    instruments: list[Instrument]
-    left_out: list[LeftOut]
-    damaged: list[LeftOut]
+    instruments: list[InstrumentHistory]
+    left_out: list[UnusedResult]
+    damaged: list[UnusedResult]
     passed_over: list[str]
     notes: list[str]
 

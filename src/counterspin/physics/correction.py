@@ -4,7 +4,7 @@ The products with a_P and a_O need the specific force along the other two axes. 
 it is what other accelerometers on the same platform sense; their errors are then corrected too,
 in turn, until nothing moves any more.
 
-- `Instrument`, `Known`: calibrated accelerometers, and directions in which the force is known
+- `CalibratedAccelerometer`, `Known`: accelerometers, and directions in which the force is known
 - `missing_axes`: the axes along which the force is needed and not known
 - `correct`, `Corrected`: several accelerometers together, with standard uncertainties
 """
@@ -31,7 +31,7 @@ _PARALLEL: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Instrument:
+class CalibratedAccelerometer:
     """A calibrated accelerometer.
 
     Attributes
@@ -97,8 +97,8 @@ class Corrected:
 
 
 def missing_axes(
-    instruments: Sequence[Instrument], known: Sequence[Known]
-) -> list[tuple[Instrument, str, tuple[str, ...]]]:
+    instruments: Sequence[CalibratedAccelerometer], known: Sequence[Known]
+) -> list[tuple[CalibratedAccelerometer, str, tuple[str, ...]]]:
     """Return (instrument, ``P`` or ``O``, symbols that need it) where the force is not known.
 
     Raises
@@ -116,7 +116,7 @@ def missing_axes(
 
 
 def correct(
-    instruments: Sequence[Instrument], indicated: Array, known: Sequence[Known] = ()
+    instruments: Sequence[CalibratedAccelerometer], indicated: Array, known: Sequence[Known] = ()
 ) -> Corrected:
     """Correct the indications of accelerometers that stand on one platform.
 
@@ -181,7 +181,7 @@ def correct(
 
 
 def _projections(
-    instruments: Sequence[Instrument], known: Sequence[Known]
+    instruments: Sequence[CalibratedAccelerometer], known: Sequence[Known]
 ) -> tuple[Array, np.ndarray]:
     """Return the weights that lead from forces along the known directions to a_P and a_O.
 
@@ -209,7 +209,7 @@ def _along_axes(force: Array, given: Array, weights: Array) -> Array:
 
 
 def _settled(
-    instruments: Sequence[Instrument], indicated: Array, given: Array, weights: Array
+    instruments: Sequence[CalibratedAccelerometer], indicated: Array, given: Array, weights: Array
 ) -> Array:
     """Correct each accelerometer with the others' corrected forces until none moves."""
     force = np.array(indicated, dtype=np.float64)
@@ -239,7 +239,7 @@ def _settled(
     )
 
 
-def _total_slope(one: Instrument, a_ipo: Array, axis: str) -> Array:
+def _total_slope(one: CalibratedAccelerometer, a_ipo: Array, axis: str) -> Array:
     total = np.zeros(a_ipo.shape[1])
     for row in TERMS.values():
         value = one.coefficients.get(row.symbol, row.nominal)
@@ -248,7 +248,7 @@ def _total_slope(one: Instrument, a_ipo: Array, axis: str) -> Array:
     return total
 
 
-def _variance(one: Instrument, a_ipo: Array) -> Array:
+def _variance(one: CalibratedAccelerometer, a_ipo: Array) -> Array:
     products = np.stack([TERMS[symbol].evaluate(a_ipo) for symbol in one.coefficients], axis=1)
     found: Array = np.einsum("ni,ij,nj->n", products, one.covariance, products)
     return np.maximum(found, 0.0)

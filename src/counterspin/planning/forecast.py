@@ -24,14 +24,15 @@ from counterspin.errors import CampaignError
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.fit import JointFit, Model, Unknown
+from counterspin.inference.joint.fit import JointFit, Unknown
 from counterspin.inference.joint.series import Series
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.spindle import Spindle
-from counterspin.planning.setup import Instrument, Setup
+from counterspin.planning.setup import PlannedInstrument, Setup
 from counterspin.records.reduction import block_size
 
 
@@ -77,7 +78,7 @@ def forecast(
     campaign: Campaign,
     *,
     sampling_rate: float | None = None,
-    model: Model | None = None,
+    model: Unknowns | None = None,
     expected: Array | None = None,
 ) -> Forecast:
     """Predict what a calibration will say.
@@ -149,13 +150,13 @@ def _noise(campaign: Campaign) -> Mapping[str, float | str]:
     }
 
 
-def noise_of_records(campaign: Campaign) -> dict[str, Noise]:
+def noise_of_records(campaign: Campaign) -> dict[str, NoiseModel]:
     """Return the noise of each accelerometer's records."""
     noise = _noise(campaign)
     found = {}
     for name, accelerometer in campaign.accelerometers.items():
         step = noise["quantisation"] if accelerometer.observable == "displacement" else 0.0
-        found[name] = Noise(
+        found[name] = NoiseModel(
             float(noise[accelerometer.observable]), float(noise["acceleration"]), float(step)
         )
     return found
@@ -247,12 +248,12 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
     model = model_of(campaign)
     if not considering:
         estimated = tuple(Unknown(c.owner, c.symbol, c.prior, c.limit) for c in model.considered)
-        model = Model(model.unknowns + estimated)
+        model = Unknowns(model.unknowns + estimated)
     timing = float(_noise(campaign).get("timing", 0.0))
     noise = noise_of_records(campaign)
     return Setup(
         instruments=tuple(
-            Instrument(name, a.mounting, a.observable, noise[name], timing)
+            PlannedInstrument(name, a.mounting, a.observable, noise[name], timing)
             for name, a in campaign.accelerometers.items()
         ),
         attitudes={run.name: run.attitude for run in campaign.runs},

@@ -15,9 +15,10 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import budget_lines, coefficient, unit_of
-from counterspin.calibration.result_parts import Confounded
+from counterspin.calibration.result_parts import ConfoundedTerms
 from counterspin.campaign.resolved import Campaign
-from counterspin.inference.joint.fit import INPUTS, ROTATION, TIMING, Considered, Model
+from counterspin.inference.joint.fit import INPUTS, ROTATION, TIMING, Considered
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.physics.accelerometer import TERMS
 from counterspin.planning.forecast import Forecast, expected_values, forecast
 from counterspin.planning.result import PlannedAccelerometer, PlannedRun, Predicted, Requirement
@@ -44,7 +45,7 @@ def _accelerometer(found: Forecast, name: str) -> PlannedAccelerometer:
             if coefficients[symbol].estimated
         },
         confounded=[
-            Confounded(
+            ConfoundedTerms(
                 terms=[t.removeprefix(f"{name}.") for t in item.terms],
                 correlation=item.correlation,
                 determined=item.determined.replace(f"{name}.", ""),
@@ -147,7 +148,7 @@ def requirements_of(
         for symbol in ROTATION
     )
     inputs = dict.fromkeys((*INPUTS, TIMING), 1.0)
-    watched = Model(model.unknowns, rotation, inputs)
+    watched = Unknowns(model.unknowns, rotation, inputs)
     solution = forecast(
         campaign, sampling_rate=sampling_rate, model=watched, expected=expected
     ).fit.solution

@@ -14,11 +14,11 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from counterspin.calibration.result import SCHEMA
-from counterspin.calibration.result_parts import BudgetLine, Confounded, Part, Provenance
+from counterspin.calibration.result_parts import BudgetLine, ConfoundedTerms, Provenance, ResultPart
 from counterspin.output import write_text
 
 
-class PlannedRun(Part):
+class PlannedRun(ResultPart):
     """One run: rad/s (its sign is the sense), centripetal force in g, s; `start` of the record."""
 
     name: str
@@ -30,7 +30,7 @@ class PlannedRun(Part):
     start: float | None = None
 
 
-class Predicted(Part):
+class Predicted(ResultPart):
     """The uncertainty that a coefficient will have, and where from; None: not determined."""
 
     u: float | None
@@ -42,15 +42,15 @@ class Predicted(Part):
     estimated: bool
 
 
-class PlannedAccelerometer(Part):
+class PlannedAccelerometer(ResultPart):
     """What the campaign will tell of one accelerometer."""
 
     coefficients: dict[str, Predicted]
     budget: dict[str, list[BudgetLine]]
-    confounded: list[Confounded]
+    confounded: list[ConfoundedTerms]
 
 
-class GoalResult(Part):
+class GoalResult(ResultPart):
     """What was sought, and how it was met.
 
     `efficiency` is the least u (or, for a target, time) that any plan within the limits could
@@ -63,7 +63,7 @@ class GoalResult(Part):
     efficiency: float
 
 
-class OtherPlan(Part):
+class OtherPlan(ResultPart):
     """Another plan in the same time; `ratio` is this plan's u over the other's."""
 
     words: str
@@ -72,7 +72,7 @@ class OtherPlan(Part):
     ratio: dict[str, float]
 
 
-class LimitResult(Part):
+class LimitResult(ResultPart):
     """One limit: whether the plan touches it, and what it gains if the limit gives way.
 
     `gain` is the relative decrease of u (mean over the goal's coefficients), or of the time.
@@ -84,7 +84,7 @@ class LimitResult(Part):
     gain: float
 
 
-class Requirement(Part):
+class Requirement(ResultPart):
     """How large a fault of the centrifuge may be before u of the goal grows by a twentieth."""
 
     words: str
@@ -92,14 +92,14 @@ class Requirement(Part):
     unit: str
 
 
-class Curve(Part):
+class Curve(ResultPart):
     """A line of a figure: the criterion's u over an abscissa."""
 
     x: list[float]
     u: list[float]
 
 
-class Curves(Part):
+class Curves(ResultPart):
     """What the figures show.
 
     `time` and `rate`: the best plan's u against total time, s, and against the highest rate,
@@ -114,7 +114,7 @@ class Curves(Part):
     sources: dict[str, Curve]
 
 
-class PlanResult(Part):
+class PlanResult(ResultPart):
     """A plan, or the forecast of a campaign that exists (then without goal and limits)."""
 
     schema_version: Annotated[int, Field(alias="schema")] = SCHEMA

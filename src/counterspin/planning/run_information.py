@@ -29,15 +29,15 @@ from numpy.polynomial import chebyshev
 
 from counterspin.arrays import Array
 from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import Model
 from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import REGULARISATION
-from counterspin.inference.noise.model import Noise, make_whitener
+from counterspin.inference.noise.model import NoiseModel, make_whitener
 from counterspin.physics.accelerometer import Term, term
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle
 from counterspin.planning.angle_functions import functions, integration, prefix_factors
-from counterspin.planning.setup import Instrument, Setup
+from counterspin.planning.setup import PlannedInstrument, Setup
 
 #: Highest harmonic of the products of the table; |a_I| has them all, falling off as n^-4 or so.
 _HARMONICS: Final = 3
@@ -130,7 +130,7 @@ class RunInformation:
 
     # The functions of the angle
 
-    def _factor(self, instrument: Instrument) -> Any:
+    def _factor(self, instrument: PlannedInstrument) -> Any:
         """Return the spline of R over the logarithm of revolutions (and of the rate)."""
         from scipy.interpolate import NdBSpline, make_interp_spline
 
@@ -154,7 +154,7 @@ class RunInformation:
             whiten = make_whitener(
                 angle / rate,
                 instrument.order,
-                Noise(white, instrument.noise.random_walk),
+                NoiseModel(white, instrument.noise.random_walk),
             )
             rows = whiten.apply(shapes[:, self._used(instrument.order)])
             ends = self._counts * points - instrument.order
@@ -164,7 +164,7 @@ class RunInformation:
         second = make_interp_spline(nodes, np.moveaxis(first.c, 0, 1))
         return NdBSpline((second.t, first.t), np.ascontiguousarray(second.c), 3)
 
-    def _scaled(self, instrument: Instrument, rate: Array, revolutions: Array) -> Array:
+    def _scaled(self, instrument: PlannedInstrument, rate: Array, revolutions: Array) -> Array:
         """Return R for each run, its rows of unit variance, shape (n, b, b)."""
         spline = self._factors[_key(instrument)]
         if instrument.noise.random_walk > 0.0:
@@ -175,7 +175,7 @@ class RunInformation:
         factor: Array = np.asarray(spline(np.log(revolutions)), dtype=np.float64)
         return np.asarray(factor / np.sqrt(variance)[:, None, None])
 
-    def _variance(self, instrument: Instrument, rate: Any) -> Any:
+    def _variance(self, instrument: PlannedInstrument, rate: Any) -> Any:
         """Return the white variance of one sample, that of jitter included."""
         slope = self.setup.radius * rate ** (3 - instrument.order) / math.sqrt(2.0)
         return instrument.noise.sample_variance + (instrument.jitter * slope) ** 2
@@ -186,7 +186,7 @@ class RunInformation:
 
     # The weights
 
-    def _weight(self, instrument: Instrument, attitude: str, sense: int) -> Array:
+    def _weight(self, instrument: PlannedInstrument, attitude: str, sense: int) -> Array:
         """Return Chebyshev coefficients of the weights over the rate, (nodes, b, columns)."""
         setup = self.setup
         own, own_considered = setup.own(attitude)
@@ -224,7 +224,7 @@ class RunInformation:
         return np.asarray(flat.reshape(len(rate), *weight.shape[1:]))
 
     def _forces(
-        self, instrument: Instrument, attitude: str, rate: float, times: Array
+        self, instrument: PlannedInstrument, attitude: str, rate: float, times: Array
     ) -> joint.Prepared:
         """Return the columns of the specific force, before any integration, times rate^-order."""
         setup = self.setup
@@ -261,7 +261,7 @@ def _without_first(rows: Array, prior: float) -> Array:
     return np.asarray(others - x * ((1.0 - kept) * along))
 
 
-def _key(instrument: Instrument) -> tuple[object, ...]:
+def _key(instrument: PlannedInstrument) -> tuple[object, ...]:
     """Return what tells apart the instruments whose functions are whitened differently."""
     if instrument.noise.random_walk == 0.0:
         return (instrument.order,)
@@ -273,7 +273,7 @@ def _factors(symbol: str) -> tuple[str, ...]:
     return row.factors if isinstance(row, Term) else ()
 
 
-def _weights_of_priors(model: Model, places: Sequence[int]) -> Array:
+def _weights_of_priors(model: Unknowns, places: Sequence[int]) -> Array:
     """Return 1/u of what is known of some unknowns; of nothing, the solver's regularisation."""
     chosen = [model.unknowns[i] for i in places]
     return np.array(

@@ -14,7 +14,7 @@ from counterspin.campaign.settings import (
     PositiveRatio,
     Schema,
     Seconds,
-    Section,
+    SettingsSection,
     Text,
     positive,
     read_exactly,
@@ -37,7 +37,7 @@ def _attitude(value: object) -> object:
     return value
 
 
-class PlanDocument(Section):
+class PlanDocument(SettingsSection):
     """The sections that there may be; each is checked by its own model afterwards."""
 
     schema_version: Schema = Field(alias="schema")
@@ -53,7 +53,7 @@ class PlanDocument(Section):
     goal: dict[str, Any]
 
 
-class LimitsSettings(Section):
+class LimitsSettings(SettingsSection):
     """[limits]: what the machine and the laboratory allow."""
 
     total_time: Seconds
@@ -75,7 +75,7 @@ class LimitsSettings(Section):
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = 50.0
 
 
-class GoalSettings(Section):
+class GoalSettings(SettingsSection):
     """[goal]: what the plan is for; names and sizes are settled in `plan_description`."""
 
     minimise: list[Text] | dict[str, Any] | None = None

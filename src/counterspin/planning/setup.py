@@ -1,6 +1,6 @@
 """What is planned, as the calculation sees it: instruments, attitudes, unknowns, what is expected.
 
-- `Instrument`: one accelerometer and its noise
+- `PlannedInstrument`: one accelerometer and its noise
 - `Setup`: all of it
 """
 
@@ -12,15 +12,15 @@ from functools import cached_property
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference.joint.fit import Model
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.observation import ORDERS
 
 
 @dataclass(frozen=True)
-class Instrument:
+class PlannedInstrument:
     """One accelerometer as a plan sees it.
 
     Attributes
@@ -36,7 +36,7 @@ class Instrument:
     name: str
     mounting: Mounting
     observable: str
-    noise: Noise
+    noise: NoiseModel
     jitter: float = 0.0
 
     @property
@@ -69,12 +69,12 @@ class Setup:
         K_I of each accelerometer.
     """
 
-    instruments: tuple[Instrument, ...]
+    instruments: tuple[PlannedInstrument, ...]
     attitudes: dict[str, Array]
     radius: float
     site: Site
     sampling_rate: float
-    model: Model
+    model: Unknowns
     estimate: Array
     scale_factors: dict[str, float]
 

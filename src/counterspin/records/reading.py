@@ -118,7 +118,7 @@ def read_record(
     specs = [time, *([angle] if angle else []), *signals.values()]
     names = list(dict.fromkeys(spec.name for spec in specs))
     file = open_columns(path, names)
-    reading = _Reading(file, specs, angle is not None, nominal_rate, block)
+    reading = _RecordReader(file, specs, angle is not None, nominal_rate, block)
     blocks = reading.run()
     duration = float(blocks.time[-1] - blocks.time[0])
     revolutions = duration * abs(nominal_rate) / (2 * np.pi)
@@ -131,7 +131,7 @@ def read_record(
     return reading.record(blocks, list(signals), radius, input_axes)
 
 
-class _Reading:
+class _RecordReader:
     """The state of reading one file."""
 
     def __init__(

@@ -4,7 +4,7 @@ A face draws those that it can: the terminal and Markdown leave pictures out, wh
 in tables beside them.
 
 - `Block`: `Heading`, `Paragraph`, `Table` of `Column` and rows, or a `Picture`
-- `Picture`: `Plot` of `Series`, `Bars` or `HeatMap`
+- `Picture`: `Plot` of `PlotSeries`, `Bars` or `HeatMap`
 - `without_pictures`: what a face that draws none has to say
 """
 
@@ -52,7 +52,7 @@ class Table:
 
 
 @dataclass(frozen=True)
-class Series:
+class PlotSeries:
     """One line, row of points or band of a plot.
 
     Attributes
@@ -103,7 +103,7 @@ class Plot:
     title: str
     x_label: str
     y_label: str
-    series: tuple[Series, ...]
+    series: tuple[PlotSeries, ...]
     levels: tuple[float, ...] = ()
     x_names: tuple[str, ...] = ()
     log_x: bool = False

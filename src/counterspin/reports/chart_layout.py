@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from counterspin.arrays import Array
-from counterspin.reports.blocks import Plot, Series
+from counterspin.reports.blocks import Plot, PlotSeries
 
 #: Of every drawing, and of one with axes; in points.
 WIDTH: Final = 504.0
@@ -152,7 +152,7 @@ def _crowded(axes: Any, names: Sequence[str], room: float) -> bool:
 
 
 def thinned(
-    series: Series, *, log_x: bool, log_y: bool
+    series: PlotSeries, *, log_x: bool, log_y: bool
 ) -> tuple[Array, Array, Array | None, Array | None]:
     """Return what of a series is seen: of each column of the drawing its lowest and highest.
 
@@ -220,7 +220,7 @@ def whole_numbers(plot: Plot) -> range:
     return range(int(min(places)), int(max(places)) + 1)
 
 
-def spread(series: Sequence[Series]) -> list[Series]:
+def spread(series: Sequence[PlotSeries]) -> list[PlotSeries]:
     """Move rows of points that share their places to the side, so that none hides another."""
     rows = [one for one in series if one.kind == "points"]
     step = min(0.12, 0.7 / max(len(rows), 1))

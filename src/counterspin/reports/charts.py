@@ -28,7 +28,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.reports.blocks import Bars, HeatMap, Picture, Plot, Series
+from counterspin.reports.blocks import Bars, HeatMap, Picture, Plot, PlotSeries
 from counterspin.reports.chart_layout import (
     HEIGHT,
     WIDTH,
@@ -176,7 +176,7 @@ def _draw_plot(axes: Any, plot: Plot) -> None:
     set_margins(axes, HEIGHT, legend_rows=-(-len(labels) // columns))
 
 
-def _draw_series(axes: Any, series: Series, plot: Plot, colour: str, marker: str) -> None:
+def _draw_series(axes: Any, series: PlotSeries, plot: Plot, colour: str, marker: str) -> None:
     x, y, low, high = thinned(series, log_x=plot.log_x, log_y=plot.log_y)
     if series.kind == "points":
         if low is not None:

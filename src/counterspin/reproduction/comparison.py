@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from counterspin.reproduction import equations, stages
 from counterspin.reproduction.plan import stated_inputs
-from counterspin.reproduction.result import Reproduction, Section
+from counterspin.reproduction.result import PaperSection, Reproduction
 
 
 def reproduce() -> Reproduction:
@@ -20,10 +20,12 @@ def reproduce() -> Reproduction:
     return Reproduction(
         stated_inputs(),
         (
-            Section("Equations 5 to 19", equations.coefficients()),
-            Section("First stage: sigma(b2), after Eq. 31", stages.first_stage_spread()),
-            Section("Second stage: sigma(K_II), after Eq. 34", stages.second_stage_spread()),
-            Section("Whose K_II comes back: simulated by Eq. 7, without noise", stages.recovery()),
-            Section("What the second unknown of Eq. 26 is good for", stages.second_unknown()),
+            PaperSection("Equations 5 to 19", equations.coefficients()),
+            PaperSection("First stage: sigma(b2), after Eq. 31", stages.first_stage_spread()),
+            PaperSection("Second stage: sigma(K_II), after Eq. 34", stages.second_stage_spread()),
+            PaperSection(
+                "Whose K_II comes back: simulated by Eq. 7, without noise", stages.recovery()
+            ),
+            PaperSection("What the second unknown of Eq. 26 is good for", stages.second_unknown()),
         ),
     )

@@ -9,7 +9,7 @@ import textwrap
 
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.text import Report
-from counterspin.reproduction.result import Reproduction, Row, Section
+from counterspin.reproduction.result import PaperSection, Reproduction, Row
 
 #: Characters of the first column; left to itself it would give most of its room to the reasons.
 _QUANTITY_WIDTH = 30
@@ -38,7 +38,7 @@ def render_reproduction(reproduction: Reproduction) -> Report:
     return Report(blocks)
 
 
-def _table(section: Section) -> Table:
+def _table(section: PaperSection) -> Table:
     return Table(_COLUMNS, tuple(_cells(row) for row in section.rows))
 
 

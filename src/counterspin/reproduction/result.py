@@ -1,6 +1,6 @@
 """What `counterspin.reproduction` returns: rows of printed figure, our figure and the reason.
 
-- `Row`, `Section`, `Reproduction`
+- `Row`, `PaperSection`, `Reproduction`
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Section:
+class PaperSection:
     """Rows that belong together, under one title."""
 
     title: str
@@ -72,7 +72,7 @@ class Reproduction:
     """
 
     inputs: Mapping[str, Any]
-    sections: tuple[Section, ...]
+    sections: tuple[PaperSection, ...]
 
     @property
     def rows(self) -> tuple[Row, ...]:

@@ -17,8 +17,8 @@ import numpy as np
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import Model
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.two_stage.second_stage import RIPPLE
 from counterspin.physics.accelerometer import TERMS, term
 from counterspin.studies.draws import (
@@ -28,9 +28,9 @@ from counterspin.studies.draws import (
     RIPPLE_AMPLITUDE,
     RIPPLE_PHASE,
     RIPPLE_RATIO,
-    Truth,
+    StudyTruth,
 )
-from counterspin.studies.engine import Part, Reported, StudyEngine
+from counterspin.studies.engine import EnginePart, Reported, StudyEngine
 from counterspin.studies.full import FullEngine, Instrumented
 from counterspin.studies.joint import JointAnalysis, JointEngine, scale_factors
 from counterspin.studies.surrogate import Surrogate, box_of
@@ -63,7 +63,7 @@ class Analysis:
     what: TwoStage | JointAnalysis
 
 
-def drivers_of(truth: Truth) -> tuple[Driver, ...]:
+def drivers_of(truth: StudyTruth) -> tuple[Driver, ...]:
     """Return the quantities against which the bias is shown: drift and ripple, if they vary."""
     found = []
     for symbol, causes in ((DRIFT, (DRIFT,)), (RIPPLE_RATIO, (RIPPLE_RATIO, RIPPLE_AMPLITUDE))):
@@ -77,7 +77,7 @@ def drivers_of(truth: Truth) -> tuple[Driver, ...]:
 
 def prepare(
     world: Instrumented,
-    truth: Truth,
+    truth: StudyTruth,
     analyses: Sequence[Analysis],
     seed: int,
     engine: EngineName = "auto",
@@ -98,8 +98,8 @@ def prepare(
 
 
 def choose_engine(
-    world: Instrumented, truth: Truth, analysis: Analysis, engine: EngineName
-) -> Part:
+    world: Instrumented, truth: StudyTruth, analysis: Analysis, engine: EngineName
+) -> EnginePart:
     """Return the fastest engine that is valid for an analysis, or the one asked for.
 
     Raises
@@ -128,7 +128,9 @@ def choose_engine(
     return _joint(world, truth, analysis) if joint_ else _strobed(world, truth, analysis, engine)
 
 
-def _strobed(world: Instrumented, truth: Truth, analysis: Analysis, engine: EngineName) -> Part:
+def _strobed(
+    world: Instrumented, truth: StudyTruth, analysis: Analysis, engine: EngineName
+) -> EnginePart:
     what = analysis.what
     assert isinstance(what, TwoStage)
     motions = tuple(world.strobed(run, analysis.owner) for run in range(len(world.runs)))
@@ -182,7 +184,7 @@ def _strobed(world: Instrumented, truth: Truth, analysis: Analysis, engine: Engi
         analysis.owner, motions, tuple(symbols), true, (what,), surrogates, world.radius
     )
     rows = [i for i, symbol in enumerate(what.unknowns) if symbol != RIPPLE]
-    return Part(
+    return EnginePart(
         made,
         kind,
         _stream(world, analysis),
@@ -198,7 +200,7 @@ def _stream(world: Instrumented, analysis: Analysis) -> int:
     return names.index(analysis.owner) if analysis.owner else len(names)
 
 
-def _outside(truth: Truth, surrogates: Sequence[Surrogate]) -> float:
+def _outside(truth: StudyTruth, surrogates: Sequence[Surrogate]) -> float:
     """Return the share of trials in which some run lies outside its surrogate's box."""
     draws = truth.draw(np.random.default_rng(1), 2000)
     inside = np.ones(draws.trials, dtype=bool)
@@ -209,12 +211,14 @@ def _outside(truth: Truth, surrogates: Sequence[Surrogate]) -> float:
     return 1.0 - float(inside.mean())
 
 
-def _strobed_full(world: Instrumented, truth: Truth, analysis: Analysis, words: str) -> Part:
+def _strobed_full(
+    world: Instrumented, truth: StudyTruth, analysis: Analysis, words: str
+) -> EnginePart:
     what = analysis.what
     assert isinstance(what, TwoStage)
     rows = [i for i, symbol in enumerate(what.unknowns) if symbol != RIPPLE]
     made = FullEngine(world, what, analysis.owner)
-    return Part(
+    return EnginePart(
         made,
         "full",
         _stream(world, analysis),
@@ -225,7 +229,7 @@ def _strobed_full(world: Instrumented, truth: Truth, analysis: Analysis, words: 
 
 
 def _reported_strobes(
-    world: Instrumented, truth: Truth, analysis: Analysis
+    world: Instrumented, truth: StudyTruth, analysis: Analysis
 ) -> tuple[Reported, ...]:
     what = analysis.what
     assert isinstance(what, TwoStage)
@@ -234,13 +238,13 @@ def _reported_strobes(
         for symbol, prior in what.unknowns.items()
         if symbol != RIPPLE
     )
-    bounds = cramer_rao(world, truth, Model(unknowns))
+    bounds = cramer_rao(world, truth, Unknowns(unknowns))
     return tuple(
         Reported(analysis.name, one.owner, one.symbol, bounds.get(one.name)) for one in unknowns
     )
 
 
-def _joint(world: Instrumented, truth: Truth, analysis: Analysis) -> Part:
+def _joint(world: Instrumented, truth: StudyTruth, analysis: Analysis) -> EnginePart:
     what = analysis.what
     assert isinstance(what, JointAnalysis)
     series = [
@@ -254,7 +258,7 @@ def _joint(world: Instrumented, truth: Truth, analysis: Analysis) -> Part:
         Reported(analysis.name, u.owner, u.symbol, bounds.get(u.name))
         for u in (what.model.unknowns[i] for i in made.rows)
     )
-    return Part(
+    return EnginePart(
         made,
         "constant",
         _stream(world, analysis),
@@ -265,7 +269,9 @@ def _joint(world: Instrumented, truth: Truth, analysis: Analysis) -> Part:
     )
 
 
-def _joint_full(world: Instrumented, truth: Truth, analysis: Analysis, words: str) -> Part:
+def _joint_full(
+    world: Instrumented, truth: StudyTruth, analysis: Analysis, words: str
+) -> EnginePart:
     what = analysis.what
     assert isinstance(what, JointAnalysis)
     bounds = cramer_rao(world, truth, what.model)
@@ -281,12 +287,12 @@ def _joint_full(world: Instrumented, truth: Truth, analysis: Analysis, words: st
         Reported(analysis.name, u.owner, u.symbol, bounds[u.name])
         for u in (what.model.unknowns[i] for i in kept)
     )
-    return Part(
+    return EnginePart(
         made, "full", _stream(world, analysis), words, tuple(range(len(kept))), reported, lost
     )
 
 
-def cramer_rao(world: Instrumented, truth: Truth, model: Model) -> dict[str, float]:
+def cramer_rao(world: Instrumented, truth: StudyTruth, model: Unknowns) -> dict[str, float]:
     """Return the least standard uncertainty from all samples of the records, by unknown.
 
     The bound is that of the records' true noise, of the unknowns of the analysis with what is
@@ -296,7 +302,7 @@ def cramer_rao(world: Instrumented, truth: Truth, model: Model) -> dict[str, flo
     draws = truth.draw(np.random.default_rng(0), 256)
     levels = {OTHER_NOISE[key]: float(value.mean()) for key, value in draws.noise.items()}
     world = replace(world, **levels)  # type: ignore[arg-type]
-    noise = Noise(float(draws.white.mean()), world.random_walk, world.quantisation)
+    noise = NoiseModel(float(draws.white.mean()), world.random_walk, world.quantisation)
     if noise.sample_variance == 0.0 and noise.random_walk == 0.0:
         return {}
     names = {u.owner for u in model.unknowns if u.symbol in TERMS} or set(world.mountings)
@@ -306,7 +312,7 @@ def cramer_rao(world: Instrumented, truth: Truth, model: Model) -> dict[str, flo
         for name in world.mountings
         if name in names
     ]
-    plain = Model(model.unknowns)
+    plain = Unknowns(model.unknowns)
     prepared = joint.prepare(series, plain, scale_factors(series, plain, truth))
     fit = joint.solve_joint(prepared, plain, dict.fromkeys(names, noise))
     determined = assess(fit.solution, [u.name for u in model.unknowns]).determined

@@ -25,7 +25,7 @@ from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.settings import Section, Text, exact
+from counterspin.campaign.settings import SettingsSection, Text, exact
 from counterspin.campaign.terms import BARE_NAMES, acts
 from counterspin.campaign.toml_file import description_file, load_document
 from counterspin.campaign.truth import unfit
@@ -43,7 +43,7 @@ def _once(analysis: str) -> str:
     return analysis
 
 
-class StudySettings(Section):
+class StudySettings(SettingsSection):
     """[study]; `vary` and `analyses` are settled below."""
 
     trials: Annotated[int, Field(ge=2)] = 10_000
@@ -52,7 +52,7 @@ class StudySettings(Section):
     analyses: dict[Annotated[str, AfterValidator(_once)], Any] = Field(default_factory=dict)
 
 
-class AnalysisSettings(Section):
+class AnalysisSettings(SettingsSection):
     """[study.analyses.NAME]: one competitor."""
 
     method: Literal["two-stage", "joint"]
@@ -65,7 +65,7 @@ class AnalysisSettings(Section):
     considered: list[Text] | None = None
 
 
-class DistributionSettings(Section):
+class DistributionSettings(SettingsSection):
     """One entry of [study.vary]."""
 
     normal: Any = None

@@ -5,7 +5,7 @@ the study's seed and the batch's number alone, so that a trial is the same whoev
 whatever order and however many others there are.
 
 - `Varying`: one quantity and its distribution
-- `Truth`: what is true in one study, fixed and varying
+- `StudyTruth`: what is true in one study, fixed and varying
 - `Draws`: the truth of a batch of trials
 - `stream`: the random numbers of one batch
 """
@@ -179,7 +179,7 @@ class Draws:
 
 
 @dataclass(frozen=True)
-class Truth:
+class StudyTruth:
     """What is true in a study.
 
     Attributes

@@ -1,7 +1,7 @@
 """The engine of a study: the trials of one batch, by whatever shortcut each analysis allows.
 
 - `Reported`: one coefficient of one analysis
-- `Part`: an analysis and its engine (chosen by `counterspin.studies.choice`)
+- `EnginePart`: an analysis and its engine (chosen by `counterspin.studies.choice`)
 - `StudyEngine`: all of it; `StudyEngine.batch` does the work
 """
 
@@ -18,7 +18,7 @@ from counterspin.studies.draws import (
     NOISE_STREAM,
     TRUTH_STREAM,
     Draws,
-    Truth,
+    StudyTruth,
     nominal,
     stream,
 )
@@ -50,7 +50,7 @@ class Reported:
 
 
 @dataclass(frozen=True)
-class Part:
+class EnginePart:
     """An engine and what it reports, in the order of its rows.
 
     Attributes
@@ -113,9 +113,9 @@ class StudyEngine:
         What is counted.
     """
 
-    truth: Truth
+    truth: StudyTruth
     seed: int
-    parts: tuple[Part, ...]
+    parts: tuple[EnginePart, ...]
     tally: Tally
 
     @property

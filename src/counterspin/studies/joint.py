@@ -25,12 +25,12 @@ from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.estimation import NoiseRequest
-from counterspin.inference.joint.fit import Model
 from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import TERMS, term
-from counterspin.studies.draws import RADIUS, Draws, Truth, nominal
+from counterspin.studies.draws import RADIUS, Draws, StudyTruth, nominal
 from counterspin.studies.two_stage import Trials
 
 #: Nodes in the radius: no product of the table has more than three factors.
@@ -49,7 +49,7 @@ class JointAnalysis:
         Accelerometer -> its noise, given or to be estimated.
     """
 
-    model: Model
+    model: Unknowns
     requests: Mapping[str, NoiseRequest]
 
 
@@ -90,7 +90,7 @@ class JointEngine:
 
     @classmethod
     def prepare(
-        cls, series: Sequence[Series], analysis: JointAnalysis, truth: Truth
+        cls, series: Sequence[Series], analysis: JointAnalysis, truth: StudyTruth
     ) -> tuple[JointEngine, tuple[str, ...]]:
         """Reduce all series and solve once.
 
@@ -172,7 +172,7 @@ class JointEngine:
         return Trials(estimate, u, np.full((1, 1), math.inf) * np.ones((len(self.u), 1)))
 
 
-def scale_factors(series: Sequence[Series], model: Model, truth: Truth) -> dict[str, float]:
+def scale_factors(series: Sequence[Series], model: Unknowns, truth: StudyTruth) -> dict[str, float]:
     """Return the K_I with which each accelerometer sees the platform's errors.
 
     `calibrate` takes it from the estimate; here what is true on average stands for that.
@@ -184,7 +184,7 @@ def scale_factors(series: Sequence[Series], model: Model, truth: Truth) -> dict[
     return factors
 
 
-def mean_of(truth: Truth, owner: str, symbol: str) -> float:
+def mean_of(truth: StudyTruth, owner: str, symbol: str) -> float:
     """Return what is true of a coefficient on average."""
     for one in truth.varying:
         if (one.owner, one.symbol) == (owner, symbol):
@@ -194,7 +194,7 @@ def mean_of(truth: Truth, owner: str, symbol: str) -> float:
 
 
 def _truth_keys(
-    series: Sequence[Series], truth: Truth, runs: Sequence[str], *, varies: bool
+    series: Sequence[Series], truth: StudyTruth, runs: Sequence[str], *, varies: bool
 ) -> list[tuple[str, str, int | None, int]]:
     """Return a key for each column of what is true."""
     accelerometers = {one.accelerometer for one in series}
@@ -216,12 +216,12 @@ def _truth_keys(
 
 def _block(
     series: Series,
-    model: Model,
-    noise: Noise,
+    model: Unknowns,
+    noise: NoiseModel,
     keys: Sequence[tuple[str, str, int | None, int]],
     runs: Sequence[str],
     scale: float,
-    truth: Truth,
+    truth: StudyTruth,
 ) -> Block:
     """Whiten and reduce one series: unknowns, considered terms, columns of what is true."""
     factors = scale_factors([series], model, truth)
@@ -279,7 +279,7 @@ def _in_radius(
     return list(np.tensordot(inverse, values, axes=1))
 
 
-def _solve(blocks: Sequence[Block], model: Model, true: int) -> Solution:
+def _solve(blocks: Sequence[Block], model: Unknowns, true: int) -> Solution:
     """Solve with the columns of what is true as considered terms without uncertainty."""
     means = [*(_mean(c.prior, term(c.symbol).nominal) for c in model.considered)]
     inputs = model.inputs or {}

@@ -22,7 +22,7 @@ from counterspin.inference.two_stage.strobes import strobe_angle
 from counterspin.physics.accelerometer import TERMS
 from counterspin.studies.choice import Analysis
 from counterspin.studies.description import AnalysisDescription, StudyDescription
-from counterspin.studies.draws import Truth
+from counterspin.studies.draws import StudyTruth
 from counterspin.studies.full import Instrumented
 from counterspin.studies.joint import JointAnalysis
 from counterspin.studies.two_stage import TwoStage
@@ -68,7 +68,7 @@ def world_of(campaign: Campaign) -> Instrumented:
     )
 
 
-def truth_of(study: StudyDescription) -> Truth:
+def truth_of(study: StudyDescription) -> StudyTruth:
     """Return what is true: [truth], and what the study varies in its stead."""
     campaign = study.campaign
     assert campaign.simulation is not None
@@ -82,7 +82,7 @@ def truth_of(study: StudyDescription) -> Truth:
         fixed["", symbol] = np.array([platform.get(symbol, 0.0) for platform in platforms])
     for one in study.varying:
         fixed.pop((one.owner, one.symbol), None)
-    return Truth(
+    return StudyTruth(
         fixed=fixed,
         spindles=tuple(run.truth.spindle for run in campaign.runs if run.truth),
         radius=campaign.radius.value,

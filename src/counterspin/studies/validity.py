@@ -23,7 +23,7 @@ from counterspin.studies.draws import (
     RIPPLE_PHASE,
     RIPPLE_RATIO,
     WHITE,
-    Truth,
+    StudyTruth,
     nominal,
 )
 from counterspin.studies.full import Instrumented
@@ -38,7 +38,9 @@ _SMALL: Final = 0.01
 _NEGLIGIBLE: Final = 0.1
 
 
-def against_strobes(world: Instrumented, truth: Truth, analysis: TwoStage, owner: str) -> list[str]:
+def against_strobes(
+    world: Instrumented, truth: StudyTruth, analysis: TwoStage, owner: str
+) -> list[str]:
     """Return why the two-stage method's sufficient statistics do not serve; empty if they do."""
     reasons = _against(world, truth)
     if world.random_walk > 0.0:
@@ -58,7 +60,7 @@ def against_strobes(world: Instrumented, truth: Truth, analysis: TwoStage, owner
     return reasons
 
 
-def against_joint(world: Instrumented, truth: Truth, analysis: JointAnalysis) -> list[str]:
+def against_joint(world: Instrumented, truth: StudyTruth, analysis: JointAnalysis) -> list[str]:
     """Return why the joint fit's sufficient statistics do not serve; empty if they do."""
     reasons = _against(world, truth)
     if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
@@ -77,7 +79,7 @@ def against_joint(world: Instrumented, truth: Truth, analysis: JointAnalysis) ->
     return reasons
 
 
-def _against(world: Instrumented, truth: Truth) -> list[str]:
+def _against(world: Instrumented, truth: StudyTruth) -> list[str]:
     reasons = []
     white = _white(truth)
     if not world.angle_recorded:
@@ -102,7 +104,7 @@ def _against(world: Instrumented, truth: Truth) -> list[str]:
     return reasons
 
 
-def _white(truth: Truth) -> float:
+def _white(truth: StudyTruth) -> float:
     """Return the smallest white noise that matters."""
     varying = [one for one in truth.varying if one.symbol == WHITE]
     if not varying:
@@ -111,7 +113,7 @@ def _white(truth: Truth) -> float:
     return float(draws.white.min())
 
 
-def _second_order(world: Instrumented, truth: Truth) -> float:
+def _second_order(world: Instrumented, truth: StudyTruth) -> float:
     """Return what the square of the platform's attitude error adds to the displacement, m."""
     worst = 0.0
     for run, duration in enumerate(world.durations):
@@ -133,7 +135,7 @@ def _second_order(world: Instrumented, truth: Truth) -> float:
     return worst
 
 
-def _left_by_the_parabola(world: Instrumented, truth: Truth, owner: str) -> float:
+def _left_by_the_parabola(world: Instrumented, truth: StudyTruth, owner: str) -> float:
     """Return the rms of what true errors leave in the strobes' residuals at most, m."""
     draws = truth.draw(np.random.default_rng(2), 8)
     worst = 0.0

@@ -9,8 +9,9 @@ from joint_campaign import ARCSEC, DEG_H, RATES, SITE, noisy, simulated, three_r
 
 from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.budget import NOISE, budget
-from counterspin.inference.joint.fit import Considered, Model, Unknown
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.joint.fit import Considered, Unknown
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
 
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6), "K_OO": (1e-6, 2e-6)}
@@ -20,7 +21,7 @@ INPUTS = {
     "site.latitude": 1e-3,
     joint.TIMING: 1e-5,
 }
-NOISES = {"Qx": Noise(0.01), "Qy": Noise(0.02, 3e-4)}
+NOISES = {"Qx": NoiseModel(0.01), "Qy": NoiseModel(0.02, 3e-4)}
 SCALES = {"Qx": TRUTH["K_I"], "Qy": TRUTH["K_I"]}
 
 
@@ -45,7 +46,7 @@ def model():
         Considered("Qy", "K_IO", (1e-6, 3e-6), 1e-4),
         Considered("", "platform.g_sensitivity.zx", (0.0, 0.02 * DEG_H), 10 * DEG_H),
     )
-    return Model((*own, *tilts, drift), considered, INPUTS)
+    return Unknowns((*own, *tilts, drift), considered, INPUTS)
 
 
 @pytest.fixture(scope="module")
@@ -155,9 +156,9 @@ def test_a_record_in_g_depends_on_the_gravity_assumed():
         replace(simulated(f"run{i}", r, TRUTH, observable="specific_force"), in_g=True)
         for i, r in enumerate(RATES)
     ]
-    model = Model(unknowns(TRUTH), inputs={"site.gravity": 1e-4})
+    model = Unknowns(unknowns(TRUTH), inputs={"site.gravity": 1e-4})
     plain = replace(model, inputs=None)
-    noise = {"Qx": Noise(1e-3)}
+    noise = {"Qx": NoiseModel(1e-3)}
     first = joint.solve_joint(joint.prepare(one, plain, SCALES), plain, noise).solution
     fit = joint.solve_joint(joint.prepare(one, model, SCALES, first.estimate), model, noise)
     step = 1e-3
@@ -176,9 +177,9 @@ def test_a_record_in_g_depends_on_the_gravity_assumed():
 
 
 def test_an_unknown_known_exactly_has_no_budget():
-    model = Model(unknowns(TRUTH, {"K_F": (5.03e-3, 0.0)}))
+    model = Unknowns(unknowns(TRUTH, {"K_F": (5.03e-3, 0.0)}))
     found = joint.solve_joint(
-        joint.prepare(three_rates(TRUTH), model, SCALES), model, {"Qx": Noise(0.01)}
+        joint.prepare(three_rates(TRUTH), model, SCALES), model, {"Qx": NoiseModel(0.01)}
     )
     assert budget(found, 0) == ()
     assert sum(line.share for line in budget(found, 2)) == pytest.approx(1.0, abs=1e-9)

@@ -21,19 +21,20 @@ from scipy.special import stdtrit
 from counterspin.errors import ConvergenceError
 from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
-from counterspin.inference.joint.fit import ROTATION, Considered, Model, Unknown
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.joint.fit import ROTATION, Considered, Unknown
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}
-MODEL = Model(unknowns(TRUTH))
+MODEL = Unknowns(unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
-WHITE = Noise(0.01)
+WHITE = NoiseModel(0.01)
 #: A walk that the records show in every trial: within a run it reaches forty times the white.
-MIXED = Noise(0.01, 2e-3)
+MIXED = NoiseModel(0.01, 2e-3)
 
 
 @pytest.fixture(scope="module")
@@ -89,7 +90,7 @@ def test_given_noise_is_taken_as_it_is(clean):
     rng = np.random.default_rng(12)
     drawn = [noisy(one, WHITE, rng) for one in clean]
     found = estimate(drawn, MODEL, {"Qx": NoiseRequest(0.02, 0.0)})
-    assert found.fit.noise == {"Qx": Noise(0.02)}
+    assert found.fit.noise == {"Qx": NoiseModel(0.02)}
     assert not found.components
     assert np.isinf(found.dof).all()
     np.testing.assert_allclose(found.fit.solution.u, 2 * bound(clean, WHITE), rtol=1e-6)
@@ -106,7 +107,7 @@ def test_a_component_that_is_not_there_is_dropped_and_costs_nothing(clean):
             assert found.components["Qx"].dropped == ("random_walk",)
             # Its weights are those of white noise; what may not show is beside them in u.
             solution = replace(found.fit.solution, covariance_unseen=None)
-            alone = bound(clean, Noise(found.fit.noise["Qx"].white))
+            alone = bound(clean, NoiseModel(found.fit.noise["Qx"].white))
             np.testing.assert_allclose(solution.u, alone, rtol=1e-5)
             assert found.fit.solution.u[0] > 1.05 * alone[0]
     # At most 5 % at the boundary: six or more of 30 have a probability of 3e-3.
@@ -115,7 +116,7 @@ def test_a_component_that_is_not_there_is_dropped_and_costs_nothing(clean):
 
 @pytest.mark.parametrize("white", [None, 2e-3])
 def test_quantisation_larger_than_the_noise(white):
-    step, noise = 0.01, Noise(2e-3)
+    step, noise = 0.01, NoiseModel(2e-3)
     # 31.4 samples a revolution, so that the steps do not fall alike in every revolution.
     series = [simulated(f"run{i}", r, TRUTH, per_revolution=31) for i, r in enumerate(RATES)]
     rng = np.random.default_rng(14)
@@ -140,7 +141,7 @@ def test_quantisation_larger_than_the_noise(white):
 
 
 def test_what_is_known_of_a_considered_term_is_taken_away_before_the_noise_is_estimated(clean):
-    model = Model(
+    model = Unknowns(
         unknowns(("K_I", "K_II", "K_III")), (Considered("Qx", "K_F", PRIORS["K_F"], 0.1),)
     )
     drawn = [noisy(one, WHITE, np.random.default_rng(15)) for one in clean]
@@ -153,7 +154,7 @@ def test_noise_of_the_time_stamps_counts_once(clean):
     jitter = {one.run: 2e-3 * (2 * rank) for rank, one in enumerate(clean)}
     series = [replace(one, jitter=jitter[one.run]) for one in clean]
     rng = np.random.default_rng(16)
-    drawn = [noisy(one, Noise(math.hypot(0.01, one.jitter)), rng) for one in series]
+    drawn = [noisy(one, NoiseModel(math.hypot(0.01, one.jitter)), rng) for one in series]
     rows = sum(one.time.size for one in drawn)
     for request in (NoiseRequest(None, 0.0), NoiseRequest(None, None), NoiseRequest(0.01, 0.0)):
         found = estimate(drawn, MODEL, {"Qx": request})
@@ -170,11 +171,11 @@ def test_two_accelerometers_estimate_their_own_noise_and_share_the_platform():
         for name in ("Qx", "Qy")
         for one in three_rates(TRUTH, platform, accelerometer=name, per_revolution=16)
     ]
-    levels = {"Qx": WHITE, "Qy": Noise(0.03)}
+    levels = {"Qx": WHITE, "Qy": NoiseModel(0.03)}
     rng = np.random.default_rng(17)
     drawn = [noisy(one, levels[one.accelerometer], rng) for one in series]
     drift = Unknown("", "platform.drift.up", NOTHING, 10 * DEG_H)
-    model = Model((*unknowns(TRUTH), *unknowns(TRUTH, owner="Qy"), drift))
+    model = Unknowns((*unknowns(TRUTH), *unknowns(TRUTH, owner="Qy"), drift))
     both = {"Qx": NoiseRequest(None, 0.0), "Qy": NoiseRequest(None, 0.0)}
     found = estimate(drawn, model, both)
     for name, level in levels.items():
@@ -186,7 +187,7 @@ def test_two_accelerometers_estimate_their_own_noise_and_share_the_platform():
     parts = []
     for name in ("Qx", "Qy"):
         alone = [one for one in drawn if one.accelerometer == name]
-        solo = estimate(alone, Model((*unknowns(TRUTH, owner=name), drift)), {name: both[name]})
+        solo = estimate(alone, Unknowns((*unknowns(TRUTH, owner=name), drift)), {name: both[name]})
         parts.append((weight / solo.fit.solution.u[-1] ** 2, solo.dof[-1]))
     # Welch and Satterthwaite: 1/dof is the sum of (share^2/dof).
     assert 1 / shared == pytest.approx(sum(share**2 / dof for share, dof in parts), rel=0.02)
@@ -200,7 +201,7 @@ def test_platform_errors_are_seen_through_the_scale_factor_that_was_found():
     platform = {"platform.tilt.north": 3e-3}
     series = three_rates(truth, platform, per_revolution=16)
     tilts = tuple(Unknown(f"run{i}", "platform.tilt.north", NOTHING, 1e-2) for i in (1, 2, 3))
-    model = Model((*unknowns(TRUTH, {"K_F": (5.03e-3, 1e-9)}), *tilts))
+    model = Unknowns((*unknowns(TRUTH, {"K_F": (5.03e-3, 1e-9)}), *tilts))
     found = estimate(series, model, {"Qx": NoiseRequest(1e-4, 0.0)})
     # 1.05 x 3e-3: with K_I = 1 the tilt would be 5 % too large.
     for tilt in found.fit.solution.estimate[-3:]:
@@ -242,7 +243,7 @@ ROTATIONS = tuple(
     ],
 )
 def test_the_rotation_is_found_from_the_displacement(start, rate_error, drift, revolutions):
-    model = Model((*unknowns(TRUTH, PRIORS), *ROTATIONS))
+    model = Unknowns((*unknowns(TRUTH, PRIORS), *ROTATIONS))
     rng = np.random.default_rng(18)
     series = unangled(start, rate_error, drift, revolutions=revolutions)
     trials, z = (8 if revolutions < 50 else 4), []
@@ -264,7 +265,7 @@ def test_the_rotation_is_found_from_the_displacement(start, rate_error, drift, r
 
 
 def test_a_rotation_that_cannot_be_found_is_said():
-    model = Model((*unknowns(TRUTH, PRIORS), *ROTATIONS))
+    model = Unknowns((*unknowns(TRUTH, PRIORS), *ROTATIONS))
     with pytest.raises(ConvergenceError, match="nominal rate is too far off"):
         estimate(unangled(0.0, 0.7, 0.0), model, {"Qx": NoiseRequest(0.01, 0.0)})
 
@@ -309,12 +310,12 @@ def test_spikes_and_gaps_leave_k_ii_within_its_uncertainty(clean):
 @pytest.mark.parametrize(
     ("observable", "noise"),
     [
-        ("displacement", Noise(1e-2, 2e-3)),
-        ("displacement", Noise(1e-3, 2e-3)),
-        ("displacement", Noise(1e-4, 2e-3)),
-        ("displacement", Noise(1e-6, 2e-3)),
-        ("velocity", Noise(1e-6, 3e-4)),
-        ("specific_force", Noise(0.0, 3e-4)),
+        ("displacement", NoiseModel(1e-2, 2e-3)),
+        ("displacement", NoiseModel(1e-3, 2e-3)),
+        ("displacement", NoiseModel(1e-4, 2e-3)),
+        ("displacement", NoiseModel(1e-6, 2e-3)),
+        ("velocity", NoiseModel(1e-6, 3e-4)),
+        ("specific_force", NoiseModel(0.0, 3e-4)),
     ],
 )
 def test_an_accelerometer_s_walk_is_not_outlying(observable, noise):

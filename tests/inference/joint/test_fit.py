@@ -22,16 +22,17 @@ from scipy.special import ndtri
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import Considered, Model, Unknown
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.joint.fit import Considered, Unknown
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.spindle import Spindle
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRIALS = 10_000 if FULL else 250
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}
-WHITE = Noise(0.01)
-MIXED = Noise(0.01, 3e-4)  # the walk reaches six times the white noise within a run
+WHITE = NoiseModel(0.01)
+MIXED = NoiseModel(0.01, 3e-4)  # the walk reaches six times the white noise within a run
 SCALES = {"Qx": TRUTH["K_I"], "Qy": TRUTH["K_I"]}
 
 
@@ -72,7 +73,7 @@ def dense_bound(prepared, model, noise):
 @pytest.fixture(scope="module")
 def paper():
     """The paper's four coefficients at its three rates, without noise."""
-    model = Model(unknowns(TRUTH, PRIORS))
+    model = Unknowns(unknowns(TRUTH, PRIORS))
     return model, joint.prepare(three_rates(TRUTH), model, SCALES)
 
 
@@ -176,8 +177,8 @@ def k_ii_of(series, model, noise=WHITE):
 
 
 def test_terms_left_out_silently_bias_k_ii_by_tens_of_u_noise(cross_coupled):
-    fine = Noise(1e-4)
-    solution, index, error = k_ii_of(cross_coupled, Model(unknowns(TRUTH, PRIORS)), fine)
+    fine = NoiseModel(1e-4)
+    solution, index, error = k_ii_of(cross_coupled, Unknowns(unknowns(TRUTH, PRIORS)), fine)
     assert abs(error) > 30 * math.sqrt(solution.covariance_noise[index, index])
     # Level, one sense: K_OO adds itself to K_II; D_zx adds g D/(R w) at the weights of the rates.
     # Level, K_OO adds itself to K_II; so does g D/(R w), of which the fastest run's counts most.
@@ -186,11 +187,13 @@ def test_terms_left_out_silently_bias_k_ii_by_tens_of_u_noise(cross_coupled):
 
 
 @pytest.mark.parametrize("kind", [Unknown, Considered], ids=["estimated", "considered"])
-@pytest.mark.parametrize("noise", [WHITE, Noise(1e-4)], ids=["centimetres", "tenth-millimetres"])
+@pytest.mark.parametrize(
+    "noise", [WHITE, NoiseModel(1e-4)], ids=["centimetres", "tenth-millimetres"]
+)
 def test_estimated_with_a_prior_or_considered_u_covers(cross_coupled, kind, noise):
     base = unknowns(TRUTH, PRIORS)
     extra = both(kind)
-    model = Model(base + extra) if kind is Unknown else Model(base, extra)
+    model = Unknowns(base + extra) if kind is Unknown else Unknowns(base, extra)
     solution, index, error = k_ii_of(cross_coupled, model, noise)
     u = math.sqrt(solution.covariance[index, index])
     u_noise = math.sqrt(solution.covariance_noise[index, index])
@@ -202,7 +205,7 @@ def test_estimated_with_a_prior_or_considered_u_covers(cross_coupled, kind, nois
 def test_both_spin_senses_separate_gyro_sensitivity_from_k_ii():
     terms = ("K_F", "K_I", "K_II", "K_III")
     gyro = Unknown("", "platform.g_sensitivity.zx", NOTHING, 10 * DEG_H)
-    model = Model((*unknowns(terms), gyro))
+    model = Unknowns((*unknowns(terms), gyro))
     platform = {"platform.g_sensitivity.zx": 0.3 * DEG_H}
     one_sense = three_rates(TRUTH, platform)
     two_senses = [
@@ -212,10 +215,10 @@ def test_both_spin_senses_separate_gyro_sensitivity_from_k_ii():
             for i, rate in enumerate(RATES)
         ],
     ]
-    alone, index, _ = k_ii_of(one_sense, Model(unknowns(terms)))
+    alone, index, _ = k_ii_of(one_sense, Unknowns(unknowns(terms)))
     free_one, _, error_one = k_ii_of(one_sense, model)
     free_two, _, error_two = k_ii_of(two_senses, model)
-    known_two, _, _ = k_ii_of(two_senses, Model(unknowns(terms)))
+    known_two, _, _ = k_ii_of(two_senses, Unknowns(unknowns(terms)))
     assert abs(error_one) < 0.1 * free_one.u[index]
     assert abs(error_two) < 0.1 * free_two.u[index]
     # One sense pays for the gyro's term; both senses do not.
@@ -247,10 +250,10 @@ def test_two_accelerometers_share_the_platform():
     }
     truth = {s: TRUTH[s] for s in ("K_F", "K_I", "K_II")}
     series = {name: three_rates(truth, platform, accelerometer=name) for name in ("Qx", "Qy")}
-    noise = {"Qx": WHITE, "Qy": Noise(0.02)}
+    noise = {"Qx": WHITE, "Qy": NoiseModel(0.02)}
 
     def drift_of(names):
-        model = Model((*(u for name in names for u in own[name]), *shared))
+        model = Unknowns((*(u for name in names for u in own[name]), *shared))
         chosen = [one for name in names for one in series[name]]
         fit = joint.solve_joint(joint.prepare(chosen, model, SCALES), model, noise)
         index = [u.symbol for u in model.unknowns].index("platform.drift.up")
@@ -284,7 +287,7 @@ SQUARES = {"K_II": 2.7e-5, "K_OO": -8e-6, "K_PP": 1.5e-5}
 def test_three_attitudes_separate_the_three_squares():
     truth = {"K_F": 5.03e-3, "K_I": 1.00197} | SQUARES
     attitudes = {"p": PENDULOUS_VERTICAL, "o": OUTPUT_VERTICAL, "i": INPUT_VERTICAL}
-    model = Model(unknowns(truth, {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}))
+    model = Unknowns(unknowns(truth, {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}))
     series = [
         simulated(f"{name}{i}", rate, truth, attitude=attitude)
         for name, attitude in attitudes.items()
@@ -317,14 +320,14 @@ def test_three_attitudes_separate_the_three_squares():
     [
         ("displacement", WHITE),
         ("displacement", MIXED),
-        ("velocity", Noise(1e-3)),
-        ("velocity", Noise(1e-3, 3e-4)),
-        ("specific_force", Noise(1e-3)),
-        ("specific_force", Noise(0.0, 3e-4)),
+        ("velocity", NoiseModel(1e-3)),
+        ("velocity", NoiseModel(1e-3, 3e-4)),
+        ("specific_force", NoiseModel(1e-3)),
+        ("specific_force", NoiseModel(0.0, 3e-4)),
     ],
 )
 def test_every_observable_shows_the_same_truth(observable, noise):
-    model = Model(unknowns(TRUTH))
+    model = Unknowns(unknowns(TRUTH))
     clean = joint.prepare(three_rates(TRUTH, observable=observable), model, SCALES)
     solution = joint.solve_joint(clean, model, {"Qx": noise}).solution
     # The truth is linear in these coefficients: without noise nothing but rounding is left.
@@ -350,7 +353,7 @@ def test_every_observable_shows_the_same_truth(observable, noise):
 @pytest.mark.parametrize("name", ["Qx", "Qy"])
 def test_k_i_and_k_ip_are_named_and_only_their_difference_is_determined(name):
     truth = TRUTH | {"K_IP": 4e-6}
-    model = Model(unknowns(truth, owner=name))
+    model = Unknowns(unknowns(truth, owner=name))
     # As many samples and revolutions as the real campaign; u(K_IP) of Qy is then 1.7e-4.
     series = three_rates(truth, accelerometer=name, revolutions=100, per_revolution=64)
     solution = joint.solve_joint(
@@ -373,7 +376,7 @@ def test_k_i_and_k_ip_are_named_and_only_their_difference_is_determined(name):
 def test_bias_and_its_likes_are_one_combination():
     symbols = ("K_F", "K_I", "K_II", "K_PP", "delta_O")
     tilt = Unknown("", "platform.tilt.north", NOTHING, 1e-2)
-    model = Model((*unknowns(symbols), tilt))
+    model = Unknowns((*unknowns(symbols), tilt))
     truth = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_PP": 3e-6}
     solution = joint.solve_joint(
         joint.prepare(three_rates(truth), model, SCALES), model, {"Qx": WHITE}
@@ -407,7 +410,7 @@ def test_a_run_left_out_is_the_fit_without_its_records(paper):
 
 
 def test_other_noise_of_one_accelerometer_is_the_fit_with_that_noise():
-    model = Model(tuple(u for name in SCALES for u in unknowns(("K_F", "K_I"), owner=name)))
+    model = Unknowns(tuple(u for name in SCALES for u in unknowns(("K_F", "K_I"), owner=name)))
     truth = {s: TRUTH[s] for s in ("K_F", "K_I")}
     series = [one for name in SCALES for one in three_rates(truth, accelerometer=name)]
     prepared = joint.prepare(series, model, SCALES)
@@ -419,9 +422,11 @@ def test_other_noise_of_one_accelerometer_is_the_fit_with_that_noise():
     assert not np.allclose(fit.solution.u[2:], direct.solution.u[2:], rtol=0.1)
 
 
-@pytest.mark.parametrize("level", [Noise(0.02), Noise(3.0, 0.0, 0.5)])
+@pytest.mark.parametrize("level", [NoiseModel(0.02), NoiseModel(3.0, 0.0, 0.5)])
 def test_another_level_of_white_noise_is_the_fit_with_that_noise(level):
-    model = Model(unknowns(("K_F", "K_I", "K_II")), (Considered("Qx", "K_III", (0.0, 1e-7), 1e-4),))
+    model = Unknowns(
+        unknowns(("K_F", "K_I", "K_II")), (Considered("Qx", "K_III", (0.0, 1e-7), 1e-4),)
+    )
     # Of time stamps' noise the runs have differently much.
     series = [
         replace(one, jitter=0.01 * (index + 1)) for index, one in enumerate(three_rates(TRUTH))
@@ -477,7 +482,7 @@ def test_block_means_lose_nothing_of_k_ii():
                 error=one.error.reshape(-1, size).mean(axis=1),
             )
         )
-    model = Model(unknowns(TRUTH))
+    model = Unknowns(unknowns(TRUTH))
     for noise in (WHITE, MIXED):
         full, means = (
             joint.solve_joint(joint.prepare(s, model, SCALES), model, {"Qx": noise}).solution
@@ -490,7 +495,7 @@ def test_block_means_lose_nothing_of_k_ii():
 
 
 def test_a_record_too_short_for_its_own_start_is_refused():
-    model = Model(unknowns(("K_F", "K_II")))
+    model = Unknowns(unknowns(("K_F", "K_II")))
     short = simulated("run1", 2.0, {}, revolutions=1, per_revolution=1)
     short = short.without(np.array([True, False]))
     with pytest.raises(NotIdentifiableError, match="too short"):
@@ -505,7 +510,7 @@ def test_preparing_again_gives_what_preparing_anew_does():
     gyro = Considered("", "platform.drift.up", (0.0, 1e-9), 1e-6)
     tilt = Unknown("run1", "platform.tilt.north", (0.0, 1e-5), 1e-2)
     series = three_rates(TRUTH)
-    before = Model((*unknowns(TRUTH, PRIORS), tilt), (gyro,))
+    before = Unknowns((*unknowns(TRUTH, PRIORS), tilt), (gyro,))
     after = replace(before, considered=(k_oo, gyro), inputs={"centrifuge.radius": 1e-4})
     fit = joint.solve_joint(joint.prepare(series, before, SCALES), before, {"Qx": WHITE})
     other = {"Qx": 1.5}
@@ -533,7 +538,7 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
         "site.latitude": 1e-3,
         joint.TIMING: 1e-6,
     }
-    model = Model(unknowns(TRUTH, PRIORS), inputs=sizes)
+    model = Unknowns(unknowns(TRUTH, PRIORS), inputs=sizes)
     plain = replace(model, inputs=None)
     noise = {"Qx": WHITE}
     first = joint.solve_joint(joint.prepare(series, plain, SCALES), plain, noise).solution
@@ -573,7 +578,7 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
 def test_freedom_is_what_chi_square_comes_to_in_each_run():
     """Priors drawn, noise drawn: the mean of each run's sum of squares, to sampling error."""
     priors = {"K_F": (5.03e-3, 2e-6), "K_II": (2.7e-5, 1e-7)}
-    model = Model(
+    model = Unknowns(
         (
             *unknowns(TRUTH, priors),
             Unknown("run1", "platform.tilt.north", (0.0, ARCSEC), 1e-2),

@@ -6,8 +6,9 @@ import pytest
 from joint_campaign import three_rates, unknowns
 
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
-from counterspin.inference.joint.fit import Considered, Model
+from counterspin.inference.joint.fit import Considered
 from counterspin.inference.joint.omitted_terms import sensitivities
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.physics.accelerometer import DEGREE_PER_HOUR
 
 PLAIN = {"K_F": 0.004, "K_I": 1.001, "K_II": 2e-5}
@@ -15,7 +16,7 @@ NOISE = {"Qx": NoiseRequest(0.01, 0.0)}
 
 
 def fitted(coefficients, platform=None):
-    model = Model(tuple(unknowns(["K_F", "K_I", "K_II"])))
+    model = Unknowns(tuple(unknowns(["K_F", "K_I", "K_II"])))
     return estimate(three_rates(coefficients, platform), model, NOISE, reject=False).fit
 
 

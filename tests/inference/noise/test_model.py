@@ -3,7 +3,12 @@ import numpy as np
 import pytest
 import sympy
 
-from counterspin.inference.noise.model import Differences, Noise, make_whitener, solve_banded_factor
+from counterspin.inference.noise.model import (
+    Differences,
+    NoiseModel,
+    make_whitener,
+    solve_banded_factor,
+)
 
 HALF = sympy.Rational(1, 2)
 
@@ -85,7 +90,9 @@ def test_closed_forms_of_even_spacing(block, published):
 
 
 @pytest.mark.parametrize("order", [2, 1, 0])
-@pytest.mark.parametrize("noise", [Noise(1, 1e-6), Noise(1, 1), Noise(0.3, 30, 1), Noise(0, 1)])
+@pytest.mark.parametrize(
+    "noise", [NoiseModel(1, 1e-6), NoiseModel(1, 1), NoiseModel(0.3, 30, 1), NoiseModel(0, 1)]
+)
 @pytest.mark.parametrize("shape", ["points", "uneven points", "blocks and gaps"])
 def test_whitened_rows_have_unit_covariance(order, noise, shape):
     n, h = 30, 0.1
@@ -107,7 +114,7 @@ def test_whitened_rows_have_unit_covariance(order, noise, shape):
 
 def test_samples_of_a_block_need_no_spacing_where_most_blocks_adjoin():
     times, count = blocks_with_gaps(40, 0.1)
-    noise = Noise(1, 3)
+    noise = NoiseModel(1, 3)
     stated = make_whitener(times, 2, noise, count, 0.1)
     inferred = make_whitener(times, 2, noise, count)
     np.testing.assert_allclose(inferred.bands, stated.bands, rtol=1e-12, atol=1e-14)
@@ -140,7 +147,7 @@ def test_factor_keeps_its_digits_at_any_ratio(ratio):
 def test_white_noise_alone_is_a_division():
     times, count = blocks_with_gaps(20, 0.1)
     rows = np.random.default_rng(1).normal(size=(20, 3))
-    whitener = make_whitener(times, 2, Noise(0.2, quantisation=0.6), count)
+    whitener = make_whitener(times, 2, NoiseModel(0.2, quantisation=0.6), count)
     sigma = np.sqrt(0.04 + 0.03)
     expected = rows / sigma * np.sqrt(count)[:, None]
     np.testing.assert_allclose(whitener.apply(rows), expected, rtol=1e-14)
@@ -152,10 +159,10 @@ def test_white_noise_alone_is_a_division():
 def test_start_errors_are_gone_or_still_to_be_estimated(order):
     times, count = blocks_with_gaps(50, 0.1)
     start_errors = times[:, None] ** np.arange(order)
-    mixed = make_whitener(times, order, Noise(1, 1), count)
+    mixed = make_whitener(times, order, NoiseModel(1, 1), count)
     assert not mixed.keeps_polynomials
     np.testing.assert_allclose(mixed.apply(start_errors), 0, atol=1e-12)
-    white = make_whitener(times, order, Noise(1), count)
+    white = make_whitener(times, order, NoiseModel(1), count)
     assert white.polynomials == order
     assert white.keeps_polynomials == (order > 0)
     assert white.rows == len(times)
@@ -164,7 +171,7 @@ def test_start_errors_are_gone_or_still_to_be_estimated(order):
 def test_information_is_all_that_the_record_holds():
     """Cramer-Rao: X' V^-1 X with the start errors projected out, V dense."""
     times, count = blocks_with_gaps(60, 0.1)
-    noise = Noise(0.01, 0.02)
+    noise = NoiseModel(0.01, 0.02)
     w, bias = 2.0, 9.8 * times**2 / 2
     design = np.column_stack([bias, (bias / 19.6 + (1 - np.cos(2 * w * times)) / 8 / w**2)])
     rows = make_whitener(times, 2, noise, count, 0.1).apply(design)
@@ -178,7 +185,7 @@ def test_information_is_all_that_the_record_holds():
 
 def test_a_column_vector_and_a_matrix_whiten_alike():
     times = np.arange(30) * 0.1
-    whitener = make_whitener(times, 2, Noise(1, 1))
+    whitener = make_whitener(times, 2, NoiseModel(1, 1))
     rows = np.random.default_rng(2).normal(size=(30, 2))
     np.testing.assert_array_equal(whitener.apply(rows)[:, 1], whitener.apply(rows[:, 1]))
 
@@ -186,13 +193,13 @@ def test_a_column_vector_and_a_matrix_whiten_alike():
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (([0, 1, 1, 2], 2, Noise(1)), "increase"),
-        (([0, 1], 2, Noise(1, 1)), "too few"),
-        ((np.arange(9), 3, Noise(1)), "order is 3"),
-        ((np.arange(9), 2, Noise(0)), "all components are zero"),
-        ((np.arange(9), 2, Noise(1, 1), 0), "counts"),
-        ((np.arange(9), 2, Noise(1, 1), 5, 0.25), "overlap"),
-        ((np.arange(9), 2, Noise(1, 1), 5, 0.0), "spacing"),
+        (([0, 1, 1, 2], 2, NoiseModel(1)), "increase"),
+        (([0, 1], 2, NoiseModel(1, 1)), "too few"),
+        ((np.arange(9), 3, NoiseModel(1)), "order is 3"),
+        ((np.arange(9), 2, NoiseModel(0)), "all components are zero"),
+        ((np.arange(9), 2, NoiseModel(1, 1), 0), "counts"),
+        ((np.arange(9), 2, NoiseModel(1, 1), 5, 0.25), "overlap"),
+        ((np.arange(9), 2, NoiseModel(1, 1), 5, 0.0), "spacing"),
     ],
 )
 def test_what_cannot_be_whitened_is_refused(arguments, words):
@@ -203,7 +210,7 @@ def test_what_cannot_be_whitened_is_refused(arguments, words):
 @pytest.mark.parametrize("value", [-1.0, np.nan, np.inf])
 def test_noise_is_not_negative(value):
     with pytest.raises(ValueError, match="random_walk"):
-        Noise(1.0, value)
+        NoiseModel(1.0, value)
 
 
 def test_a_singular_factor_is_refused():

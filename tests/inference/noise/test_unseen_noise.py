@@ -12,14 +12,14 @@ from scipy.special import ndtr, stdtr, stdtrit
 from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.budget import UNSEEN, budget
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
-from counterspin.inference.joint.fit import Model
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
 from counterspin.inference.noise.variance_components import KEEP
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
-MODEL = Model(unknowns(TRUTH))
+MODEL = Unknowns(unknowns(TRUTH))
 TRUE = np.array([TRUTH[u.symbol] - u.nominal for u in MODEL.unknowns])
 BOTH = {"Qx": NoiseRequest(None, None)}
 
@@ -144,7 +144,7 @@ def test_every_coefficient_s_interval_holds_about_the_limit_of_detection(clean, 
     trials = 1000 if FULL else 20
     inside, kept = np.zeros(TRUE.size), 0
     for _ in range(trials):
-        drawn = [noisy(one, Noise(0.01, walk), rng) for one in clean]
+        drawn = [noisy(one, NoiseModel(0.01, walk), rng) for one in clean]
         found = estimate(drawn, MODEL, BOTH, reject=False)
         kept += "random_walk" in found.components["Qx"].estimated
         size = stdtrit(np.minimum(found.dof, 1e6), 0.975) * found.fit.solution.u
@@ -162,7 +162,7 @@ def test_every_coefficient_s_interval_holds_about_the_limit_of_detection(clean, 
 
 @pytest.fixture(scope="module")
 def dropped(clean):
-    drawn = [noisy(one, Noise(0.01), np.random.default_rng(4)) for one in clean]
+    drawn = [noisy(one, NoiseModel(0.01), np.random.default_rng(4)) for one in clean]
     found = estimate(drawn, MODEL, BOTH, reject=False)
     assert found.components["Qx"].dropped == ("random_walk",)
     return drawn, found
@@ -189,7 +189,7 @@ def test_what_a_walk_adds_is_what_it_does_to_these_weights(dropped):
                 one,
                 series=noisy(
                     replace(one.series, error=np.zeros(one.series.time.size)),
-                    Noise(0.0, level),
+                    NoiseModel(0.0, level),
                     rng,
                 ),
             )
@@ -216,7 +216,7 @@ def test_the_budget_says_what_does_not_show(dropped):
 
 
 def test_only_a_walk_that_was_asked_for_can_be_missed(clean):
-    drawn = [noisy(one, Noise(0.01), np.random.default_rng(6)) for one in clean]
+    drawn = [noisy(one, NoiseModel(0.01), np.random.default_rng(6)) for one in clean]
     found = estimate(drawn, MODEL, {"Qx": NoiseRequest(None, 0.0)}, reject=False)
     assert found.components["Qx"].unseen is None
     # White noise of a known size leaves the walk to be looked for all the same.

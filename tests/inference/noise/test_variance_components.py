@@ -6,7 +6,7 @@ import pytest
 from scipy.special import ndtri, stdtrit
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.noise.model import Noise, make_whitener
+from counterspin.inference.noise.model import NoiseModel, make_whitener
 from counterspin.inference.noise.restricted_likelihood import RestrictedLikelihood
 from counterspin.inference.noise.variance_components import (
     KEEP,
@@ -45,7 +45,7 @@ def record(rng, n, noise, order=2):
 
 def test_white_noise_alone_is_rss_over_n_minus_p():
     rng = np.random.default_rng(1)
-    data = record(rng, 200, Noise(0.3))
+    data = record(rng, 200, NoiseModel(0.3))
     found = estimate([data], random_walk=0.0)
     everything = np.column_stack([np.ones(200), data.times, data.design])
     rss = np.linalg.lstsq(everything, data.observations, rcond=None)[1][0]
@@ -85,10 +85,15 @@ def dense_restricted(data, noise, prior_rows, prior_values):
 
 @pytest.mark.parametrize("priors", [np.zeros((0, 3)), np.diag([50.0, 0.0, 3.0])[[0, 2]]])
 def test_likelihood_is_the_dense_one_but_for_a_constant(priors):
-    data = record(np.random.default_rng(2), 40, Noise(0.3, 0.2))
+    data = record(np.random.default_rng(2), 40, NoiseModel(0.3, 0.2))
     values = np.full(len(priors), 0.4)
     likelihood = RestrictedLikelihood.of([data], priors, values)
-    noises = [Noise(0.3, 0.2), Noise(0.5, 0.01), Noise(0.02, 0.4), Noise(1.0, 0.0)]
+    noises = [
+        NoiseModel(0.3, 0.2),
+        NoiseModel(0.5, 0.01),
+        NoiseModel(0.02, 0.4),
+        NoiseModel(1.0, 0.0),
+    ]
     ours = [likelihood.value(2 * np.log(n.white), (n.random_walk / n.white) ** 2) for n in noises]
     dense = [dense_restricted(data, n, priors, values) for n in noises]
     np.testing.assert_allclose(np.diff(ours), np.diff(dense), atol=1e-6)
@@ -101,7 +106,7 @@ def test_likelihood_is_the_dense_one_but_for_a_constant(priors):
 @pytest.fixture(scope="module")
 def mixed():
     """Trials of a short mixed-noise record: noise components, coefficients, u, dof."""
-    noise, n, rng = Noise(0.3, 0.1), 120, np.random.default_rng(3)
+    noise, n, rng = NoiseModel(0.3, 0.1), 120, np.random.default_rng(3)
     times = np.arange(n) * STEP
     polynomials = np.column_stack([np.ones(n), times])
 
@@ -164,7 +169,8 @@ def test_student_intervals_cover(mixed):
 def test_a_walk_that_is_not_there_is_seldom_kept():
     rng = np.random.default_rng(4)
     kept = sum(
-        "random_walk" in estimate([record(rng, 100, Noise(0.3))]).estimated for _ in range(TRIALS)
+        "random_walk" in estimate([record(rng, 100, NoiseModel(0.3))]).estimated
+        for _ in range(TRIALS)
     )
     # 5 % at most; the mixture's half at zero is larger in short records, so somewhat fewer.
     assert kept / TRIALS < 0.05 + 3 * np.sqrt(0.05 * 0.95 / TRIALS)
@@ -179,7 +185,7 @@ def test_the_threshold_is_that_of_the_mixture():
 
 def test_a_walk_that_is_there_is_kept_and_found():
     rng = np.random.default_rng(5)
-    found = estimate([record(rng, 800, Noise(0.3, 0.05))])
+    found = estimate([record(rng, 800, NoiseModel(0.3, 0.05))])
     assert found.estimated == ("white", "random_walk")
     assert found.dropped == ()
     assert found.converged
@@ -192,7 +198,7 @@ def test_a_walk_that_is_there_is_kept_and_found():
 
 @pytest.mark.parametrize("order", [2, 1])
 def test_a_walk_alone_leaves_no_white_noise(order):
-    found = estimate([record(np.random.default_rng(6), 400, Noise(0.0, 0.2), order)])
+    found = estimate([record(np.random.default_rng(6), 400, NoiseModel(0.0, 0.2), order)])
     assert found.dropped == ("white",)
     assert found.white == 0
     assert found.random_walk == pytest.approx(0.2, rel=4 / np.sqrt(2 * 400))
@@ -201,7 +207,7 @@ def test_a_walk_alone_leaves_no_white_noise(order):
 
 def test_velocity_records_share_their_noise():
     rng = np.random.default_rng(7)
-    records = [record(rng, n, Noise(0.3, 0.2), order=1) for n in (300, 500)]
+    records = [record(rng, n, NoiseModel(0.3, 0.2), order=1) for n in (300, 500)]
     found = estimate(records)
     levels = np.array([found.white**2, found.random_walk**2])
     assert (np.abs(levels - [0.09, 0.04]) < 4 * np.sqrt(np.diag(found.covariance))).all()
@@ -223,7 +229,7 @@ def test_specific_force_cannot_tell_a_walk_from_white_noise():
 
 
 def test_given_components_stay_as_given():
-    data = record(np.random.default_rng(9), 400, Noise(0.3, 0.1))
+    data = record(np.random.default_rng(9), 400, NoiseModel(0.3, 0.1))
     both = estimate([data])
     white_only = estimate([data], random_walk=both.random_walk)
     walk_only = estimate([data], white=both.white)
@@ -240,7 +246,7 @@ def test_given_components_stay_as_given():
 
 def test_quantisation_larger_than_the_noise():
     rng = np.random.default_rng(10)
-    data = record(rng, 500, Noise(0.05, 0.0, 1.0))
+    data = record(rng, 500, NoiseModel(0.05, 0.0, 1.0))
     # The start velocity sweeps the signal over many steps, so that rounding errors are spread.
     swept = 1.0 * np.round(data.observations + 0.37 * data.times)
     found = estimate([replace(data, observations=swept)], quantisation=1.0)
@@ -256,7 +262,7 @@ def test_quantisation_larger_than_the_noise():
 
 
 def test_start_errors_and_repeated_columns_count_once():
-    data = record(np.random.default_rng(11), 200, Noise(0.3))
+    data = record(np.random.default_rng(11), 200, NoiseModel(0.3))
     more = np.column_stack(
         [data.design, np.ones(200), data.times, data.design[:, 0], np.zeros(200)]
     )
@@ -266,7 +272,7 @@ def test_start_errors_and_repeated_columns_count_once():
 
 
 def test_priors_give_back_degrees_of_freedom():
-    data = record(np.random.default_rng(12), 60, Noise(0.3))
+    data = record(np.random.default_rng(12), 60, NoiseModel(0.3))
     loose, tight = (
         estimate([data], random_walk=0.0, prior_rows=np.eye(3) * w, prior_values=np.zeros(3))
         for w in (1e-6, 1e6)
@@ -289,7 +295,7 @@ def test_dof_of_a_sum_of_two_variances():
 
 
 def test_what_cannot_be_estimated_is_refused():
-    data = record(np.random.default_rng(13), 40, Noise(0.3))
+    data = record(np.random.default_rng(13), 40, NoiseModel(0.3))
     with pytest.raises(NotIdentifiableError, match="all zero"):
         estimate([replace(data, observations=np.zeros(40))])
     short = RecordData(data.times[:5], 2, np.asarray(data.design)[:5], data.observations[:5])

@@ -18,7 +18,7 @@ from counterspin.calibration.result_parts import (
     BudgetLine,
     Coefficient,
     Comparison,
-    Confounded,
+    ConfoundedTerms,
     Jackknife,
     NoiseLine,
 )
@@ -136,7 +136,7 @@ def _origin(coefficient: Coefficient) -> str:
     )
 
 
-def _confounded(found: Confounded) -> str:
+def _confounded(found: ConfoundedTerms) -> str:
     names = ", ".join(found.terms[:-1]) + " and " + found.terms[-1]
     apart = "cannot be told apart" if abs(found.correlation) > 0.999 else "are hardly told apart"
     text = (

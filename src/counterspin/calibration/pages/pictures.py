@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 from counterspin.calibration.result_parts import AccelerometerResult, RunResult, Trace
-from counterspin.reports.blocks import Bars, HeatMap, Plot, Series
+from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
 from counterspin.reports.numbers import field_unit, format_share, format_uncertainty
 
 #: More curves than this in one plot are not told apart: the runs then take several plots.
@@ -73,7 +73,7 @@ def jackknife_plot(name: str, found: AccelerometerResult) -> Plot | None:
         x_label="run left out",
         y_label=f"K_II, {unit}",
         series=(
-            Series(
+            PlotSeries(
                 "all runs ± u",
                 ends,
                 (value, value),
@@ -81,7 +81,7 @@ def jackknife_plot(name: str, found: AccelerometerResult) -> Plot | None:
                 high=(value + u, value + u),
                 kind="band",
             ),
-            Series(
+            PlotSeries(
                 "without this run; bar: standard uncertainty of the shift",
                 places,
                 tuple(shown),
@@ -112,11 +112,11 @@ def _over_time(name: str, run: str, trace: Trace, unit: str, factor: float) -> P
     low = tuple(value * factor for value in trace.low)
     high = tuple(value * factor for value in trace.high)
     middle = tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True))
-    series = [Series("smallest to largest", time, middle, low, high, kind="band")]
+    series = [PlotSeries("smallest to largest", time, middle, low, high, kind="band")]
     if trace.left_out:
         times, values = zip(*trace.left_out, strict=True)
         series.append(
-            Series(
+            PlotSeries(
                 "left out as outliers",
                 tuple(times),
                 tuple(value * factor for value in values),
@@ -143,7 +143,7 @@ def _over_angle(
             mean = trace.by_angle.mean
             step = 360.0 / len(mean)
             series.append(
-                Series(
+                PlotSeries(
                     run,
                     tuple((part + 0.5) * step for part in range(len(mean))),
                     tuple(None if value is None else value * factor for value in mean),
@@ -161,7 +161,7 @@ def _over_angle(
 
 def _spectra(name: str, runs: Sequence[tuple[str, Trace]]) -> Iterator[Plot]:
     series = [
-        Series(run, tuple(trace.spectrum.frequency), tuple(trace.spectrum.power))
+        PlotSeries(run, tuple(trace.spectrum.frequency), tuple(trace.spectrum.power))
         for run, trace in runs
         if trace.spectrum is not None and len(trace.spectrum.frequency) > 1
     ]
@@ -186,9 +186,9 @@ def _quantiles(name: str, runs: Sequence[tuple[str, Trace]]) -> Iterator[Plot]:
             x_label="quantile of the normal distribution",
             y_label="whitened residual",
             series=(
-                Series("normal", (-reach, reach), (-reach, reach)),
+                PlotSeries("normal", (-reach, reach), (-reach, reach)),
                 *(
-                    Series(run, tuple(found.normal), tuple(found.found), kind="points")
+                    PlotSeries(run, tuple(found.normal), tuple(found.found), kind="points")
                     for run, found in kept
                 ),
             ),
@@ -204,7 +204,7 @@ def ripple_plot(runs: Mapping[str, RunResult]) -> Plot | None:
             amplitudes = [ripple.amplitude * scale for ripple in run.ripples]
             widths = [_COVERAGE_FACTOR * ripple.u_amplitude * scale for ripple in run.ripples]
             series.append(
-                Series(
+                PlotSeries(
                     name,
                     tuple(float(ripple.harmonic) for ripple in run.ripples),
                     tuple(amplitudes),

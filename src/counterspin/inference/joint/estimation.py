@@ -18,13 +18,14 @@ from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import ROTATION, JointFit, Model, Prepared
+from counterspin.inference.joint.fit import ROTATION, JointFit, Prepared
 from counterspin.inference.joint.outliers import outlying
 from counterspin.inference.joint.rotation import find_rotation
 from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.noise import variance_components
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import lengthened
 from counterspin.inference.noise.variance_components import RecordData, VarianceComponents
 
@@ -46,7 +47,7 @@ class NoiseRequest:
     Attributes
     ----------
     white, random_walk, quantisation
-        As in `Noise`.
+        As in `NoiseModel`.
     """
 
     white: float | None
@@ -54,11 +55,11 @@ class NoiseRequest:
     quantisation: float = 0.0
 
     @property
-    def given(self) -> Noise | None:
+    def given(self) -> NoiseModel | None:
         """The noise, if all of it is given."""
         if self.white is None or self.random_walk is None:
             return None
-        return Noise(self.white, self.random_walk, self.quantisation)
+        return NoiseModel(self.white, self.random_walk, self.quantisation)
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,7 @@ class Estimate:
 
 def estimate(
     series: Sequence[Series],
-    model: Model,
+    model: Unknowns,
     requests: Mapping[str, NoiseRequest],
     *,
     reject: bool = True,
@@ -115,7 +116,7 @@ def estimate(
         If the outliers or the rotation do not settle.
     """
     plain = replace(model, inputs=None)
-    rough = {name: Noise(1.0, 0.0) for name in requests}
+    rough = {name: NoiseModel(1.0, 0.0) for name in requests}
     series = tuple(series)
     if any(unknown.symbol in ROTATION for unknown in model.unknowns):
         series = find_rotation(series, plain, _scale_factors(series, plain, None), rough)
@@ -147,7 +148,7 @@ def estimate(
 
 
 def _scale_factors(
-    series: Sequence[Series], model: Model, fit: JointFit | None
+    series: Sequence[Series], model: Unknowns, fit: JointFit | None
 ) -> dict[str, float]:
     """Return K_I of each accelerometer: estimated, or known beforehand, or 1."""
     factors = {one.accelerometer: 1.0 for one in series}
@@ -204,10 +205,10 @@ def _without(prepared: Prepared, drop: Rows) -> Prepared:
 
 
 def _noise(
-    prepared: Sequence[Prepared], model: Model, requests: Mapping[str, NoiseRequest]
-) -> tuple[dict[str, Noise], dict[str, VarianceComponents]]:
+    prepared: Sequence[Prepared], model: Unknowns, requests: Mapping[str, NoiseRequest]
+) -> tuple[dict[str, NoiseModel], dict[str, VarianceComponents]]:
     """Return each accelerometer's noise, given or by restricted maximum likelihood."""
-    noise: dict[str, Noise] = {}
+    noise: dict[str, NoiseModel] = {}
     components: dict[str, VarianceComponents] = {}
     for name, request in requests.items():
         if request.given is not None:
@@ -220,7 +221,7 @@ def _noise(
 
 
 def _components(
-    prepared: Sequence[Prepared], model: Model, request: NoiseRequest
+    prepared: Sequence[Prepared], model: Unknowns, request: NoiseRequest
 ) -> VarianceComponents:
     used = sorted({index for one in prepared for index in one.unknowns})
     records = []
@@ -267,7 +268,7 @@ def _effective_dof(fit: JointFit, components: Mapping[str, VarianceComponents]) 
     inverse = np.zeros(len(fit.model.unknowns))
     for name, component in components.items():
 
-        def variances(noise: Noise, name: str = name) -> Array:
+        def variances(noise: NoiseModel, name: str = name) -> Array:
             return np.diag(joint.with_noise(fit, {name: noise}).solution.covariance)
 
         inverse += 1.0 / variance_components.effective_dof_of(variances, component)

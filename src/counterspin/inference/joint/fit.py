@@ -6,7 +6,7 @@ are solved together with the priors and the considered terms. Whatever is asked 
 noise level, a run left out, one more considered input) starts from the prepared columns or the
 blocks, not from the records.
 
-The problem is a `Model` (`counterspin.inference.joint.unknowns`) beside the series
+The problem is an `Unknowns` (`counterspin.inference.joint.unknowns`) beside the series
 (`counterspin.inference.joint.series`).
 
 - `prepare`, `prepare_again`: the columns, each computed once
@@ -30,9 +30,9 @@ from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.inputs import INPUTS, TIMING, input_column, rotation_column
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import ROTATION, Considered, Model, Unknown
+from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 
 __all__ = [
@@ -41,7 +41,6 @@ __all__ = [
     "TIMING",
     "Considered",
     "JointFit",
-    "Model",
     "Prepared",
     "Unknown",
     "freedom",
@@ -81,7 +80,7 @@ class Prepared:
 
 def prepare(
     series: Sequence[Series],
-    model: Model,
+    model: Unknowns,
     scale_factors: Mapping[str, float],
     estimate: Array | None = None,
 ) -> tuple[Prepared, ...]:
@@ -106,7 +105,7 @@ def prepare(
 
 
 def prepare_again(
-    fit: JointFit, model: Model, scale_factors: Mapping[str, float]
+    fit: JointFit, model: Unknowns, scale_factors: Mapping[str, float]
 ) -> tuple[Prepared, ...]:
     """Return the columns of a solved problem for another model or for other scale factors.
 
@@ -130,7 +129,7 @@ def prepare_again(
     )
 
 
-def _terms_shown(prepared: Prepared, model: Model, scale_factor: float) -> dict[str, Array]:
+def _terms_shown(prepared: Prepared, model: Unknowns, scale_factor: float) -> dict[str, Array]:
     """Return term -> its column, of those that stay as they are whatever the estimate is."""
     columns = [*prepared.design.T, *prepared.fixed.T]
     terms = [model.unknowns[i].symbol for i in prepared.unknowns]
@@ -145,7 +144,7 @@ def _terms_shown(prepared: Prepared, model: Model, scale_factor: float) -> dict[
 
 def _prepare(
     series: Series,
-    model: Model,
+    model: Unknowns,
     scale_factor: float,
     estimate: Array,
     shown: Mapping[str, Array],
@@ -201,11 +200,11 @@ class JointFit:
         (m/s^2)/Hz^0.5, and what it adds to the covariance, shape (p, p).
     """
 
-    model: Model
+    model: Unknowns
     solution: Solution
     prepared: tuple[Prepared, ...]
     blocks: tuple[Block, ...]
-    noise: Mapping[str, Noise]
+    noise: Mapping[str, NoiseModel]
     unseen: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
 
     @cached_property
@@ -214,7 +213,9 @@ class JointFit:
         return {}
 
 
-def solve_joint(prepared: Sequence[Prepared], model: Model, noise: Mapping[str, Noise]) -> JointFit:
+def solve_joint(
+    prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, NoiseModel]
+) -> JointFit:
     """Solve a prepared problem for given noise.
 
     Parameters
@@ -239,7 +240,7 @@ def solve_joint(prepared: Sequence[Prepared], model: Model, noise: Mapping[str, 
     return JointFit(model, _solve(blocks, model), tuple(prepared), blocks, noise)
 
 
-def with_noise(fit: JointFit, noise: Mapping[str, Noise]) -> JointFit:
+def with_noise(fit: JointFit, noise: Mapping[str, NoiseModel]) -> JointFit:
     """Return the fit with other noise; records whose noise stays remain as they are reduced.
 
     Parameters
@@ -260,7 +261,7 @@ def with_noise(fit: JointFit, noise: Mapping[str, Noise]) -> JointFit:
 
 
 def _block_again(
-    block: Block, prepared: Prepared, model: Model, before: Noise, after: Noise
+    block: Block, prepared: Prepared, model: Unknowns, before: NoiseModel, after: NoiseModel
 ) -> Block:
     """Reduce a series again; where only the level of its white noise is another, scale it."""
     was, now = (prepared.series.total(noise) for noise in (before, after))
@@ -276,7 +277,7 @@ def _block_again(
     )
 
 
-def _block(prepared: Prepared, model: Model, noise: Noise) -> Block:
+def _block(prepared: Prepared, model: Unknowns, noise: NoiseModel) -> Block:
     """Whiten one series and reduce it, then put its columns where the model has them."""
     series = prepared.series
     if series.time.size <= series.order:
@@ -296,7 +297,7 @@ def _block(prepared: Prepared, model: Model, noise: Noise) -> Block:
     return replace(block, factor=factor, considered=fixed)
 
 
-def _solve(blocks: Sequence[Block], model: Model) -> Solution:
+def _solve(blocks: Sequence[Block], model: Unknowns) -> Solution:
     inputs = model.inputs or {}
     return least_squares.solve(
         blocks,
@@ -316,7 +317,7 @@ def _prior_means(unknowns: Sequence[Unknown]) -> list[float]:
     ]
 
 
-def unexplained(prepared: Prepared, model: Model) -> Array:
+def unexplained(prepared: Prepared, model: Unknowns) -> Array:
     """Return a series' error less what the considered terms' assumed values put into it, (n,)."""
     means = np.array(_prior_means(model.considered) + [0.0] * len(model.inputs or ()))
     left: Array = prepared.series.error - prepared.fixed @ means[list(prepared.considered)]

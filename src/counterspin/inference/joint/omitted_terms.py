@@ -18,8 +18,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import Considered, JointFit, Model
+from counterspin.inference.joint.fit import Considered, JointFit
 from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.unknowns import Unknowns
 
 #: Rows that are enough: sensitivities depend on the columns' shapes, not on the sampling.
 _ROWS: Final = 3072
@@ -46,7 +47,7 @@ def sensitivities(fit: JointFit, terms: Sequence[Considered]) -> Array:
     """
     series = [one.series for one in fit.prepared]
     step = max(1, math.ceil(sum(one.time.size for one in series) / _ROWS))
-    model = Model(fit.model.unknowns, tuple(terms))
+    model = Unknowns(fit.model.unknowns, tuple(terms))
     scale_factors = {one.accelerometer: 1.0 for one in series}
     prepared = joint.prepare([_thinned(one, step) for one in series], model, scale_factors)
     noise = {

@@ -14,9 +14,10 @@ import numpy as np
 
 from counterspin.errors import ConvergenceError
 from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import ROTATION, Model
+from counterspin.inference.joint.fit import ROTATION
 from counterspin.inference.joint.series import Series
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
 
 _ROUNDS: Final = 20  #: of Gauss and Newton's iteration
 
@@ -32,9 +33,9 @@ _HORIZONTAL: Final = 0.1
 
 def find_rotation(
     series: Sequence[Series],
-    model: Model,
+    model: Unknowns,
     scale_factors: Mapping[str, float],
-    rough: Mapping[str, Noise],
+    rough: Mapping[str, NoiseModel],
 ) -> tuple[Series, ...]:
     """Find start angle, rate and drift of each run.
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
-from counterspin.inference.noise.model import Noise, Whitener, make_whitener
+from counterspin.inference.noise.model import NoiseModel, Whitener, make_whitener
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.angle_error import AngleError
@@ -122,11 +122,11 @@ class Series:
         """Return the columns of start offset and start velocity, 1 and t, shape (n, count)."""
         return np.vander(self.time, count, increasing=True)
 
-    def total(self, noise: Noise) -> Noise:
+    def total(self, noise: NoiseModel) -> NoiseModel:
         """Return the noise of an accelerometer with what the time stamps' noise adds here."""
         return replace(noise, white=math.hypot(noise.white, self.jitter))
 
-    def whitener(self, noise: Noise) -> Whitener:
+    def whitener(self, noise: NoiseModel) -> Whitener:
         """Return what turns the rows into rows whose noise has unit covariance."""
         return make_whitener(
             self.time, self.order, self.total(noise), self.count, self.block_spacing

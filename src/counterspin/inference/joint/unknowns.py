@@ -1,7 +1,7 @@
 """What a joint fit estimates, what it considers, and which inputs are uncertain.
 
 - `Unknown`, `Considered`: terms of the accelerometers, of the platform, of a run's rotation
-- `Model`: all of them
+- `Unknowns`: all of them
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Considered(Unknown):
 
 
 @dataclass(frozen=True)
-class Model:
+class Unknowns:
     """What is estimated, what is considered, and which inputs are uncertain.
 
     Attributes

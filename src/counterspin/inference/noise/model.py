@@ -27,7 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from counterspin.inference.noise.riccati import Blocks, filter_walk
+from counterspin.inference.noise.riccati import BlockSpans, filter_walk
 
 Array = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
 
 
 @dataclass(frozen=True)
-class Noise:
+class NoiseModel:
     """Noise of one accelerometer's records.
 
     Attributes
@@ -84,7 +84,7 @@ class Differences:
     """
 
     order: int
-    blocks: Blocks
+    blocks: BlockSpans
     spacing: Array
 
     @classmethod
@@ -116,7 +116,7 @@ class Differences:
         spacing = np.broadcast_to(np.asarray(sample_spacing, float), time.shape)
         if not (spacing > 0).all():
             raise ValueError("the sample spacing must be positive")
-        blocks = Blocks.of(time, counts, spacing)
+        blocks = BlockSpans.of(time, counts, spacing)
         if (blocks.half[1:] + blocks.half[:-1] >= steps).any():
             row = int(np.argmax(blocks.half[1:] + blocks.half[:-1] >= steps))
             raise ValueError(
@@ -253,7 +253,7 @@ def solve_banded_factor(bands: Array, rows: Array) -> Array:
 def make_whitener(
     times: ArrayLike,
     order: int,
-    noise: Noise,
+    noise: NoiseModel,
     count: ArrayLike | None = None,
     sample_spacing: ArrayLike | None = None,
 ) -> Whitener:

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Blocks:
+class BlockSpans:
     """Where the samples of each row lie; a row is the mean of the samples of its block.
 
     Attributes
@@ -50,7 +50,7 @@ class Blocks:
     mean_cube: Array
 
     @classmethod
-    def of(cls, time: Array, count: Array, spacing: Array) -> Blocks:
+    def of(cls, time: Array, count: Array, spacing: Array) -> BlockSpans:
         """Blocks of `count` evenly spaced samples about `time`."""
         squared = count**2
         return cls(
@@ -85,7 +85,7 @@ class Innovations:
     step: Array
 
 
-def filter_walk(blocks: Blocks, white: float, walk: float) -> Innovations:
+def filter_walk(blocks: BlockSpans, white: float, walk: float) -> Innovations:
     """Innovation variances and gains for a doubly integrated walk seen through white noise.
 
     Parameters

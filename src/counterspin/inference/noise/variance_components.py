@@ -24,7 +24,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from counterspin.inference.noise.model import Noise
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.restricted_likelihood import RecordData, RestrictedLikelihood
 from counterspin.inference.noise.unseen_noise import Unseen, unseen_walk
 
@@ -56,7 +56,7 @@ class VarianceComponents:
     Attributes
     ----------
     white, random_walk, quantisation
-        As in `Noise`; quantisation is always as given.
+        As in `NoiseModel`; quantisation is always as given.
     covariance
         (2, 2) of (white^2, random_walk^2): inverse observed information; zero for a component that
         was given or dropped.
@@ -89,9 +89,9 @@ class VarianceComponents:
     unseen: Unseen | None = None
 
     @property
-    def noise(self) -> Noise:
+    def noise(self) -> NoiseModel:
         """The estimate as a noise model."""
-        return Noise(self.white, self.random_walk, self.quantisation)
+        return NoiseModel(self.white, self.random_walk, self.quantisation)
 
 
 def estimate(
@@ -193,7 +193,7 @@ def effective_dof(variance: ArrayLike, gradient: ArrayLike, covariance: ArrayLik
 
 
 def effective_dof_of(
-    coefficient_variances: Callable[[Noise], ArrayLike],
+    coefficient_variances: Callable[[NoiseModel], ArrayLike],
     components: VarianceComponents,
     step: float = 1e-2,
 ) -> Array:
