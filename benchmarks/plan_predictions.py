@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from counterspin.planning.description import read_plan
+from counterspin.planning.plan_file import read_plan
 from counterspin.planning.search import Search
 
 BATCH = 100

@@ -13,7 +13,7 @@ from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import DEGREE_PER_HOUR, QX, QY, TERMS, term
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
-from counterspin.planning.setup import PlannedInstrument, Setup
+from counterspin.planning.experimental_setup import PlannedInstrument, Setup
 
 ARCSECOND = math.pi / 648000
 SITE = Site(9.8, math.radians(45.75))

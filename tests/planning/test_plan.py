@@ -13,13 +13,13 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
-from counterspin.planning.description import read_plan
 from counterspin.planning.figures import FIGURES, save_figures
 from counterspin.planning.forecast import forecast
 from counterspin.planning.page import render_plan
 from counterspin.planning.plan import check, plan, write_campaign, write_example
+from counterspin.planning.plan_file import read_plan
+from counterspin.planning.plan_sections import GoalSettings, LimitsSettings
 from counterspin.planning.search import Search
-from counterspin.planning.settings import GoalSettings, LimitsSettings
 from counterspin.planning.toml_text import write_document
 from counterspin.reports.text import report_console
 

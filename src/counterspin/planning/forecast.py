@@ -32,7 +32,7 @@ from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.spindle import Spindle
-from counterspin.planning.setup import PlannedInstrument, Setup
+from counterspin.planning.experimental_setup import PlannedInstrument, Setup
 from counterspin.records.reduction import block_size
 
 

@@ -22,13 +22,14 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError
 from counterspin.output import make_folder, write_text
-from counterspin.planning.curves import curves_of
-from counterspin.planning.description import read_plan
 from counterspin.planning.design import Design, Limits
-from counterspin.planning.determined import require_determined, unreachable
+from counterspin.planning.feasibility import require_determined, unreachable
+from counterspin.planning.figure_curves import curves_of
 from counterspin.planning.forecast import Forecast, forecast
-from counterspin.planning.optimal import Optimum
-from counterspin.planning.parts import accelerometers_of, planned_runs, platform_of, requirements_of
+from counterspin.planning.optimisation import Optimum
+from counterspin.planning.plan_file import read_plan
+from counterspin.planning.predicted import accelerometers_of, planned_runs, platform_of
+from counterspin.planning.requirements import requirements_of
 from counterspin.planning.result import GoalResult, LimitResult, OtherPlan, PlanResult, Requirement
 from counterspin.planning.search import Search
 from counterspin.planning.toml_text import write_document

@@ -37,7 +37,7 @@ from counterspin.physics.accelerometer import Term, term
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle
 from counterspin.planning.angle_functions import functions, integration, prefix_factors
-from counterspin.planning.setup import PlannedInstrument, Setup
+from counterspin.planning.experimental_setup import PlannedInstrument, Setup
 
 #: Highest harmonic of the products of the table; |a_I| has them all, falling off as n^-4 or so.
 _HARMONICS: Final = 3

@@ -17,10 +17,10 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.resolved import Campaign
 from counterspin.errors import CampaignError
-from counterspin.planning.description import Plan, campaign_of
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
 from counterspin.planning.forecast import setup_of
-from counterspin.planning.optimal import Optimum, least_time, optimise
+from counterspin.planning.optimisation import Optimum, least_time, optimise
+from counterspin.planning.plan_file import Plan, campaign_of
 from counterspin.planning.polishing import fitted_into, polish, shortened
 from counterspin.planning.run_information import RunInformation
 

@@ -76,7 +76,7 @@ class LimitsSettings(SettingsSection):
 
 
 class GoalSettings(SettingsSection):
-    """[goal]: what the plan is for; names and sizes are settled in `plan_description`."""
+    """[goal]: what the plan is for; names and sizes are settled in `plan_file`."""
 
     minimise: list[Text] | dict[str, Any] | None = None
     target: dict[str, Any] | None = None

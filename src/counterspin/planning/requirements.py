@@ -1,114 +1,25 @@
-"""The parts of a plan's result that are read off a forecast: uncertainties, budgets, requirements.
+"""What the centrifuge must be for a plan: how large each of its faults may become.
 
-- `accelerometers_of`, `platform_of`: what the campaign will tell
-- `planned_runs`: its runs as a table
-- `requirements_of`: what the centrifuge must be for it
+- `requirements_of`
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.joint_parts import budget_lines, coefficient, unit_of
-from counterspin.calibration.result_parts import ConfoundedTerms
+from counterspin.calibration.joint_parts import unit_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.joint.fit import INPUTS, ROTATION, TIMING, Considered
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.physics.accelerometer import TERMS
-from counterspin.planning.forecast import Forecast, expected_values, forecast
-from counterspin.planning.result import PlannedAccelerometer, PlannedRun, Predicted, Requirement
+from counterspin.planning.forecast import expected_values, forecast
+from counterspin.planning.result import Requirement
 
 #: A fault that adds this part of u in quadrature makes u grow by a twentieth.
 _ADDED: Final = math.sqrt(1.05**2 - 1.0)
-
-
-def accelerometers_of(found: Forecast) -> dict[str, PlannedAccelerometer]:
-    """Return what a campaign will tell of each accelerometer."""
-    return {name: _accelerometer(found, name) for name in found.campaign.accelerometers}
-
-
-def _accelerometer(found: Forecast, name: str) -> PlannedAccelerometer:
-    unknowns = found.fit.model.unknowns
-    own = {u.symbol: i for i, u in enumerate(unknowns) if u.owner == name and u.symbol in TERMS}
-    coefficients = {symbol: _predicted(found, index) for symbol, index in own.items()}
-    others = [f"{other}." for other in found.campaign.accelerometers if other != name]
-    return PlannedAccelerometer(
-        coefficients={s: coefficients[s] for s in found.campaign.model.terms if s in coefficients},
-        budget={
-            symbol: budget_lines(found.estimate, index, name)
-            for symbol, index in own.items()
-            if coefficients[symbol].estimated
-        },
-        confounded=[
-            ConfoundedTerms(
-                terms=[t.removeprefix(f"{name}.") for t in item.terms],
-                correlation=item.correlation,
-                determined=item.determined.replace(f"{name}.", ""),
-                u=item.u,
-            )
-            for item in found.assessment.confounded
-            if not any(t.startswith(other) for t in item.terms for other in others)
-        ],
-    )
-
-
-def platform_of(found: Forecast) -> dict[str, Predicted]:
-    """Return what a campaign will tell of the platform's terms that all runs share."""
-    return {
-        unknown.symbol: _predicted(found, index)
-        for index, unknown in enumerate(found.fit.model.unknowns)
-        if not unknown.owner
-    }
-
-
-def _predicted(found: Forecast, index: int) -> Predicted:
-    shown = coefficient(found.estimate, found.assessment, index)
-    prior = found.fit.model.unknowns[index].prior[1]
-    return Predicted(
-        u=shown.u if shown.estimated else None,
-        u_noise=shown.u_noise,
-        u_prior=shown.u_prior,
-        u_considered=shown.u_considered,
-        prior=prior if math.isfinite(prior) else None,
-        unit=shown.unit,
-        estimated=shown.estimated,
-    )
-
-
-def planned_runs(
-    campaign: Campaign, attitudes: Mapping[str, str], starts: Mapping[str, float] | None = None
-) -> list[PlannedRun]:
-    """Return a campaign's runs in their order.
-
-    Parameters
-    ----------
-    campaign
-        Every run with its duration.
-    attitudes
-        Run -> name of its attitude.
-    starts
-        Run -> when its record starts, s; None: not planned.
-    """
-    runs = []
-    for run in campaign.runs:
-        duration = run.duration or 0.0
-        runs.append(
-            PlannedRun(
-                name=run.name,
-                rate=run.rate,
-                specific_force=campaign.radius.value * run.rate**2 / campaign.site.gravity,
-                revolutions=abs(run.rate) * duration / (2.0 * math.pi),
-                duration=duration,
-                attitude=attitudes[run.name],
-                start=None if starts is None else starts[run.name],
-            )
-        )
-    return runs
 
 
 def requirements_of(

@@ -10,7 +10,7 @@ from planning_setups import ATTITUDES, make_setup, u_by_joint_fit
 
 from counterspin.errors import NotIdentifiableError
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
-from counterspin.planning.optimal import least_time, optimise
+from counterspin.planning.optimisation import least_time, optimise
 from counterspin.planning.polishing import fitted_into, polish
 from counterspin.planning.relaxation import relax
 from counterspin.planning.run_information import RunInformation

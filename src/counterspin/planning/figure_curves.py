@@ -13,9 +13,9 @@ import numpy as np
 
 from counterspin.inference.joint.budget import budget
 from counterspin.physics.accelerometer import term
-from counterspin.planning.description import Plan
 from counterspin.planning.design import Design
 from counterspin.planning.forecast import forecast
+from counterspin.planning.plan_file import Plan
 from counterspin.planning.result import Curve, Curves
 from counterspin.planning.search import Search
 

@@ -27,7 +27,7 @@ from counterspin.errors import CampaignError
 from counterspin.inference.joint.fit import Unknown
 from counterspin.physics.accelerometer import term
 from counterspin.planning.design import Limits, RunType
-from counterspin.planning.settings import GoalSettings, LimitsSettings, PlanDocument
+from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument
 
 #: Lowest rate where none is given, as a part of the highest.
 _LOWEST: Final = 0.125
