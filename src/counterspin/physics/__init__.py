@@ -6,6 +6,7 @@ What stands in this room, from the ground up:
 - `angle_error`: how far that fit may be from the true angle, and what it does to the motion
 - `accelerometer`: mountings, the error model (Eq. 7) and the one table of error terms
 - `motion`: exact position, velocity and specific force of the platform; harmful acceleration
+- `station`: where one reading is taken, at rest, on an arm or on a double turntable
 - `quadrature`: single and double time integrals along a trajectory, to rounding
 - `observation`: columns, the displacement per unit of each coefficient
 - `inversion`: the error model's inverse, from an indication to the specific force

@@ -1,0 +1,211 @@
+"""Stations: forces against an inertial frame in 60 digits, means against closed forms."""
+
+import json
+import math
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from counterspin.physics.accelerometer import QX, TERMS, Mounting, direction
+from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.spindle import Spindle
+from counterspin.physics.station import FRAMES, Station
+
+REFERENCE = json.loads(
+    (Path(__file__).parents[1] / "reference" / "arm_forces.json").read_text(encoding="utf-8")
+)
+SITE = Site(9.80665, 0.8)
+SYMBOLS = list(TERMS)
+
+
+def arm(inputs, pendulous, **more):
+    return Station(
+        "arm", Mounting.from_axes(*(FRAMES["arm"][name] for name in (inputs, pendulous))), **more
+    )
+
+
+@pytest.mark.parametrize("case", REFERENCE["cases"], ids=str)
+def test_force_on_the_arm_is_that_of_an_inertial_frame(case):
+    site = Site(float(REFERENCE["gravity"]), float(case["latitude"]))
+    radius, rate = float(case["radius"]), float(case["rate"])
+    station = arm("outward", "up", rate=rate, radius=radius)
+    force = station.force(site, np.array([float(case["angle"])]))[0]
+    exact = np.array([float(value) for value in case["force"]])
+    neglected = site.earth_rate**2 * radius
+    size = np.linalg.norm(exact)
+    assert np.abs(force - exact).max() < neglected + 1e-12 * size
+    assert np.abs(force - exact).max() > 0.01 * neglected or float(case["angle"]) == 0.0
+
+
+@pytest.mark.parametrize("rate", [3.0, -3.0])
+def test_counter_rotating_force_is_that_of_the_trajectory(rate):
+    station = Station("counter-rotating", QX, rate=rate, radius=2.5)
+    trajectory = Trajectory(Spindle(rate), 2.5, SITE)
+    times = np.linspace(0.0, 2.0, 7)
+    there = trajectory.specific_force(times)
+    np.testing.assert_allclose(station.force(SITE, rate * times), there, rtol=0, atol=1e-13 * 25)
+
+
+def test_at_rest_gravity_alone_is_felt():
+    station = Station("static", QX)
+    np.testing.assert_array_equal(station.force(SITE, np.zeros(1)), [[0.0, 0.0, SITE.gravity]])
+
+
+@pytest.mark.parametrize("rate", [9.9, -9.9])
+def test_means_on_the_arm_in_closed_form(rate):
+    site = Site(9.8, 0.7)
+    station = arm("inward", "up", rate=rate, radius=1.0)
+    g, omega = site.gravity, site.earth_rate
+    a_i = (rate**2 + 2.0 * rate * omega * math.sin(0.7)) / g
+    lift = 2.0 * rate * omega * math.cos(0.7) / g
+    means = dict(zip(SYMBOLS, station.mean_products(site, SYMBOLS), strict=True))
+    expected = {"K_F": 1.0, "K_I": a_i, "K_II": a_i**2, "K_III": a_i**3, "K_IP": a_i, "K_IO": 0.0}
+    expected |= {"K_PP": 1.0 + lift**2 / 2.0, "K_OO": 0.0, "K_OQ": a_i**2, "delta_O": 1.0}
+    for symbol, value in expected.items():
+        assert means[symbol] == pytest.approx(value, rel=1e-14, abs=1e-15), symbol
+
+
+def test_the_cross_term_of_the_earth_s_rate_has_the_size_of_the_literature():
+    """3.28e-5 of a at pi rad/s and 45 deg; it changes its sign with the sense."""
+    site = Site(9.8, math.pi / 4.0)
+    ahead, back = (
+        arm("inward", "up", rate=rate, radius=1.0).mean_products(site, ["K_I"])[0]
+        for rate in (math.pi, -math.pi)
+    )
+    assert (ahead - back) / (ahead + back) == pytest.approx(3.28e-5, rel=2e-3)
+
+
+def test_means_on_a_double_turntable_in_closed_form():
+    rate, radius, site = 3.0, 2.5, Site(9.8, 0.7, earth_rate=0.0)
+    means = Station("counter-rotating", QX, rate=rate, radius=radius).mean_products(site, SYMBOLS)
+    size = radius * rate**2 / site.gravity
+    found = dict(zip(SYMBOLS, means, strict=True))
+    assert found["K_II"] == pytest.approx(size**2 / 2.0, rel=1e-14)
+    assert found["K_OO"] == pytest.approx(size**2 / 2.0, rel=1e-14)
+    assert found["K_PP"] == pytest.approx(1.0, rel=1e-14)
+    for symbol in ("K_I", "K_III", "K_IO"):
+        assert abs(found[symbol]) < 1e-15 * size**3
+
+
+def test_stretch_lengthens_the_radius_by_the_acceleration():
+    site = Site(9.80665, 0.0, earth_rate=0.0)
+    rate, stretch = 9.9, 4.6e-9
+    plain, longer = (
+        arm("inward", "up", rate=rate, radius=1.0, stretch=s).mean_products(site, ["K_I"])[0]
+        for s in (0.0, stretch)
+    )
+    assert longer / plain - 1.0 == pytest.approx(stretch * rate**2, rel=1e-6)
+
+
+@pytest.mark.parametrize(("inputs", "sign"), [("inward", 1.0), ("outward", -1.0)])
+def test_droop_lets_gravity_into_an_input_axis_along_the_arm(inputs, sign):
+    site = Site(9.8, 0.0, earth_rate=0.0)
+    rate, droop = 9.9, 1e-8
+    plain, drooped = (
+        arm(inputs, "forward", rate=rate, radius=1.0, droop=d).mean_products(site, ["K_I"])[0]
+        for d in (0.0, droop)
+    )
+    # The outer end goes down, so an axis that points inwards looks up and feels gravity.
+    assert drooped - plain == pytest.approx(sign * droop * rate**2, rel=1e-4)
+
+
+def test_a_turn_is_right_handed_about_the_frame_s_axes():
+    site = Site(9.8, 0.0)
+    mounting = Mounting.from_axes("north", "west")
+    turned = Station("static", mounting, turn=(1e-3, 0.0, 0.0))
+    # About east, north turns up.
+    assert turned.mean_products(site, ["K_I"])[0] == pytest.approx(math.sin(1e-3), rel=1e-12)
+
+
+def test_at_rest_no_position_tells_k_f_from_the_squares():
+    """a_I^2 + a_P^2 + a_O^2 = 1: ten terms of second degree have rank nine at 1 g."""
+    rng = np.random.default_rng(7)
+    terms = ["K_F", "K_I", "delta_O", "delta_P", "K_II", "K_PP", "K_OO", "K_IP", "K_IO", "K_PO"]
+    rows = []
+    for _ in range(48):
+        first, second = rng.normal(size=(2, 3))
+        i = direction(list(first))
+        p = direction(list(second - (second @ i) * i))
+        rows.append(
+            Station("static", Mounting.from_axes(list(i), list(p))).mean_products(SITE, terms)
+        )
+    _, sizes, directions = np.linalg.svd(np.array(rows))
+    assert sizes[-2] > 0.1
+    assert sizes[-1] < 1e-13
+    null = directions[-1] / directions[-1][0]
+    expected = [
+        1.0 if t == "K_F" else -1.0 if t in ("K_II", "K_PP", "K_OO") else 0.0 for t in terms
+    ]
+    np.testing.assert_allclose(null, expected, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("positions", "terms", "expected"),
+    [
+        (12, ["1", "c", "s", "cc", "cs"], [0.5, 0.408248, 0.408248, 0.816497, 0.816497]),
+        (
+            24,
+            ["1", "c", "s", "cc", "cs", "ccc"],
+            [0.353553, 0.912871, 0.288675, 0.577350, 0.577350, 1.154701],
+        ),
+    ],
+)
+def test_equal_angle_tumble_has_the_textbook_s_uncertainties(positions, terms, expected):
+    """IEEE Std 1293's multi-position tumble, u over the sigma of one reading."""
+    symbols = {"1": "K_F", "c": "K_I", "s": "delta_O", "cc": "K_II", "cs": "K_IP", "ccc": "K_III"}
+    rows = []
+    for angle in np.arange(positions) * 2.0 * np.pi / positions:
+        up_along_i, up_along_p = math.cos(angle), math.sin(angle)
+        # The input axis leaves up by the angle, about north, which stays the output axis.
+        i = [-up_along_p, 0.0, up_along_i]
+        p = [up_along_i, 0.0, up_along_p]
+        station = Station("static", Mounting.from_axes(i, p))
+        rows.append(station.mean_products(SITE, [symbols[t] for t in terms]))
+    covariance = np.linalg.inv(np.array(rows).T @ np.array(rows))
+    np.testing.assert_allclose(np.sqrt(np.diag(covariance)), expected, rtol=0, atol=6e-7)
+
+
+# An unweighted cubic fit to inputs that are wrong: figures of the literature to the digits given.
+
+INPUTS = np.array([s * a for s in (1, -1) for a in (1.0, 2.0, 5.0, 10.0, 15.0, 20.0)])
+TRUE = (2e-3, 1.0005, 15e-6, 2e-6)
+
+
+def cubic(claimed, actual):
+    output = np.polynomial.polynomial.polyval(actual, TRUE)
+    return np.polynomial.polynomial.polyfit(claimed, output, 3)
+
+
+def test_the_cubic_of_a_wrong_input_moves_as_the_literature_says():
+    np.testing.assert_allclose(
+        cubic(INPUTS, INPUTS + 1e-4),
+        [2.1000500002e-3, 1.000500003, 1.50006e-5, 2e-6],
+        rtol=1e-10,
+    )
+    np.testing.assert_allclose(
+        cubic(INPUTS, INPUTS * (1 + 1e-5)), [2e-3, 1.000510005, 1.50003e-5, 2.00006e-6], rtol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    ("inputs", "expected"),
+    [
+        (INPUTS, ["1.99999947e-3", "1.00050029", "1.50000267e-5", "2.00155452e-6"]),
+        (np.arange(1.0, 21.0), ["1.99999901e-3", "1.0005000", "1.5044977e-5", "2.0000127e-6"]),
+    ],
+    ids=["both sides", "one side"],
+)
+def test_the_cubic_of_an_arm_that_stretches(inputs, expected):
+    """The radius grows by 4.6e-9 of itself per m/s^2; the stations make the inputs."""
+    site, stretch = Site(9.80665, 0.0, earth_rate=0.0), 4.6e-9
+    actual = []
+    for a in inputs:
+        side = "inward" if a > 0 else "outward"
+        rate = math.sqrt(abs(a) * site.gravity)
+        station = arm(side, "up", rate=rate, radius=1.0, stretch=stretch)
+        actual.append(station.mean_products(site, ["K_I"])[0])
+    for found, printed in zip(cubic(inputs, np.array(actual)), expected, strict=True):
+        half_a_digit = 0.5 * float(Decimal((0, (1,), Decimal(printed).as_tuple().exponent)))
+        assert abs(found - float(printed)) <= half_a_digit
