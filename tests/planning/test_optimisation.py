@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from planning_setups import ATTITUDES, make_setup, u_by_joint_fit
+from scipy.optimize import linprog
 
 from counterspin.errors import NotIdentifiableError
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
@@ -133,21 +134,23 @@ def test_equivalence_theorem(predictor, criterion, types):
     assert criterion.value(inverse) == pytest.approx(found.value, abs=1e-6)
     v = inverse @ criterion.directions(inverse)
 
-    def excess(kinds, rate, turns):
+    def gain_and_cost(kinds, rate, turns):
         gain = np.sum((predictor.blocks(kinds, rate, turns) @ v) ** 2, axis=(1, 2))
-        cost = 2.0 * math.pi * turns / rate + limits.overhead(rate)
-        return gain - found.price_time * cost - found.price_run
+        return gain, 2.0 * math.pi * turns / rate + limits.overhead(rate)
 
-    # Equality where the plan is, in units of what a whole plan gains.
-    at = excess(found.types, found.rate, found.revolutions)
-    assert abs(float(at @ found.weight)) < 2e-3
-    # Nowhere else more: on a grid that the search has not seen.
+    # The least prices of time and of a run at which no possible run gains more than it costs, on a
+    # grid that the search has not seen. At the optimum they add up to what the plan gains.
     rate, time = np.meshgrid(np.geomspace(*limits.rate, 41), np.geomspace(5.0, 690.0, 43))
     turns = rate * time / (2.0 * math.pi)
     keep = turns >= limits.revolutions
-    for kind in types:
-        everywhere = excess((kind,) * int(keep.sum()), rate[keep], turns[keep])
-        assert everywhere.max() * limits.runs < 4e-3
+    runs = [((kind,) * int(keep.sum()), rate[keep], turns[keep]) for kind in types]
+    runs.append((found.types, found.rate, found.revolutions))
+    gain, cost = np.concatenate([gain_and_cost(*some) for some in runs], axis=1)
+    total = np.array([limits.total_time, limits.runs])
+    prices = linprog(total, A_ub=-np.column_stack([cost, np.ones_like(cost)]), b_ub=-gain)
+    at_plan, _ = gain_and_cost(found.types, found.rate, found.revolutions)
+    assert prices.fun == pytest.approx(float(at_plan @ found.weight), abs=4e-3)
+    assert prices.x[1] == pytest.approx(found.price_run, abs=4e-3 / limits.runs)
     assert found.bound <= found.value + 1e-9
 
 
@@ -161,7 +164,6 @@ def test_d_optimal_gain_is_the_number_of_coefficients():
     found = relax(predictor, limits, Criterion((0, 1, 2), (1.0, 1.0, 1.0), "determinant"))
     # The criterion is half the logarithm per coefficient: ten runs gain a half in all.
     assert found.price_run * limits.runs == pytest.approx(0.5, rel=1e-3)
-    assert found.price_time == pytest.approx(0.0, abs=1e-12)
     assert float(found.weight.sum()) == pytest.approx(limits.runs)
 
 

@@ -200,6 +200,15 @@ def test_check_says_what_plan_says(starter, tmp_path):
     assert cli.main(["plan", "--check", str(tmp_path / "planned")]) == 0
 
 
+def test_forecast_takes_a_folder_a_file_or_a_campaign(starter, tmp_path):
+    file = write_campaign(plan(starter(SMALL)), tmp_path / "planned")
+    expected = forecast(read_campaign(file)).u
+    for where in (file, file.parent, str(file.parent)):
+        assert forecast(where).u == expected
+    with pytest.raises(CampaignError, match="there is no such file"):
+        forecast(tmp_path / "nothing")
+
+
 def test_check_of_a_campaign_that_says_too_little(starter, tmp_path):
     planned = plan(starter(SMALL))
     document = tomllib.loads(planned.document)

@@ -39,8 +39,8 @@ class RunDiagnostics:
         Sum of squares, and this run's share of the degrees of freedom.
     chi2_p
         Probability of a larger sum, the noise being as stated.
-    sign_runs, sign_z, sign_p
-        Number of stretches of one sign; its distance from what independence gives, in standard
+    sign_z, sign_p
+        Number of stretches of one sign: its distance from what independence gives, in standard
         deviations (negative: too few); two-sided probability.
     peak_frequency
         Hz where times were given, else cycles per row.
@@ -54,7 +54,6 @@ class RunDiagnostics:
     chi2: float
     dof: float
     chi2_p: float
-    sign_runs: int
     sign_z: float
     sign_p: float
     peak_frequency: float
@@ -157,7 +156,7 @@ def diagnose(
 
 def _diagnose_run(rows: Array, dof: float, interval: float) -> RunDiagnostics:
     chi2 = float(rows @ rows)
-    count, z, sign_p = runs_test(rows)
+    _, z, sign_p = runs_test(rows)
     power = periodogram(rows)
     frequency, share, peak_p = periodogram_peak(power, len(rows))
     return RunDiagnostics(
@@ -165,7 +164,6 @@ def _diagnose_run(rows: Array, dof: float, interval: float) -> RunDiagnostics:
         chi2=chi2,
         dof=dof,
         chi2_p=chi_square_p(chi2, dof),
-        sign_runs=count,
         sign_z=z,
         sign_p=sign_p,
         peak_frequency=frequency / interval,

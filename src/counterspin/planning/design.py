@@ -20,7 +20,7 @@ from counterspin.inference.least_squares import REGULARISATION
 from counterspin.planning.run_information import RunInformation
 
 #: Relative step of the derivatives of a run's information, by central differences.
-_STEP: Final = 1e-4
+_RELATIVE_STEP: Final = 1e-4
 
 
 class RunType(NamedTuple):
@@ -224,17 +224,17 @@ class Predictor:
         widest = self.p + self.common.size + max(own.size for own in self.own.values())
         if len(set(types)) == 1:
             kind = types[0]
-            found = self.information.blocks(
+            rows = self.information.blocks(
                 kind.attitude, kind.sense, rate.ravel(), revolutions.ravel()
             )
-            if found.shape[2] == widest:
-                return found.reshape(*shape, *found.shape[1:])
+            if rows.shape[2] == widest:
+                return rows.reshape(*shape, *rows.shape[1:])
         result = np.zeros((*shape, self.information.rows, widest))
         for kind in dict.fromkeys(types):
             which = [i for i, other in enumerate(types) if other == kind]
             w, n = rate[..., which], revolutions[..., which]
-            found = self.information.blocks(kind.attitude, kind.sense, w.ravel(), n.ravel())
-            result[..., which, :, : found.shape[2]] = found.reshape(*w.shape, *found.shape[1:])
+            rows = self.information.blocks(kind.attitude, kind.sense, w.ravel(), n.ravel())
+            result[..., which, :, : rows.shape[2]] = rows.reshape(*w.shape, *rows.shape[1:])
         return result
 
     def covariance(self, types: Sequence[RunType], rate: Array, revolutions: Array) -> Array:
@@ -258,6 +258,11 @@ class Predictor:
         """Return the standard uncertainties of the shared unknowns, shape (p,)."""
         covariance = self.covariance(design.types, design.rate, design.revolutions)
         return np.asarray(np.sqrt(np.diag(covariance)))
+
+    def value(self, criterion: Criterion, design: Design) -> float:
+        """Return a criterion of a design, see `Criterion.value`."""
+        covariance = self.covariance(design.types, design.rate, design.revolutions)
+        return float(criterion.value(covariance))
 
     def _covariance(self, types: Sequence[RunType], blocks: Array) -> tuple[Array, Array, Array]:
         """Return covariance, its part without considered terms, and their spread (..., p, k)."""
@@ -296,8 +301,9 @@ class Predictor:
         The information of one run enters the covariance as P dM P, so that once P is known the
         derivatives need no other solution, only blocks a step aside.
         """
-        rate = np.array([[1.0], [1.0 + _STEP], [1.0 - _STEP], [1.0], [1.0]]) * design.rate
-        turns = np.array([[1.0], [1.0], [1.0], [1.0 + _STEP], [1.0 - _STEP]]) * design.revolutions
+        up, down = 1.0 + _RELATIVE_STEP, 1.0 - _RELATIVE_STEP
+        rate = np.array([[1.0], [up], [down], [1.0], [1.0]]) * design.rate
+        turns = np.array([[1.0], [1.0], [1.0], [up], [down]]) * design.revolutions
         blocks = self.blocks(design.types, rate, turns)
         covariance, inner, spread = self._covariance(design.types, blocks[0])
         value = float(criterion.value(covariance))
@@ -305,8 +311,8 @@ class Predictor:
         share = self._share(design.types, blocks, inner, spread, c)
         return (
             value,
-            (share[1] - share[2]) / (2.0 * _STEP),
-            (share[3] - share[4]) / (2.0 * _STEP),
+            (share[1] - share[2]) / (2.0 * _RELATIVE_STEP),
+            (share[3] - share[4]) / (2.0 * _RELATIVE_STEP),
         )
 
     def _share(

@@ -22,18 +22,19 @@ from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.budget import budget
 from counterspin.physics.accelerometer import term
 from counterspin.planning.design import Predictor, RunType
-from counterspin.planning.forecast import setup_of
+from counterspin.planning.forecast import forecast, setup_of
 from counterspin.planning.relaxation import relax
 from counterspin.planning.run_information import RunInformation
 from counterspin.planning.search import Search
 
 #: Attitudes that are tried where those allowed do not suffice.
-_OTHERS: Final = ("90 deg about east", "90 deg about north", "90 deg about up")
+_ATTITUDES_TRIED: Final = ("90 deg about east", "90 deg about north", "90 deg about up")
 
-#: Sources named that stand in the way of a target.
-_NAMED: Final = 3
+#: How many sources of uncertainty the error for a missed target names.
+_SOURCES_NAMED: Final = 3
 
-_FOREVER: Final = 1e4  #: times the time there is
+#: Factor of the total time that stands for unlimited time.
+_UNLIMITED_TIME: Final = 1e4
 
 
 def require_determined(search: Search) -> None:
@@ -108,7 +109,7 @@ def _helpful(search: Search, missing: list[str]) -> str | None:
     """Return an attitude with which the missing coefficients would be determined."""
     plan, limits = search.plan, search.limits
     run = plan.stand_in.runs[0]
-    for words in _OTHERS:
+    for words in _ATTITUDES_TRIED:
         if words in plan.attitudes:
             continue
         added = replace(run, name=words, attitude=attitude_rows(words))
@@ -137,27 +138,24 @@ def unreachable(search: Search) -> CounterspinError:
     goal: Mapping[str, float] = search.plan.goal.sizes
     name = max(goal, key=lambda key: u[key] / goal[key])
     unit = term(name.split(".", 1)[1] if not name.startswith("platform") else name).unit
-    # Imported here: only a target that fails needs the exact forecast for its words.
-    from counterspin.planning.forecast import forecast
-
-    found = forecast(search.campaign(best.design))
-    index = [unknown.name for unknown in found.fit.model.unknowns].index(name)
+    prediction = forecast(search.campaign(best.design))
+    index = [unknown.name for unknown in prediction.fit.model.unknowns].index(name)
     shares: dict[str, float] = {}
-    for line in budget(found.fit, index):
+    for line in budget(prediction.fit, index):
         # The tilts of all runs are one source in words.
         owner, _, symbol = line.source.partition(".")
-        of_run = owner in {run.name for run in found.campaign.runs}
+        of_run = owner in {run.name for run in prediction.campaign.runs}
         words = {"noise": f"noise of {line.source}"}.get(line.kind, line.source)
         words = f"{symbol} of the runs" if of_run else words
         shares[words] = shares.get(words, 0.0) + line.share
-    named = sorted(shares.items(), key=lambda pair: -pair[1])[:_NAMED]
+    named = sorted(shares.items(), key=lambda pair: -pair[1])[:_SOURCES_NAMED]
     sources = ", ".join(f"{words} {100.0 * share:.0f} %" for words, share in named)
-    forever = replace(
-        search.limits, total_time=search.limits.total_time * _FOREVER, attitude_change=0.0
+    unlimited = replace(
+        search.limits, total_time=search.limits.total_time * _UNLIMITED_TIME, attitude_change=0.0
     )
     relaxed = relax(
         search.relaxing or search.predictor,
-        replace(forever, longest_run=search.limits.longest_run),
+        unlimited,
         search.criterion,
     )
     floor = math.exp(relaxed.value) * goal[name] if len(goal) == 1 else None

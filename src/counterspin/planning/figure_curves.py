@@ -19,10 +19,12 @@ from counterspin.planning.plan_file import Plan
 from counterspin.planning.result import Curve, Curves
 from counterspin.planning.search import Search
 
+#: Points of each curve.
 _POINTS: Final = 9
-_TIMES: Final = (0.25, 4.0)  #: of the total time
-_RATES: Final = (0.4, 1.4)  #: of the highest rate
-_LARGEST: Final = 6  #: sources shown
+#: Ends of the curves, as factors of the total time and of the highest rate.
+_TIME_FACTORS: Final = (0.25, 4.0)
+_RATE_FACTORS: Final = (0.4, 1.4)
+_SOURCES_SHOWN: Final = 6
 
 
 def curves_of(plan: Plan, design: Design) -> Curves:
@@ -36,11 +38,11 @@ def curves_of(plan: Plan, design: Design) -> Curves:
         The plan found.
     """
     name = next(iter(plan.goal.sizes))
-    search = Search(plan, reach=(_TIMES[1], _RATES[1]))
+    search = Search(plan, reach=(_TIME_FACTORS[1], _RATE_FACTORS[1]))
     place = search.predictor.names.index(name)
     times, by_time = [], []
     start = design
-    for factor in np.geomspace(*_TIMES, _POINTS):
+    for factor in np.geomspace(*_TIME_FACTORS, _POINTS):
         total = plan.limits.total_time * float(factor)
         free = plan.limits.longest_run >= plan.limits.total_time
         limits = replace(
@@ -53,7 +55,7 @@ def curves_of(plan: Plan, design: Design) -> Curves:
             times.append(total)
             by_time.append(float(search.predictor.u(best.design)[place]))
     rates, by_rate = [], []
-    for factor in np.geomspace(*_RATES, _POINTS):
+    for factor in np.geomspace(*_RATE_FACTORS, _POINTS):
         high = plan.limits.rate[1] * float(factor)
         if plan.limits.settings or high < plan.limits.rate[0]:
             continue
@@ -74,9 +76,9 @@ def curves_of(plan: Plan, design: Design) -> Curves:
 def _sources(search: Search, design: Design, name: str) -> dict[str, Curve]:
     """Return each source's contribution against the rate, all runs' rates scaled together."""
     high = float(design.rate.max())
-    found: dict[str, list[float]] = {}
+    contributions: dict[str, list[float]] = {}
     rates: list[float] = []
-    for factor in np.geomspace(_RATES[0], 1.0, _POINTS):
+    for factor in np.geomspace(_RATE_FACTORS[0], 1.0, _POINTS):
         scaled = replace(design, rate=design.rate * factor, revolutions=design.revolutions * factor)
         predicted = forecast(search.campaign(scaled))
         index = [unknown.name for unknown in predicted.fit.model.unknowns].index(name)
@@ -86,9 +88,9 @@ def _sources(search: Search, design: Design, name: str) -> dict[str, Curve]:
             owner, _, symbol = line.source.partition(".")
             words = "noise" if line.kind == "noise" else symbol if owner in runs else line.source
             squares[words] = squares.get(words, 0.0) + line.contribution**2
-        for words in {*found, *squares}:
-            values = found.setdefault(words, [0.0] * len(rates))
+        for words in {*contributions, *squares}:
+            values = contributions.setdefault(words, [0.0] * len(rates))
             values.append(math.sqrt(squares.get(words, 0.0)))
         rates.append(high * float(factor))
-    largest = sorted(found, key=lambda words: -max(found[words]))[:_LARGEST]
-    return {words: Curve(x=rates, u=found[words]) for words in largest}
+    largest = sorted(contributions, key=lambda words: -max(contributions[words]))[:_SOURCES_SHOWN]
+    return {words: Curve(x=rates, u=contributions[words]) for words in largest}

@@ -14,11 +14,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import model_of
+from counterspin.campaign.description import read_campaign
 from counterspin.campaign.resolved import Campaign, Run
 from counterspin.errors import CampaignError
 from counterspin.inference.identifiability import Assessment, assess
@@ -75,7 +77,7 @@ class Forecast:
 
 
 def forecast(
-    campaign: Campaign,
+    where: Path | str | Campaign,
     *,
     sampling_rate: float | None = None,
     model: Unknowns | None = None,
@@ -85,8 +87,9 @@ def forecast(
 
     Parameters
     ----------
-    campaign
-        Every run with its duration; the noise given.
+    where
+        The campaign's folder, its ``campaign.toml``, or a campaign already read; every run with
+        its duration, the noise given.
     sampling_rate
         Samples a second, Hz; None: that of the campaign's [simulation].
     model
@@ -98,10 +101,12 @@ def forecast(
     Raises
     ------
     CampaignError
-        If the noise, a run's length or the sampling rate is not known.
+        If the campaign file is missing or wrong, or the noise, a run's length or the sampling
+        rate is not known.
     NotIdentifiableError
         If a run is too short for its own start offset and velocity.
     """
+    campaign = where if isinstance(where, Campaign) else read_campaign(where)
     if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
     _check(campaign, sampling_rate)
@@ -153,13 +158,13 @@ def _noise(campaign: Campaign) -> Mapping[str, float | str]:
 def noise_of_records(campaign: Campaign) -> dict[str, NoiseModel]:
     """Return the noise of each accelerometer's records."""
     noise = _noise(campaign)
-    found = {}
+    models = {}
     for name, accelerometer in campaign.accelerometers.items():
         step = noise["quantisation"] if accelerometer.observable == "displacement" else 0.0
-        found[name] = NoiseModel(
+        models[name] = NoiseModel(
             float(noise[accelerometer.observable]), float(noise["acceleration"]), float(step)
         )
-    return found
+    return models
 
 
 def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float) -> Series:

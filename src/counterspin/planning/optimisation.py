@@ -26,12 +26,15 @@ from counterspin.planning.design import Criterion, Design, Limits, Predictor, Ru
 from counterspin.planning.polishing import fitted_into, polish, shortened
 from counterspin.planning.relaxation import Relaxed, relax
 
-#: A change of the plan that gains less than this part of u is none.
+#: Smallest relative gain of u (or of time) for which a plan is changed.
 _GAIN: Final = 2e-5
-_PASSES: Final = 3  #: of exchanges
-_STARTS: Final = 5  #: that are polished
-_SOME: Final = 0.02  #: of a run, that counts as some weight
-_ALIKE: Final = 1e-3  #: relative difference of runs that are one for the exchanges
+#: Passes of exchanges, and how many candidates are polished in each.
+_PASSES: Final = 3
+_POLISHED: Final = 5
+#: Weight, in runs, from which a group of the relaxation may get a whole run.
+_WEIGHT_OF_A_RUN: Final = 0.02
+#: Relative difference in rate and length below which the exchanges take two runs as equal.
+_EQUAL_RUNS: Final = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,10 +113,10 @@ def optimise(
             starts = [start, *starts[:1]]
         if not starts:
             continue
-        found = _best_of(predictor, allowed, criterion, starts)
-        found = _exchange(predictor, allowed, criterion, found)
-        if best is None or found[0] < best[0] - _GAIN:
-            best = found
+        polished = _best_of(predictor, allowed, criterion, starts)
+        exchanged = _exchange(predictor, allowed, criterion, polished)
+        if best is None or exchanged[0] < best[0] - _GAIN:
+            best = exchanged
     assert best is not None  # the choices hold one attitude alone, into which a run fits
     relaxed = choices[0][0]
     return Optimum(_ordered(best[1]), best[0], min(relaxed.bound, best[0]), relaxed)
@@ -199,7 +202,7 @@ def _share(weight: Array, count: int) -> npt.NDArray[np.int64]:
 def _at_least_one(weight: Array, runs: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     """Return the runs with one for each group of some weight, taken from the largest groups."""
     changed = runs.copy()
-    for index in np.flatnonzero((weight > _SOME) & (runs == 0)):
+    for index in np.flatnonzero((weight > _WEIGHT_OF_A_RUN) & (runs == 0)):
         largest = int(np.argmax(changed))
         if changed[largest] > 1:
             changed[largest] -= 1
@@ -211,38 +214,28 @@ def _best_of(
     predictor: Predictor, limits: Limits, criterion: Criterion, starts: Sequence[Design]
 ) -> tuple[float, Design]:
     """Polish the most promising starts."""
-    found = []
-    for design in starts:
-        covariance = predictor.covariance(design.types, design.rate, design.revolutions)
-        found.append((float(criterion.value(covariance)), design))
-    found.sort(key=lambda pair: pair[0])
-    polished = [polish(predictor, limits, criterion, design) for _, design in found[:_STARTS]]
+    ranked = sorted(starts, key=lambda design: predictor.value(criterion, design))
+    polished = [polish(predictor, limits, criterion, design) for design in ranked[:_POLISHED]]
     return min(polished, key=lambda pair: pair[0])
 
 
 def _exchange(
-    predictor: Predictor, limits: Limits, criterion: Criterion, found: tuple[float, Design]
+    predictor: Predictor, limits: Limits, criterion: Criterion, best: tuple[float, Design]
 ) -> tuple[float, Design]:
     """Exchange, leave out or add runs for as long as it gains."""
     for _ in range(_PASSES):
-        value, design = found
-        candidates = []
-        for other in _neighbours(design, limits):
-            fitted = fitted_into(other, limits)
-            if fitted is not None:
-                covariance = predictor.covariance(fitted.types, fitted.rate, fitted.revolutions)
-                candidates.append((float(criterion.value(covariance)), fitted))
-        candidates.sort(key=lambda pair: pair[0])
-        better = None
-        for _, other in candidates[:_STARTS]:
-            tried = polish(predictor, limits, criterion, other)
-            if tried[0] < value - _GAIN:
-                better = tried
-                break
+        value, design = best
+        fitted = (fitted_into(other, limits) for other in _neighbours(design, limits))
+        candidates = sorted(
+            (other for other in fitted if other is not None),
+            key=lambda other: predictor.value(criterion, other),
+        )
+        polished = (polish(predictor, limits, criterion, other) for other in candidates[:_POLISHED])
+        better = next((pair for pair in polished if pair[0] < value - _GAIN), None)
         if better is None:
-            return found
-        found = better
-    return found
+            return best
+        best = better
+    return best
 
 
 def _neighbours(design: Design, limits: Limits) -> Iterator[Design]:
@@ -253,7 +246,7 @@ def _neighbours(design: Design, limits: Limits) -> Iterator[Design]:
         kind, rate = design.types[index], float(design.rate[index])
         turns = float(design.revolutions[index])
         if any(
-            kind == k and abs(rate / w - 1.0) < _ALIKE and abs(turns / t - 1.0) < _ALIKE
+            kind == k and abs(rate / w - 1.0) < _EQUAL_RUNS and abs(turns / t - 1.0) < _EQUAL_RUNS
             for k, w, t in seen
         ):
             continue
@@ -315,7 +308,7 @@ def least_time(
     Returns
     -------
     Optimum or None
-        None if no plan found within the limits reaches the targets. The criterion's value and
+        None if no plan within the limits reaches the targets. The criterion's value and
         bound are logarithms of the time in s.
     """
     targets = replace(criterion, kind="sum")
@@ -323,17 +316,14 @@ def least_time(
 
     def misses(design: Design) -> float:
         covariance = predictor.covariance(design.types, design.rate, design.revolutions)
-        return max(float(one.value(covariance)) for one in singles)
+        return max(float(single.value(covariance)) for single in singles)
 
     longest = optimise(predictor, limits, targets, relaxing=relaxing)
     design = longest.design
     if misses(design) > 0.0 and len(singles) > 1:
         # The mean hides the worst: give it more weight until all are below their targets.
         for _ in range(8):
-            u = np.sqrt(
-                np.diag(predictor.covariance(design.types, design.rate, design.revolutions))
-            )
-            ratio = u[list(targets.places)] / np.array(criterion.scales)
+            ratio = predictor.u(design)[list(targets.places)] / np.array(criterion.scales)
             scales = np.array(targets.scales) / np.sqrt(ratio)
             targets = replace(targets, scales=tuple(float(s) for s in scales))
             _, design = polish(predictor, limits, targets, design)

@@ -34,11 +34,11 @@ from counterspin.planning.result import GoalResult, LimitResult, OtherPlan, Plan
 from counterspin.planning.search import Search
 from counterspin.planning.toml_text import write_document
 
-#: Gains below this part of u are none.
-_NO_GAIN: Final = 5e-4
+#: Smallest relative gain of u that is reported.
+_GAIN: Final = 5e-4
 
-#: Touching a limit, relative.
-_TOUCHES: Final = 2e-3
+#: Relative distance from a limit at which a plan touches it.
+_DISTANCE: Final = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,12 +88,12 @@ def plan(where: Path | str, *, curves: bool = False) -> Planned:
         raise unreachable(search)
     design = search.rounded(search.in_order(optimum.design))
     campaign = search.campaign(design)
-    found = forecast(campaign)
+    prediction = forecast(campaign)
     total = search.limits.time(design)
     first = next(iter(described.goal.sizes))
     words, requirements = _requirements(campaign, first, described.sampling_rate)
     result = _result(
-        found,
+        prediction,
         described.sampling_rate,
         total,
         _attitudes(campaign, design),
@@ -107,7 +107,7 @@ def plan(where: Path | str, *, curves: bool = False) -> Planned:
                 sizes=dict(described.goal.sizes),
                 efficiency=optimum.efficiency,
             ),
-            "others": _others(search, design, found, total),
+            "others": _others(search, design, prediction, total),
             "limits": _limits(search, optimum),
             "requirements": requirements,
             "requirements_for": words,
@@ -148,13 +148,13 @@ def check(
         lengths = {run.name: 2.0 * math.pi * revolutions / abs(run.rate) for run in lacking}
         runs = (replace(r, duration=lengths.get(r.name, r.duration)) for r in campaign.runs)
         campaign = replace(campaign, runs=tuple(runs))
-    found = forecast(campaign, sampling_rate=sampling_rate)
+    prediction = forecast(campaign, sampling_rate=sampling_rate)
     if sampling_rate is None:
         assert campaign.simulation is not None  # or the forecast would have asked for it
         sampling_rate = campaign.simulation.sampling_rate
     attitudes = {run.name: attitude_words(run.attitude) for run in campaign.runs}
     total = sum(run.duration or 0.0 for run in campaign.runs)
-    result = _result(found, sampling_rate, total, attitudes, None)
+    result = _result(prediction, sampling_rate, total, attitudes, None)
     symbol = "K_II" if "K_II" in campaign.model.terms else campaign.model.terms[0]
     name = f"{next(iter(campaign.accelerometers))}.{symbol}"
     words, requirements = _requirements(campaign, name, sampling_rate)
@@ -197,13 +197,13 @@ def write_example(file: Path) -> Path:
 
 
 def _result(
-    found: Forecast,
+    prediction: Forecast,
     sampling_rate: float,
     total: float,
     attitudes: dict[str, str],
     starts: dict[str, float] | None,
 ) -> PlanResult:
-    campaign = found.campaign
+    campaign = prediction.campaign
     return PlanResult(
         title=campaign.title,
         gravity=campaign.site.gravity,
@@ -211,8 +211,8 @@ def _result(
         sampling_rate=sampling_rate,
         total_time=total,
         runs=planned_runs(campaign, attitudes, starts),
-        accelerometers=accelerometers_of(found),
-        platform=platform_of(found),
+        accelerometers=accelerometers_of(prediction),
+        platform=platform_of(prediction),
         provenance=Provenance(version=__version__, inputs={}),
     )
 
@@ -245,10 +245,10 @@ def _requirements(
     return requirements_of(campaign, name, sampling_rate)
 
 
-def _others(search: Search, design: Design, found: Forecast, total: float) -> list[OtherPlan]:
+def _others(search: Search, design: Design, prediction: Forecast, total: float) -> list[OtherPlan]:
     """Return the paper's three rates and equally spaced rates in the same time."""
     names = list(search.plan.goal.sizes)
-    here = found.u
+    here = prediction.u
     others = []
     for words, other in (
         (
@@ -279,15 +279,15 @@ def _limits(search: Search, optimum: Optimum) -> list[LimitResult]:
     time = limits.time(design)
     touched = {
         "total_time": (
-            not target and time > limits.total_time * (1.0 - _TOUCHES),
+            not target and time > limits.total_time * (1.0 - _DISTANCE),
             f"total time {limits.total_time:.6g} s",
         ),
         "rate": (
-            bool((design.rate > high * (1.0 - _TOUCHES)).any()),
+            bool((design.rate > high * (1.0 - _DISTANCE)).any()),
             f"highest rate {high:.6g} rad/s",
         ),
         "lowest_rate": (
-            not limits.settings and bool((design.rate < low * (1.0 + _TOUCHES)).any()),
+            not limits.settings and bool((design.rate < low * (1.0 + _DISTANCE)).any()),
             f"lowest rate {low:.6g} rad/s",
         ),
         "runs": (len(design.types) >= limits.runs, f"{limits.runs} runs at most"),
@@ -298,12 +298,12 @@ def _limits(search: Search, optimum: Optimum) -> list[LimitResult]:
             f"changing the attitude, {limits.attitude_change:.4g} s",
         ),
         "revolutions": (
-            bool((design.revolutions < limits.revolutions * (1.0 + _TOUCHES)).any()),
+            bool((design.revolutions < limits.revolutions * (1.0 + _DISTANCE)).any()),
             f"{limits.revolutions:g} revolutions at least",
         ),
         "longest_run": (
             limits.longest_run < limits.total_time
-            and bool((design.duration > limits.longest_run * (1.0 - _TOUCHES)).any()),
+            and bool((design.duration > limits.longest_run * (1.0 - _DISTANCE)).any()),
             f"longest run {limits.longest_run:.6g} s",
         ),
         "sampling_rate": (True, f"sampling rate {search.plan.sampling_rate:.6g} Hz"),
@@ -314,6 +314,6 @@ def _limits(search: Search, optimum: Optimum) -> list[LimitResult]:
         if not binds:
             continue
         gain = search.gain(key, design)
-        if gain > _NO_GAIN or key == "senses":
-            lines.append(LimitResult(key=key, words=words, binds=gain > _NO_GAIN, gain=gain))
+        if gain > _GAIN or key == "senses":
+            lines.append(LimitResult(key=key, words=words, binds=gain > _GAIN, gain=gain))
     return sorted(lines, key=lambda line: -line.gain)

@@ -1,4 +1,4 @@
-"""From ``PLAN.toml`` to a `Plan`: every key checked, all mistakes told at once.
+"""From ``PLAN.toml`` to a `Plan`: every key checked, all errors reported together.
 
 Most of a plan is a campaign without runs, and is checked as one: a stand-in campaign with one run
 in each attitude.

@@ -58,12 +58,11 @@ def polish(
 
     x = variables.solve(objective, [variables.time_left])
     improved = _not_over(variables.design(x), limits)
-    before = predictor.covariance(design.types, design.rate, design.revolutions)
-    after = predictor.covariance(improved.types, improved.rate, improved.revolutions)
-    pair = (float(criterion.value(after)), improved)
+    candidates = [improved]
     if limits.time(design) <= limits.total_time * (1.0 + 1e-9):
-        pair = min(pair, (float(criterion.value(before)), design), key=lambda found: found[0])
-    return pair
+        candidates.append(design)
+    valued = [(predictor.value(criterion, candidate), candidate) for candidate in candidates]
+    return min(valued, key=lambda pair: pair[0])
 
 
 class _Variables:
@@ -112,12 +111,12 @@ class _Variables:
         both = [*constraints, self.length_left]
 
         def values(x: Array) -> Array:
-            return np.concatenate([one(x)[0] for one in both])
+            return np.concatenate([constraint(x)[0] for constraint in both])
 
         def slopes(x: Array) -> Array:
-            return np.vstack([one(x)[1] for one in both])
+            return np.vstack([constraint(x)[1] for constraint in both])
 
-        found = minimize(
+        minimum = minimize(
             objective,
             np.clip(x, low, high),
             jac=True,
@@ -126,7 +125,7 @@ class _Variables:
             constraints={"type": "ineq", "fun": values, "jac": slopes},
             options={"maxiter": 100, "ftol": 1e-8},
         )
-        return np.asarray(np.clip(found.x, low, high))
+        return np.asarray(np.clip(minimum.x, low, high))
 
     def length_left(self, x: Array) -> tuple[Array, Array]:
         """Return how far each record is below the longest allowed, as logarithms."""
@@ -154,8 +153,8 @@ def shortened(
     def below(x: Array) -> tuple[Array, Array]:
         plan = variables.design(x)
         values, slopes = [], []
-        for one in singles:
-            value, by_rate, by_turns = predictor.sensitivities(plan, one)
+        for single in singles:
+            value, by_rate, by_turns = predictor.sensitivities(plan, single)
             values.append(-value)
             slopes.append(-variables.gradient(by_rate, by_turns))
         return np.array(values), np.array(slopes)

@@ -17,20 +17,21 @@ from counterspin.planning.forecast import Forecast
 from counterspin.planning.result import PlannedAccelerometer, PlannedRun, Predicted
 
 
-def accelerometers_of(found: Forecast) -> dict[str, PlannedAccelerometer]:
+def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
     """Return what a campaign will tell of each accelerometer."""
-    return {name: _accelerometer(found, name) for name in found.campaign.accelerometers}
+    return {name: _accelerometer(prediction, name) for name in prediction.campaign.accelerometers}
 
 
-def _accelerometer(found: Forecast, name: str) -> PlannedAccelerometer:
-    unknowns = found.fit.model.unknowns
+def _accelerometer(prediction: Forecast, name: str) -> PlannedAccelerometer:
+    unknowns = prediction.fit.model.unknowns
     own = {u.symbol: i for i, u in enumerate(unknowns) if u.owner == name and u.symbol in TERMS}
-    coefficients = {symbol: _predicted(found, index) for symbol, index in own.items()}
-    others = [f"{other}." for other in found.campaign.accelerometers if other != name]
+    coefficients = {symbol: _predicted(prediction, index) for symbol, index in own.items()}
+    campaign = prediction.campaign
+    others = [f"{other}." for other in campaign.accelerometers if other != name]
     return PlannedAccelerometer(
-        coefficients={s: coefficients[s] for s in found.campaign.model.terms if s in coefficients},
+        coefficients={s: coefficients[s] for s in campaign.model.terms if s in coefficients},
         budget={
-            symbol: budget_lines(found.estimate, index, name)
+            symbol: budget_lines(prediction.estimate, index, name)
             for symbol, index in own.items()
             if coefficients[symbol].estimated
         },
@@ -41,24 +42,24 @@ def _accelerometer(found: Forecast, name: str) -> PlannedAccelerometer:
                 determined=item.determined.replace(f"{name}.", ""),
                 u=item.u,
             )
-            for item in found.assessment.confounded
+            for item in prediction.assessment.confounded
             if not any(t.startswith(other) for t in item.terms for other in others)
         ],
     )
 
 
-def platform_of(found: Forecast) -> dict[str, Predicted]:
+def platform_of(prediction: Forecast) -> dict[str, Predicted]:
     """Return what a campaign will tell of the platform's terms that all runs share."""
     return {
-        unknown.symbol: _predicted(found, index)
-        for index, unknown in enumerate(found.fit.model.unknowns)
+        unknown.symbol: _predicted(prediction, index)
+        for index, unknown in enumerate(prediction.fit.model.unknowns)
         if not unknown.owner
     }
 
 
-def _predicted(found: Forecast, index: int) -> Predicted:
-    shown = coefficient(found.estimate, found.assessment, index)
-    prior = found.fit.model.unknowns[index].prior[1]
+def _predicted(prediction: Forecast, index: int) -> Predicted:
+    shown = coefficient(prediction.estimate, prediction.assessment, index)
+    prior = prediction.fit.model.unknowns[index].prior[1]
     return Predicted(
         u=shown.u if shown.estimated else None,
         u_noise=shown.u_noise,

@@ -1,10 +1,10 @@
-"""The convex relaxation of a plan: how many runs of each kind, if a third of a run could be made.
+"""The convex relaxation of a plan: the best numbers of runs where these need not be whole.
 
 Over a grid of possible runs (attitude, sense, rate, length) with weights n_x >= 0, the
 information is M = M_0 + sum of n_x M_x, the limits on time and on the number of runs are linear,
-and the criteria are convex in M. So there is one optimum, it is no worse than any real plan's,
-and the general equivalence theorem tells it: with the gain of a run phi(x) = -d(criterion)/d(n_x)
-there are prices of time and of a run such that
+and the criteria are convex in M. So every local optimum is the global one, it is no worse than any
+real plan, and the general equivalence theorem identifies it: with the gain of a run
+phi(x) = -d(criterion)/d(n_x) there are prices of time and of a run such that
 
     phi(x) <= price_time * cost(x) + price_run      for every x, equality where n_x > 0.
 
@@ -35,14 +35,17 @@ from counterspin.planning.design import Criterion, Limits, Predictor, RunType
 
 Places = npt.NDArray[np.intp]
 
-_RATES: Final = 9  #: on the first grid, if any rate may be set
-_LENGTHS: Final = 12
-_REFINED: Final = 4  #: times that the grid is made finer about the runs that are in use
-_ROUNDS: Final = 30
-#: Weights below this part of a run are none.
-_NONE: Final = 1e-5
-#: The relaxation is solved once no plan can be better by more than this part of u.
-_SOLVED: Final = 3e-4
+#: Rates and lengths on the first grid, where any rate may be set.
+_GRID_RATES: Final = 9
+_GRID_LENGTHS: Final = 12
+#: How many times the grid is made finer about the runs that are in use.
+_REFINEMENTS: Final = 4
+#: Largest number of gradient steps on one grid.
+_GRADIENT_STEPS: Final = 30
+#: Smaller weights, in runs, count as zero.
+_ZERO_WEIGHT: Final = 1e-5
+#: Relative gap of u to the bound at which the relaxation is solved.
+_GAP_OF_U: Final = 3e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +61,8 @@ class Relaxed:
     bound
         What no plan can be below: `value` less the gap that the equivalence theorem leaves, over
         all runs of the grid.
-    price_time, price_run
-        What the criterion gains for each further second and each further run.
+    price_run
+        What the criterion gains for each further run.
     """
 
     types: tuple[RunType, ...]
@@ -68,7 +71,6 @@ class Relaxed:
     weight: Array
     value: float
     bound: float
-    price_time: float
     price_run: float
 
 
@@ -113,8 +115,8 @@ def relax(predictor: Predictor, limits: Limits, criterion: Criterion, fineness: 
     solved = _Weights(predictor, criterion, grid, limits)
     weight = solved.start()
     weight, solution = _solve(solved, weight)
-    for level in range(1, _REFINED + 1):
-        used = np.flatnonzero(weight > _NONE)
+    for level in range(1, _REFINEMENTS + 1):
+        used = np.flatnonzero(weight > _ZERO_WEIGHT)
         finer = _finer(predictor, limits, grid, used, steps * 0.5**level)
         if not len(finer.types):
             break
@@ -122,8 +124,8 @@ def relax(predictor: Predictor, limits: Limits, criterion: Criterion, fineness: 
         solved = _Weights(predictor, criterion, grid, limits)
         weight = np.concatenate([weight, np.zeros(len(finer.types))])
         weight, solution = _solve(solved, weight)
-    kept = np.flatnonzero(weight > _NONE)
-    value, bound, prices = solution
+    kept = np.flatnonzero(weight > _ZERO_WEIGHT)
+    value, bound, price_run = solution
     return Relaxed(
         tuple(grid.types[i] for i in kept),
         grid.rate[kept],
@@ -131,28 +133,26 @@ def relax(predictor: Predictor, limits: Limits, criterion: Criterion, fineness: 
         weight[kept],
         value,
         bound,
-        *prices,
+        price_run,
     )
 
 
-def _solve(
-    solved: _Weights, weight: Array
-) -> tuple[Array, tuple[float, float, tuple[float, float]]]:
-    """Return the best weights, their criterion, the bound and the prices of the limits."""
+def _solve(solved: _Weights, weight: Array) -> tuple[Array, tuple[float, float, float]]:
+    """Return the best weights; their criterion, the bound and the price of a run."""
     value, phi = solved.gain(weight)
-    bound, prices = -math.inf, (0.0, 0.0)
-    for _ in range(_ROUNDS):
-        best, prices = solved.most(phi)
+    bound, price_run = -math.inf, 0.0
+    for _ in range(_GRADIENT_STEPS):
+        best, price_run = solved.most(phi)
         bound = max(bound, value + float(phi @ weight) - float(phi @ best))
-        if value - bound < _SOLVED:
+        if value - bound < _GAP_OF_U:
             break
-        support = np.flatnonzero((weight > _NONE) | (best > _NONE))
+        support = np.flatnonzero((weight > _ZERO_WEIGHT) | (best > _ZERO_WEIGHT))
         better = solved.improved(support, weight, best)
         after, phi_after = solved.gain(better)
-        if after > value - 0.01 * _SOLVED:
+        if after > value - 0.01 * _GAP_OF_U:
             break  # rounding is all that is left to gain
         weight, value, phi = better, after, phi_after
-    return weight, (value, bound, prices)
+    return weight, (value, bound, price_run)
 
 
 def _first_grid(predictor: Predictor, limits: Limits, fineness: int) -> tuple[_Grid, Array]:
@@ -163,11 +163,11 @@ def _first_grid(predictor: Predictor, limits: Limits, fineness: int) -> tuple[_G
     elif high < low * (1.0 + 1e-9):
         rates = np.array([high])
     else:
-        rates = np.geomspace(low, high, _RATES * fineness)
+        rates = np.geomspace(low, high, _GRID_RATES * fineness)
     rate, revolutions = [], []
     most = np.array([_most_revolutions(limits, float(w)) for w in rates])
     step = max(1e-9, math.log(max(2.0, float(most.max()) / limits.revolutions)))
-    step /= _LENGTHS * fineness
+    step /= _GRID_LENGTHS * fineness
     for w, longest in zip(rates, most, strict=True):
         if longest >= limits.revolutions * (1.0 - 1e-12):
             span = math.log(max(longest / limits.revolutions, 1.0))
@@ -190,7 +190,7 @@ def _most_revolutions(limits: Limits, rate: float) -> float:
 def _finer(predictor: Predictor, limits: Limits, grid: _Grid, used: Places, steps: Array) -> _Grid:
     """Return possible runs a step to each side of those in use."""
     low, high = limits.rate
-    found: dict[tuple[RunType, float, float], None] = {}
+    nearby: dict[tuple[RunType, float, float], None] = {}
     for index in used:
         for by_rate in (-1, 0, 1) if steps[0] > 0.0 else (0,):
             w = float(np.clip(grid.rate[index] * math.exp(by_rate * steps[0]), low, high))
@@ -200,9 +200,9 @@ def _finer(predictor: Predictor, limits: Limits, grid: _Grid, used: Places, step
                 turns = float(grid.revolutions[index]) * math.exp(by_turns * steps[1])
                 turns = min(max(turns, limits.revolutions), most)
                 if turns >= limits.revolutions:
-                    found[grid.types[index], w, turns] = None
+                    nearby[grid.types[index], w, turns] = None
     known = set(zip(grid.types, grid.rate.tolist(), grid.revolutions.tolist(), strict=True))
-    fresh = [key for key in found if key not in known]
+    fresh = [key for key in nearby if key not in known]
     types = tuple(kind for kind, _, _ in fresh)
     rate, turns_of = (np.array([key[i] for key in fresh]) for i in (1, 2))
     return _made(predictor, limits, types, rate, turns_of)
@@ -254,15 +254,14 @@ class _Weights:
         weight[support] = min(self.total / float(cost.sum()), self.runs / support.size)
         return weight
 
-    def most(self, phi: Array) -> tuple[Array, tuple[float, float]]:
-        """Return the weights that gain most by the gradient, and the prices of the limits."""
+    def most(self, phi: Array) -> tuple[Array, float]:
+        """Return the weights that gain most by the gradient, and the price of a run."""
         from scipy.optimize import linprog
 
         scale = float(np.max(phi)) or 1.0
         rows = np.vstack([self.grid.cost, np.ones_like(phi)])
-        found = linprog(-phi / scale, A_ub=rows, b_ub=[self.total, self.runs], method="highs")
-        price = -np.asarray(found.ineqlin.marginals) * scale
-        return np.asarray(found.x), (float(price[0]), float(price[1]))
+        program = linprog(-phi / scale, A_ub=rows, b_ub=[self.total, self.runs], method="highs")
+        return np.asarray(program.x), -float(program.ineqlin.marginals[1]) * scale
 
     def improved(self, support: Places, weight: Array, best: Array) -> Array:
         """Return the best weights on a support."""
@@ -277,7 +276,7 @@ class _Weights:
             v = covariance @ self.criterion.directions(covariance)
             return value, -np.sum((grid.root[support] @ v) ** 2, axis=(1, 2))
 
-        found = minimize(
+        minimum = minimize(
             objective,
             start,
             jac=True,
@@ -293,7 +292,7 @@ class _Weights:
             options={"maxiter": 50, "ftol": 1e-8},
         )
         result = np.zeros_like(weight)
-        result[support] = np.maximum(found.x, 0.0)
+        result[support] = np.maximum(minimum.x, 0.0)
         # A step over the limits by rounding must not count as a gain.
         over = max(float(grid.cost @ result) / self.total, float(result.sum()) / self.runs, 1.0)
         return result / over

@@ -85,7 +85,9 @@ class RunInformation:
         self._counts = _whole_numbers(revolutions)
         self._factors = {
             key: self._factor(instrument)
-            for key, instrument in {_key(one): one for one in setup.instruments}.items()
+            for key, instrument in {
+                _key(instrument): instrument for instrument in setup.instruments
+            }.items()
         }
         self._weights = {
             (name, sense): [self._weight(i, name, sense) for i in setup.instruments]

@@ -25,10 +25,10 @@ from counterspin.planning.polishing import fitted_into, polish, shortened
 from counterspin.planning.run_information import RunInformation
 
 #: Part of a limit by which it is relaxed, to see what it costs.
-RELAXED: Final = 0.1
+_RELAXATION: Final = 0.1
 
-#: Durations are written to this, s; shorter ones whole.
-_ROUNDED: Final = 0.1
+#: Durations are written in multiples of this, s; those at the fewest revolutions exactly.
+_DURATION_STEP: Final = 0.1
 
 
 class Search:
@@ -46,7 +46,7 @@ class Search:
         self.plan = plan
         self.limits = plan.limits
         self._reach = reach
-        self.predictor = self._predictor(considering=True)
+        self.predictor = self._predictor(plan.sampling_rate, considering=True)
         names = list(self.predictor.names)
         self.criterion = Criterion(
             tuple(names.index(name) for name in plan.goal.sizes),
@@ -54,11 +54,11 @@ class Search:
             plan.goal.criterion,
         )
 
-    def _predictor(self, *, considering: bool) -> Predictor:
+    def _predictor(self, sampling_rate: float, *, considering: bool) -> Predictor:
         low, high = self.limits.rate
         longest = min(self.limits.longest_run * 1.11, self.limits.total_time)
         turns = longest * self._reach[0] * high * self._reach[1] / (2.0 * math.pi)
-        setup = setup_of(self.plan.stand_in, self.plan.sampling_rate, considering=considering)
+        setup = setup_of(self.plan.stand_in, sampling_rate, considering=considering)
         information = RunInformation(
             setup,
             (low * 0.89, high * self._reach[1]),
@@ -72,7 +72,7 @@ class Search:
         """A predictor whose considered terms are estimated; None if there are none."""
         if not self.predictor.information.setup.considered_sizes.size:
             return None
-        return self._predictor(considering=False)
+        return self._predictor(self.plan.sampling_rate, considering=False)
 
     def best(self, limits: Limits | None = None, start: Design | None = None) -> Optimum | None:
         """Return the best plan, within other limits if these are given; None: target missed."""
@@ -141,8 +141,7 @@ class Search:
     def _value(self, predictor: Predictor, design: Design) -> float:
         if self.plan.goal.kind == "target":
             return math.log(self.limits.time(design))
-        covariance = predictor.covariance(design.types, design.rate, design.revolutions)
-        return float(self.criterion.value(covariance))
+        return predictor.value(self.criterion, design)
 
     def _improved(self, predictor: Predictor, limits: Limits, design: Design) -> float:
         if self.plan.goal.kind == "target":
@@ -156,12 +155,9 @@ class Search:
 
     def _faster_sampling(self) -> Predictor:
         setup = self.predictor.information.setup
-        faster = replace(setup, sampling_rate=setup.sampling_rate * (1.0 + RELAXED))
+        faster = replace(setup, sampling_rate=setup.sampling_rate * (1.0 + _RELAXATION))
         if any(i.noise.random_walk > 0.0 for i in setup.instruments):
-            other = Search.__new__(Search)
-            other.__dict__ |= self.__dict__
-            other.plan = replace(self.plan, sampling_rate=faster.sampling_rate)
-            return other._predictor(considering=True)
+            return self._predictor(faster.sampling_rate, considering=True)
         # With white noise alone the sampling rate only scales the rows.
         information = copy.copy(self.predictor.information)
         information.setup = faster
@@ -169,7 +165,7 @@ class Search:
 
     def relaxed(self, key: str) -> Limits:
         """Return the limits with one relaxed by a tenth."""
-        limits, more, less = self.limits, 1.0 + RELAXED, 1.0 - RELAXED
+        limits, more, less = self.limits, 1.0 + _RELAXATION, 1.0 - _RELAXATION
         low, high = limits.rate
         changes: dict[str, dict[str, Any]] = {
             "total_time": {"total_time": limits.total_time * more},
@@ -224,7 +220,8 @@ class Search:
         # To the written digit: down, so that the total time is kept, or up, so that a target is.
         up = self.plan.goal.kind == "target"
         digit = np.ceil if up else np.floor
-        duration = digit(design.duration / _ROUNDED + (-1e-6 if up else 1e-6)) * _ROUNDED
+        steps = design.duration / _DURATION_STEP
+        duration = digit(steps + (-1e-6 if up else 1e-6)) * _DURATION_STEP
         duration = np.where(duration < fewest, np.maximum(design.duration, fewest), duration)
         duration = np.minimum(duration, self.limits.longest_run)
         rounded = Design(design.types, rate, duration * rate / (2.0 * math.pi))
@@ -233,7 +230,7 @@ class Search:
         longest = int(np.argmax(duration))
         room = min(left, self.limits.longest_run - float(duration[longest]))
         if self.plan.goal.kind == "minimise" and room > 0.0:
-            duration[longest] += math.floor(room / _ROUNDED + 1e-6) * _ROUNDED
+            duration[longest] += math.floor(room / _DURATION_STEP + 1e-6) * _DURATION_STEP
         return Design(design.types, rate, np.round(duration, 9) * rate / (2.0 * math.pi))
 
     def _rounded_rate(self, rate: float) -> float:
