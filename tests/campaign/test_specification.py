@@ -161,11 +161,11 @@ def test_all_mistakes_at_once_by_key():
         ({"decision_rule": "simple", "Qx": {}}, "specification: names no term"),
         (
             {"decision_rule": "simple", "guard_factor": 1, "K_F": "<= 1 g"},
-            "specification.guard_factor: belongs to the decision rule 'guarded', not to 'simple'",
+            "specification.guard_factor: is for the decision rule 'guarded', not for 'simple'",
         ),
         (
             {"conformance_probability": 0.9, "K_F": "<= 1 g"},
-            "specification.conformance_probability: belongs to the decision rule 'probability'",
+            "specification.conformance_probability: is for the decision rule 'probability'",
         ),
         ({"guard_factor": "1", "K_F": "<= 1 g"}, "specification.guard_factor: must be a number"),
         ({"guard_factor": {"a": 1}, "K_F": "<= 1 g"}, "specification.guard_factor: must be a num"),

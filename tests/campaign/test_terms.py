@@ -121,7 +121,7 @@ def test_considered_terms_need_a_prior_for_every_accelerometer():
         {"Qx": QX, "Qy": QY}, given=given, terms=["K_II"], considered=["K_OO"]
     )
     assert problem == (
-        'model.considered: "K_OO" is considered but has no prior for Qy; '
+        'model.considered: "K_OO" is considered, but there is no prior for Qy; '
         'add "K_OO" = "VALUE ± U g/g^2" to [model.priors]'
     )
 

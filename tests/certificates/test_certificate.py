@@ -172,7 +172,7 @@ def test_what_is_not_determined_is_left_out_and_said(tmp_path):
     said = [e.text for e in find(made, "//dcc:statement/dcc:declaration/dcc:content")]
     assert "K_III of Qx: not determined by the records; no value is certified." in said
     (known,) = [line for line in said if line.startswith("K_I of Qx")]
-    assert "taken as 1.0020000 ± 0.0000050 g/g (k = 1), which was known beforehand" in known
+    assert "its prior, 1.0020000 ± 0.0000050 g/g (k = 1), was used" in known
     assert not find(made, "//si:realListXMLList")  # one coefficient has no covariance
 
 

@@ -280,7 +280,7 @@ def test_a_row_beyond_the_model_is_named_by_its_line(folder, capsys):
     assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 1
     said = capsys.readouterr().err
     assert "data.csv, line 4: the indication of Qx cannot be corrected: it indicates 39 g" in said
-    assert "turns round at 57.735 g, where it indicates 38.49 g" in said
+    assert "has its turning point at 57.735 g, where it indicates 38.49 g" in said
     assert not Path("out.csv").exists()
 
 

@@ -204,8 +204,8 @@ def without_term():
         (result(model="as-printed"), "which return half the true K_II"),
         (without_estimate(), "does not determine K_II"),
         (without_term(), "has no K_II"),
-        (result(2.9e-5, run="same"), "is of the same records as"),
-        (result(2.8e-5, run="same", method="two-stage"), "is of the same records as"),
+        (result(2.9e-5, run="same"), "rests on the same records as"),
+        (result(2.8e-5, run="same", method="two-stage"), "rests on the same records as"),
         ({"schema": 1, "campaigns": {}}, "is a summary of several campaigns"),
     ],
 )

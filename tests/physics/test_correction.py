@@ -111,7 +111,7 @@ def test_up_to_the_turning_point_and_not_beyond():
     for row, sign in ((1, 1.0), (2, -1.0)):
         beyond = np.zeros(3)
         beyond[row] = sign * top * (1.0 + 1e-9)
-        with pytest.raises(NotInvertibleError, match=rf"sample {row} .* turns round") as error:
+        with pytest.raises(NotInvertibleError, match=rf"sample {row} .* turning point") as error:
             invert({"K_III": -k}, beyond)
         assert error.value.row == row
         assert isinstance(error.value, ConvergenceError)

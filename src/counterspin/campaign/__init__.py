@@ -1,14 +1,14 @@
-"""Campaigns as files: quantities with units, the description, what it asks for.
+"""Campaign descriptions: files with units in, a resolved campaign in SI out.
 
 A campaign is a folder: ``campaign.toml`` beside its record files.
 
 - `quantity`: text such as ``"2.5 ± 1e-5 m"`` to numbers in SI and g-units
 - `attitude`: directions and platform attitudes
-- `settings`: what may stand in ``campaign.toml``, section by section
-- `checking`: mistakes, collected and told in the user's words
-- `terms`: which error terms a campaign asks for, and their priors
-- `truth`: what a simulated campaign is made of; calibration never looks at it
-- `specification`: limits that coefficients shall lie between, and the rule to judge it by
+- `settings`: the keys of ``campaign.toml``, section by section
+- `checking`: mistakes in the file, collected and reported with their keys
+- `terms`: the error terms of a campaign's model, and their priors
+- `truth`: the true values of a simulated campaign; a calibration does not read them
+- `specification`: tolerance limits of coefficients, and the decision rule
 - `resolved`: the campaign as the calculation sees it, in SI
 - `toml_file`: files in TOML; `description`: `read_campaign`, from the file to the resolved campaign
 - `checksums`: of a campaign's files

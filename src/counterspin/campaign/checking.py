@@ -1,6 +1,6 @@
-"""Mistakes in a campaign file: collected, and told in the user's words with the path of the key.
+"""Mistakes in a campaign file, collected and reported with the path of the key.
 
-- `Problems`: collects them all, so that one reading tells of every mistake
+- `Problems`: collects them, so that one reading reports every mistake
 - `did_you_mean`: the nearest known name
 - `key_path`: ``runs[2].rate`` from the parts
 """
@@ -19,7 +19,7 @@ M = TypeVar("M", bound=BaseModel)
 T = TypeVar("T")
 
 #: Pydantic's kinds of mistake in plain words; the others keep pydantic's own.
-_PLAIN: Final[Mapping[str, str]] = {
+_PLAIN_MESSAGES: Final[Mapping[str, str]] = {
     "missing": "is missing",
     "model_type": "must be a table",
     "model_attributes_type": "must be a table",
@@ -102,7 +102,7 @@ class Problems:
                 elif kind == "value_error":
                     message = str(mistake["ctx"]["error"])
                 else:
-                    message = _PLAIN.get(kind, mistake["msg"])
+                    message = _PLAIN_MESSAGES.get(kind, mistake["msg"])
                 self.add((*path, *loc), message)
             return None
 
@@ -141,7 +141,7 @@ def _model_inside(annotation: Any) -> type[BaseModel] | None:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
     for inner in typing.get_args(annotation):
-        found = _model_inside(inner)
-        if found is not None:
-            return found
+        model = _model_inside(inner)
+        if model is not None:
+            return model
     return None

@@ -1,4 +1,4 @@
-"""From ``campaign.toml`` to a `Campaign`: every key checked, all mistakes told at once.
+"""From ``campaign.toml`` to a `Campaign`: every key checked, all mistakes reported together.
 
 - `read_campaign`: the file; `resolve_campaign`: a document that has been read
 - `Campaign` and its parts: see `counterspin.campaign.resolved`
@@ -105,7 +105,7 @@ def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> 
 
 
 class _DescriptionReader:
-    """One reading of a document: sections are checked one by one, whatever else is wrong."""
+    """Reads one document; each section is checked even where another one is wrong."""
 
     def __init__(self, raw: Mapping[str, Any], file: Path, problems: Problems) -> None:
         self.raw = raw
@@ -113,7 +113,7 @@ class _DescriptionReader:
         self.problems = problems
         problems.check(DocumentSettings, raw, ())
         self.site = self._required(SiteSettings, "site")
-        # Without a site any gravity serves, lest g against m/s^2 be blamed for its absence.
+        # With some gravity, a missing site is one mistake, and g against m/s^2 no second one.
         self.gravity = self.site.gravity.value if self.site else 9.80665
         self.simulated = "simulation" in raw or "truth" in raw
         self.raw_accelerometers = self._table("accelerometers")
@@ -247,11 +247,11 @@ class _DescriptionReader:
         for name, table in self.raw_accelerometers.items():
             if not isinstance(table, dict):
                 continue
-            found = [key for key in OBSERVABLES if key in table]
-            if len(found) == 1:
-                observables[name] = found[0]
+            given = [key for key in OBSERVABLES if key in table]
+            if len(given) == 1:
+                observables[name] = given[0]
             else:
-                has = f"has {' and '.join(found)}" if found else "has no observable"
+                has = f"has {' and '.join(given)}" if given else "has no observable"
                 self.problems.add(
                     ("accelerometers", name), f"{has}; give one of {', '.join(OBSERVABLES)}"
                 )
@@ -274,7 +274,8 @@ class _DescriptionReader:
             value = getattr(table, key)
             if value is not None and priors[symbol] is not None:
                 self.problems.add(
-                    ("accelerometers", name, key), f"is the prior of {symbol}, which is there too"
+                    ("accelerometers", name, key),
+                    f"is the prior of {symbol}, given too; keep one",
                 )
             priors[symbol] = priors[symbol] if value is None else value
         return {symbol: prior for symbol, prior in priors.items() if prior is not None}
@@ -316,7 +317,7 @@ class _DescriptionReader:
         self, value: Any, seen: dict[str, int], path: tuple[str | int, ...], index: int
     ) -> None:
         if isinstance(value, str) and seen.setdefault(value, index) != index:
-            self.problems.add(path, f'"{value}" is that of runs[{seen[value]}] too')
+            self.problems.add(path, f'"{value}" is used by runs[{seen[value]}] already')
 
     def _sampling(self) -> SimulationSettings:
         settings = self.problems.check(
@@ -347,7 +348,7 @@ class _DescriptionReader:
     def _check_columns(
         self, records: RecordsSettings, accelerometers: Mapping[str, Accelerometer]
     ) -> None:
-        """Note columns that are named for two things."""
+        """Note columns that are used twice."""
         seen = {records.time.column: "records.time"}
         others = {"records.angle": records.angle.column} if records.angle else {}
         others |= {
@@ -357,6 +358,6 @@ class _DescriptionReader:
         for key, column in others.items():
             if column in seen:
                 self.problems.add(
-                    tuple(key.split(".")), f'column "{column}" is that of {seen[column]} too'
+                    tuple(key.split(".")), f'column "{column}" is used by {seen[column]} already'
                 )
             seen[column] = key

@@ -2,7 +2,7 @@
 
 U is a standard uncertainty (k = 1); ``+/-`` and ``+-`` are the same as ``±``. Only the units of
 `UNITS` are known, in products, quotients and powers (``g/Hz^0.5``, ``m^-1 s^2``, ``deg/h/g``).
-A general list of units would be a trap here: it takes 50 Hz for 50 rad/s and ug for a microgram.
+A general unit library would be a trap here: it takes 50 Hz for 50 rad/s and ug for a microgram.
 
 Three things are dimensions of their own. Angle is one, so that a rotation rate is not confused
 with a relative drift in 1/s. The site's gravity g is one, so that coefficients stay in g-units.
@@ -10,7 +10,7 @@ Where the site's gravity is given, m/s^2 and g convert into each other.
 
 - `Quantity`: value, standard uncertainty, unit
 - `parse`: text to `Quantity` in the unit that is wanted
-- `unit_factor`: what a number in one unit is multiplied with to be in another
+- `unit_factor`: the factor from one unit to another
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import Final
 #: The dimensions.
 BASES: Final = ("[length]", "[time]", "[angle]", "[gravity]")
 
-#: Every unit that may be written, as (what it is multiplied with, in which earlier unit).
+#: Every unit that may be written, as (factor, unit in which the factor is).
 #: A base unit's dimension stands in brackets.
 UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "m": (1.0, "[length]"),
@@ -78,9 +78,8 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
     "rad/s/g": ("a gyro g-sensitivity", "deg/h/g, rad/s/g"),
 }
 
-#: Whatever a laboratory measures lies in between, in SI and g-units; the squares of sizes beyond
-#: leave what a computer can count with.
-_CREDIBLE: Final = (1e-60, 1e60)
+#: Sizes of measured quantities, in SI and g-units; squares of sizes outside could overflow.
+_SIZE_RANGE: Final = (1e-60, 1e60)
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _SIGN = r"\s*(?:±|\+/-|\+-)\s*"
@@ -124,7 +123,7 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
     Parameters
     ----------
     text
-        What stands in the file; anything but text is refused with advice.
+        The value in the file; anything but text is refused with advice.
     unit
         The unit wanted, which also says what kind of quantity it is.
     gravity
@@ -138,8 +137,8 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
     Raises
     ------
     ValueError
-        If the number is not one, not finite, beyond all measure or without a unit; if the unit is
-        unknown or of another dimension; if the uncertainty is negative.
+        If the number is malformed, not finite, absurdly large or small, or without a unit; if the
+        unit is unknown or of another dimension; if the uncertainty is negative.
     """
     kind, accepted = _advice(unit)
     if not isinstance(text, str):
@@ -172,14 +171,16 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
         raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
     if u < 0.0:
         raise ValueError(f"{text!r} has a negative uncertainty")
-    if any(size and not _CREDIBLE[0] < size < _CREDIBLE[1] for size in (abs(value), u)):
-        raise ValueError(f"{text!r} is beyond all measure; {kind} is wanted ({accepted})")
+    if any(size and not _SIZE_RANGE[0] < size < _SIZE_RANGE[1] for size in (abs(value), u)):
+        raise ValueError(
+            f"{text!r} is too large or too small to be real; {kind} is wanted ({accepted})"
+        )
     return Quantity(value, u, unit)
 
 
 @lru_cache(maxsize=256)
 def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> float:
-    """Return what a number in `unit` is multiplied with to be in `wanted`.
+    """Return the factor by which a number in `unit` is multiplied to be in `wanted`.
 
     Parameters
     ----------
@@ -232,7 +233,7 @@ def _unit_once(value: str, twice: re.Match[str], gravity: float | None) -> str:
         example = f'"{value} ± {same:.12g} {unit}"'
     except ValueError:
         example = '"VALUE ± U UNIT"'
-    return f"has a unit before its ±; the one unit stands at the end: write {example}"
+    return f"has a unit before its ±; the unit is written once, at the end: {example}"
 
 
 def _advice(wanted: str) -> tuple[str, str]:
@@ -258,7 +259,7 @@ def _names(written: str, kind: str, accepted: str) -> set[str]:
 def _evaluate(written: str) -> tuple[float, Mapping[str, float]]:
     """Return factor to base units and dimension of an expression that `_names` has checked.
 
-    What stands side by side is multiplied, as if a * stood between.
+    Units side by side are multiplied, as if there were a * between them.
     """
     factor, dimension = 1.0, dict.fromkeys(BASES, 0.0)
     senses = [1.0]  # of the brackets that are open: -1 for what is divided by

@@ -4,11 +4,13 @@ Accelerometer coefficients are in g-units; everything else is SI, angles in rad.
 carries a standard uncertainty; a plain number is exact.
 
 - `Campaign`: all of it; `Channel`, `Accelerometer`, `StatedNoise`, `ErrorModel`, `Run`: its parts
+- `sample_count`: rows of a record of known length
 - `Simulation`, `SimulatedTruth`, `RunTruth`: what `counterspin simulate` makes the records from
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +23,17 @@ from counterspin.physics.motion import Site
 from counterspin.physics.spindle import Spindle
 
 
+def sample_count(duration: float, sampling_rate: float) -> int:
+    """Return the samples of a record from t = 0 to the last one within its duration.
+
+    Parameters
+    ----------
+    duration, sampling_rate
+        s, Hz. A sample that falls on the end but for rounding is within.
+    """
+    return math.floor(duration * sampling_rate * (1.0 + 1e-12)) + 1
+
+
 @dataclass(frozen=True)
 class Channel:
     """One column of the record files.
@@ -30,8 +43,8 @@ class Channel:
     column
         Its name in the file.
     factor
-        What its numbers are multiplied with to be SI: s, rad, m, m/s or m/s^2. A specific force
-        recorded in g is multiplied with the site's gravity.
+        Factor from its numbers to SI: s, rad, m, m/s or m/s^2. Of a specific force recorded in g
+        it is the site's gravity.
     unit
         The unit in the file, as the campaign writes it.
     """
@@ -121,7 +134,7 @@ class ErrorModel:
 
 @dataclass(frozen=True)
 class RunTruth:
-    """How one simulated run really goes.
+    """True spindle motion and platform errors of one simulated run.
 
     Attributes
     ----------
@@ -150,10 +163,10 @@ class Run:
     attitude
         Where the platform's x, y, z axes point in east-north-up, as rows, shape (3, 3).
     duration
-        Length of the record in s, as planned or simulated; None where nothing says it.
+        Length of the record in s, as planned or simulated; None where it is not stated.
     truth
-        How the simulated run really goes; None where nothing is to be simulated. Calibration never
-        looks at it.
+        Truth of a simulated run; None where nothing is to be simulated. A calibration does not
+        read it.
     """
 
     name: str
@@ -166,7 +179,7 @@ class Run:
 
 @dataclass(frozen=True)
 class SimulatedTruth:
-    """What the simulated accelerometers really are; platform and spindle are in `RunTruth`.
+    """True values of the simulated accelerometers; platform and spindle are in `RunTruth`.
 
     Attributes
     ----------
@@ -235,10 +248,10 @@ class Campaign:
     simulation
         None if the file has neither [simulation] nor [truth].
     details
-        What else [campaign] says (`serial_number`, `date`, `laboratory`, `operator`,
+        What else [campaign] states (`serial_number`, `date`, `laboratory`, `operator`,
         `comment`), only what is there.
     specifications
-        What the coefficients shall meet; None if the file states nothing.
+        Tolerance limits of the coefficients; None if the file states none.
     """
 
     title: str

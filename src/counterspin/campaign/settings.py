@@ -1,7 +1,7 @@
-"""What may stand in ``campaign.toml``, section by section, as strict pydantic models.
+"""The keys of ``campaign.toml``, section by section, as strict pydantic models.
 
-A key that is not here is a mistake. Quantities are read into SI and g-units on the way in; what
-several sections decide together (axes, priors, attitudes) is settled in `description`.
+A key that is not here is a mistake. Quantities are converted to SI and g-units here; what needs
+several sections (axes, priors, attitudes) is resolved in `description`.
 
 The keys that name coefficients are not written here: they are made from the term tables.
 """
@@ -41,8 +41,8 @@ RECORD_FORMATS: Final = {
 #: What an accelerometer's record may hold -> its SI unit.
 OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
 
-#: The gravity of every laboratory lies between, m/s^2: all g-units rest on it, unseen.
-_GRAVITIES: Final = (9.0, 11.0)
+#: Gravity of any laboratory on Earth, m/s^2, with room to spare.
+_GRAVITY_RANGE: Final = (9.0, 11.0)
 
 #: Written in [noise] where a component is to be estimated from the residuals.
 ESTIMATE: Final = "estimate"
@@ -78,9 +78,9 @@ def positive(value: Any) -> Any:
 
 def _of_earth(value: Quantity) -> Quantity:
     positive(value)
-    if not _GRAVITIES[0] < value.value < _GRAVITIES[1]:
+    if not _GRAVITY_RANGE[0] < value.value < _GRAVITY_RANGE[1]:
         raise ValueError(
-            f"{value.value:.6g} m/s^2 is no gravity on Earth, which is about 9.8 m/s^2; "
+            f"{value.value:.6g} m/s^2 cannot be gravity on Earth, which is about 9.8 m/s^2; "
             "check the number and its unit"
         )
     return value
@@ -279,7 +279,7 @@ def _keys(units: dict[str, str], validator: Callable[[str], PlainValidator]) -> 
 
 _TERM_UNITS: Final = {row.symbol: row.unit for row in TERMS.values()}
 
-#: [accelerometers.NAME]: its axes, its column and, by term symbol, what is known beforehand.
+#: [accelerometers.NAME]: its axes, its column and, by term symbol, the priors.
 AccelerometerSettings = create_model(
     "AccelerometerSettings", __base__=_AccelerometerKeys, **_keys(_TERM_UNITS, _uncertain)
 )
@@ -298,7 +298,7 @@ class NoiseSettings(SettingsSection):
 
 
 class ModelSettings(SettingsSection):
-    """[model]; names and values are settled in `terms`."""
+    """[model]; names and values are resolved in `terms`."""
 
     terms: list[Text] | None = None
     considered: list[Text] = []
@@ -307,7 +307,7 @@ class ModelSettings(SettingsSection):
 
 
 class RippleSettings(SettingsSection):
-    """One entry of ``ripple``: a fluctuation of the rate, by ratio w_n/w0 or by amplitude."""
+    """One entry of ``ripple``: a periodic fluctuation, by ratio w_n/w0 or by amplitude."""
 
     harmonic: Annotated[int, AfterValidator(positive)] = 1
     ratio: Ratio | None = None
@@ -330,7 +330,7 @@ def _platform_kind(kind: str) -> type[SettingsSection]:
     return create_model(f"True_{kind}", __base__=SettingsSection, **_keys(units, read_exactly))
 
 
-_KINDS: Final = {
+_PLATFORM_TRUTH_TABLES: Final = {
     kind: _platform_kind(kind)
     for kind in dict.fromkeys(row.kind for row in PLATFORM_TERMS.values())
 }
@@ -339,7 +339,7 @@ _KINDS: Final = {
 PlatformTruthSettings = create_model(
     "PlatformTruthSettings",
     __base__=SettingsSection,
-    **{kind: (keys | None, None) for kind, keys in _KINDS.items()},  # type: ignore[call-overload]
+    **{kind: (keys | None, None) for kind, keys in _PLATFORM_TRUTH_TABLES.items()},  # type: ignore[call-overload]
 )
 
 
@@ -347,7 +347,7 @@ PlatformTruthSettings = create_model(
 RunTruthSettings = create_model(
     "RunTruthSettings",
     __base__=SpindleTruthSettings,
-    **{"tilt": (_KINDS["tilt"] | None, None)},  # type: ignore[call-overload]
+    **{"tilt": (_PLATFORM_TRUTH_TABLES["tilt"] | None, None)},  # type: ignore[call-overload]
 )
 
 

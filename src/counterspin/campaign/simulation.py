@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import math
 import shutil
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -18,7 +17,14 @@ import polars as pl
 
 from counterspin.arrays import Array
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.resolved import Accelerometer, Campaign, Run, SimulatedTruth, StatedNoise
+from counterspin.campaign.resolved import (
+    Accelerometer,
+    Campaign,
+    Run,
+    SimulatedTruth,
+    StatedNoise,
+    sample_count,
+)
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_whole
@@ -60,7 +66,7 @@ def simulate(
     Raises
     ------
     CampaignError
-        If the description is wrong, the truth is missing or beyond belief, or a record's format
+        If the description is wrong, the truth is missing or not credible, or a record's format
         cannot be written.
     CounterspinError
         If a file is in the way or cannot be written.
@@ -158,8 +164,7 @@ def simulate_run(
         raise ValueError("this campaign says nothing of what to simulate")
     truth, rate = campaign.simulation.truth, campaign.simulation.sampling_rate
     trajectory = Trajectory(run.truth.spindle, campaign.radius.value, campaign.site)
-    # The last sample is the last one inside the run, whole revolutions included.
-    times = np.arange(math.floor(run.duration * rate * (1.0 + 1e-12)) + 1) / rate
+    times = np.arange(sample_count(run.duration, rate)) / rate
     noise = truth.noise
     columns = {campaign.time.column: _noisy(generator, times, noise.timing) / campaign.time.factor}
     if campaign.angle is not None:

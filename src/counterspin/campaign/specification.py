@@ -1,11 +1,11 @@
-"""[specification]: between which limits coefficients shall lie, and by which rule that is judged.
+"""[specification]: tolerance limits of coefficients, and the decision rule.
 
-The table stands in ``campaign.toml`` or, for a certificate, in the laboratory's own file.
+The table is in ``campaign.toml`` or, for a certificate, in the laboratory's own file.
 
 - `parse_specification`: ``"abs <= 5e-5 g/g^2"`` to a `Specification`
 - `resolve_specifications`: the table to `Specifications`, every mistake noted by its key
-- `DecisionRule`: by which pass, fail and undecided are told apart
-- `SpecificationSettings`: the keys of the table that are no terms
+- `DecisionRule`: how pass, fail and undecided are decided
+- `SpecificationSettings`: the keys of the table other than terms
 """
 
 from __future__ import annotations
@@ -26,7 +26,9 @@ from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 
 _FORMS: Final = '"abs <= A UNIT", "<= A UNIT", ">= A UNIT", "A to B UNIT" or "V ± T UNIT"'
 
-_OF_PLATFORM: Final = "belongs to the platform; only an accelerometer's terms are specified"
+_PLATFORM_TERM_REFUSAL: Final = (
+    "belongs to the platform; only an accelerometer's terms are specified"
+)
 
 _NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 _RANGE = re.compile(rf"({_NUMBER})\s+to\s+({_NUMBER})\s*(\S.*)")
@@ -56,7 +58,7 @@ class Specification:
 
 @dataclass(frozen=True)
 class DecisionRule:
-    """By which rule conformity is decided; see `counterspin.inference.conformity.judge`.
+    """How conformity is decided; see `counterspin.inference.conformity.judge`.
 
     Attributes
     ----------
@@ -89,7 +91,7 @@ class Specifications:
     terms: Mapping[str, Mapping[str, Specification]]
 
 
-def _rule(value: object) -> object:
+def _rule_name(value: object) -> object:
     known = get_args(Rule)
     if value not in known:
         raise ValueError(f"must be {', '.join(map(repr, known[:-1]))} or {known[-1]!r}")
@@ -115,9 +117,9 @@ def _probability(value: float) -> float:
 
 
 class SpecificationSettings(SettingsSection):
-    """The keys of [specification] that say how it is judged; all others are terms."""
+    """The keys of [specification] for the decision rule; all others are terms."""
 
-    decision_rule: Annotated[str, PlainValidator(_rule)] = "guarded"
+    decision_rule: Annotated[str, PlainValidator(_rule_name)] = "guarded"
     guard_factor: Annotated[float, PlainValidator(_number), AfterValidator(_factor)] = 1.0
     conformance_probability: Annotated[
         float, PlainValidator(_number), AfterValidator(_probability)
@@ -125,7 +127,7 @@ class SpecificationSettings(SettingsSection):
 
 
 #: Key of the table -> the rule that it belongs to.
-_OF_RULE: Final = {"guard_factor": "guarded", "conformance_probability": "probability"}
+_RULE_OF_KEY: Final = {"guard_factor": "guarded", "conformance_probability": "probability"}
 
 
 def parse_specification(text: object, unit: str, *, gravity: float | None = None) -> Specification:
@@ -144,7 +146,7 @@ def parse_specification(text: object, unit: str, *, gravity: float | None = None
     Raises
     ------
     ValueError
-        If it is none of these, or a quantity in it is wrong, or it leaves nothing that conforms.
+        If it has none of these forms, a quantity in it is wrong, or no value can conform.
     """
     if not isinstance(text, str):
         raise ValueError(f"must be text, such as {_FORMS}")
@@ -189,7 +191,7 @@ def resolve_specifications(
     ----------
     raw
         The table. A key that is a term holds for all accelerometers; a table in it, named as an
-        accelerometer, holds terms for that one, which go before those for all.
+        accelerometer, holds terms of that accelerometer, which take precedence.
     accelerometers
         The names that there are.
     problems
@@ -197,7 +199,7 @@ def resolve_specifications(
     gravity
         The site's, m/s^2.
     path
-        Where the table stands.
+        Path of the table.
     """
     before = len(problems.lines)
     keys = SpecificationSettings.model_fields
@@ -205,11 +207,11 @@ def resolve_specifications(
         SpecificationSettings, {key: raw[key] for key in raw if key in keys}, path
     )
     if settings is not None:
-        for key, rule in _OF_RULE.items():
+        for key, rule in _RULE_OF_KEY.items():
             if key in raw and settings.decision_rule != rule:
                 problems.add(
                     (*path, key),
-                    f"belongs to the decision rule {rule!r}, not to {settings.decision_rule!r}",
+                    f"is for the decision rule {rule!r}, not for {settings.decision_rule!r}",
                 )
     tables = {key: value for key, value in raw.items() if isinstance(value, Mapping)}
     common = {key: raw[key] for key in raw if key not in keys and key not in tables}
@@ -217,7 +219,7 @@ def resolve_specifications(
     own = {}
     for name in [key for key in tables if key not in keys]:
         if name == "platform" and name not in accelerometers:
-            problems.add((*path, name), _OF_PLATFORM)
+            problems.add((*path, name), _PLATFORM_TERM_REFUSAL)
             continue
         if name not in accelerometers:
             problems.add(
@@ -245,11 +247,11 @@ def _terms(
     problems: Problems,
     gravity: float | None,
 ) -> dict[str, Specification]:
-    found = {}
+    specifications = {}
     for symbol, text in raw.items():
         if symbol not in TERMS:
             if symbol in PLATFORM_TERMS or symbol.split(".")[0] == "platform":
-                message = _OF_PLATFORM
+                message = _PLATFORM_TERM_REFUSAL
             else:
                 message = f'no term is called "{symbol}"' + did_you_mean(symbol, known)
             problems.add((*path, symbol), message)
@@ -258,8 +260,8 @@ def _terms(
             (*path, symbol), parse_specification, text, TERMS[symbol].unit, gravity=gravity
         )
         if specification is not None:
-            found[symbol] = specification
-    return found
+            specifications[symbol] = specification
+    return specifications
 
 
 def _hint(name: str, accelerometers: Collection[str]) -> str:

@@ -1,4 +1,4 @@
-"""Which error terms a campaign asks for: [model] against the term tables.
+"""The error terms of a campaign's model: [model] against the term tables.
 
 A bare platform name means the components that act on the campaign's accelerometers to first
 order, in any of the runs' attitudes:
@@ -32,7 +32,9 @@ BARE_NAMES: Final[Mapping[str, tuple[PlatformTerm, ...]]] = {
 }
 
 _UP: Final = np.array([0.0, 0.0, 1.0])
-_NEGLIGIBLE: Final = 1e-9  #: of a unit vector; above roundoff, below any angle that is meant
+_COMPONENT_ROUNDING: Final = (
+    1e-9  #: of a unit vector; above roundoff, below any angle of a mounting
+)
 
 
 def acts(row: PlatformTerm, mounting: Mounting, attitude: Array) -> bool:
@@ -51,10 +53,10 @@ def acts(row: PlatformTerm, mounting: Mounting, attitude: Array) -> bool:
     # Tilts are about geographic axes, gyro errors about the platform's own.
     axis = np.eye(3)[row.axis] if row.kind == "tilt" else attitude[row.axis]
     if row.force_axis is None:
-        return abs(float(np.cross(axis, _UP) @ input_axis)) > _NEGLIGIBLE
+        return abs(float(np.cross(axis, _UP) @ input_axis)) > _COMPONENT_ROUNDING
     horizontal = float(np.linalg.norm(input_axis[:2]))
     along_input = abs(float(mounting.input_axis[row.force_axis]))
-    return min(abs(float(axis @ _UP)), horizontal, along_input) > _NEGLIGIBLE
+    return min(abs(float(axis @ _UP)), horizontal, along_input) > _COMPONENT_ROUNDING
 
 
 def resolve_model(
@@ -92,17 +94,17 @@ def resolve_model(
     def expand(names: Iterable[str], key: str) -> tuple[str, ...]:
         symbols: dict[str, None] = {}
         for index, name in enumerate(names):
-            found = _expand(name, ("model", key, index), mountings, attitudes, problems)
-            if found and set(found) <= set(symbols):
-                problems.add(("model", key, index), f'"{name}" is there twice')
-            symbols.update(dict.fromkeys(found))
+            expanded = _expand(name, ("model", key, index), mountings, attitudes, problems)
+            if expanded and set(expanded) <= set(symbols):
+                problems.add(("model", key, index), f'"{name}" is listed twice')
+            symbols.update(dict.fromkeys(expanded))
         return tuple(symbols)
 
     terms = expand(DEFAULT_TERMS if settings.terms is None else settings.terms, "terms")
     considered = expand(settings.considered, "considered")
     for symbol in considered:
         if symbol in terms:
-            problems.add(("model", "considered"), f'"{symbol}" is among the terms to estimate too')
+            problems.add(("model", "considered"), f'"{symbol}" is in model.terms too; keep one')
     if not any(symbol in TERMS for symbol in terms):
         problems.add(("model", "terms"), "names no accelerometer term to estimate")
     used = {*terms, *considered}
@@ -124,18 +126,18 @@ def _expand(
     if name not in BARE_NAMES:
         _unknown(name, path, problems)
         return ()
-    found = tuple(
+    symbols = tuple(
         row.symbol
         for row in BARE_NAMES[name]
         if any(acts(row, m, a) for m in mountings.values() for a in attitudes)
     )
-    if not found and mountings and attitudes:
+    if not symbols and mountings and attitudes:
         problems.add(
             path,
             f'no component of "{name}" acts on these accelerometers to first order; '
             f"leave it out, or name one, such as {BARE_NAMES[name][0].symbol}",
         )
-    return found
+    return symbols
 
 
 def _unknown(name: str, path: Path, problems: Problems) -> None:
@@ -196,14 +198,14 @@ def _resolve_priors(
         for name in owners:
             if last in given[name]:
                 problems.add(
-                    path, f"a prior of {last} stands in accelerometers.{name} too; keep one"
+                    path, f"a prior of {last} is given in accelerometers.{name} too; keep one"
                 )
             merged[name][last] = prior
     return platform, merged
 
 
 def about_nominal(symbol: str, prior: Quantity) -> Quantity:
-    """Return a prior that is credible: a scale factor is about 1, not its own error.
+    """Return a prior that is credible: a scale factor is given as its value, about 1.
 
     Raises
     ------
@@ -213,8 +215,8 @@ def about_nominal(symbol: str, prior: Quantity) -> Quantity:
     row = term(symbol)
     if row.nominal and abs(prior.value - row.nominal) > row.limit:
         raise ValueError(
-            f"{prior.value:.6g} {row.unit} is not about {row.nominal:g}, as {symbol} is; "
-            f"an error of 1000 ppm is {1.001 * row.nominal:g} {row.unit}"
+            f"{prior.value:.6g} {row.unit} is too far from {row.nominal:g}, the nominal {symbol}; "
+            f"an error of 1000 ppm is written {1.001 * row.nominal:g} {row.unit}"
         )
     return prior
 
@@ -236,7 +238,7 @@ def _require_priors(
         if lacking:
             problems.add(
                 ("model", "considered"),
-                f'"{symbol}" is considered but has no prior for {", ".join(lacking)}; '
+                f'"{symbol}" is considered, but there is no prior for {", ".join(lacking)}; '
                 f'add "{symbol}" = "VALUE ± U {term(symbol).unit}" to [model.priors]',
             )
 

@@ -1,7 +1,7 @@
-"""Documents in TOML, as they stand in their files.
+"""TOML files, read with errors that say where.
 
 - `load_document`: a file's tables
-- `description_file`: where a campaign's description stands
+- `description_file`: the description's file of a campaign
 """
 
 from __future__ import annotations
@@ -45,5 +45,5 @@ def load_document(
         place = re.fullmatch(r"(.*) \(at (.*)\)", str(error), flags=re.DOTALL)
         what, where = (place[1], place[2]) if place else (str(error), "TOML")
         what = what[:1].lower() + what[1:]
-        problem = f"{where}: {what}; text such as a quantity stands in quotation marks"
+        problem = f"{where}: {what}; text such as a quantity is written in quotation marks"
     raise CampaignError(str(file), [problem])

@@ -1,10 +1,10 @@
-"""What a simulated campaign is made of: [simulation], [truth] and each run's `truth`.
+"""The true values of a simulated campaign: [simulation], [truth] and each run's `truth`.
 
 Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are read by
 `counterspin simulate` only.
 
 - `resolve_simulation`: sampling and the accelerometers' truth
-- `resolve_run_truth`: how one run really goes
+- `resolve_run_truth`: spindle and platform of one run
 - `unfit`: why it cannot be simulated
 """
 
@@ -38,11 +38,11 @@ from counterspin.physics.spindle import Ripple, Spindle
 TRUTH_TABLES: Final = ("spindle", "platform", "noise")
 
 #: A true coefficient may be this many times its largest credible size.
-_GENEROUS: Final = 5.0
-#: Ripple and drift together may change the rate by less than this part of it.
-_STEADY: Final = 0.5
-#: Nothing turns so unevenly as to have a higher harmonic.
-_HIGHEST: Final = 1000
+_TRUTH_MARGIN: Final = 5.0
+#: Relative change of the rate by ripple and drift together stays below this.
+_MAX_RATE_CHANGE: Final = 0.5
+#: Highest ripple harmonic that is simulated.
+_MAX_RIPPLE_HARMONIC: Final = 1000
 
 
 def resolve_simulation(
@@ -114,7 +114,7 @@ def resolve_run_truth(
     path: Path,
     problems: Problems,
 ) -> RunTruth | None:
-    """Resolve the true spindle and platform of one run; what the run says comes first.
+    """Resolve the true spindle and platform of one run; the run's own values take precedence.
 
     Parameters
     ----------
@@ -152,8 +152,8 @@ def resolve_run_truth(
         component = symbol.rpartition(".")[2]
         # A run's own `drift` is the spindle's; of the platform's errors it has the tilt only.
         tables = (own.tilt if row.kind == "tilt" else None, getattr(platform, row.kind))
-        found = (getattr(table, component) for table in tables if table is not None)
-        value = next((v for v in found if v is not None), 0.0)
+        stated = (getattr(table, component) for table in tables if table is not None)
+        value = next((v for v in stated if v is not None), 0.0)
         if value != 0.0:
             values[symbol] = value
     return RunTruth(spindle, values)
@@ -167,7 +167,7 @@ def _ripple(entry: RippleSettings, rate: float, path: Path, problems: Problems) 
 
 
 def unfit(campaign: Campaign) -> list[str]:
-    """Return why a campaign's truth cannot be simulated: noise without a size, sizes beyond belief.
+    """Return why a campaign's truth cannot be simulated: noise without a size, incredible sizes.
 
     Calibration does not ask. The largest credible sizes are those of the term table or of
     [model.limits].
@@ -184,24 +184,24 @@ def unfit(campaign: Campaign) -> list[str]:
     ]
     for name, coefficients in truth.coefficients.items():
         for symbol, value in coefficients.items():
-            problems += _beyond_belief(f"truth.{name}.{symbol}", symbol, value, limits)
+            problems += _incredible(f"truth.{name}.{symbol}", symbol, value, limits)
     for index, run in enumerate(campaign.runs):
         if run.truth is None:
             continue
         place = f'truth of runs[{index}] ("{run.name}")'
         for symbol, value in run.truth.platform.items():
-            problems += _beyond_belief(f"{place}, {symbol}", symbol, value, limits)
+            problems += _incredible(f"{place}, {symbol}", symbol, value, limits)
         problems += [f"{place}: {words}" for words in _unsteady(run.truth.spindle, run.duration)]
     return problems
 
 
-def _beyond_belief(
+def _incredible(
     place: str, symbol: str, value: float, limits: Mapping[str, float]
 ) -> Iterator[str]:
     row = term(symbol)
-    if abs(value - row.nominal) > _GENEROUS * limits[symbol]:
+    if abs(value - row.nominal) > _TRUTH_MARGIN * limits[symbol]:
         yield (
-            f"{place}: {value:.6g} {row.unit} is more than {_GENEROUS:g} times the largest "
+            f"{place}: {value:.6g} {row.unit} is more than {_TRUTH_MARGIN:g} times the largest "
             f"credible size, {limits[symbol]:.6g} {row.unit}"
             + (f" about {row.nominal:g}" if row.nominal else "")
             + f'; check its unit, or raise "{symbol}" in [model.limits]'
@@ -209,15 +209,15 @@ def _beyond_belief(
 
 
 def _unsteady(spindle: Spindle, duration: float | None) -> Iterator[str]:
-    if spindle.highest_harmonic > _HIGHEST:
+    if spindle.highest_harmonic > _MAX_RIPPLE_HARMONIC:
         yield (
-            f"a ripple of harmonic {spindle.highest_harmonic} is beyond belief; the highest is "
-            f"{_HIGHEST}"
+            f"a ripple of harmonic {spindle.highest_harmonic} is above {_MAX_RIPPLE_HARMONIC}, the "
+            "highest that is simulated"
         )
     ripple = sum(abs(ripple.amplitude / spindle.rate) for ripple in spindle.ripples)
     change = ripple + abs(spindle.drift) * (duration or 0.0)
-    if not change < _STEADY:
+    if not change < _MAX_RATE_CHANGE:
         yield (
-            f"ripple and drift change the rate by {change:.3g} of it in the run; "
-            f"a spindle that keeps its rate stays below {_STEADY:g}"
+            f"ripple and drift change the rate by {100.0 * change:.3g} % within the run; "
+            f"less than {100.0 * _MAX_RATE_CHANGE:g} % can be simulated"
         )

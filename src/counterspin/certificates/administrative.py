@@ -1,6 +1,6 @@
 """The administrative data of a certificate: who, what, when, and where (DCC, first ring).
 
-- `Issue`: what tells one certificate from another
+- `Issue`: identifier and date of a certificate
 - `administrative_data`: the element
 """
 
@@ -19,7 +19,7 @@ from counterspin.certificates.lab import Contact, Lab, LabAccelerometer, Person
 
 @dataclass(frozen=True)
 class Issue:
-    """What tells one certificate from another.
+    """Identifier and date of a certificate.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class Issue:
     signed: bool = False
 
     def file_name(self, ending: str) -> str:
-        """Return the identifier as a file's name, where a stroke would be taken for a folder."""
+        """Return a file name made of the identifier, in which a slash would name a folder."""
         return re.sub(r"[^\w.-]+", "_", self.identifier) + ending
 
 
@@ -64,7 +64,7 @@ def software(version: str) -> Element:
 
 def _core_data(lab: Lab, issue: Issue) -> Element:
     settings = lab.certificate
-    # English first: every statement of the program is in it, and it is the one that binds.
+    # English first: the program's statements are in English, and that version is binding.
     languages = dict.fromkeys((ENGLISH, settings.language))
     return dcc(
         "coreData",

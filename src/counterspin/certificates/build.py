@@ -1,6 +1,6 @@
-"""A result and a laboratory's data become a Digital Calibration Certificate (DCC 3.3.0).
+"""The Digital Calibration Certificate (DCC 3.3.0) of a result and a laboratory's data.
 
-- `certificate`: the document as bytes of XML
+- `certificate`: the document's root element
 - `check_certifiable`: whether a result can be certified at all
 """
 
@@ -24,14 +24,14 @@ SCHEMA_VERSION: Final = "3.3.0"
 
 
 def check_certifiable(result: Result, names: Sequence[str]) -> None:
-    """Raise RecordError if a result is not one to put one's name to."""
+    """Raise RecordError if a result must not be certified."""
     if result.model == "as-printed":
         raise RecordError(
             "this result was computed by the paper's equations as printed, whose K_II is half of "
             "the true one; calibrate again with --model exact"
         )
-    found = (result.accelerometers[name].coefficients.values() for name in names)
-    if not any(wording.is_determined(c) for coefficients in found for c in coefficients):
+    by_accelerometer = (result.accelerometers[name].coefficients.values() for name in names)
+    if not any(wording.is_determined(c) for coefficients in by_accelerometer for c in coefficients):
         raise RecordError(
             "the records determine no coefficient of "
             f"{', '.join(names)}: there is nothing to certify"
@@ -46,15 +46,15 @@ def certificate(
     Parameters
     ----------
     result
-        What was found; `check_certifiable` has let it pass.
+        A result that `check_certifiable` accepts.
     lab
-        What the laboratory says.
+        The laboratory's data.
     issue
         Identifier and date.
     verdicts
         Conformity of the certified coefficients.
     report
-        The report as PDF, for people; None: there is none.
+        The report as PDF, or None.
     """
     root = dcc(
         "digitalCalibrationCertificate",
@@ -77,13 +77,13 @@ def certificate(
 
 
 def to_bytes(root: Element) -> bytes:
-    """Return the document as it is written to a file."""
+    """Return the document as bytes for a file."""
     written: bytes = etree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return written + b"\n"
 
 
 def _comment(lab: Lab, result: Result) -> Element | None:
-    """Return every warning of the calibration, which the certificate must not hide."""
+    """Return all warnings of the calibration, which the certificate must state."""
     lines = list(result.warnings)
     for name in lab.certified(result):
         lines += [

@@ -1,4 +1,4 @@
-"""How wide an interval or a region is that covers the truth in 95 of 100 cases.
+"""Coverage factors of intervals and regions, for 95 % coverage.
 
 - `coverage_factor`: of one quantity, by Student's t (GUM G.3)
 - `region_factor`: of several together, by chi-square (JCGM 102 6.5), or by Fisher's F where the
@@ -12,14 +12,14 @@ from typing import Final
 
 from counterspin.inference.conformity import COVERAGE, expanded_uncertainty
 
-#: Factors are stated to so many places and used as stated, so that U/k is the standard
-#: uncertainty to the last digit; the coverage changes by less than 1e-5.
-_PLACES: Final = 4
+#: Decimals of a factor as stated and used, so that U/k is the standard uncertainty to the last
+#: digit; rounding changes the coverage by less than 1e-5.
+_FACTOR_DECIMALS: Final = 4
 
 
 def coverage_factor(dof: float | None) -> float:
     """Return k of the interval value ± k u for degrees of freedom, None being infinite."""
-    return round(expanded_uncertainty(1.0, dof, COVERAGE), _PLACES)
+    return round(expanded_uncertainty(1.0, dof, COVERAGE), _FACTOR_DECIMALS)
 
 
 def region_factor(size: int, dof: float | None) -> float:
@@ -35,4 +35,4 @@ def region_factor(size: int, dof: float | None) -> float:
     from scipy.special import chdtri, fdtri
 
     squared = chdtri(size, 1.0 - COVERAGE) if dof is None else size * fdtri(size, dof, COVERAGE)
-    return round(math.sqrt(float(squared)), _PLACES)
+    return round(math.sqrt(float(squared)), _FACTOR_DECIMALS)

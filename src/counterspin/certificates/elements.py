@@ -1,12 +1,12 @@
-"""The bricks of a Digital Calibration Certificate: elements of DCC and D-SI.
+"""Elements of DCC and D-SI, of which a Digital Calibration Certificate is made.
 
 Numbers are written with all digits of a double, so that a machine reads back what was computed;
 `significantDigit` tells where they are to be rounded, and the words beside them are rounded.
 
 - `dcc`, `si`: an element of either name space; `DCC`, `SI`, `NAMESPACES`
-- `text`, `rich`: words with their language; `attached`: a file
-- `real`: a number with its uncertainty; `number`, `factor`: how numbers are spelt
-- `clean`: text that XML can hold
+- `text`, `rich`: text with its language; `attached`: a file
+- `real`: a number with its uncertainty; `number`, `factor`: numbers as text
+- `clean`: text that XML can represent
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
 NAMESPACES: Final = {"dcc": DCC, "si": SI}
 
-#: The language of every word that counterspin writes itself.
+#: Language of the text that counterspin writes.
 ENGLISH: Final = "en"
 
-# What XML 1.0 cannot hold even as a character reference (clause 2.2).
+# Characters that XML 1.0 cannot represent, not even as a reference (clause 2.2).
 _FORBIDDEN: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 Element = Any  # lxml carries no types
@@ -62,22 +62,22 @@ def _element(
 
 
 def clean(words: str) -> str:
-    """Return text with every character that XML cannot hold replaced, and no blanks around it."""
+    """Return text with characters that XML cannot represent replaced, without blanks around it."""
     return _FORBIDDEN.sub("\ufffd", words).strip()
 
 
 def text(tag: str, words: str, language: str = ENGLISH, **attributes: str | None) -> Element:
-    """Return an element that holds words, such as a name."""
+    """Return an element with text, such as a name."""
     return dcc(tag, dcc("content", words, lang=language), **attributes)
 
 
 def rich(tag: str, *lines: str, language: str = ENGLISH) -> Element:
-    """Return an element that holds paragraphs."""
+    """Return an element with paragraphs."""
     return dcc(tag, *(dcc("content", line, lang=language) for line in lines))
 
 
 def attached(tag: str, name: str, media_type: str, data: bytes, description: str) -> Element:
-    """Return an element that holds a file."""
+    """Return an element with a file."""
     return dcc(
         tag,
         rich("description", description),
@@ -88,12 +88,12 @@ def attached(tag: str, name: str, media_type: str, data: bytes, description: str
 
 
 def number(value: float) -> str:
-    """Spell a number so that it reads back as the same double."""
+    """Write a number so that it reads back as the same double."""
     return repr(float(value))
 
 
 def factor(value: float) -> str:
-    """Spell a coverage factor or a probability, which must have no power of ten."""
+    """Write a coverage factor or probability, which must not have an exponent."""
     return f"{value:.4f}".rstrip("0").rstrip(".")
 
 
@@ -112,9 +112,9 @@ def real(
     value
         In `unit`.
     unit
-        Of value and uncertainty; as text: as D-SI writes it.
+        Of value and uncertainty; text is taken as D-SI.
     label
-        What it is called in formulas.
+        Symbol in formulas.
     u
         Standard uncertainty; None or 0: none is stated.
     dof
@@ -143,5 +143,5 @@ def _expanded(u: float, dof: float | None) -> Element:
 
 
 def distribution(dof: float | None) -> str:
-    """Return what the coverage factor comes from."""
+    """Return the distribution of the coverage factor."""
     return "normal" if dof is None else "t"

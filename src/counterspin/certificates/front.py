@@ -49,9 +49,9 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
     yield Paragraph(typeset(wording.unit_statement(result.inputs.gravity)))
     yield Paragraph(lab.certificate.traceability)
     for name, by_symbol in verdicts.items():
-        for symbol, found in by_symbol.items():
-            said = f"{wording.verdict(symbol, name, found)} {wording.decision_rule(found)}"
-            yield Paragraph(said, "plain" if found.verdict == "pass" else "warning")
+        for symbol, judged in by_symbol.items():
+            said = f"{wording.verdict(symbol, name, judged)} {wording.decision_rule(judged)}"
+            yield Paragraph(said, "plain" if judged.verdict == "pass" else "warning")
     for remark in lab.certificate.remarks:
         yield Paragraph(remark)
     yield Paragraph(wording.scope_statement())
@@ -68,8 +68,8 @@ def _administration(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
     days = dict.fromkeys((settings.begin.isoformat(), settings.end.isoformat()))
     yield "Calibrated", f"{' to '.join(days)}, place: {settings.place}"
     if lab.conditions.temperature is not None:
-        found = lab.conditions.temperature
-        yield "Temperature", f"{format_estimate(found.value, found.u or None)} °C"
+        temperature = lab.conditions.temperature
+        yield "Temperature", f"{format_estimate(temperature.value, temperature.u or None)} °C"
     yield "Issued", issue.date.date().isoformat()
     for place, person in enumerate(lab.persons):
         signs = ", signs" if place == 0 else ""
@@ -94,7 +94,7 @@ def _item(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
         part = lab.accelerometers.get(name, LabAccelerometer())
         known = (part.manufacturer, part.model, lab.serial_number(name, result))
         if any(known):
-            yield f"Accelerometer {name}", ", ".join(one for one in known if one)
+            yield f"Accelerometer {name}", ", ".join(text for text in known if text)
 
 
 def _two_columns(rows: Iterator[tuple[str, str]]) -> Table:
@@ -111,7 +111,7 @@ def results_table(name: str, coefficients: Mapping[str, Coefficient], gravity: f
         assert c.u is not None
         k = coverage_factor(c.dof)
         unit = si_unit(c.unit)[0].words
-        value, expanded = (to_si(one, c.unit, gravity) for one in (c.value, k * c.u))
+        value, expanded = (to_si(number, c.unit, gravity) for number in (c.value, k * c.u))
         rows.append(
             (
                 symbol,

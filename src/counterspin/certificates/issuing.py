@@ -1,9 +1,9 @@
-"""The whole way from a result to a certificate's file, and from the file back to its numbers.
+"""From a result to a certificate's file, and from the file back to its numbers.
 
 - `issue_certificate`: read, check, build, sign, validate, write
 - `Outcome`: what was written
 - `check_certificate`: validate, verify the signature, read the numbers
-- `certificate_blocks`: the numbers of a certificate for a person
+- `certificate_blocks`: the numbers of a certificate as a page
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Outcome:
     accelerometers
         The names of those certified.
     notes
-        What the laboratory should look at again, in sentences.
+        What the laboratory should check, in sentences.
     """
 
     identifier: str
@@ -72,7 +72,7 @@ def issue_certificate(
     lab_file
         ``LAB.toml``.
     output
-        ``.xml``: the certificate; ``.pdf``: the same for people (PDF/A-3), with the same XML, byte
+        ``.xml``: the certificate; ``.pdf``: pages to read (PDF/A-3), with the same XML, byte
         for byte, attached.
     schema
         Folder or file of DCC's schema, against which the certificate is validated.
@@ -82,11 +82,11 @@ def issue_certificate(
     Raises
     ------
     CampaignError
-        If LAB.toml has gaps or mistakes, or the file's name is of no such format.
+        If LAB.toml has missing keys or mistakes, or the file's name ends otherwise.
     RecordError
-        If the result cannot be read or is not one to certify.
+        If the result cannot be read or must not be certified.
     CounterspinError
-        If key or schema are not what they should be, or the file cannot be written.
+        If key or schema cannot be used, or the file cannot be written.
     """
     if output.suffix.lower() not in FORMATS:
         raise CampaignError("certificate", [f"{output}: name the file .xml or .pdf"])
@@ -181,10 +181,10 @@ def check_certificate(
     Raises
     ------
     RecordError
-        If the file cannot be read, does not keep to the schema, is not signed by the holder of
-        `cert` or was changed since.
+        If the file cannot be read, does not conform to the schema, is not signed by the holder
+        of `cert` or was changed since.
     CounterspinError
-        If schema or cert are not what they should be.
+        If schema or cert cannot be used.
     """
     try:
         data = path.read_bytes()
@@ -198,9 +198,9 @@ def check_certificate(
     return read_certificate(data, str(path))
 
 
-def certificate_blocks(found: Certified) -> Iterator[Block]:
+def certificate_blocks(certified: Certified) -> Iterator[Block]:
     """Yield the numbers of a certificate."""
-    yield Heading(f"{TITLE} {found.identifier}", 1)
-    for name, accelerometer in found.accelerometers.items():
-        yield results_table(name, accelerometer.coefficients, found.gravity)
-    yield Paragraph(f"g = {format_number(found.gravity, 9)} m/s^2.", "quiet")
+    yield Heading(f"{TITLE} {certified.identifier}", 1)
+    for name, accelerometer in certified.accelerometers.items():
+        yield results_table(name, accelerometer.coefficients, certified.gravity)
+    yield Paragraph(f"g = {format_number(certified.gravity, 9)} m/s^2.", "quiet")

@@ -1,11 +1,11 @@
-"""What a laboratory says about a calibration beside its result: ``LAB.toml``.
+"""The laboratory's data for a certificate: ``LAB.toml``.
 
-ISO/IEC 17025 7.8.2 and the administrative data of the certificate ask for it. A certificate is
-not made from what is missing: every gap is told at once, by its key.
+ISO/IEC 17025 7.8.2 and the certificate's administrative data require it. Without complete data
+no certificate is made: all missing keys are reported together.
 
 - `Lab` and its sections: what may stand in the file
 - `read_lab`: the file, checked by itself and against the result
-- `write_example`: a commented one to start from; `example_keys`: what of it is still left
+- `write_example`: a commented one to start from; `example_keys`: keys still as in the example
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def _words(value: str) -> str:
     if not stripped:
         raise ValueError("must not be empty")
     if clean(stripped) != stripped:
-        raise ValueError("holds a control character, which a certificate cannot")
+        raise ValueError("contains a control character, which XML cannot represent")
     return stripped
 
 
@@ -56,7 +56,7 @@ def _code(pattern: str, what: str) -> AfterValidator:
 
 def _place(value: str) -> str:
     if value not in _PLACES:
-        raise ValueError(f"{value!r} is no such place" + did_you_mean(value, _PLACES))
+        raise ValueError(f"{value!r} is not one of the places" + did_you_mean(value, _PLACES))
     return value
 
 
@@ -64,8 +64,8 @@ def _temperature(text: object) -> Quantity:
     match = _CELSIUS.fullmatch(text.strip()) if isinstance(text, str) else None
     if match is None:
         raise ValueError('must be a temperature, such as "20.0 ± 0.3 degC"')
-    found = parse(f"{match[1]} 1", "1")
-    return Quantity(found.value, found.u, "degC")
+    celsius = parse(f"{match[1]} 1", "1")
+    return Quantity(celsius.value, celsius.u, "degC")
 
 
 Words = Annotated[str, AfterValidator(_words)]
@@ -73,7 +73,7 @@ Country = Annotated[str, _code(r"[A-Z]{2}", "a country's two letters (ISO 3166-1
 
 
 class CertificateSettings(SettingsSection):
-    """[certificate]: what it is called, when and where the calibration took place."""
+    """[certificate]: identifier, dates and place of the calibration."""
 
     identifier: Words | None = None
     language: Annotated[str, _code(r"[a-z]{2}", "a language's two letters (ISO 639-1)")] = "en"
@@ -88,7 +88,7 @@ class CertificateSettings(SettingsSection):
 
 
 class Contact(SettingsSection):
-    """Somebody's name and address."""
+    """A name and address."""
 
     name: Words
     street: Words | None = None
@@ -101,7 +101,7 @@ class Contact(SettingsSection):
 
 
 class Laboratory(Contact):
-    """[laboratory]: who has calibrated; `code` is that of the accreditation."""
+    """[laboratory]: the calibration laboratory; `code` is that of the accreditation."""
 
     country: Country
     code: Words | None = None
@@ -118,7 +118,7 @@ class Item(SettingsSection):
 
 
 class LabAccelerometer(SettingsSection):
-    """[accelerometers.NAME]: an accelerometer in the item, where it is a thing of its own."""
+    """[accelerometers.NAME]: an accelerometer that has its own identity within the item."""
 
     manufacturer: Words | None = None
     model: Words | None = None
@@ -126,7 +126,7 @@ class LabAccelerometer(SettingsSection):
 
 
 class Person(SettingsSection):
-    """[[persons]]: who answers for the results."""
+    """[[persons]]: who is responsible for the results."""
 
     name: Words
     role: Words
@@ -174,13 +174,13 @@ def read_lab(path: Path | str, result: Result) -> tuple[Lab, Specifications | No
     Raises
     ------
     CampaignError
-        With every gap and mistake, each with the path of its key; or that the file is missing,
+        With every missing key and mistake, each with its path; or that the file is missing,
         not UTF-8 or not TOML.
     """
     path = Path(path)
     raw = load_document(path, advice=f"`counterspin certificate --init {path.name}` makes one")
     problems = Problems(raw)
-    # An absent table lacks each of its keys: they are told one by one.
+    # Of a missing table, each required key is reported.
     empty: dict[str, Any] = {"persons": [{}]}
     empty |= {key: {} for key in ("certificate", "laboratory", "customer", "item")}
     lab = problems.check(Lab, empty | raw, ())
@@ -210,7 +210,7 @@ def _check_dates(settings: CertificateSettings, problems: Problems) -> None:
 
 
 def _check_accelerometers(raw: Mapping[str, Any], result: Result, problems: Problems) -> None:
-    """Note names that the result does not have, and serial numbers that contradict it."""
+    """Note names that are not in the result, and serial numbers that contradict it."""
     known = result.accelerometers
     settings, parts = (
         table if isinstance(table := raw.get(key), dict) else {}
@@ -252,7 +252,7 @@ def write_example(path: Path | str) -> Path:
 
 
 def example_keys(lab: Lab) -> list[str]:
-    """Return the keys that still say what the example says, where that can hardly be true."""
+    """Return the keys that still have the example's text."""
     import tomllib
 
     ours = lab.model_dump(exclude={"conditions"})

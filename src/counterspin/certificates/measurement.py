@@ -116,7 +116,7 @@ def _platform_term(symbol: str, coefficient: Coefficient, gravity: float) -> Ele
     )
 
 
-# What the result rests on
+# The result file and the input files
 
 
 def _result_file(result: Result) -> Element:
@@ -150,8 +150,8 @@ def _input_files(result: Result) -> Element:
 
 
 def _accelerometer(lab: Lab, result: Result, name: str) -> Element:
-    found = result.accelerometers[name]
-    certified = {s: c for s, c in found.coefficients.items() if wording.is_determined(c)}
+    accelerometer = result.accelerometers[name]
+    certified = {s: c for s, c in accelerometer.coefficients.items() if wording.is_determined(c)}
     item = item_id(lab, result, name)
     gravity = result.inputs.gravity
     return dcc(
@@ -160,9 +160,9 @@ def _accelerometer(lab: Lab, result: Result, name: str) -> Element:
         dcc(
             "results",
             _coefficients(lab, result, name, certified),
-            _covariance(found, certified, gravity),
+            _covariance(accelerometer, certified, gravity),
         ),
-        _warnings(found),
+        _warnings(accelerometer),
         id=f"result-{item}",
         refId=item,
     )
@@ -220,16 +220,16 @@ def _degrees_of_freedom(c: Coefficient) -> Element:
 
 
 def _covariance(
-    found: AccelerometerResult, certified: Mapping[str, Coefficient], gravity: float
+    accelerometer: AccelerometerResult, certified: Mapping[str, Coefficient], gravity: float
 ) -> Element | None:
     """Return the covariance of the certified coefficients, where there are two or more."""
-    if found.correlation is None:
+    if accelerometer.correlation is None:
         return None
-    places = [i for i, symbol in enumerate(found.correlation.terms) if symbol in certified]
-    symbols = [found.correlation.terms[place] for place in places]
+    places = [i for i, symbol in enumerate(accelerometer.correlation.terms) if symbol in certified]
+    symbols = [accelerometer.correlation.terms[place] for place in places]
     if len(symbols) < 2:
         return None
-    matrix = found.correlation.matrix
+    matrix = accelerometer.correlation.matrix
     in_si = [_in_si(certified[symbol], gravity) for symbol in symbols]
     columns = [
         si(
@@ -248,7 +248,7 @@ def _covariance(
         )
         for j, (_, u_j, unit_j) in zip(places, in_si, strict=True)
     ]
-    # Of several degrees of freedom the fewest: the region is then rather too large.
+    # The fewest of several degrees of freedom: the region is then rather too large.
     dof = min((d for s in symbols if (d := certified[s].dof) is not None), default=None)
     return dcc(
         "result",
@@ -286,7 +286,7 @@ def _covariance(
 def _in_si(c: Coefficient, gravity: float) -> tuple[float, float, SiUnit]:
     assert c.value is not None
     assert c.u is not None
-    value, u = (to_si(one, c.unit, gravity) for one in (c.value, c.u))
+    value, u = (to_si(number, c.unit, gravity) for number in (c.value, c.u))
     return value, u, si_unit(c.unit)[0]
 
 
@@ -296,10 +296,10 @@ def _product(matrix: Sequence[Sequence[float]], i: int, j: int, u: float, v: flo
     return u * v if i == j else matrix[max(i, j)][min(i, j)] * (u * v)
 
 
-def _warnings(found: AccelerometerResult) -> Element | None:
-    if not found.warnings:
+def _warnings(accelerometer: AccelerometerResult) -> Element | None:
+    if not accelerometer.warnings:
         return None
     return dcc(
         "measurementMetaData",
-        dcc("metaData", text("name", "Warnings"), rich("declaration", *found.warnings)),
+        dcc("metaData", text("name", "Warnings"), rich("declaration", *accelerometer.warnings)),
     )

@@ -33,7 +33,7 @@ _DOF: Final = "dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:rea
 
 @dataclass(frozen=True)
 class CertifiedAccelerometer:
-    """What a certificate says of one accelerometer, in g-units of its g.
+    """One accelerometer in a certificate, in g-units of the certificate's g.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Certified:
 
 
 def read_certificate(document: bytes, source: str) -> Certified:
-    """Read the numbers of a certificate that counterspin has written.
+    """Read the numbers of a certificate that counterspin wrote.
 
     Raises
     ------
@@ -78,7 +78,7 @@ def read_certificate(document: bytes, source: str) -> Certified:
         )
     except (ArithmeticError, KeyError, ValueError) as error:
         raise RecordError(
-            f"{source}: is not a calibration certificate that counterspin has written ({error})"
+            f"{source}: is not a calibration certificate written by counterspin ({error})"
         ) from error
 
 
@@ -117,7 +117,7 @@ def _covariance(
 ) -> npt.NDArray[np.float64]:
     in_si = np.array(
         [
-            [float(one.text) for one in _all(column, "si:covarianceXMLList/si:valueXMLList")]
+            [float(value.text) for value in _all(column, "si:covarianceXMLList/si:valueXMLList")]
             for column in _all(together, _COLUMN)
         ]
     ).T
@@ -128,7 +128,7 @@ def _covariance(
 
 
 def _designation(root: Element, part: Element) -> str:
-    """Return the accelerometer's name in the result, which its item bears."""
+    """Return the accelerometer's name in the result, from its item."""
     item = f".//dcc:item[@id='{part.get('refId')}']/dcc:identifications/dcc:identification"
     return _one(root, f"{item}[dcc:issuer='calibrationLaboratory']/dcc:value")
 
@@ -138,7 +138,7 @@ def _all(element: Element, path: str) -> list[Any]:
 
 
 def _one(element: Element, path: str) -> str:
-    found = _all(element, path)
-    if not found or not found[0].text:
+    matches = _all(element, path)
+    if not matches or not matches[0].text:
         raise ValueError(f"there is no {path.rpartition('/')[2]}")
-    return str(found[0].text)
+    return str(matches[0].text)

@@ -1,10 +1,10 @@
-"""Whether a certificate keeps to the schema: DCC's own files, from a folder, never the network.
+"""Validation against the DCC schema: its files come from a folder, never from the network.
 
-The files that PTB publishes name each other by addresses. Here whatever they import is taken from
-the folder, by the name space that a file there declares.
+The files that PTB publishes import each other by address. Here an import is answered by the file
+of the folder that declares the name space.
 
-- `check_schema`: raises with the first faults in words
-- `parse`: a document as a tree, without fetching or replacing anything
+- `check_schema`: raises RecordError with the first faults
+- `parse`: an XML document as a tree, without network access or entities
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from counterspin.errors import CounterspinError, RecordError
 
 _XS: Final = "{http://www.w3.org/2001/XMLSchema}"
 
-#: So many faults are told; the others mostly follow from them.
-_SHOWN: Final = 5
+#: Faults shown; further ones mostly follow from the first.
+_MAX_FAULTS: Final = 5
 
 
 def check_schema(document: bytes, schema: Path, source: str) -> None:
@@ -34,28 +34,28 @@ def check_schema(document: bytes, schema: Path, source: str) -> None:
     document
         The XML.
     schema
-        ``dcc.xsd``, or a folder in which it is, perhaps deeper; what it imports is looked for in
-        that folder (of a file: in the folder above the file's own as well).
+        ``dcc.xsd``, or a folder in which it is, perhaps deeper; its imports are looked for in
+        that folder (of a file: in its own folder and the one above).
     source
         What the certificate is called in messages.
 
     Raises
     ------
     RecordError
-        If the certificate is not XML, or does not keep to the schema; the first faults, with
-        their lines.
+        If the certificate is not XML or does not conform to the schema; with the first faults
+        and their lines.
     CounterspinError
-        If there is no schema, or it is not complete.
+        If the schema is missing or incomplete.
     """
     faults = load_schema(schema)
     root = parse(document, source)
     if faults.validate(root):
         return
     log = list(faults.error_log)
-    lines = [f"line {entry.line}: {_plain(entry.message)}" for entry in log[:_SHOWN]]
-    more = f"\n  and {len(log) - _SHOWN} more" if len(log) > _SHOWN else ""
+    lines = [f"line {entry.line}: {_plain(entry.message)}" for entry in log[:_MAX_FAULTS]]
+    more = f"\n  and {len(log) - _MAX_FAULTS} more" if len(log) > _MAX_FAULTS else ""
     raise RecordError(
-        f"{source}: does not keep to the schema in {schema}\n  " + "\n  ".join(lines) + more
+        f"{source}: does not conform to the schema in {schema}\n  " + "\n  ".join(lines) + more
     )
 
 
@@ -64,7 +64,7 @@ def parse(document: bytes, source: str) -> Any:
     try:
         return etree.fromstring(document, parser())
     except etree.LxmlError as error:
-        raise RecordError(f"{source}: is not XML, or a damaged one ({error})") from error
+        raise RecordError(f"{source}: is not XML, or is damaged ({error})") from error
 
 
 def parser(**options: Any) -> Any:
@@ -93,15 +93,15 @@ def _main_file(schema: Path) -> Path:
         return schema
     if not schema.is_dir():
         raise CounterspinError(f"{schema}: there is no such file or folder")
-    found = [path for path in sorted(schema.rglob("*.xsd")) if _space(path) == DCC]
-    if len(found) == 1:
-        return found[0]
-    what = "several schemas of DCC, give one of them" if found else "no schema of DCC (dcc.xsd)"
+    schemas = [path for path in sorted(schema.rglob("*.xsd")) if _space(path) == DCC]
+    if len(schemas) == 1:
+        return schemas[0]
+    what = "several schemas of DCC, give one of them" if schemas else "no schema of DCC (dcc.xsd)"
     raise CounterspinError(f"{schema}: holds {what}")
 
 
 class _Local(etree.Resolver):  # type: ignore[misc]  # lxml carries no types
-    """Answers an address with a file of the folder, and any other address not at all."""
+    """Resolves addresses to files of the folder; others resolve to nothing."""
 
     def __init__(self, places: dict[str, Path]) -> None:
         self._places = places
@@ -141,14 +141,14 @@ def _named_imports(path: Path) -> Iterator[tuple[str, str]]:
         root = etree.parse(str(path), parser()).getroot()
     except (etree.LxmlError, OSError):
         return
-    for found in root.iter(f"{_XS}import"):
-        location, space = found.get("schemaLocation"), found.get("namespace")
+    for element in root.iter(f"{_XS}import"):
+        location, space = element.get("schemaLocation"), element.get("namespace")
         if location and space:
             yield location, space
 
 
 def _plain(message: str) -> str:
-    """Return a fault with prefixes in the place of whole name spaces."""
+    """Return a fault with prefixes in place of name spaces."""
     for prefix, space in NAMESPACES.items():
         message = message.replace(f"{{{space}}}", f"{prefix}:")
     return re.sub(r"\s+", " ", message)

@@ -1,8 +1,8 @@
 """The electronic signature of a certificate: enveloped XML signature with a key of one's own.
 
-- `Signer`, `read_signer`: key and certificate of who signs
+- `Signer`, `read_signer`: the signer's key and certificate
 - `sign`: a certificate with its signature
-- `verify`: whether a certificate is as it was signed, and by whom it must be
+- `verify`: whether a certificate is unchanged since the expected signer signed it
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from counterspin.errors import CounterspinError, RecordError
 
 _SIGNATURE: Final = "{http://www.w3.org/2000/09/xmldsig#}Signature"
 
-_NEEDED: Final = (
+_SIGNXML_MISSING: Final = (
     "signatures need the package signxml, which is not installed; it comes with "
     "`pip install counterspin[signature]`"
 )
@@ -31,7 +31,7 @@ class Signer:
     key
         Private key, RSA or elliptic curve.
     certificates
-        X.509: the signer's, then those up to the root's, if given.
+        X.509: the signer's, followed by its chain if given.
     """
 
     key: Any
@@ -44,8 +44,8 @@ def read_signer(key: Path, certificate: Path) -> Signer:
     Raises
     ------
     CounterspinError
-        If signxml is not installed, a file is missing or not what it should be, the key is
-        encrypted or of a kind that XML signatures do not know, or the two do not belong together.
+        If signxml is not installed, a file is missing or cannot be used, the key is encrypted or of
+        a kind that XML signatures do not support, or key and certificate do not match.
     """
     _signxml()
     from cryptography.hazmat.primitives.asymmetric import ec, rsa
@@ -79,7 +79,7 @@ def sign(root: Element, signer: Signer) -> Element:
 
 
 def verify(document: bytes, certificate: Path, source: str) -> bytes:
-    """Check a certificate's signature against who should have signed.
+    """Check that a certificate was signed by the expected signer and not changed since.
 
     Parameters
     ----------
@@ -94,12 +94,12 @@ def verify(document: bytes, certificate: Path, source: str) -> bytes:
     Returns
     -------
     bytes
-        The part of the document that the signature covers: all of it but the signature.
+        The signed part of the document: everything but the signature.
 
     Raises
     ------
     RecordError
-        If it is not signed, or was changed, or somebody else has signed it.
+        If it is not signed, was changed, or was signed by somebody else.
     CounterspinError
         If signxml is not installed or the certificate cannot be read.
     """
@@ -110,26 +110,26 @@ def verify(document: bytes, certificate: Path, source: str) -> bytes:
     root = parse(document, source)
     if root.find(_SIGNATURE) is None:
         raise RecordError(f"{source}: is not signed")
-    # Where it is found matters: a signature deeper down could cover something else.
+    # The place matters: a signature deeper in the document could cover something else.
     expected = signxml.SignatureConfiguration(location="./", expect_references=1)
     try:
-        found = signxml.XMLVerifier().verify(root, x509_cert=trusted, expect_config=expected)
+        verified = signxml.XMLVerifier().verify(root, x509_cert=trusted, expect_config=expected)
     except (signxml.InvalidSignature, signxml.InvalidInput) as error:
         raise RecordError(
             f"{source}: the signature is not valid: the document was changed after it was signed, "
-            f"or another than the holder of {certificate} has signed it ({error})"
+            f"or was not signed by the holder of {certificate} ({error})"
         ) from error
-    covered: Any = found.signed_xml
+    covered: Any = verified.signed_xml
     if covered is None or covered.tag != root.tag:
         raise RecordError(f"{source}: the signature does not cover the whole document")
-    return bytes(found.signed_data)
+    return bytes(verified.signed_data)
 
 
 def _signxml() -> Any:
     try:
         import signxml
     except ImportError as error:
-        raise CounterspinError(_NEEDED) from error
+        raise CounterspinError(_SIGNXML_MISSING) from error
     return signxml
 
 

@@ -1,4 +1,4 @@
-"""The statements of a certificate: what it claims, in words that a machine can find.
+"""The statements of a certificate: its claims in words, marked up for machines.
 
 - `statements`: all of them as ``dcc:statement`` elements
 - `quantity_id`: the id of a certified coefficient, to which statements refer
@@ -28,7 +28,7 @@ def quantity_id(lab: Lab, result: Result, name: str, symbol: str) -> str:
 def statements(lab: Lab, result: Result, verdicts: Verdicts) -> list[Element]:
     """Return every statement, in the order in which they are read."""
     gravity = result.inputs.gravity
-    found = [
+    texts = [
         _traceability(lab),
         dcc(
             "statement",
@@ -56,14 +56,14 @@ def statements(lab: Lab, result: Result, verdicts: Verdicts) -> list[Element]:
         ),
     ]
     if lab.certificate.remarks:
-        found.append(
+        texts.append(
             dcc(
                 "statement",
                 text("name", "Remarks"),
                 rich("declaration", *lab.certificate.remarks, language=lab.certificate.language),
             )
         )
-    return found
+    return texts
 
 
 def _traceability(lab: Lab) -> Element:
@@ -100,7 +100,7 @@ def _assumptions(lab: Lab, result: Result) -> Iterator[Element]:
 
 def _conformity(lab: Lab, result: Result, verdicts: Verdicts) -> Iterator[Element]:
     for name, by_symbol in verdicts.items():
-        for symbol, found in by_symbol.items():
+        for symbol, judged in by_symbol.items():
             coefficient = result.accelerometers[name].coefficients.get(symbol)
             certified = coefficient is not None and wording.is_determined(coefficient)
             yield dcc(
@@ -109,29 +109,29 @@ def _conformity(lab: Lab, result: Result, verdicts: Verdicts) -> Iterator[Elemen
                 dcc("norm", "JCGM 106:2012"),
                 rich(
                     "declaration",
-                    wording.verdict(symbol, name, found),
-                    wording.decision_rule(found),
+                    wording.verdict(symbol, name, judged),
+                    wording.decision_rule(judged),
                 ),
-                _dcc_verdict(found, coefficient),
+                _dcc_verdict(judged, coefficient),
                 refId=quantity_id(lab, result, name, symbol)
                 if certified
                 else item_id(lab, result, name),
             )
 
 
-def _dcc_verdict(found: Conformity, coefficient: Coefficient | None) -> Element | None:
+def _dcc_verdict(judged: Conformity, coefficient: Coefficient | None) -> Element | None:
     """Return the verdict as DCC knows it.
 
     For an undecided one it has words only beside a guard band: conditional pass inside the
     tolerance limits, conditional fail outside (ILAC-G8:09/2019, 4.2.3).
     """
-    if found.verdict != "undecided":
-        return dcc("conformity", found.verdict)
-    if found.guard_band is None or found.rule != "guarded":
+    if judged.verdict != "undecided":
+        return dcc("conformity", judged.verdict)
+    if judged.guard_band is None or judged.rule != "guarded":
         return None
     assert coefficient is not None
     assert coefficient.value is not None
-    low, high = found.low, found.high
+    low, high = judged.low, judged.high
     value = coefficient.value
     within = (low is None or value >= low) and (high is None or value <= high)
     return dcc("conformity", "conditionalPass" if within else "conditionalFail")

@@ -17,7 +17,7 @@ from typing import Final
 
 _FACTOR: Final = re.compile(r"(1|rad|m|s|g|Hz)(?:\^(\d))?")
 
-#: What one of a unit is in powers of radian, metre, second, and g.
+#: A unit as powers of radian, metre, second, and g.
 _POWERS: Final = {
     "1": (0, 0, 0, 0),
     "rad": (1, 0, 0, 0),
@@ -62,7 +62,7 @@ class SiUnit:
 
 
 def si_unit(unit: str) -> tuple[SiUnit, int]:
-    """Return a unit in SI and the power of g (m/s^2) that leads there.
+    """Return a unit in SI and the power of g (m/s^2) of the conversion.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def si_unit(unit: str) -> tuple[SiUnit, int]:
     Raises
     ------
     ValueError
-        If it is no quotient of rad, m, s and g.
+        If it is not a quotient of rad, m, s and g.
     """
     powers = [0, 0, 0, 0]
     for place, factor in enumerate(unit.split("/")):

@@ -1,10 +1,10 @@
-"""What a certificate says in words, one sentence each, for people and machines alike.
+"""The sentences of a certificate, the same in the XML and on its pages.
 
-- `uncertainty_statement`, `unit_statement`, `scope_statement`: what holds for all of it
-- `method_name`, `method_lines`: how the coefficients were found
+- `uncertainty_statement`, `unit_statement`, `scope_statement`: for the whole certificate
+- `method_name`, `method_lines`: the method
 - `coefficient_line`: one coefficient in g-units
-- `not_determined`: coefficients of which nothing is certified
-- `is_determined`: whether something is
+- `not_determined`: coefficients that are not certified
+- `is_determined`: whether a coefficient is certified
 - `decision_rule`, `verdict`: conformity
 """
 
@@ -36,7 +36,7 @@ _RULES: Final = {
     "fail if it does not conform with that probability, else undecided",
 }
 
-#: JCGM 106 speaks of the probability of conformity; nothing is said of it beyond these digits.
+#: Digits of a probability of conformity (JCGM 106).
 _PROBABILITY_DIGITS: Final = 3
 
 
@@ -45,11 +45,11 @@ def is_determined(coefficient: Coefficient) -> bool:
     return coefficient.estimated and coefficient.value is not None and coefficient.u is not None
 
 
-# What holds for the whole certificate
+# Statements for the whole certificate
 
 
 def uncertainty_statement() -> str:
-    """Return how the expanded uncertainties are to be read."""
+    """Return how the expanded uncertainties are defined."""
     return (
         "The expanded uncertainty U stated is the combined standard uncertainty multiplied by the "
         "coverage factor k stated beside it, evaluated by the GUM (JCGM 100). k is that of "
@@ -64,7 +64,7 @@ def uncertainty_statement() -> str:
 
 
 def unit_statement(gravity: float) -> str:
-    """Return what g is, and how g-units and SI units convert into each other."""
+    """Return the value of g, and the conversion between g-units and SI."""
     g = format_number(gravity, 12)
     return (
         f"g is the local gravity of the site, g = {g} m/s^2, taken as exact for the conversion. A "
@@ -76,7 +76,7 @@ def unit_statement(gravity: float) -> str:
 
 
 def scope_statement() -> str:
-    """Return what the results are about (ISO/IEC 17025 7.8.2.1 l)."""
+    """Return what the results relate to (ISO/IEC 17025 7.8.2.1 l)."""
     return "The results relate only to the items calibrated."
 
 
@@ -84,7 +84,7 @@ def scope_statement() -> str:
 
 
 def method_name(result: Result) -> str:
-    """Return what the method is called."""
+    """Return the method's name."""
     return _METHODS.get(result.method, result.method)
 
 
@@ -115,11 +115,11 @@ def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
     )
 
 
-def not_determined(name: str, found: AccelerometerResult) -> list[str]:
+def not_determined(name: str, accelerometer: AccelerometerResult) -> list[str]:
     """Return a sentence for each coefficient that is not certified, and why."""
     return [
         f"{symbol} of {name}: {_why(c)}; no value is certified."
-        for symbol, c in found.coefficients.items()
+        for symbol, c in accelerometer.coefficients.items()
         if not is_determined(c)
     ]
 
@@ -128,29 +128,29 @@ def _why(coefficient: Coefficient) -> str:
     if coefficient.value is None:
         return "not determined by the records"
     known = format_estimate(coefficient.value, coefficient.u, coefficient.unit)
-    return f"not determined by the records, taken as {known} (k = 1), which was known beforehand"
+    return f"not determined by the records; its prior, {known} (k = 1), was used"
 
 
 # Conformity
 
 
-def decision_rule(found: Conformity) -> str:
-    """Return the rule by which a verdict was found."""
-    text = f"Decision rule: {_RULES[found.rule]}"
-    if found.guard_band:
-        text += f"; guard band {format_number(found.guard_band)} {found.unit}"
-    if found.needed is not None:
-        text += f"; probability needed {format_number(found.needed)}"
+def decision_rule(judged: Conformity) -> str:
+    """Return the decision rule of a verdict."""
+    text = f"Decision rule: {_RULES[judged.rule]}"
+    if judged.guard_band:
+        text += f"; guard band {format_number(judged.guard_band)} {judged.unit}"
+    if judged.needed is not None:
+        text += f"; probability needed {format_number(judged.needed)}"
     return f"{text}."
 
 
-def verdict(symbol: str, name: str, found: Conformity) -> str:
-    """Return what the rule says of a coefficient."""
-    text = f"{symbol} of {name}, specified as {found.specification}: {found.verdict}"
-    text += f" ({found.reason})." if found.reason else "."
-    if found.probability is not None:
-        text += f" Probability to conform {format_number(found.probability, _PROBABILITY_DIGITS)}"
-        if found.risk is not None:
-            text += f", that the verdict is wrong {format_number(found.risk, _PROBABILITY_DIGITS)}"
+def verdict(symbol: str, name: str, judged: Conformity) -> str:
+    """Return the verdict on a coefficient."""
+    text = f"{symbol} of {name}, specified as {judged.specification}: {judged.verdict}"
+    text += f" ({judged.reason})." if judged.reason else "."
+    if judged.probability is not None:
+        text += f" Probability to conform {format_number(judged.probability, _PROBABILITY_DIGITS)}"
+        if judged.risk is not None:
+            text += f", that the verdict is wrong {format_number(judged.risk, _PROBABILITY_DIGITS)}"
         text += "."
     return text

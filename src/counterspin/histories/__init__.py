@@ -1,8 +1,8 @@
 """Results of an instrument over time: whether they agree, and whether it drifts.
 
-- `history`: a coefficient of each instrument through all its results
+- `history`: from result files to a coefficient's history
 - `files`: which files are results, whose they are and when
 - `consistency`: whether repeated measurements agree, and whether what they measure drifts
-- `result`: what was found, its JSON
+- `result`: the history and its JSON
 - `page`: a history as a person reads it, with its control chart
 """

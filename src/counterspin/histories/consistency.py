@@ -1,7 +1,7 @@
 """Whether repeated measurements of one quantity agree, and whether it drifts.
 
-The measurements are taken as independent, with the standard uncertainties that they state; none is
-scaled in silence.
+The measurements are taken as independent, with the standard uncertainties that they state;
+these are not scaled.
 
 - `weighted_mean`, `Mean`: their mean, and the chi-square test that they agree with it
 - `drift`, `Drift`: a straight line through them over time
@@ -80,7 +80,7 @@ class Drift:
     p
         Probability of a slope as large if there is no drift (normal distribution, both sides).
     time, value
-        A point of the line: the mean time, where slope and value are uncorrelated, and the value
+        The weighted mean time, at which slope and value are uncorrelated, and the line's value
         there.
     u_value
         Standard uncertainty of `value`.
@@ -120,12 +120,12 @@ def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike) -> Mean:
         If an uncertainty is not positive, or the shapes do not fit.
     """
     measured, sigma = np.asarray(values, np.float64), np.asarray(u, np.float64)
-    found = fit(np.ones((measured.size, 1)), measured, sigma)
+    constant = fit(np.ones((measured.size, 1)), measured, sigma)
     return Mean(
-        value=float(found.estimate[0]),
-        u=float(found.u[0]),
-        agreement=_agreement(found),
-        difference=found.residuals,
+        value=float(constant.estimate[0]),
+        u=float(constant.u[0]),
+        agreement=_agreement(constant),
+        difference=constant.residuals,
         z=_against_the_others(measured, sigma),
     )
 
@@ -157,8 +157,8 @@ def drift(time: npt.ArrayLike, values: npt.ArrayLike, u: npt.ArrayLike) -> Drift
         return None
     # About the weighted mean time value and slope are uncorrelated.
     middle = float(np.average(when, weights=sigma**-2.0))
-    found = fit(np.stack([np.ones(when.size), when - middle], axis=1), values, sigma)
-    (value, slope), (u_value, u_slope) = found.estimate, found.u
+    line = fit(np.stack([np.ones(when.size), when - middle], axis=1), values, sigma)
+    (value, slope), (u_value, u_slope) = line.estimate, line.u
     return Drift(
         slope=float(slope),
         u=float(u_slope),
@@ -166,7 +166,7 @@ def drift(time: npt.ArrayLike, values: npt.ArrayLike, u: npt.ArrayLike) -> Drift
         time=middle,
         value=float(value),
         u_value=float(u_value),
-        agreement=_agreement(found),
+        agreement=_agreement(line),
     )
 
 
@@ -202,14 +202,14 @@ def _against_the_others(values: Array, u: Array) -> Array:
     return z
 
 
-def _agreement(found: Fit) -> Agreement:
+def _agreement(fitted: Fit) -> Agreement:
     from scipy.special import chdtrc
 
-    if found.dof < 1:
-        return Agreement(found.chi2, found.dof, None, None)
+    if fitted.dof < 1:
+        return Agreement(fitted.chi2, fitted.dof, None, None)
     return Agreement(
-        chi2=found.chi2,
-        dof=found.dof,
-        p=float(chdtrc(found.dof, found.chi2)),
-        birge=math.sqrt(found.chi2 / found.dof),
+        chi2=fitted.chi2,
+        dof=fitted.dof,
+        p=float(chdtrc(fitted.dof, fitted.chi2)),
+        birge=math.sqrt(fitted.chi2 / fitted.dof),
     )

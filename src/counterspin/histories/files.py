@@ -1,4 +1,4 @@
-"""The files of a history: which are results, whose they are and when, and which say the same again.
+"""The files of a history: which are results, of which instrument and date, which are duplicates.
 
 - `collect`, `Collected`: from files and folders to records of one coefficient
 - `DatedResult`: one accelerometer in one result
@@ -18,10 +18,12 @@ from counterspin.calibration.result import Result, read_result
 from counterspin.errors import CampaignError, RecordError
 from counterspin.histories.result import UnusedResult
 
-#: What every result has had, whatever its schema; other documents in a folder are no results.
-_MARKS: Final = {"method", "accelerometers", "provenance"}
+#: Keys of every result, whatever its schema; other JSON files in a folder are not results.
+_RESULT_KEYS: Final = {"method", "accelerometers", "provenance"}
 
-_SUMMARY: Final = "is a summary of several campaigns; write a result for each, with its own --json"
+_SUMMARY_REASON: Final = (
+    "is a summary of several campaigns; write a result for each, with its own --json"
+)
 
 
 @dataclass(frozen=True)
@@ -78,7 +80,7 @@ def collect(paths: Sequence[Path], term: str) -> Collected:
     Parameters
     ----------
     paths
-        Files and folders; these are searched through and through.
+        Files and folders; folders are searched with all their subfolders.
     term
         Symbol of the coefficient.
 
@@ -95,27 +97,29 @@ def collect(paths: Sequence[Path], term: str) -> Collected:
     missing = [f"{path}: there is no such file or folder" for path in paths if not path.exists()]
     if missing:
         raise CampaignError("history", missing)
-    found, seen = Collected(), dict[str, str]()
+    collected, seen = Collected(), dict[str, str]()
     for file, named in _files(paths):
         try:
             content = file.read_bytes()
         except OSError as error:
-            found.damaged.append(
+            collected.damaged.append(
                 UnusedResult(file=str(file), reason=f"cannot be read ({error.strerror})")
             )
             continue
         if not named and (reason := _is_other(content)):
-            if reason == _SUMMARY:
-                found.left_out.append(UnusedResult(file=str(file), reason=reason))
+            if reason == _SUMMARY_REASON:
+                collected.left_out.append(UnusedResult(file=str(file), reason=reason))
             else:
-                found.passed_over.append(str(file))
+                collected.passed_over.append(str(file))
             continue
         first = seen.setdefault(hashlib.sha256(content).hexdigest(), str(file))
         if first != str(file):
-            found.left_out.append(UnusedResult(file=str(file), reason=f"the same file as {first}"))
+            collected.left_out.append(
+                UnusedResult(file=str(file), reason=f"the same file as {first}")
+            )
         else:
-            _enter(file, term, found)
-    return found
+            _enter(file, term, collected)
+    return collected
 
 
 def _files(paths: Sequence[Path]) -> Iterator[tuple[Path, bool]]:
@@ -131,7 +135,7 @@ def _files(paths: Sequence[Path]) -> Iterator[tuple[Path, bool]]:
 
 
 def _is_other(content: bytes) -> str | None:
-    """Return what a sound document is if no result; one that is damaged may have been a result."""
+    """Return what a readable document is if it is not a result; a damaged one may be a result."""
     try:
         document: Any = json.loads(content)
     except (ValueError, RecursionError):
@@ -139,24 +143,26 @@ def _is_other(content: bytes) -> str | None:
     if not isinstance(document, dict):
         return "other"
     if "campaigns" in document:
-        return _SUMMARY
-    return None if set(document) >= _MARKS else "other"
+        return _SUMMARY_REASON
+    return None if set(document) >= _RESULT_KEYS else "other"
 
 
-def _enter(file: Path, term: str, found: Collected) -> None:
+def _enter(file: Path, term: str, collected: Collected) -> None:
     try:
         result = read_result(file)
     except RecordError as error:
         reason = str(error).removeprefix(f"{file}: ")
-        found.damaged.append(UnusedResult(file=str(file), reason=reason))
+        collected.damaged.append(UnusedResult(file=str(file), reason=reason))
         return
     date = _date(result.details.get("date"))
     for name in result.accelerometers:
         outcome = _record(result, name, term, str(file), date)
         if isinstance(outcome, str):
-            found.left_out.append(UnusedResult(file=str(file), accelerometer=name, reason=outcome))
+            collected.left_out.append(
+                UnusedResult(file=str(file), accelerometer=name, reason=outcome)
+            )
         else:
-            found.records.append(outcome)
+            collected.records.append(outcome)
 
 
 def _record(

@@ -1,6 +1,6 @@
 """`counterspin history`: a coefficient of each instrument through all its results.
 
-- `history`: from files to what they say together
+- `history`: from result files to a `History`
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _YEAR: Final = timedelta(days=365.25)
 def history(
     paths: Sequence[Path | str], *, term: str = "K_II", serial: str | None = None
 ) -> History:
-    """Bring results of instruments together, oldest first.
+    """Collect the results of each instrument, oldest first.
 
     Parameters
     ----------
@@ -56,21 +56,21 @@ def history(
     CampaignError
         If a path does not exist, the term is unknown, or no result is of this serial number.
     CounterspinError
-        If no result has a place in a history; the reasons are given.
+        If no result can be used; the reasons are given.
     """
     if term not in TERMS:
         raise CampaignError("--term", [_unknown(term)])
-    found = collect([Path(path) for path in paths], term)
-    _leave_out_repeated(found)
-    if not found.records:
-        raise CounterspinError(_nothing(paths, found))
-    gravity = max(found.records, key=lambda record: (record.date, record.file)).gravity
+    collected = collect([Path(path) for path in paths], term)
+    _leave_out_repeated(collected)
+    if not collected.records:
+        raise CounterspinError(_nothing(paths, collected))
+    gravity = max(collected.records, key=lambda record: (record.date, record.file)).gravity
     by_serial: dict[str, list[DatedResult]] = {}
-    for record in sorted(found.records, key=lambda record: (record.date, record.file)):
+    for record in sorted(collected.records, key=lambda record: (record.date, record.file)):
         if serial in (None, record.serial_number, record.campaign_serial_number):
             by_serial.setdefault(record.serial_number, []).append(record)
     if not by_serial:
-        known = {record.serial_number for record in found.records}
+        known = {record.serial_number for record in collected.records}
         raise CampaignError(
             "--serial", [f'no result is of "{serial}"{did_you_mean(str(serial), sorted(known))}']
         )
@@ -78,14 +78,14 @@ def history(
         term=term,
         unit=TERMS[term].unit,
         gravity=gravity,
-        converted=any(record.gravity != gravity for record in found.records),
+        converted=any(record.gravity != gravity for record in collected.records),
         instruments=[
             _instrument([_in_units_of(gravity, record, term) for record in records])
             for _, records in sorted(by_serial.items())
         ],
-        left_out=found.left_out,
-        damaged=found.damaged,
-        passed_over=found.passed_over,
+        left_out=collected.left_out,
+        damaged=collected.damaged,
+        passed_over=collected.passed_over,
         notes=_shared(by_serial),
     )
 
@@ -99,44 +99,44 @@ def _unknown(term: str) -> str:
     return f'no term is called "{term}"{did_you_mean(term, TERMS)}'
 
 
-def _leave_out_repeated(found: Collected) -> None:
-    """Keep one result of the same records of the same accelerometer: one measurement counts once.
+def _leave_out_repeated(collected: Collected) -> None:
+    """Keep one result of the same records and accelerometer: a measurement counts once.
 
-    The joint method's goes before that of two stages, then the one found first.
+    The joint method's goes before that of two stages, then the first one read.
     """
     kept: dict[tuple[str, str, frozenset[str]], DatedResult] = {}
-    for record in sorted(found.records, key=lambda record: record.method != "joint"):
+    for record in sorted(collected.records, key=lambda record: record.method != "joint"):
         # Without checksums nothing is known of what it rests on.
         key = (record.serial_number, record.accelerometer, record.records or {record.file})
         first = kept.setdefault((*key[:2], frozenset(key[2])), record)
         if first is not record:
-            found.records.remove(record)
-            found.left_out.append(
+            collected.records.remove(record)
+            collected.left_out.append(
                 UnusedResult(
                     file=record.file,
                     accelerometer=record.accelerometer,
-                    reason=f"is of the same records as {first.file}",
+                    reason=f"rests on the same records as {first.file}",
                 )
             )
 
 
-def _nothing(paths: Sequence[Path | str], found: Collected) -> str:
+def _nothing(paths: Sequence[Path | str], collected: Collected) -> str:
     where = ", ".join(map(str, paths))
-    lost = [*found.damaged, *found.left_out]
+    lost = [*collected.damaged, *collected.left_out]
     if not lost:
         return f"no results in {where}; `counterspin calibrate DIR --json FILE` writes one" + (
-            f" ({len(found.passed_over)} other JSON files)" if found.passed_over else ""
+            f" ({len(collected.passed_over)} other JSON files)" if collected.passed_over else ""
         )
     reasons = "; ".join(
-        f"{one.file}{f', {one.accelerometer}' if one.accelerometer else ''}: {one.reason}"
-        for one in lost[:5]
+        f"{item.file}{f', {item.accelerometer}' if item.accelerometer else ''}: {item.reason}"
+        for item in lost[:5]
     )
     more = f"; and {len(lost) - 5} more" if len(lost) > 5 else ""
-    return f"no result in {where} has a place in a history. {reasons}{more}"
+    return f"no result in {where} can be used in a history. {reasons}{more}"
 
 
 def _shared(by_serial: dict[str, list[DatedResult]]) -> list[str]:
-    """Return what is amiss with independence: results that share some of their records."""
+    """Return a note for each pair of results that share records, and so are not independent."""
     notes = []
     for serial, records in by_serial.items():
         for i, later in enumerate(records):
@@ -149,7 +149,7 @@ def _shared(by_serial: dict[str, list[DatedResult]]) -> list[str]:
     return notes
 
 
-# What they say
+# From results to a history
 
 
 def _in_units_of(gravity: float, record: DatedResult, term: str) -> DatedResult:

@@ -1,4 +1,4 @@
-"""A history as a person reads it: a table and a sentence for each instrument, and a control chart.
+"""A history as a page: a sentence, a table and a control chart for each instrument.
 
 - `render_history`: as something that rich prints; `history_blocks`: the same as blocks
 - `control_plot`: one instrument's control chart as a block
@@ -31,12 +31,12 @@ _YEAR: Final = timedelta(days=365.25)
 
 
 def render_history(history: History) -> Report:
-    """Return the tables, verdicts and what was left out; pictures are left out too."""
+    """Return the history for the terminal: verdicts, tables and unused files, without pictures."""
     return Report(list(history_blocks(history)))
 
 
 def history_blocks(history: History) -> Iterator[Block]:
-    """Yield each instrument's verdict, table and control chart, then what is not among them."""
+    """Yield each instrument's verdict, table and control chart, then the unused files."""
     yield Heading(f"History of {history.term}", 1)
     for instrument in history.instruments:
         yield Heading(_name(instrument))
@@ -63,7 +63,7 @@ def history_blocks(history: History) -> Iterator[Block]:
 
 
 def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
-    """Return what the results of an instrument say together, in one or two sentences."""
+    """Return whether an instrument's results agree, in one or two sentences."""
     name, unit, factor = history.term, *field_unit(history.unit)
     points, mean = instrument.points, instrument.mean * factor
     average = format_estimate(mean, instrument.u_mean * factor, unit)
@@ -263,15 +263,15 @@ def _row(point: Point, factor: float) -> tuple[str, ...]:
 def _not_among_them(history: History) -> Iterator[Block]:
     for note in history.notes:
         yield Paragraph(f"Warning: {note}", "warning")
-    for one in history.damaged:
-        yield Paragraph(f"Not read: {one.file}: {one.reason}.", "warning")
+    for unused in history.damaged:
+        yield Paragraph(f"Not read: {unused.file}: {unused.reason}.", "warning")
     if history.left_out:
         yield Paragraph(f"Left out ({len(history.left_out)}):")
-    for one in history.left_out:
-        whose = f", {one.accelerometer}" if one.accelerometer else ""
-        yield Paragraph(f"{one.file}{whose}: {one.reason}.", "quiet")
+    for unused in history.left_out:
+        whose = f", {unused.accelerometer}" if unused.accelerometer else ""
+        yield Paragraph(f"{unused.file}{whose}: {unused.reason}.", "quiet")
     if count := len(history.passed_over):
-        yield Paragraph(f"JSON files that are no results, passed over: {count}.", "quiet")
+        yield Paragraph(f"JSON files that are not results, ignored: {count}.", "quiet")
 
 
 def _years(date: str) -> float:

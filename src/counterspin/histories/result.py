@@ -1,9 +1,9 @@
-"""What a history found: the results of each instrument over time; its JSON.
+"""A history: the results of each instrument over time; its JSON.
 
 Values are in the unit of the term, in g-units of one gravity, which is stated.
 
 - `History`: all of it
-- `InstrumentHistory`, `Point`, `Scatter`, `Trend`: one instrument's results, and what they say
+- `InstrumentHistory`, `Point`, `Scatter`, `Trend`: one instrument's results and their analysis
 - `UnusedResult`: what could not be used, and why
 """
 
@@ -17,7 +17,7 @@ from counterspin.calibration.result_parts import ResultPart
 
 HISTORY_SCHEMA: Final = 1  #: version of the JSON
 
-#: What the results of an instrument say together.
+#: Whether the results of an instrument agree.
 Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
 
 
@@ -130,7 +130,7 @@ class UnusedResult(ResultPart):
 
 
 class History(ResultPart):
-    """What all files say.
+    """The history of all instruments.
 
     Attributes
     ----------
@@ -143,13 +143,13 @@ class History(ResultPart):
     instruments
         By serial number.
     left_out
-        Results that are sound but have no place: no date, no serial number, the same again.
+        Results that cannot be used: without a date or serial number, or duplicates.
     damaged
         Files that cannot be read.
     passed_over
-        Files in the folders that are no results.
+        Files in the folders that are not results.
     notes
-        What else should be known of the files, in sentences.
+        Further remarks about the files, in sentences.
     """
 
     schema_version: Annotated[int, Field(alias="schema")] = HISTORY_SCHEMA

@@ -129,8 +129,8 @@ class Term:
 
 
 def _component(a_ipo: Array, factor: str) -> Array:
-    found: Array = np.abs(a_ipo[0]) if factor == "|I|" else a_ipo["IPO".index(factor)]
-    return found
+    along: Array = np.abs(a_ipo[0]) if factor == "|I|" else a_ipo["IPO".index(factor)]
+    return along
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """How far a spindle identified from a recorded angle may be from the true one.
 
 The true angle is the identified one plus a sum of coefficient x function: a constant, a slope and a
-bend (the first three Legendre polynomials over the record, which its noise tells apart) and cosine
+bend (the first three Legendre polynomials over the record) and cosine
 and sine of harmonics of the revolution. The encoder's noise leaves the coefficients uncertain.
 
 - `AngleError`: the coefficients, their covariance, their functions of time
@@ -22,8 +22,9 @@ from counterspin.arrays import Array
 #: What the three polynomials stand for.
 SLOW: Final = ("angle", "rate", "drift")
 
-#: Harmonics that are uncertain whether the angle shows them or not. A ripple of harmonic n puts
-#: harmonics n - 1 and n + 1 into the specific force, and its products have none above the third.
+#: Harmonics that count as uncertain even where the recorded angle does not show them. A ripple of
+#: harmonic n puts harmonics n - 1 and n + 1 into the specific force, and its products have none
+#: above the third.
 HARMONICS: Final = 4
 
 
@@ -87,13 +88,13 @@ class AngleError:
         """Return each function's value, first and second time derivative, shapes (n, m)."""
         slope = 2.0 / self.span
         x = slope * (t - self.start) - 1.0
-        one, none = np.ones_like(x), np.zeros_like(x)
+        ones, zeros = np.ones_like(x), np.zeros_like(x)
         # d(angle) per rad, per rad/s and per 1/s.
         bend = self.rate / (3.0 * slope**2)
         columns = [
-            (one, none, none),
-            (x / slope, one, none),
-            (bend * 0.5 * (3.0 * x**2 - 1.0), bend * 3.0 * slope * x, self.rate * one),
+            (ones, zeros, zeros),
+            (x / slope, ones, zeros),
+            (bend * 0.5 * (3.0 * x**2 - 1.0), bend * 3.0 * slope * x, self.rate * ones),
         ]
         for n in self.harmonics:
             n_w0 = n * self.rate

@@ -2,7 +2,7 @@
 
 The products with a_P and a_O need the specific force along the other two axes. It is known, or
 it is what other accelerometers on the same platform sense; their errors are then corrected too,
-in turn, until nothing moves any more.
+in turn, until the forces converge.
 
 - `CalibratedAccelerometer`, `Known`: accelerometers, and directions in which the force is known
 - `missing_axes`: the axes along which the force is needed and not known
@@ -21,13 +21,13 @@ from counterspin.arrays import Array
 from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.inversion import NotInvertibleError, invert
 
-_EPS: Final = float(np.finfo(np.float64).eps)
+_EPSILON: Final = float(np.finfo(np.float64).eps)
 
 #: Rounds of correcting each accelerometer with the others; a misalignment of 1e-2 needs eight.
-_ROUNDS: Final = 100
+_MAX_ROUNDS: Final = 100
 
 #: Projections below this are rounding of the mountings (directions are unit vectors).
-_PARALLEL: Final = 1e-9
+_PROJECTION_ROUNDING: Final = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +108,10 @@ def missing_axes(
     """
     _, determined = _projections(instruments, known)
     return [
-        (one, axis, one.using(axis))
-        for k, one in enumerate(instruments)
+        (instrument, axis, instrument.using(axis))
+        for k, instrument in enumerate(instruments)
         for a, axis in enumerate("PO")
-        if one.using(axis) and not determined[k, a]
+        if instrument.using(axis) and not determined[k, a]
     ]
 
 
@@ -152,8 +152,10 @@ def correct(
     """
     missing = missing_axes(instruments, known)
     if missing:
-        one, axis, symbols = missing[0]
-        raise ValueError(f"{one.name}: {', '.join(symbols)} need a_{axis}, which is not known")
+        instrument, axis, symbols = missing[0]
+        raise ValueError(
+            f"{instrument.name}: {', '.join(symbols)} need a_{axis}, which is not known"
+        )
     weights, _ = _projections(instruments, known)
     n, m = indicated.shape
     given = np.empty((n, len(known)))
@@ -165,12 +167,12 @@ def correct(
     jacobian = np.empty((n, m, m))
     from_known = np.zeros((n, m, len(known)))
     variance = np.empty((n, m))
-    for k, one in enumerate(instruments):
-        p, o = (_total_slope(one, a_ipo[k], axis)[:, None] for axis in "PO")
+    for k, instrument in enumerate(instruments):
+        p, o = (_total_slope(instrument, a_ipo[k], axis)[:, None] for axis in "PO")
         jacobian[:, k] = p * weights[k, 0, :m] + o * weights[k, 1, :m]
-        jacobian[:, k, k] += _total_slope(one, a_ipo[k], "I")
+        jacobian[:, k, k] += _total_slope(instrument, a_ipo[k], "I")
         from_known[:, k] = p * weights[k, 0, m:] + o * weights[k, 1, m:]
-        variance[:, k] = _variance(one, a_ipo[k])
+        variance[:, k] = _variance(instrument, a_ipo[k])
     inverse = np.full_like(jacobian, np.nan)
     present = np.isfinite(jacobian).all(axis=(1, 2))
     inverse[present] = np.linalg.inv(jacobian[present])
@@ -187,23 +189,23 @@ def _projections(
 
     Shape (m, 2, m + len(known)); and whether they determine a_P and a_O, shape (m, 2).
     """
-    rows = [one.mounting.input_axis for one in instruments]
+    rows = [instrument.mounting.input_axis for instrument in instruments]
     directions = np.stack([*rows, *(item.direction for item in known)])
-    if np.linalg.matrix_rank(directions, tol=_PARALLEL) < directions.shape[0]:
+    if np.linalg.matrix_rank(directions, tol=_PROJECTION_ROUNDING) < directions.shape[0]:
         raise ValueError(
             "the specific force along some direction is given more than once: by "
-            f"{len(rows)} accelerometers ({', '.join(one.name for one in instruments)}) and "
+            f"{len(rows)} accelerometers ({', '.join(i.name for i in instruments)}) and "
             f"{len(known)} known forces, whose directions are not independent"
         )
-    wanted = np.stack([one.mounting.matrix[1:] for one in instruments])
+    wanted = np.stack([instrument.mounting.matrix[1:] for instrument in instruments])
     weights = wanted @ np.linalg.pinv(directions)
-    determined = np.linalg.norm(weights @ directions - wanted, axis=2) < _PARALLEL
+    determined = np.linalg.norm(weights @ directions - wanted, axis=2) < _PROJECTION_ROUNDING
     weights[~determined] = 0.0
-    return np.where(np.abs(weights) < _PARALLEL, 0.0, weights), determined
+    return np.where(np.abs(weights) < _PROJECTION_ROUNDING, 0.0, weights), determined
 
 
 def _along_axes(force: Array, given: Array, weights: Array) -> Array:
-    """Return the forces along I, P, O of each accelerometer, shape (m, 3, n)."""
+    """Return the forces along I, P, O of each instrument, shape (m, 3, n)."""
     all_known = np.concatenate([force, given], axis=1).T
     return np.concatenate([force.T[:, None], weights @ all_known], axis=1)
 
@@ -217,16 +219,18 @@ def _settled(
     force[~np.isfinite(np.concatenate([force, given], axis=1)).all(axis=1)] = np.nan
     m = len(instruments)
     coupled = bool(np.any(weights[:, :, :m]))
-    scale = 32.0 * _EPS * (1.0 + np.max(np.abs(force), axis=1, keepdims=True))
-    for _ in range(_ROUNDS if coupled else 1):
+    scale = 32.0 * _EPSILON * (1.0 + np.max(np.abs(force), axis=1, keepdims=True))
+    for _ in range(_MAX_ROUNDS if coupled else 1):
         a_ipo = _along_axes(force, given, weights)
         new = np.empty_like(force)
-        for k, (one, (_, p, o)) in enumerate(zip(instruments, a_ipo, strict=True)):
+        for k, (instrument, (_, p, o)) in enumerate(zip(instruments, a_ipo, strict=True)):
             wanted = np.where(np.isnan(force[:, k]), np.nan, indicated[:, k])
             try:
-                new[:, k] = invert(one.coefficients, wanted, p, o)
+                new[:, k] = invert(instrument.coefficients, wanted, p, o)
             except NotInvertibleError as error:
-                raise NotInvertibleError(error.row, f"of {one.name} {error.reason}") from error
+                raise NotInvertibleError(
+                    error.row, f"of {instrument.name} {error.reason}"
+                ) from error
         moving = np.abs(new - force) > scale
         force = new
         if not coupled or not moving.any():
@@ -235,20 +239,22 @@ def _settled(
     raise NotInvertibleError(
         worst,
         "cannot be corrected: the accelerometers' mutual corrections have not settled after "
-        f"{_ROUNDS} rounds; check the coefficients and their units.",
+        f"{_MAX_ROUNDS} rounds; check the coefficients and their units.",
     )
 
 
-def _total_slope(one: CalibratedAccelerometer, a_ipo: Array, axis: str) -> Array:
+def _total_slope(instrument: CalibratedAccelerometer, a_ipo: Array, axis: str) -> Array:
     total = np.zeros(a_ipo.shape[1])
     for row in TERMS.values():
-        value = one.coefficients.get(row.symbol, row.nominal)
+        value = instrument.coefficients.get(row.symbol, row.nominal)
         if value != 0.0:
             total += value * row.slope(a_ipo, axis)
     return total
 
 
-def _variance(one: CalibratedAccelerometer, a_ipo: Array) -> Array:
-    products = np.stack([TERMS[symbol].evaluate(a_ipo) for symbol in one.coefficients], axis=1)
-    found: Array = np.einsum("ni,ij,nj->n", products, one.covariance, products)
-    return np.maximum(found, 0.0)
+def _variance(instrument: CalibratedAccelerometer, a_ipo: Array) -> Array:
+    products = np.stack(
+        [TERMS[symbol].evaluate(a_ipo) for symbol in instrument.coefficients], axis=1
+    )
+    variance: Array = np.einsum("ni,ij,nj->n", products, instrument.covariance, products)
+    return np.maximum(variance, 0.0)

@@ -19,14 +19,14 @@ from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
 from counterspin.physics.accelerometer import TERMS
 
-_EPS: Final = float(np.finfo(np.float64).eps)
+_EPSILON: Final = float(np.finfo(np.float64).eps)
 
-#: A bracket halves at least every other step, so that this is never reached by a sound model.
-_STEPS: Final = 200
+#: A bracket halves at least every other step, so a sound model never needs so many.
+_MAX_STEPS: Final = 200
 
 
 class NotInvertibleError(ConvergenceError):
-    """A sample has no specific force that the model could indicate in that way.
+    """With this model no specific force gives a sample's indication.
 
     Attributes
     ----------
@@ -67,8 +67,8 @@ def invert(
     Raises
     ------
     NotInvertibleError
-        If an indication lies outside of what the model reaches before it turns round, or the
-        model does not rise at a_I = 0.
+        If an indication lies beyond the model's turning point, or the model does not rise at
+        a_I = 0.
     """
     y, p, o = np.broadcast_arrays(np.asarray(indicated, dtype=np.float64), a_p, a_o)
     present = np.isfinite(y) & np.isfinite(p) & np.isfinite(o)
@@ -112,8 +112,8 @@ def _rising(
         reach = float(y[worst] + side[worst] * _value(poly, turn)[worst])
         raise NotInvertibleError(
             int(rows[worst]),
-            f"cannot be corrected: it indicates {y[worst]:.6g} g, and this model turns round at "
-            f"{level:.6g} g, where it indicates {reach:.6g} g.",
+            f"cannot be corrected: it indicates {y[worst]:.6g} g, and this model has its turning "
+            f"point at {level:.6g} g, where it indicates {reach:.6g} g.",
         )
     return side * _root(poly, high, y, rows)
 
@@ -155,21 +155,21 @@ def _slope(poly: Array, x: Array) -> Array:
 
 def _rounding(poly: Array, x: Array, y: Array) -> Array:
     """Return what rounding may make of the polynomial's value, which cancels against y."""
-    return 2.0 * _EPS * (_value(np.abs(poly), x) + np.abs(y))
+    return 2.0 * _EPSILON * (_value(np.abs(poly), x) + np.abs(y))
 
 
 def _root(poly: Array, high: Array, y: Array, rows: np.ndarray) -> Array:
     low = np.zeros_like(high)
     x = np.minimum(-poly[0] / poly[1], high)
-    for _ in range(_STEPS):
+    for _ in range(_MAX_STEPS):
         value, slope = _value(poly, x), _slope(poly, x)
         low, high = np.where(value < 0.0, x, low), np.where(value < 0.0, high, x)
         step = np.divide(-value, slope, out=np.full_like(x, np.inf), where=slope > 0.0)
         new = x + step
         new = np.where((new >= low) & (new <= high), new, 0.5 * (low + high))
-        settled = (np.abs(value) <= _rounding(poly, x, y)) | (np.abs(new - x) <= 2.0 * _EPS * x)
+        settled = (np.abs(value) <= _rounding(poly, x, y)) | (np.abs(new - x) <= 2.0 * _EPSILON * x)
         x = new
         if settled.all():
             return x
     worst = int(rows[int(np.flatnonzero(~settled)[0])])
-    raise NotInvertibleError(worst, f"has not settled after {_STEPS} steps.")
+    raise NotInvertibleError(worst, f"has not settled after {_MAX_STEPS} steps.")

@@ -177,12 +177,12 @@ class _Shown:
         if self._order == 0:
             motion = self._trajectory.at(self._times)
             return self._integrands(rows, motion), motion.specific_force.T
-        found = self._integrals(rows, self._edges(), with_force and self._order == 2)
+        integrals = self._integrals(rows, self._edges(), with_force and self._order == 2)
         if self._order == 1:
-            return found, self._trajectory.velocity_of_specific_force(self._times).T
+            return integrals, self._trajectory.velocity_of_specific_force(self._times).T
         if not with_force:
-            return found, np.empty((0, self._times.size))
-        return found[2:], self._double_integral_of_force(found[:2])
+            return integrals, np.empty((0, self._times.size))
+        return integrals[2:], self._double_integral_of_force(integrals[:2])
 
     def kinked(self, rows: Sequence[Term | PlatformTerm]) -> Array:
         """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
@@ -228,13 +228,13 @@ class _Shown:
         """
         t, site = self._times, self._trajectory.site
         start = self._trajectory.at(np.zeros(1))
-        found = self._trajectory.position(t).T - start.position.T - start.velocity.T * t
+        doubled = self._trajectory.position(t).T - start.position.T - start.velocity.T * t
         east, north = 2.0 * (path - start.position.T[:2] * t)
         _, to_north, to_up = site.earth_rotation
-        found[0] -= to_up * north
-        found[1] += to_up * east
-        found[2] += 0.5 * site.gravity * t**2 - to_north * east
-        return found
+        doubled[0] -= to_up * north
+        doubled[1] += to_up * east
+        doubled[2] += 0.5 * site.gravity * t**2 - to_north * east
+        return doubled
 
 
 class _Sensed:

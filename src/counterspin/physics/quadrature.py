@@ -2,7 +2,7 @@
 
 Between two panel edges the integrand is the polynomial through its values at Gauss nodes, and the
 polynomial is integrated once or twice. The result is therefore as accurate between the edges as at
-them, and the integrand is not asked more often for a million sample times than for three.
+them, and the integrand is evaluated no more often for a million sample times than for three.
 
 - `panel_edges`: where panels begin and end
 - `sign_changes`: kinks that must be edges too
@@ -23,7 +23,7 @@ from counterspin.arrays import Array
 from counterspin.physics.spindle import Spindle
 
 NODES: Final = 16  #: Gauss-Legendre nodes in a panel
-_CHUNK: Final = 65536  #: sample times evaluated at once, which bounds the memory
+_CHUNK_TIMES: Final = 65536  #: sample times evaluated at once, which bounds the memory
 
 # The highest harmonic of the smooth products is the third (a_I^3); ripple adds its own.
 # Sixteen nodes reach 1e-12 while a panel spans at most 3/4 of a period of the highest harmonic.
@@ -35,14 +35,14 @@ def _series_of_integral(times_integrated: int) -> Array:
     """Matrix from node values to the Chebyshev series of the integral, (NODES + 2, NODES)."""
     series = np.linalg.inv(chebyshev.chebvander(_X, NODES - 1))
     integral = chebyshev.chebint(series, m=times_integrated, lbnd=-1.0, axis=0)
-    found = np.zeros((NODES + 2, NODES))
-    found[: len(integral)] = integral
-    return found
+    padded = np.zeros((NODES + 2, NODES))
+    padded[: len(integral)] = integral
+    return padded
 
 
 _X, _WEIGHTS = legendre.leggauss(NODES)
-_ONCE: Final[Array] = _series_of_integral(1)
-_TWICE: Final[Array] = _series_of_integral(2)
+_SINGLE_INTEGRAL: Final[Array] = _series_of_integral(1)
+_DOUBLE_INTEGRAL: Final[Array] = _series_of_integral(2)
 #: From node values to the double integral over a whole panel, which is that of (1 - x) f.
 _WEIGHTS_TWICE: Final[Array] = _WEIGHTS * (1.0 - _X)
 
@@ -53,7 +53,7 @@ def panel_edges(spindle: Spindle, duration: float, breaks: Array | None = None) 
     Parameters
     ----------
     spindle
-        Gives the revolutions, and the highest ripple harmonic, which asks for more panels.
+        Gives the number of revolutions and the highest ripple harmonic, which needs more panels.
     duration
         End of the integration, s; positive.
     breaks
@@ -196,20 +196,20 @@ class Panels:
         )
         series = np.empty((len(singly) + len(doubly), half.size, NODES + 2))
         of_singly, of_doubly = series[: len(singly)], series[len(singly) :]
-        np.matmul(singly * half[:, None], _ONCE.T, out=of_singly)
+        np.matmul(singly * half[:, None], _SINGLE_INTEGRAL.T, out=of_singly)
         of_singly[..., 0] += _running_sum((singly @ _WEIGHTS) * half)
         # The slope at the panel's start goes on through it, as slope x half x (1 + x).
         gained = _running_sum((doubly @ _WEIGHTS) * half) * half
-        np.matmul(doubly * half[:, None] ** 2, _TWICE.T, out=of_doubly)
+        np.matmul(doubly * half[:, None] ** 2, _DOUBLE_INTEGRAL.T, out=of_doubly)
         start = _running_sum((doubly @ _WEIGHTS_TWICE) * half**2 + 2.0 * gained)
         of_doubly[..., 0] += start + gained
         of_doubly[..., 1] += gained
         result = np.empty((len(series), times.size))
-        for begin in range(0, times.size if len(series) else 0, _CHUNK):
-            t = times[begin : begin + _CHUNK]
+        for begin in range(0, times.size if len(series) else 0, _CHUNK_TIMES):
+            t = times[begin : begin + _CHUNK_TIMES]
             panel = np.clip(np.searchsorted(edges, t, side="right") - 1, 0, half.size - 1)
             x = (t - edges[panel]) / half[panel] - 1.0
-            result[:, begin : begin + _CHUNK] = _at(x, panel, series)
+            result[:, begin : begin + _CHUNK_TIMES] = _at(x, panel, series)
         return result
 
 
@@ -235,8 +235,8 @@ def _at(x: Array, panel: npt.NDArray[np.intp], series: Array) -> Array:
     needed = series.transpose(1, 0, 2)
     if occupied.size < needed.shape[0] or rows.max() > 1:
         needed = needed[np.repeat(occupied, rows)]
-    found: Array = (needed @ powers).transpose(1, 0, 2)
-    return found.reshape(series.shape[0], filled.size).take(slots, axis=1)
+    evaluated: Array = (needed @ powers).transpose(1, 0, 2)
+    return evaluated.reshape(series.shape[0], filled.size).take(slots, axis=1)
 
 
 def _running_sum(increments: Array) -> Array:

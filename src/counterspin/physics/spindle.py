@@ -245,12 +245,12 @@ def _angle_error(
     for n in harmonics:
         size = abs(n * part.rate)
         place = 3 + 2 * list(whole.harmonics).index(n)
-        found = whole.value[place : place + 2]
+        pair = whole.value[place : place + 2]
         if n in part.harmonics:
             taken = 3 + 2 * list(part.harmonics).index(n)
-            found = found - part.value[taken : taken + 2]
+            pair = pair - part.value[taken : taken + 2]
         rows.append(size * whole.factor[place : place + 2])
-        apart.append(size * found)
+        apart.append(size * pair)
     return AngleError(
         rate=part.rate,
         start=start,
@@ -308,7 +308,7 @@ def _fit(
     covariance = variance * inverse @ inverse.T
     value = solution.copy()
     value[1] = w0 * span
-    found = _Coefficients(w0, harmonics, value, math.sqrt(variance) * inverse)
+    coefficients = _Coefficients(w0, harmonics, value, math.sqrt(variance) * inverse)
     ripples, u_ripples = _ripples(w0, harmonics, solution[3:], covariance[3:, 3:])
     half_drift = float(solution[2]) / span**2
     # start_angle is theta(0); the model's own ripple vanishes at t = 0, so the cosines add here.
@@ -329,9 +329,9 @@ def _fit(
         rms=math.sqrt(variance),
         dof=dof,
         residuals=residuals / root_weight,
-        error=_angle_error(time, harmonics, found, found),
+        error=_angle_error(time, harmonics, coefficients, coefficients),
     )
-    return fit, found
+    return fit, coefficients
 
 
 def _waves(angle: Array, harmonics: Sequence[int], size: Array, rows: Array) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import model_of
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.resolved import Campaign, Run
+from counterspin.campaign.resolved import Campaign, Run, sample_count
 from counterspin.errors import CampaignError
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint import fit as joint
@@ -182,9 +182,8 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     assert run.duration is not None
     accelerometer = campaign.accelerometers[name]
     step = 1.0 / sampling_rate
-    samples = math.floor(run.duration * sampling_rate * (1.0 + 1e-12)) + 1
     block = block_size(step, run.rate)
-    whole = max(1, samples // block)
+    whole = max(1, sample_count(run.duration, sampling_rate) // block)
     time = np.asarray((np.arange(whole) * block + 0.5 * (block - 1)) * step, dtype=np.float64)
     jitter = float(_noise(campaign).get("timing", 0.0))
     slope = campaign.radius.value * abs(run.rate) ** (3 - ORDERS[accelerometer.observable])

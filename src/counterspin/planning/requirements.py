@@ -12,7 +12,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import unit_of
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.resolved import Campaign, sample_count
 from counterspin.inference.joint.fit import INPUTS, ROTATION, TIMING, Considered
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.planning.forecast import expected_values, forecast
@@ -100,7 +100,7 @@ def _angle_noise(campaign: Campaign, of_run: Array, sampling_rate: float) -> flo
     variance = 0.0
     for run, sensitivity in zip(campaign.runs, of_run, strict=True):
         duration = run.duration or 0.0
-        samples = math.floor(duration * sampling_rate) + 1
+        samples = sample_count(duration, sampling_rate)
         u = np.linspace(0.0, 1.0, samples)
         columns = np.column_stack([np.ones(samples), u, u**2])
         inverse = np.linalg.inv(np.linalg.qr(columns, mode="r"))

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.campaign.resolved import sample_count
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.series import Series
 from counterspin.inference.two_stage.first_stage import first_stage
@@ -69,7 +70,7 @@ class Instrumented:
 
     def times(self, run: int) -> Array:
         """Return the times of a run's samples, s."""
-        count = math.floor(self.durations[run] * self.sampling_rate * (1.0 + 1e-12)) + 1
+        count = sample_count(self.durations[run], self.sampling_rate)
         return np.arange(count) / self.sampling_rate
 
     def series(self, run: int, name: str, spindle: Spindle, error: Array | None = None) -> Series:
