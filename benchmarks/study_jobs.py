@@ -80,7 +80,7 @@ def plan_of(engine: StudyEngine) -> peers.Plan:
     (part,) = engine.parts
     two_stage = part.engine
     assert isinstance(two_stage, TwoStageEngine)
-    (analysis,) = two_stage.analyses
+    request = two_stage.request
     times, readings, effects = [], [], []
     draws = engine.truth.draw(stream(1, 0, 0), 1)
     for run, motion in enumerate(two_stage.motions):
@@ -98,10 +98,10 @@ def plan_of(engine: StudyEngine) -> peers.Plan:
     return peers.Plan(
         times=times,
         readings=readings,
-        sigma=float(analysis.sigma or 0.0),
+        sigma=float(request.sigma or 0.0),
         columns=np.array([[one[symbol] for one in effects] for symbol in ("K_II", "K_F")]),
-        known=np.array([(analysis.known["K_I"][0] - 1.0) * one["K_I"] for one in effects]),
-        prior=analysis.unknowns["K_F"],
+        known=np.array([(request.considered["K_I"][0] - 1.0) * one["K_I"] for one in effects]),
+        prior=request.unknowns["K_F"],
         truth=float(draws.values["Qx", "K_II"][0, 0]),
     )
 

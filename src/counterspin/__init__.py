@@ -33,7 +33,8 @@ The paper's two-stage method, step by step:
 
 - `strobe_angle`, `strobes_by_angle`, `strobes_by_nominal_rate`: one sample a revolution (Eq. 15)
 - `first_stage`: a parabola a run (Eq. 16-18, 31), a `Parabola`
-- `StrobedRun`, `second_stage`: K_II from all runs (Eq. 20-27, 33-34), a `SecondStage`
+- `StrobedRun`, `second_stage`: K_II from all runs (Eq. 20-27, 33-34), a `SecondStage`;
+  `TwoStageRequest`: its model, priors and weights
 
 What is raised on purpose is a `CounterspinError`: `CampaignError`, `RecordError`,
 `NotIdentifiableError`, `ConvergenceError`.
@@ -90,6 +91,7 @@ if TYPE_CHECKING:
     from counterspin.histories.result import History as History
     from counterspin.inference.two_stage.first_stage import Parabola as Parabola
     from counterspin.inference.two_stage.first_stage import first_stage as first_stage
+    from counterspin.inference.two_stage.request import TwoStageRequest as TwoStageRequest
     from counterspin.inference.two_stage.second_stage import SecondStage as SecondStage
     from counterspin.inference.two_stage.second_stage import StrobedRun as StrobedRun
     from counterspin.inference.two_stage.second_stage import second_stage as second_stage
@@ -146,6 +148,7 @@ _OFFERED = {
     ),
     "inference.two_stage.first_stage": ("Parabola", "first_stage"),
     "inference.two_stage.strobes": ("by_angle", "by_nominal_rate", "strobe_angle"),
+    "inference.two_stage.request": ("TwoStageRequest",),
     "inference.two_stage.second_stage": ("SecondStage", "StrobedRun", "second_stage"),
     "physics.accelerometer": (
         "PLATFORM_TERMS",

@@ -3,13 +3,13 @@
 import json
 import os
 import signal
-import warnings
 from dataclasses import replace
 from importlib.resources import files
 
 import numpy as np
 import polars as pl
 import pytest
+from clusters import dask_cluster
 from scipy import stats
 
 from counterspin import workers as crew
@@ -108,7 +108,7 @@ def test_surrogate_is_exact_quadrature_trial_by_trial(tmp_path):
     truth, made = engines(folder, "surrogate", "exact")
     draws = truth.draw(stream(3, 0, 0), 300)
     for fast, slow in zip(*made, strict=True):
-        (a,), (b,) = (one.trials(draws, stream(3, 0, 1)) for one in (fast, slow))
+        a, b = (one.trials(draws, stream(3, 0, 1)) for one in (fast, slow))
         assert np.abs((a.estimate - b.estimate) / b.u).max() < 1e-5
         assert np.abs(a.u / b.u - 1.0).max() < 1e-7
 
@@ -125,7 +125,7 @@ def test_outside_its_box_a_surrogate_hands_over_to_quadrature(tmp_path):
         .all()
     )
     for fast, slow in zip(*made, strict=True):
-        (a,), (b,) = (one.trials(draws, stream(3, 0, 1)) for one in (fast, slow))
+        a, b = (one.trials(draws, stream(3, 0, 1)) for one in (fast, slow))
         assert np.abs((a.estimate - b.estimate) / b.u).max() < 1e-5
 
 
@@ -140,7 +140,6 @@ def test_sufficient_statistics_are_distributed_as_whole_records(tmp_path):
     few, many = truth.draw(stream(3, 0, 0), n), truth.draw(stream(4, 0, 0), 20 * n)
     for fast, slow in zip(*made, strict=True):
         a, b = fast.trials(many, stream(4, 0, 1)), slow.trials(few, stream(3, 0, 1))
-        a = a[0] if isinstance(a, tuple) else a
         for row in range(b.estimate.shape[0]):
             # Each is one in a thousand, and there are a dozen.
             assert stats.ks_2samp(a.estimate[row], b.estimate[row]).pvalue > 1e-3
@@ -169,6 +168,23 @@ def test_shortcut_refuses_outside_its_validity(tmp_path, change, reason):
     with pytest.raises(NotIdentifiableError, match=reason):
         choose_engine(world, truth, two_stage, "surrogate")
     assert choose_engine(world, truth, two_stage, "auto").kind == "full"
+
+
+@pytest.mark.parametrize("engine", ["auto", "full"])
+def test_uncertain_gravity_and_radius_are_in_u_as_calibrate_has_them(tmp_path, engine):
+    analysis = '[study.analyses.exact]\nmethod = "two-stage"\n'
+    unsure = SHORT.replace('"9.8 m/s^2"', '"9.8 ± 4.9e-3 m/s^2"')
+    unsure = unsure.replace('"2.5 m"', '"2.5 ± 2.5e-3 m"')
+    said = []
+    for name, text in (("sure", SHORT), ("unsure", unsure)):
+        truth, ((made,),) = engines(write(tmp_path / name, text + analysis), engine)
+        said.append(made.trials(truth.draw(stream(3, 0, 0), 1), stream(3, 0, 1)))
+    without, found = said
+    assert np.array_equal(found.estimate, without.estimate)
+    # b2 is K_II R^2 w^4/(4 g) + K_F g/2, with 1e-3 of R and 5e-4 of g.
+    k_ii, k_f = np.abs(found.estimate[:, 0])
+    expected = [np.hypot(2e-3, 5e-4) * k_ii, 5e-4 * k_f]
+    assert np.sqrt(found.u**2 - without.u**2)[:, 0] == pytest.approx(expected, rel=1e-6)
 
 
 def test_noise_levels_vary(tmp_path):
@@ -247,14 +263,7 @@ def test_a_trial_does_not_depend_on_how_many_there_are(varying, tmp_path):
 
 
 def test_dask_s_workers_give_the_same(varying):
-    distributed = pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
-    with (
-        warnings.catch_warnings(),
-        distributed.LocalCluster(
-            n_workers=2, threads_per_worker=1, dashboard_address=None, processes=True
-        ) as cluster,
-    ):
-        warnings.simplefilter("ignore")
+    with dask_cluster() as cluster:
         result = study(varying, trials=50_000, cluster=cluster.scheduler_address)
     assert figures(result) == figures(study(varying, trials=50_000))
 

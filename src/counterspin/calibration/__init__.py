@@ -7,7 +7,8 @@
 - `joint_problem`, `joint`: the joint fit's unknowns, priors and noise; its outcome
 - `joint_parts`, `joint_checks`, `joint_traces`: its values and budgets; its checks; its residuals,
   thinned for pictures
-- `two_stage`, `two_stage_findings`: the paper's method; what its result must say beside
+- `two_stage_request`, `two_stage`, `two_stage_findings`: what is asked of the paper's method; its
+  outcome; what its result must say beside
 - `conformity`: whether coefficients meet their specifications
 - `result`, `result_parts`: what a calibration found, its JSON; what it is made of
 - `verdict`: whether a result is good

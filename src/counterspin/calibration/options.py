@@ -33,7 +33,7 @@ class TwoStageOptions:
         Whether sigma is taken from the residuals even where the campaign states it.
     """
 
-    model: str = "exact"
+    model: Literal["exact", "as-printed"] = "exact"
     weighted: bool = True
     ripple: RippleModel = "amplitude"
     fit_bias: bool = True

@@ -9,8 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
-from typing import Final
 
 import numpy as np
 
@@ -32,21 +30,13 @@ from counterspin.calibration.two_stage_findings import (
     unmodelled,
     warnings,
 )
-from counterspin.campaign.quantity import Quantity
+from counterspin.calibration.two_stage_request import request_of
 from counterspin.campaign.resolved import Accelerometer, Campaign
-from counterspin.errors import NotIdentifiableError
 from counterspin.inference.two_stage import strobes as strobing
 from counterspin.inference.two_stage.first_stage import Parabola, first_stage
-from counterspin.inference.two_stage.second_stage import (
-    DRIFT,
-    RIPPLE,
-    SecondStage,
-    StrobedRun,
-    second_stage,
-)
+from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
+from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
 from counterspin.physics.accelerometer import TERMS, term
-
-_NOTHING: Final = (0.0, math.inf)  #: known of a term beforehand
 
 
 @dataclass(frozen=True)
@@ -88,18 +78,18 @@ def two_stage(
     RecordError
         If a run has too few strobes.
     """
-    runs, second = _both_stages(
-        campaign, observed, accelerometer, options, unmodelled(campaign, accelerometer)
-    )
-    found = _unknowns(campaign, second, options)
-    coefficients = _coefficients(campaign, accelerometer, second, found)
-    _, walk = _noise(campaign, options)
+    request = request_of(campaign, accelerometer, options)
+    ignored = unmodelled(campaign, accelerometer)
+    runs, second = _both_stages(observed, accelerometer, request, ignored)
+    unknowns = _unknowns(campaign, second, request)
+    coefficients = _coefficients(campaign, accelerometer, second, unknowns)
+    walk = request.random_walk
     parabolas = [run.parabola for run in runs]
     result = AccelerometerResult(
         coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
         second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
         correlation=_correlation(second, coefficients),
-        confounded=confounded(second, found),
+        confounded=confounded(second, unknowns),
         residual=_residual(parabolas, walk),
         noise=_noise_lines(parabolas, walk),
         left_out=left_out(second) if options.model == "exact" else {},
@@ -112,45 +102,21 @@ def two_stage(
 
 
 def _both_stages(
-    campaign: Campaign,
     observed: Sequence[ObservedRun],
     accelerometer: Accelerometer,
-    options: TwoStageOptions,
+    request: TwoStageRequest,
     ignored: Sequence[str],
 ) -> tuple[tuple[StrobedRun, ...], SecondStage]:
     """Strobe the runs of one accelerometer, fit parabolas and resolve them.
 
     `ignored` are terms of which nothing is known and whose effects are wanted.
     """
-    if accelerometer.observable != "displacement":
-        raise NotIdentifiableError(
-            f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
-            f"is of {accelerometer.observable.replace('_', ' ')}; use --method joint"
-        )
-    sigma, walk = _noise(campaign, options)
-    runs = tuple(_strobed(run, accelerometer, sigma, walk) for run in observed)
-    priors = _priors(campaign, accelerometer)
-    scale_factor = priors.pop("K_I", (TERMS["K_I"].nominal, 0.0))
-    bias = priors.pop("K_F", _NOTHING)
-    resolve = partial(
-        second_stage,
-        mounting=accelerometer.mounting,
-        model=options.model,
-        scale_factor=scale_factor,
-        bias=bias,
-        second_order=priors.pop("K_II", _NOTHING),
-        fit_bias=options.fit_bias,
-        nominal_angle=campaign.angle is None,
-        ripple=options.ripple,
-        considered=priors,
-        ignored=ignored,
-        weighted=options.weighted,
-    )
-    second = resolve(runs)
+    runs = tuple(_strobed(run, accelerometer, request) for run in observed)
+    second = second_stage(runs, accelerometer.mounting, request, ignored=ignored)
     if DRIFT in second.symbols:
         # K_II grows with the rate's fourth power, and so along a drift that is now known.
         runs = tuple(_drifting(run, second.estimate(DRIFT)[0]) for run in runs)
-        second = resolve(runs)
+        second = second_stage(runs, accelerometer.mounting, request, ignored=ignored)
     return runs, second
 
 
@@ -168,10 +134,11 @@ def k_ii(
         As `two_stage`.
     """
     # Whether K_II is alone depends on what was asked for beside it, and on nothing else.
-    others = asked_only(campaign, accelerometer)
-    _, second = _both_stages(campaign, observed, accelerometer, options, others)
-    found = _unknowns(campaign, second, options)
-    return _coefficients(campaign, accelerometer, second, found)["K_II"], second
+    request = request_of(campaign, accelerometer, options)
+    ignored = asked_only(campaign, accelerometer)
+    _, second = _both_stages(observed, accelerometer, request, ignored)
+    unknowns = _unknowns(campaign, second, request)
+    return _coefficients(campaign, accelerometer, second, unknowns)["K_II"], second
 
 
 def _drifting(run: StrobedRun, drift: float) -> StrobedRun:
@@ -179,51 +146,27 @@ def _drifting(run: StrobedRun, drift: float) -> StrobedRun:
     return replace(run, trajectory=replace(run.trajectory, spindle=spindle))
 
 
-def _noise(campaign: Campaign, options: TwoStageOptions) -> tuple[float | None, float]:
-    """Return the displacement noise of a sample (None: from residuals) and the random walk."""
-    noise = campaign.noise
-    if noise is None or options.from_residuals:
-        return None, 0.0
-    walk = noise.acceleration if isinstance(noise.acceleration, float) else 0.0
-    step = noise.quantisation if isinstance(noise.quantisation, float) else 0.0
-    if not isinstance(noise.displacement, float):
-        return None, walk
-    sigma = math.hypot(noise.displacement, step / math.sqrt(12.0))
-    return sigma or None, walk
-
-
 def _strobed(
-    run: ObservedRun, accelerometer: Accelerometer, sigma: float | None, walk: float
+    run: ObservedRun, accelerometer: Accelerometer, request: TwoStageRequest
 ) -> StrobedRun:
     error = run.signals[accelerometer.name].error
     turned = accelerometer.mounting.turned(run.run.attitude)
     phase = strobing.strobe_angle(turned.input_axis)
     time, count = run.record.time, run.record.count
     if run.rotation is None:
-        found = strobing.by_nominal_rate(time, run.run.rate, error, phase, count)
+        strobes = strobing.by_nominal_rate(time, run.run.rate, error, phase, count)
     else:
         angle = run.trajectory.spindle.angle(time)
-        found = strobing.by_angle(time, angle, error, phase, count)
-    parabola = first_stage(found, sigma, walk)
+        strobes = strobing.by_angle(time, angle, error, phase, count)
+    parabola = first_stage(strobes, request.sigma, request.random_walk)
     return StrobedRun(run.run.name, run.trajectory, parabola, run.run.attitude)
 
 
-def _asked(campaign: Campaign) -> tuple[str, ...]:
-    return (*campaign.model.terms, *campaign.model.considered)
-
-
-def _priors(campaign: Campaign, accelerometer: Accelerometer) -> dict[str, tuple[float, float]]:
-    """Return what is known beforehand, the platform's terms of the model included."""
-    known: dict[str, Quantity] = dict(accelerometer.priors)
-    known |= {s: q for s, q in campaign.model.priors.items() if s in _asked(campaign)}
-    return {symbol: (q.value, q.u) for symbol, q in known.items()}
-
-
 def _unknowns(
-    campaign: Campaign, second: SecondStage, options: TwoStageOptions
+    campaign: Campaign, second: SecondStage, request: TwoStageRequest
 ) -> dict[str, Coefficient]:
     """Return the estimates of the second stage, determined or not."""
-    found = {}
+    estimates = {}
     solution = second.solution
     for index, symbol in enumerate(second.symbols):
         value = float(solution.estimate[index])
@@ -235,14 +178,14 @@ def _unknowns(
                 solution.covariance_considered,
             )
         )
-        considered = math.hypot(considered, *_from_inputs(campaign, symbol, value))
+        considered = math.hypot(considered, *request.from_inputs(symbol, value))
         u = math.hypot(noise, prior, considered)
         # What does not come from the residuals has no degrees of freedom to lose (GUM G.4.1).
         dof = float(second.dof[index]) * (u / noise) ** 4 if noise > 0.0 else math.inf
         limit = campaign.model.limits.get(symbol, math.inf)
         known = float(solution.prior_sd[index])
-        ratio = symbol == RIPPLE and options.ripple == "ratio"
-        found[symbol] = Coefficient(
+        ratio = symbol == RIPPLE and request.ripple == "ratio"
+        estimates[symbol] = Coefficient(
             value=value,
             u=u,
             u_noise=noise,
@@ -252,7 +195,7 @@ def _unknowns(
             unit="1" if ratio else _unit(symbol),
             estimated=u < limit and not (math.isfinite(known) and u * u > 0.9 * known**2),
         )
-    return found
+    return estimates
 
 
 def _coefficients(
@@ -262,15 +205,17 @@ def _coefficients(
     unknowns: Mapping[str, Coefficient],
 ) -> dict[str, Coefficient]:
     """Return what is determined, then the other terms of the model with what is known of them."""
-    found = {}
+    coefficients = {}
     for symbol, estimate in unknowns.items():
         # Asked to tell it from a term that acts exactly alike, the records say nothing.
         alone = not set(second.alike(symbol)) & set(campaign.model.terms)
-        found[symbol] = estimate if estimate.estimated and alone else _known(accelerometer, symbol)
+        coefficients[symbol] = (
+            estimate if estimate.estimated and alone else _known(accelerometer, symbol)
+        )
     for symbol in campaign.model.terms:
-        if symbol in TERMS and symbol not in found:
-            found[symbol] = _known(accelerometer, symbol)
-    return found
+        if symbol in TERMS and symbol not in coefficients:
+            coefficients[symbol] = _known(accelerometer, symbol)
+    return coefficients
 
 
 def _known(accelerometer: Accelerometer, symbol: str) -> Coefficient:
@@ -287,18 +232,6 @@ def _known(accelerometer: Accelerometer, symbol: str) -> Coefficient:
 def _unit(symbol: str) -> str:
     units = {DRIFT: "1/s", RIPPLE: "rad/s"}
     return units.get(symbol) or term(symbol).unit
-
-
-def _from_inputs(campaign: Campaign, symbol: str, value: float) -> tuple[float, float]:
-    """Return what uncertain radius and gravity add: a b2 of R^n g^(1-n) per unit coefficient."""
-    if symbol not in TERMS:
-        return (0.0, 0.0)
-    degree = len(TERMS[symbol].factors)
-    radius, gravity = campaign.radius, campaign.gravity
-    return (
-        degree * value * radius.u / radius.value,
-        (degree - 1) * value * gravity.u / gravity.value,
-    )
 
 
 def _correlation(

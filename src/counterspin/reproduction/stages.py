@@ -16,12 +16,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.inference import plain_fit
-from counterspin.inference.two_stage.second_stage import (
-    RIPPLE,
-    SecondStage,
-    StrobedRun,
-    second_stage,
-)
+from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
+from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
 from counterspin.physics import as_printed
 from counterspin.physics.accelerometer import QX
 from counterspin.physics.motion import Site
@@ -43,7 +39,6 @@ from counterspin.reproduction.result import Row
 
 KNOWN_SCALE_FACTOR: Final = (TABLE_1["K_I"], 0.0)  #: value, standard uncertainty
 KNOWN_BIAS: Final = (TABLE_1["K_F"], 0.0)
-UNKNOWN_BIAS: Final = (0.0, math.inf)
 
 
 def first_stage_spread() -> tuple[Row, ...]:
@@ -252,29 +247,22 @@ def _printed_second_stage(
     weighted: bool = False,
 ) -> SecondStage:
     """Return Eq. 23-27 and 33-34 as printed: K_F and K_I known, unweighted unless asked."""
-    return second_stage(
-        runs,
-        QX,
-        model="as-printed",
-        scale_factor=KNOWN_SCALE_FACTOR,
-        bias=KNOWN_BIAS,
+    request = TwoStageRequest(
+        "as-printed",
+        {"K_I": KNOWN_SCALE_FACTOR, "K_F": KNOWN_BIAS},
         ripple=ripple,
         weighted=weighted,
     )
+    return second_stage(runs, QX, request)
 
 
 def _exact_second_stage(
     runs: Sequence[StrobedRun], *, fit_bias: bool = True, nominal_angle: bool = False
 ) -> SecondStage:
     """Return the exact second stage; K_F is estimated without a prior, or known perfectly."""
-    return second_stage(
-        runs,
-        QX,
-        scale_factor=KNOWN_SCALE_FACTOR,
-        bias=UNKNOWN_BIAS if fit_bias else KNOWN_BIAS,
-        fit_bias=fit_bias,
-        nominal_angle=nominal_angle,
-    )
+    priors = {"K_I": KNOWN_SCALE_FACTOR} | ({} if fit_bias else {"K_F": KNOWN_BIAS})
+    request = TwoStageRequest(priors=priors, fit_bias=fit_bias, nominal_angle=nominal_angle)
+    return second_stage(runs, QX, request)
 
 
 def _with_gravity(runs: Sequence[StrobedRun], gravity: float) -> list[StrobedRun]:

@@ -19,7 +19,7 @@ from counterspin.inference.identifiability import assess
 from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import NoiseModel
-from counterspin.inference.two_stage.second_stage import RIPPLE
+from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
 from counterspin.physics.accelerometer import TERMS, term
 from counterspin.studies.draws import (
     DRIFT,
@@ -35,7 +35,7 @@ from counterspin.studies.full import FullEngine, Instrumented
 from counterspin.studies.joint import JointAnalysis, JointEngine, scale_factors
 from counterspin.studies.surrogate import Surrogate, box_of
 from counterspin.studies.tally import Driver, Tally
-from counterspin.studies.two_stage import TwoStage, TwoStageEngine
+from counterspin.studies.two_stage import TwoStageEngine
 from counterspin.studies.validity import against_joint, against_strobes
 
 EngineName = Literal["auto", "surrogate", "exact", "full"]
@@ -60,7 +60,7 @@ class Analysis:
 
     name: str
     owner: str
-    what: TwoStage | JointAnalysis
+    what: TwoStageRequest | JointAnalysis
 
 
 def drivers_of(truth: StudyTruth) -> tuple[Driver, ...]:
@@ -132,7 +132,7 @@ def _strobed(
     world: Instrumented, truth: StudyTruth, analysis: Analysis, engine: EngineName
 ) -> EnginePart:
     what = analysis.what
-    assert isinstance(what, TwoStage)
+    assert isinstance(what, TwoStageRequest)
     motions = tuple(world.strobed(run, analysis.owner) for run in range(len(world.runs)))
     true = tuple(
         (owner, symbol)
@@ -141,7 +141,7 @@ def _strobed(
         for symbol in symbols
     )
     symbols = [symbol for _, symbol in true]
-    symbols += [s for s in (*what.unknowns, *what.known) if s != RIPPLE]
+    symbols += [s for s in (*what.unknowns, *what.considered) if s != RIPPLE]
     symbols = list(dict.fromkeys(symbols))
     surrogates: tuple[Surrogate, ...] | None = None
     kind, words = "exact", "sufficient statistics, exact quadrature"
@@ -181,7 +181,7 @@ def _strobed(
                 kind = "exact" if outside > 0.05 else kind
                 words += f", exact quadrature for the {100.0 * outside:.2g} % outside its box"
     made = TwoStageEngine(
-        analysis.owner, motions, tuple(symbols), true, (what,), surrogates, world.radius
+        what, analysis.owner, motions, tuple(symbols), true, surrogates, world.radius
     )
     rows = [i for i, symbol in enumerate(what.unknowns) if symbol != RIPPLE]
     return EnginePart(
@@ -215,7 +215,7 @@ def _strobed_full(
     world: Instrumented, truth: StudyTruth, analysis: Analysis, words: str
 ) -> EnginePart:
     what = analysis.what
-    assert isinstance(what, TwoStage)
+    assert isinstance(what, TwoStageRequest)
     rows = [i for i, symbol in enumerate(what.unknowns) if symbol != RIPPLE]
     made = FullEngine(world, what, analysis.owner)
     return EnginePart(
@@ -232,7 +232,7 @@ def _reported_strobes(
     world: Instrumented, truth: StudyTruth, analysis: Analysis
 ) -> tuple[Reported, ...]:
     what = analysis.what
-    assert isinstance(what, TwoStage)
+    assert isinstance(what, TwoStageRequest)
     unknowns = tuple(
         joint.Unknown(analysis.owner, symbol, prior, term(symbol).limit)
         for symbol, prior in what.unknowns.items()

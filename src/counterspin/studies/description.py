@@ -20,6 +20,7 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field
 
+from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import resolve_campaign
@@ -82,19 +83,14 @@ class AnalysisDescription:
     ----------
     name
         As the study calls it.
-    method, model, weighted, ripple, fit_bias, sigma
-        As the options of `counterspin calibrate`.
+    two_stage
+        How the two-stage method is applied; None: the joint fit.
     campaign
         The campaign with the terms that this analysis estimates and considers.
     """
 
     name: str
-    method: Literal["two-stage", "joint"]
-    model: Literal["exact", "as-printed"]
-    weighted: bool
-    ripple: Literal["amplitude", "ratio"]
-    fit_bias: bool
-    sigma: Literal["given", "residuals"]
+    two_stage: TwoStageOptions | None
     campaign: Campaign
 
 
@@ -320,8 +316,16 @@ def _analysis(
     campaign = _campaign(_with_terms(document, settings), file, problems, (".".join(path),))
     if campaign is None or len(problems.lines) > before:
         return None
-    chosen = settings.model_dump(exclude={"terms", "considered"})
-    return AnalysisDescription(name=name, campaign=campaign, **chosen)
+    if settings.method == "joint":
+        return AnalysisDescription(name, None, campaign)
+    options = TwoStageOptions(
+        model=settings.model,
+        weighted=settings.weighted,
+        ripple=settings.ripple,
+        fit_bias=settings.fit_bias,
+        from_residuals=settings.sigma == "residuals",
+    )
+    return AnalysisDescription(name, options, campaign)
 
 
 def _with_terms(document: Mapping[str, Any], settings: AnalysisSettings) -> dict[str, Any]:

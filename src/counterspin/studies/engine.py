@@ -145,12 +145,9 @@ class StudyEngine:
         sums, values = [], []
         for part in self.parts:
             noise = stream(self.seed, number, NOISE_STREAM + part.noise)
-            # An engine that is one by one slow does no trial that does not count.
+            # Whole records are slow: no more trials of them than count.
             few = draws.part(0, trials) if part.kind == "full" else draws
-            if isinstance(part.engine, TwoStageEngine):
-                (found,) = part.engine.trials(few, noise)
-            else:
-                found = part.engine.trials(few, noise)
+            found = part.engine.trials(few, noise)
             for row, one in zip(part.rows, part.reported, strict=True):
                 truth = _truth(draws, one)[:trials]
                 estimate = found.estimate[row, :trials]

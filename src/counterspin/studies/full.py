@@ -20,16 +20,17 @@ from counterspin.campaign.resolved import sample_count
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.series import Series
 from counterspin.inference.two_stage.first_stage import first_stage
-from counterspin.inference.two_stage.second_stage import RIPPLE, StrobedRun, second_stage
+from counterspin.inference.two_stage.request import TwoStageRequest
+from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage
 from counterspin.inference.two_stage.strobes import Strobes, strobe_angle
 from counterspin.physics import simulation
-from counterspin.physics.accelerometer import TERMS, Mounting, term
+from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle, fit_spindle
 from counterspin.studies.draws import OTHER_NOISE, Draws
 from counterspin.studies.joint import JointAnalysis
 from counterspin.studies.strobes import StrobedMotion
-from counterspin.studies.two_stage import Trials, TwoStage
+from counterspin.studies.two_stage import Trials
 
 
 @dataclass(frozen=True)
@@ -118,7 +119,7 @@ class FullEngine:
     """
 
     world: Instrumented
-    analysis: TwoStage | JointAnalysis
+    analysis: TwoStageRequest | JointAnalysis
     owner: str = ""
     rows: tuple[int, ...] = ()
 
@@ -172,7 +173,7 @@ class FullEngine:
         self, draws: Draws, generator: np.random.Generator
     ) -> tuple[Sequence[float], Sequence[float], Sequence[float]]:
         analysis, world, name = self.analysis, self.world, self.owner
-        assert isinstance(analysis, TwoStage)
+        assert isinstance(analysis, TwoStageRequest)
         runs = []
         for run in range(len(world.runs)):
             spindle = draws.spindle(world.spindles[run], run)
@@ -183,35 +184,14 @@ class FullEngine:
             assumed = Trajectory(identified, world.radius, world.site)
             error = signal - assumed.position(times) @ strobed.mounting.input_axis
             readings = Strobes(times, error, np.ones_like(times), 0)
-            parabola = first_stage(readings, analysis.sigma, analysis.walk)
+            parabola = first_stage(readings, analysis.sigma, analysis.random_walk)
             runs.append(StrobedRun(world.runs[run], assumed, parabola, world.attitudes[run]))
-        nothing = (0.0, math.inf)
-        known = dict(analysis.known)
-        known.pop("K_I", None)
-        fitted = analysis.unknowns.get("K_F")
-        second = second_stage(
-            runs,
-            world.mountings[name],
-            model=analysis.model,
-            scale_factor=analysis.known["K_I"],
-            bias=fitted or known.pop("K_F", nothing),
-            second_order=analysis.unknowns["K_II"],
-            fit_bias=fitted is not None,
-            ripple=analysis.ripple,
-            considered=known,
-            ignored=(),
-            weighted=analysis.weighted,
-        )
+        second = second_stage(runs, world.mountings[name], analysis, ignored=())
         values, us, dofs = [], [], []
         for symbol in analysis.unknowns:
             index = second.symbols.index(symbol)
             value = float(second.solution.estimate[index])
-            degree = 0 if symbol == RIPPLE else len(getattr(term(symbol), "factors", ()))
-            inputs = (
-                degree * value * analysis.u_radius,
-                (degree - 1) * value * analysis.u_gravity if degree else 0.0,
-            )
-            u = math.hypot(float(second.solution.u[index]), *inputs)
+            u = math.hypot(float(second.solution.u[index]), *analysis.from_inputs(symbol, value))
             noise = math.sqrt(float(second.solution.covariance_noise[index, index]))
             values.append(value)
             us.append(u)

@@ -5,65 +5,26 @@ the errors add to it, and by the sum of squared residuals, a chi-square. Neither
 themselves. The second stage then is a small least-squares problem, solved for all trials of a
 batch at once. One reading is taken at each strobe, as the paper's plan has it.
 
-- `TwoStage`: what the analysis believes
-- `TwoStageEngine`: the trials
+- `Trials`: what an analysis says in many trials
+- `TwoStageEngine`: the trials of one analysis
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.inference.least_squares import REGULARISATION
-from counterspin.inference.two_stage.second_stage import RIPPLE
+from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest, credible_limit
 from counterspin.physics import as_printed
 from counterspin.physics.accelerometer import PlatformTerm, term
 from counterspin.studies.draws import Draws
 from counterspin.studies.strobes import StrobedMotion, effects
 from counterspin.studies.surrogate import Surrogate
-
-#: Largest credible size of the printed ripple column's unknown.
-_RIPPLE_LIMIT: Final = 1e-2
-
-
-@dataclass(frozen=True)
-class TwoStage:
-    """A two-stage analysis: what it estimates, and what it takes as known.
-
-    Attributes
-    ----------
-    model
-        ``exact`` or ``as-printed``.
-    weighted, ripple
-        As for `counterspin.inference.two_stage.second_stage.second_stage`.
-    unknowns
-        Symbol -> (prior value, standard uncertainty); infinite: nothing known.
-    known
-        Symbol -> (value, standard uncertainty) of what is considered, K_I included.
-    scale_factor
-        K_I that the analysis assumes.
-    sigma, walk
-        The noise of a strobe that it assumes, m (None: from the residuals), and that of the
-        accelerometer, m/s^2/Hz^0.5.
-    u_radius, u_gravity
-        Relative standard uncertainties of radius and gravity.
-    """
-
-    model: Literal["exact", "as-printed"]
-    weighted: bool
-    ripple: as_printed.RippleModel
-    unknowns: Mapping[str, tuple[float, float]]
-    known: Mapping[str, tuple[float, float]]
-    scale_factor: float
-    sigma: float | None
-    walk: float
-    u_radius: float
-    u_gravity: float
 
 
 @dataclass(frozen=True)
@@ -85,36 +46,36 @@ class Trials:
 
 @dataclass(frozen=True)
 class TwoStageEngine:
-    """Trials of one accelerometer's two-stage analyses.
+    """Trials of one accelerometer's two-stage analysis.
 
     Attributes
     ----------
+    request
+        What the analysis estimates and takes as known.
     owner
         The accelerometer.
     motions
         The runs.
     symbols
-        The terms whose effects are computed: what is true, and what the analyses know of.
+        The terms whose effects are computed: what is true, and what the analysis knows of.
     true
         Those that are true: (owner, symbol).
-    analyses
-        All see the same readings.
     surrogates
         Of each run; None: quadrature for every trial.
     radius
-        As the analyses assume it, m.
+        As the analysis assumes it, m.
     """
 
+    request: TwoStageRequest
     owner: str
     motions: tuple[StrobedMotion, ...]
     symbols: tuple[str, ...]
     true: tuple[tuple[str, str], ...]
-    analyses: tuple[TwoStage, ...]
     surrogates: tuple[Surrogate, ...] | None
     radius: float
 
-    def trials(self, draws: Draws, generator: np.random.Generator) -> tuple[Trials, ...]:
-        """Return what each analysis says.
+    def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
+        """Return what the analysis says.
 
         Parameters
         ----------
@@ -131,12 +92,16 @@ class TwoStageEngine:
         b2 *= draws.white / sizes
         b2 += _stacked([self._shift(draws, run, true) for run, (true, _, _) in enumerate(seen)], 0)
         variance = np.ones((1, 1))
-        if any(one.sigma is None for one in self.analyses):
-            # The residuals of each run in one number; dof of them.
-            dof = [motion.angles.size - 3.0 for motion in self.motions]
-            variance = np.stack([generator.standard_gamma(0.5 * one, n) for one in dof])
-            variance *= 2.0 * draws.white**2 / np.array(dof)[:, None]
-        return tuple(self._analyse(one, b2, assumed, sizes, variance) for one in self.analyses)
+        if self.request.sigma is None:
+            # The residuals of each run in one number.
+            dof = self._residual_dof
+            variance = np.stack([generator.standard_gamma(0.5 * freedom, n) for freedom in dof])
+            variance *= 2.0 * draws.white**2 / dof[:, None]
+        return self._analyse(b2, assumed, sizes, variance)
+
+    @property
+    def _residual_dof(self) -> Array:
+        return np.array([motion.angles.size - 3.0 for motion in self.motions])
 
     def _effects(self, draws: Draws, run: int) -> tuple[Array, Array, Array]:
         """Return the run's effects at the true and at the assumed radius, and sigma/u(b2)."""
@@ -183,45 +148,45 @@ class TwoStageEngine:
             total = total + size * effect[self.symbols.index(symbol)]
         return total
 
-    def _analyse(
-        self, analysis: TwoStage, b2: Array, assumed: Array, sizes: Array, variance: Array
-    ) -> Trials:
-        """Apply the second stage of one analysis to all trials.
+    def _analyse(self, b2: Array, assumed: Array, sizes: Array, variance: Array) -> Trials:
+        """Apply the second stage to all trials.
 
         With columns x_r, weights w_r and a prior P the inverse information is
         C = (sum_r w_r x_r x_r' + P)^-1, and the gain, d(estimate)/d(b2), is C x_r w_r.
         """
-        sampled = analysis.sigma is None
-        noise = (variance if analysis.sigma is None else analysis.sigma**2) / sizes**2
-        weight = 1.0 / (noise if analysis.weighted else np.mean(noise, axis=0, keepdims=True))
-        design = np.stack([self._column(analysis, s, assumed) for s in analysis.unknowns])
-        fixed = {s: self._column(analysis, s, assumed) for s in analysis.known}
-        mean = np.array([m for m, _ in analysis.unknowns.values()])
-        sd = np.array([s for _, s in analysis.unknowns.values()])
-        limits = [_limit(symbol) for symbol in analysis.unknowns]
+        request, unknowns, considered = self.request, self.request.unknowns, self.request.considered
+        noise = (variance if request.sigma is None else request.sigma**2) / sizes**2
+        weight = 1.0 / (noise if request.weighted else np.mean(noise, axis=0, keepdims=True))
+        design = np.stack([self._column(symbol, assumed) for symbol in unknowns])
+        fixed = {symbol: self._column(symbol, assumed) for symbol in considered}
+        mean = np.array([m for m, _ in unknowns.values()])
+        sd = np.array([s for _, s in unknowns.values()])
+        limits = [credible_limit(symbol) for symbol in unknowns]
         held = np.where(np.isinf(sd), REGULARISATION * np.array(limits), sd)
         inverse = _inverse(_information(design, weight, held))
         gain = sum(inverse[:, q, None] * design[q] for q in range(len(mean))) * weight
         explained = np.einsum("p,prn->rn", mean, design)
-        for symbol, (value, _) in analysis.known.items():
+        for symbol, (value, _) in considered.items():
             explained = explained + (value - term(symbol).nominal) * fixed[symbol]
         estimate = _over_runs(gain, b2 - explained)
         estimate += mean[:, None]
         parts = gain**2 * noise
         scatter = np.sum(parts, axis=1)
         total = scatter + np.einsum("pqn,q->pn", inverse**2, 1.0 / held**2)
-        for symbol, (_, spread) in analysis.known.items():
+        for symbol, (_, spread) in considered.items():
             if spread == 0.0:
                 continue
             if term(symbol).per_run:
                 total = total + spread**2 * np.sum((gain * fixed[symbol]) ** 2, axis=1)
             else:
                 total = total + (spread * _over_runs(gain, fixed[symbol])) ** 2
-        total = total + self._inputs(analysis, estimate)
+        inputs = np.array([math.hypot(*request.from_inputs(symbol, 1.0)) for symbol in unknowns])
+        if inputs.any():
+            total = total + (inputs[:, None] * estimate) ** 2
         dof = np.full((1, 1), math.inf)
-        if sampled:
-            counts = np.array([motion.angles.size - 3.0 for motion in self.motions])
-            dof = total**2 / _over_runs(parts**2, 1.0 / counts[:, None])  # Satterthwaite
+        if request.sigma is None:
+            # Welch and Satterthwaite.
+            dof = total**2 / _over_runs(parts**2, 1.0 / self._residual_dof[:, None])
         u = np.sqrt(total)
         return Trials(
             estimate,
@@ -229,38 +194,21 @@ class TwoStageEngine:
             np.broadcast_to(dof, estimate.shape),
         )
 
-    def _column(self, analysis: TwoStage, symbol: str, assumed: Array) -> Array:
+    def _column(self, symbol: str, assumed: Array) -> Array:
         """Return d(b2)/d(unknown) of every run, shape (runs, n or 1)."""
-        if analysis.model == "exact":
+        request = self.request
+        if request.model == "exact":
             platform = isinstance(term(symbol), PlatformTerm)
             effect: Array = assumed[self.symbols.index(symbol)]
-            return effect * analysis.scale_factor if platform else effect
+            return effect * request.scale_factor if platform else effect
         rates = np.array([motion.spindle.rate for motion in self.motions])
         g = self.motions[0].site.gravity
         if symbol in ("K_II", RIPPLE):
             printed = as_printed.second_stage_columns(
-                rates, self.radius, g, analysis.scale_factor, analysis.ripple
+                rates, self.radius, g, request.scale_factor, request.ripple
             )
             return np.asarray(printed[:, [0 if symbol == "K_II" else 1]])
         return np.full((rates.size, 1), 0.5 * g if symbol == "K_F" else 0.0)
-
-    def _inputs(self, analysis: TwoStage, estimate: Array) -> Array:
-        """Return the variance from an uncertain radius and gravity, as `calibrate` has it."""
-        total = np.zeros((estimate.shape[0], 1))
-        if analysis.u_radius == 0.0 and analysis.u_gravity == 0.0:
-            return total
-        degrees = np.array(
-            [
-                0.0 if symbol == RIPPLE else len(getattr(term(symbol), "factors", ()))
-                for symbol in analysis.unknowns
-            ]
-        )[:, None]
-        gravity = np.where(degrees == 0.0, 0.0, degrees - 1.0) * analysis.u_gravity
-        return np.asarray((degrees * estimate * analysis.u_radius) ** 2 + (gravity * estimate) ** 2)
-
-
-def _limit(symbol: str) -> float:
-    return _RIPPLE_LIMIT if symbol == RIPPLE else term(symbol).limit
 
 
 def _stacked(parts: Sequence[Array], axis: int) -> Array:

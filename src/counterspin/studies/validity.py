@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference.two_stage.second_stage import RIPPLE
+from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import PLATFORM_TERMS
 from counterspin.physics.motion import Trajectory
@@ -29,7 +29,6 @@ from counterspin.studies.draws import (
 from counterspin.studies.full import Instrumented
 from counterspin.studies.joint import JointAnalysis, mean_of
 from counterspin.studies.strobes import kinked
-from counterspin.studies.two_stage import TwoStage
 
 #: Other noise may add this part of the displacement noise, in standard deviations.
 _SMALL: Final = 0.01
@@ -39,13 +38,13 @@ _NEGLIGIBLE: Final = 0.1
 
 
 def against_strobes(
-    world: Instrumented, truth: StudyTruth, analysis: TwoStage, owner: str
+    world: Instrumented, truth: StudyTruth, analysis: TwoStageRequest, owner: str
 ) -> list[str]:
     """Return why the two-stage method's sufficient statistics do not serve; empty if they do."""
     reasons = _against(world, truth)
     if world.random_walk > 0.0:
         reasons.append("the accelerometer's noise is not white in displacement")
-    asked = [s for s in (*analysis.unknowns, *analysis.known) if s != RIPPLE]
+    asked = [s for s in (*analysis.unknowns, *analysis.considered) if s != RIPPLE]
     symbols = [s for o, many in truth.symbols.items() if o in ("", owner) for s in many]
     kinks = sorted({symbol for symbol in (*symbols, *asked) if kinked(symbol)})
     if kinks:

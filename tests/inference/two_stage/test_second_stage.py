@@ -13,7 +13,9 @@ from scipy.special import stdtrit
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.two_stage import second_stage as two_stage
 from counterspin.inference.two_stage.first_stage import first_stage
-from counterspin.inference.two_stage.second_stage import DRIFT, RIPPLE, StrobedRun, second_stage
+from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
+from counterspin.inference.two_stage.second_stage import StrobedRun
+from counterspin.inference.two_stage.second_stage import second_stage as resolved
 from counterspin.inference.two_stage.strobes import Strobes, strobe_angle
 from counterspin.physics import observation, simulation
 from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, TERMS
@@ -29,7 +31,6 @@ RATES = np.array([math.pi / 2, math.pi, 2 * math.pi])
 STILL = Site(G, 0.8, earth_rate=0.0)
 EARTH = Site(G, 0.8)
 TRUTH = {"K_F": 0.004, "K_I": K_I, "K_II": 2e-5, "K_III": 4e-6, "K_IP": 6e-6}
-KNOWN = {"scale_factor": (K_I, 0.0)}
 TURNED = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # 90 deg about east
 
 
@@ -52,6 +53,12 @@ def strobed(spindle, *, mounting=QX, site=STILL, truth=None, platform=None, atti
 def plan(rates=RATES, *, drift=0.0, ratio=0.0, phase=PHASE, **more):
     spindles = (Spindle(w, drift, (Ripple(1, ratio * w, phase),) if ratio else ()) for w in rates)
     return [strobed(spindle, **more) for spindle in spindles]
+
+
+def second_stage(runs, mounting=QX, *, ignored=("K_III",), priors=None, **options):
+    """The second stage with K_I known exactly, whatever else is known."""
+    request = TwoStageRequest(priors={"K_I": (K_I, 0.0)} | (priors or {}), **options)
+    return resolved(runs, mounting, request, ignored=ignored)
 
 
 @cache
@@ -88,7 +95,7 @@ def remembered_columns(monkeypatch):
 
 
 def test_exact_columns_are_the_closed_forms_at_constant_rate():
-    found = second_stage(ideal(), QX, nominal_angle=True, ignored=["K_III", "K_OO"], **KNOWN)
+    found = second_stage(ideal(), nominal_angle=True, ignored=["K_III", "K_OO"])
     assert found.symbols == ("K_II", "K_F", DRIFT)
     np.testing.assert_allclose(found.design[:, 0], R**2 * RATES**4 / (4 * G), rtol=1e-10)
     np.testing.assert_allclose(found.design[:, 1], G / 2, rtol=1e-12)
@@ -99,7 +106,7 @@ def test_exact_columns_are_the_closed_forms_at_constant_rate():
 
 def test_printed_columns_are_those_of_eq_26():
     for ripple, power in (("amplitude", 1), ("ratio", 2)):
-        found = second_stage(ideal(), QX, model="as-printed", ripple=ripple, **KNOWN)
+        found = second_stage(ideal(), model="as-printed", ripple=ripple)
         assert found.symbols == ("K_II", RIPPLE)
         np.testing.assert_allclose(found.design[:, 0], R**2 * RATES**4 / (2 * G), rtol=1e-14)
         np.testing.assert_allclose(found.design[:, 1], -0.75 * K_I * R * RATES**power, rtol=1e-14)
@@ -107,7 +114,7 @@ def test_printed_columns_are_those_of_eq_26():
 
 def test_ripple_makes_a_parabola_of_k_iii():
     ratio = 1e-3
-    found = second_stage(plan(ratio=ratio), QX, ignored=["K_III"], **KNOWN)
+    found = second_stage(plan(ratio=ratio), ignored=["K_III"])
     predicted = -0.75 * R**3 * RATES**6 * ratio * math.sin(PHASE) / G**2
     np.testing.assert_allclose(found.ignored["K_III"], predicted, rtol=5 * ratio)
 
@@ -115,7 +122,7 @@ def test_ripple_makes_a_parabola_of_k_iii():
 def test_spin_sense_turns_the_odd_effects_and_leaves_the_even():
     runs = plan(np.array([2.0, -2.0, 4.0, -4.0]))
     sensitivity = "platform.g_sensitivity.zx"
-    found = second_stage(runs, QX, nominal_angle=True, ignored=[sensitivity], **KNOWN)
+    found = second_stage(runs, nominal_angle=True, ignored=[sensitivity])
     k_ii, k_f, drift = found.design.T
     np.testing.assert_allclose(k_ii[::2], k_ii[1::2], rtol=1e-10)
     np.testing.assert_allclose(k_f[::2], k_f[1::2], rtol=1e-12)
@@ -140,15 +147,15 @@ def test_spin_sense_turns_the_odd_effects_and_leaves_the_even():
     ids=["K_II and K_F", "K_II", "K_II, C and K_F", "printed", "printed, weighted"],
 )
 def test_sigma_of_k_ii_on_the_paper_s_plan(options, closing):
-    _, u = second_stage(plan(), QX, bias=(0.0, math.inf), **options, **KNOWN).estimate("K_II")
+    _, u = second_stage(plan(), **options).estimate("K_II")
     assert u == pytest.approx(closing, rel=1e-4)
 
 
 def test_exact_model_returns_the_truth_and_the_printed_one_half_of_it():
-    exact = second_stage(ideal(), QX, **KNOWN)
+    exact = second_stage(ideal())
     assert exact.estimate("K_II")[0] == pytest.approx(2e-5, rel=1e-9)
     assert exact.estimate("K_F")[0] == pytest.approx(0.004, rel=1e-12)
-    printed = second_stage(ideal(), QX, model="as-printed", bias=(0.004, 0.0), **KNOWN)
+    printed = second_stage(ideal(), model="as-printed", priors={"K_F": (0.004, 0.0)})
     assert printed.estimate("K_II")[0] == pytest.approx(1e-5, rel=1e-8)
 
 
@@ -160,8 +167,8 @@ def test_unweighted_is_eq_27_and_34_by_hand():
     bias = 0.004
     a = np.column_stack([R**2 * RATES**4 / (2 * G), -0.75 * K_I * R * RATES])
     inverse = np.linalg.inv(a.T @ a) @ a.T
-    options = {"model": "as-printed", "weighted": False, "bias": (bias, 0.0)}
-    found = second_stage(runs, QX, **options, **KNOWN)
+    options = {"model": "as-printed", "weighted": False, "priors": {"K_F": (bias, 0.0)}}
+    found = second_stage(runs, **options)
     expected = inverse @ (b2 - bias * G / 2)
     np.testing.assert_allclose(found.solution.estimate, expected, rtol=1e-7)
     covariance = inverse @ np.diag(sigma**2) @ inverse.T
@@ -172,8 +179,8 @@ def test_weighted_with_priors_is_generalised_least_squares():
     runs = with_noise(ideal(), np.random.default_rng(2))
     b2 = np.array([run.parabola.b2 for run in runs])
     sigma = np.array([run.parabola.u_b2 for run in runs])
-    priors = {"bias": (0.004 + 1e-8, 1e-8), "second_order": (2.01e-5, 4e-9)}
-    found = second_stage(runs, QX, **priors, **KNOWN)
+    priors = {"K_F": (0.004 + 1e-8, 1e-8), "K_II": (2.01e-5, 4e-9)}
+    found = second_stage(runs, priors=priors)
     rows = np.vstack([found.design / sigma[:, None], np.diag([1 / 4e-9, 1 / 1e-8])])
     right = np.concatenate([b2 / sigma, [2.01e-5 / 4e-9, (0.004 + 1e-8) / 1e-8]])
     scale = np.linalg.norm(rows, axis=0)
@@ -186,7 +193,7 @@ def test_weighted_with_priors_is_generalised_least_squares():
 
 
 def test_unknown_that_is_known_exactly_stays_where_it_is():
-    found = second_stage(ideal(), QX, second_order=(3e-5, 0.0), **KNOWN)
+    found = second_stage(ideal(), priors={"K_II": (3e-5, 0.0)})
     assert found.estimate("K_II") == (3e-5, 0.0)
     np.testing.assert_array_equal(found.gain[0], 0.0)
     # K_F then takes what of 1e-5 of K_II lies along its column.
@@ -208,7 +215,7 @@ def test_nominal_angle_s_drift_column_estimates_c():
         error = error - observation.reference(nominal, QX, time)
         parabola = first_stage(Strobes(time, error, np.ones(100), lost=0), SIGMA)
         runs.append(StrobedRun(f"{w}", nominal, parabola))
-    found = second_stage(runs, QX, nominal_angle=True, **KNOWN)
+    found = second_stage(runs, nominal_angle=True)
     # The nominal rotation knows nothing of K_II x C, a part 2 C T of K_II's own parabola: at the
     # fastest run 1e-8 beside the drift's 7.9e-8 m/s^2, and a hundredth of sigma(b2).
     value, u = found.estimate(DRIFT)
@@ -217,7 +224,7 @@ def test_nominal_angle_s_drift_column_estimates_c():
     k_ii, u = found.estimate("K_II")
     assert abs(k_ii - 2e-5) < 0.2 * u
     # Without the column the drift passes for K_II and K_F, with what was just said of it.
-    without = second_stage(runs, QX, **KNOWN)
+    without = second_stage(runs)
     change = without.gain @ (-K_I * R * RATES / 2 * drift)
     np.testing.assert_allclose(
         without.solution.estimate - [2e-5, 0.004],
@@ -231,7 +238,7 @@ def test_considered_terms_are_taken_away_and_their_uncertainty_carried():
     sensitivity = "platform.g_sensitivity.zx"
     runs = plan(truth=TRUTH, platform={"platform.tilt.north": 3e-6, sensitivity: 2e-9})
     known = {"platform.tilt.north": (3e-6, 5e-7), sensitivity: (2e-9, 1e-9)}
-    found = second_stage(runs, QX, considered=known, **KNOWN)
+    found = second_stage(runs, priors=known)
     # What is left is of second order in the tilt: the turned input axis sees less of the force.
     assert found.estimate("K_II")[0] == pytest.approx(2e-5, abs=1e-10)
     tilt = -K_I * G / 2 * found.gain[0] * 5e-7  # each run has a tilt of its own
@@ -246,9 +253,9 @@ def test_considered_terms_are_taken_away_and_their_uncertainty_carried():
 
 def test_shift_of_an_ignored_term_is_what_it_really_does():
     sensitivity, tilt = "platform.g_sensitivity.zx", "platform.tilt.north"
-    found = second_stage(ideal(), QX, ignored=[sensitivity, tilt, "K_II"], **KNOWN)
+    found = second_stage(ideal(), ignored=[sensitivity, tilt, "K_II"])
     assert set(found.ignored) == {sensitivity, tilt}
-    moved = second_stage(plan(truth=TRUTH, platform={sensitivity: 1e-9}), QX, **KNOWN)
+    moved = second_stage(plan(truth=TRUTH, platform={sensitivity: 1e-9}))
     change = moved.solution.estimate - found.solution.estimate
     np.testing.assert_allclose(found.shift(sensitivity) * 1e-9, change, rtol=1e-3)
     # A tilt is another in each run; their effects add as independent ones.
@@ -258,20 +265,20 @@ def test_shift_of_an_ignored_term_is_what_it_really_does():
 
 def test_effective_degrees_of_freedom_follow_welch_and_satterthwaite():
     runs = with_noise(ideal(), np.random.default_rng(3), sigma=None)
-    found = second_stage(runs, QX, **KNOWN)
+    found = second_stage(runs)
     for row, dof in zip(found.gain, found.dof, strict=True):
         parts = [(g * run.parabola.u_b2) ** 2 for g, run in zip(row, runs, strict=True)]
         assert dof == pytest.approx(sum(parts) ** 2 / sum(p**2 / 97 for p in parts), rel=1e-9)
-    assert np.isinf(second_stage(ideal(), QX, **KNOWN).dof).all()
+    assert np.isinf(second_stage(ideal()).dof).all()
 
 
 def test_misfit_is_in_standard_uncertainties_of_each_run():
     runs = plan([1.0, 2.0, 3.0, 4.0, 5.0], truth=TRUTH)
-    assert np.abs(second_stage(runs, QX, **KNOWN).misfit).max() < 1e-3
+    assert np.abs(second_stage(runs).misfit).max() < 1e-3
     off = runs[2].parabola
     off = replace(off, coefficients=off.coefficients + np.array([0, 0, 10 * off.u_b2]))
     runs[2] = replace(runs[2], parabola=off)
-    found = second_stage(runs, QX, **KNOWN)
+    found = second_stage(runs)
     assert int(np.argmax(np.abs(found.misfit))) == 2
     assert np.sum(found.misfit**2) == pytest.approx(found.solution.chi2, rel=1e-9)
 
@@ -284,29 +291,29 @@ def test_fewer_rates_than_unknowns_are_refused():
         NotIdentifiableError,
         match=r"2 unknowns without a prior \(K_II, K_F\) need at least 2 different rates.*has 1",
     ):
-        second_stage(plan([2.0, 2.0005]), QX, **KNOWN)
+        second_stage(plan([2.0, 2.0005]))
     with pytest.raises(NotIdentifiableError, match=r"3 unknowns .*K_II, K_F, spindle.drift"):
-        second_stage(plan([2.0, 4.0]), QX, nominal_angle=True, **KNOWN)
+        second_stage(plan([2.0, 4.0]), nominal_angle=True)
     with pytest.raises(NotIdentifiableError, match=r"2 unknowns .*K_II, spindle.ripple"):
-        second_stage(plan([2.0]), QX, model="as-printed", **KNOWN)
-    one = second_stage(plan([2.0], truth=TRUTH), QX, bias=(0.004, 1e-9), **KNOWN)
+        second_stage(plan([2.0]), model="as-printed")
+    one = second_stage(plan([2.0], truth=TRUTH), priors={"K_F": (0.004, 1e-9)})
     assert one.estimate("K_II")[0] == pytest.approx(2e-5, rel=1e-6)
 
 
 def test_two_senses_of_one_rate_tell_odd_from_even_but_not_even_from_even():
     both = plan([2.0, -2.0])
     with pytest.raises(NotIdentifiableError, match=r"\(K_II, K_F\) .* whatever their sense"):
-        second_stage(both, QX, **KNOWN)
-    found = second_stage(both, QX, nominal_angle=True, fit_bias=False, **KNOWN)
+        second_stage(both)
+    found = second_stage(both, nominal_angle=True, fit_bias=False)
     assert found.symbols == ("K_II", DRIFT)
-    second_stage(both, QX, model="as-printed", **KNOWN)
+    second_stage(both, model="as-printed")
     with pytest.raises(NotIdentifiableError, match="whatever their sense"):
-        second_stage(both, QX, model="as-printed", ripple="ratio", **KNOWN)
+        second_stage(both, model="as-printed", ripple="ratio")
 
 
 def test_near_collinear_columns_are_named():
-    assert second_stage(plan(), QX, **KNOWN).near_collinear == ()
-    found = second_stage(plan([3.0, 3.1]), QX, **KNOWN)
+    assert second_stage(plan()).near_collinear == ()
+    found = second_stage(plan([3.0, 3.1]))
     ((a, b, cosine),) = found.near_collinear
     assert (a, b) == ("K_II", "K_F")
     whitened = found.design / found.sigma[:, None]
@@ -331,14 +338,14 @@ EVERYTHING = [*TERMS, *PLATFORM_TERMS]
 )
 def test_terms_that_act_exactly_alike_are_found(mounting, attitude, k_ii, k_f):
     runs = plan(mounting=mounting, attitude=attitude, site=EARTH, drift=1e-7, ratio=1e-5)
-    found = second_stage(runs, mounting, ignored=EVERYTHING, **KNOWN)
+    found = second_stage(runs, mounting, ignored=EVERYTHING)
     assert found.alike("K_II") == pytest.approx(k_ii, rel=1e-5)
     assert found.alike("K_F") == pytest.approx(k_f, rel=1e-5)
 
 
 def test_attitudes_tell_apart_what_acts_alike():
     runs = plan(site=EARTH) + plan(site=EARTH, attitude=TURNED)
-    found = second_stage(runs, QX, ignored=EVERYTHING, **KNOWN)
+    found = second_stage(runs, ignored=EVERYTHING)
     assert found.alike("K_II") == {}
     assert list(found.alike("K_F")) == ["platform.tilt.north"]
 
@@ -346,16 +353,16 @@ def test_attitudes_tell_apart_what_acts_alike():
 # --- trials ---------------------------------------------------------------------------------------
 
 
-def trials(runs, sigma=SIGMA, count=TRIALS, *, options=None, bias_sd=math.inf, seed=0):
+def trials(runs, sigma=SIGMA, count=TRIALS, *, options=None, priors=None, bias_sd=math.inf, seed=0):
     """Draw noise again and again; return errors of K_II, claimed u and how often 95 % cover."""
     rng = np.random.default_rng(seed)
     errors, claims, covered = np.empty(count), np.empty(count), 0
     for k in range(count):
         # A prior is as far off as it says.
-        known = 0.004 + (bias_sd * rng.standard_normal() if math.isfinite(bias_sd) else 0.0)
-        found = second_stage(
-            with_noise(runs, rng, sigma), QX, bias=(known, bias_sd), **(options or {}), **KNOWN
-        )
+        bias = {"K_F": (0.004 + bias_sd * rng.standard_normal(), bias_sd)}
+        known = (priors or {}) | (bias if math.isfinite(bias_sd) else {})
+        noisy = with_noise(runs, rng, sigma)
+        found = second_stage(noisy, priors=known, **(options or {}))
         value, claims[k] = found.estimate("K_II")
         errors[k] = value - TRUTH["K_II"]
         covered += abs(errors[k]) < stdtrit(found.dof[0], 0.975) * claims[k]
@@ -381,7 +388,7 @@ def test_exact_estimate_is_unbiased_and_its_interval_covers(drift, ratio, sigma,
     u = math.sqrt(np.mean(claims**2))
     assert np.std(errors) / u == pytest.approx(1.0, abs=4 / math.sqrt(2 * TRIALS))
     # Ripple makes a parabola of K_III: a tenth of u at 1e-5, which only many trials show.
-    left = second_stage(runs, QX, ignored=["K_III"], **KNOWN).shift("K_III")[0] * TRUTH["K_III"]
+    left = second_stage(runs, ignored=["K_III"]).shift("K_III")[0] * TRUTH["K_III"]
     assert abs(left) < 0.15 * u
     assert abs(np.mean(errors) - left) < 4 * u / math.sqrt(TRIALS)
     assert coverage == pytest.approx(0.95, abs=4 * math.sqrt(0.95 * 0.05 / TRIALS))
@@ -401,7 +408,7 @@ def test_printed_estimate_is_half_of_the_truth_and_never_covers():
 def test_ripple_times_k_iii_biases_k_ii_as_predicted():
     biases = []
     for ratio in (5e-7, 1e-5, 1e-3):
-        found = second_stage(plan(ratio=ratio, truth=TRUTH), QX, **KNOWN)
+        found = second_stage(plan(ratio=ratio, truth=TRUTH))
         curvature = -0.75 * TRUTH["K_III"] * R**3 * RATES**6 * ratio * math.sin(PHASE) / G**2
         predicted = float(found.gain[0] @ curvature)
         value, u = found.estimate("K_II")
@@ -423,6 +430,5 @@ def test_with_strong_ripple_the_interval_covers_only_if_k_iii_is_considered():
     runs = plan(ratio=1e-3, truth=TRUTH)
     _, _, ignoring = trials(runs, count=200)
     assert ignoring < 0.01
-    considered = {"considered": {"K_III": (0.0, 4e-6)}}
-    _, _, considering = trials(runs, count=200, options=considered)
+    _, _, considering = trials(runs, count=200, priors={"K_III": (0.0, 4e-6)})
     assert considering > 0.95

@@ -29,18 +29,13 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import reduce_block
 from counterspin.inference.two_stage.first_stage import Parabola
+from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest, credible_limit
 from counterspin.physics import as_printed, observation
 from counterspin.physics.accelerometer import Mounting, term
 from counterspin.physics.motion import Trajectory
 
-DRIFT: Final = "spindle.drift"  #: second unknown where the nominal angle is the reference, 1/s
-RIPPLE: Final = "spindle.ripple"  #: as printed: w_p sin(phi) in rad/s, or (w_p/w0) sin(phi)
-
 #: Rates closer than this (relative) do not help to tell unknowns apart.
 _SAME_RATE: Final = 1e-3
-
-#: Largest credible sizes of the second unknowns: 1 % a second, 1 % of a usual rate.
-_SPINDLE_LIMIT: Final = 1e-2
 
 #: Terms whose effects agree this well over the runs are one.
 _ALIKE: Final = 1.0 - 1e-6
@@ -162,17 +157,9 @@ class SecondStage:
 def second_stage(
     runs: Sequence[StrobedRun],
     mounting: Mounting,
+    request: TwoStageRequest | None = None,
     *,
-    model: str = "exact",
-    scale_factor: tuple[float, float] = (1.0, 0.0),
-    bias: tuple[float, float] = (0.0, math.inf),
-    second_order: tuple[float, float] = (0.0, math.inf),
-    fit_bias: bool = True,
-    nominal_angle: bool = False,
-    ripple: as_printed.RippleModel = "amplitude",
-    considered: Mapping[str, tuple[float, float]] | None = None,
     ignored: Sequence[str] = ("K_III",),
-    weighted: bool = True,
 ) -> SecondStage:
     """Resolve the b2 of several runs into K_II and the unknowns beside it.
 
@@ -182,28 +169,12 @@ def second_stage(
         At least as many different rates as unknowns without a prior.
     mounting
         The accelerometer's axes in the level attitude.
-    model
-        ``exact`` or ``as-printed``.
-    scale_factor, bias, second_order
-        (value, standard uncertainty) of K_I in g/g, K_F in g and K_II in g/g^2, known
-        beforehand; an infinite uncertainty means not known.
-    fit_bias
-        Whether K_F is estimated, with its prior (exact model only: the paper takes it as known).
-    nominal_angle
-        Whether the reference displacement is that of the nominal rate; then the drift C, common
-        to all runs, is an unknown of the exact model.
-    ripple
-        As printed: the ripple has the same ``amplitude`` w_p at all rates, or the same ``ratio``
-        w_p/w0.
-    considered
-        Further terms (value, standard uncertainty): taken at their value, with their uncertainty
-        carried into the result.
+    request
+        Model, priors and weights; None: the exact model, and nothing known beforehand. Its noise
+        is the first stage's.
     ignored
         Terms of which only the effect is wanted that they would have; those that turn out to be
         unknowns are passed over.
-    weighted
-        Weight the runs by sigma(b2), or not, as the paper does. Priors then count like runs of
-        the mean sigma(b2).
 
     Returns
     -------
@@ -215,23 +186,13 @@ def second_stage(
         If there are fewer different rates than unknowns; both senses of one rate count once
         where no unknown changes its sign with the sense.
     """
-    exact = model == "exact"
-    known = dict(considered or {})
-    unknowns: dict[str, tuple[float, float]] = {"K_II": second_order}
-    if exact and fit_bias and bias[1] > 0.0:
-        unknowns["K_F"] = bias
-    else:
-        known["K_F"] = (bias[0], bias[1] if math.isfinite(bias[1]) else 0.0)
-    known["K_I"] = scale_factor
-    for symbol in unknowns:
-        known.pop(symbol, None)
-    spindle = (DRIFT if nominal_angle else None) if exact else RIPPLE
-    if spindle is not None:
-        unknowns[spindle] = (0.0, math.inf)
+    request = request or TwoStageRequest()
+    unknowns, known = request.unknowns, request.considered
     symbols = tuple(unknowns)
-    _check_rates(runs, unknowns, odd={DRIFT, RIPPLE} if ripple == "amplitude" else {DRIFT})
+    odd = {DRIFT, RIPPLE} if request.ripple == "amplitude" else {DRIFT}
+    _check_rates(runs, unknowns, odd)
 
-    observed = _ObservationModel(runs, mounting, exact, scale_factor[0], ripple)
+    observed = _ObservationModel(runs, mounting, request)
     ignored = [symbol for symbol in ignored if symbol not in symbols]
     shown = observed.effects(list(dict.fromkeys([*symbols, *known, *ignored])))
     design = np.column_stack([shown[symbol] for symbol in symbols])
@@ -249,7 +210,8 @@ def second_stage(
     sigma = np.array([run.parabola.u_b2 for run in runs])
     # Where residuals vanish (a noise-free demonstration) any common weight serves.
     sigma = np.where(sigma > 0.0, sigma, np.finfo(float).tiny ** 0.25)
-    whitening = sigma if weighted else np.full_like(sigma, math.sqrt(np.mean(sigma**2)))
+    mean_sigma = np.full_like(sigma, math.sqrt(np.mean(sigma**2)))
+    whitening = sigma if request.weighted else mean_sigma
 
     block = reduce_block(
         design / whitening[:, None], b2 / whitening, None, fixed / whitening[:, None]
@@ -260,10 +222,10 @@ def second_stage(
         prior_sd=[sd for _, sd in unknowns.values()],
         considered_mean=means,
         considered_sd=spreads,
-        limits=[_limit(symbol) for symbol in symbols],
+        limits=[credible_limit(symbol) for symbol in symbols],
     )
     gain = _gain(design / whitening[:, None], unknowns) / whitening
-    if not weighted:
+    if not request.weighted:
         # Eq. 34: the estimate is unweighted, its uncertainty is that of the actual b2.
         spread = gain * sigma
         solution = replace(solution, covariance_noise=spread @ spread.T)
@@ -279,12 +241,8 @@ def second_stage(
         near_collinear=_near_collinear(symbols, design / whitening[:, None]),
         misfit=(b2 - predicted) / sigma,
         ignored={symbol: shown[symbol] for symbol in ignored},
-        weighted=weighted,
+        weighted=request.weighted,
     )
-
-
-def _limit(symbol: str) -> float:
-    return _SPINDLE_LIMIT if symbol.startswith("spindle.") else term(symbol).limit
 
 
 def _check_rates(
@@ -322,13 +280,11 @@ class _ObservationModel:
 
     runs: Sequence[StrobedRun]
     mounting: Mounting
-    exact: bool
-    scale_factor: float
-    ripple: as_printed.RippleModel
+    request: TwoStageRequest
 
     def effects(self, symbols: Sequence[str]) -> dict[str, Array]:
         """Return d(b2)/d(coefficient), m/s^2 per unit, shape (runs,), of every symbol."""
-        if not self.exact:
+        if self.request.model == "as-printed":
             return {symbol: self._printed(symbol) for symbol in symbols}
         terms = [symbol for symbol in symbols if symbol != DRIFT]
         shown = np.array([self._exact(run, terms) for run in self.runs])
@@ -336,7 +292,7 @@ class _ObservationModel:
         if DRIFT in symbols:
             rates = np.array([run.trajectory.spindle.rate for run in self.runs])
             radii = np.array([run.trajectory.radius for run in self.runs])
-            found[DRIFT] = -0.5 * self.scale_factor * radii * rates
+            found[DRIFT] = -0.5 * self.request.scale_factor * radii * rates
         return found
 
     def _exact(self, run: StrobedRun, terms: Sequence[str]) -> Array:
@@ -347,7 +303,7 @@ class _ObservationModel:
             terms,
             run.parabola.strobes.time,
             attitude=run.attitude,
-            scale_factor=self.scale_factor,
+            scale_factor=self.request.scale_factor,
         )
         effect: Array = run.parabola.gain[2] @ columns
         return effect
@@ -358,7 +314,11 @@ class _ObservationModel:
         rates = np.array([run.trajectory.spindle.rate for run in self.runs])
         if symbol in ("K_II", RIPPLE):
             printed = as_printed.second_stage_columns(
-                rates, motion.radius, motion.site.gravity, self.scale_factor, self.ripple
+                rates,
+                motion.radius,
+                motion.site.gravity,
+                self.request.scale_factor,
+                self.request.ripple,
             )
             column: Array = printed[:, 0 if symbol == "K_II" else 1]
             return column

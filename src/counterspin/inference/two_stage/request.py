@@ -1,0 +1,106 @@
+"""What is asked of the two-stage method for one accelerometer: model, priors, noise.
+
+- `TwoStageRequest`
+- `DRIFT`, `RIPPLE`: second unknowns
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Final, Literal
+
+from counterspin.physics.accelerometer import TERMS, term
+from counterspin.physics.as_printed import RippleModel
+
+DRIFT: Final = "spindle.drift"  #: second unknown where the nominal angle is the reference, 1/s
+RIPPLE: Final = "spindle.ripple"  #: as printed: w_p sin(phi) in rad/s, or (w_p/w0) sin(phi)
+
+#: Largest credible sizes of the second unknowns: 1 % a second, 1 % of a usual rate.
+_SPINDLE_LIMIT: Final = 1e-2
+
+_UNKNOWN: Final = (0.0, math.inf)  #: prior of a term of which nothing is known
+
+
+@dataclass(frozen=True)
+class TwoStageRequest:
+    """What the two-stage method estimates, takes as known and assumes of the noise.
+
+    Attributes
+    ----------
+    model
+        ``exact`` or ``as-printed``.
+    priors
+        Term -> (value, standard uncertainty) in g-units, known beforehand. K_II and K_F are
+        estimated with theirs; every other term is considered: taken at its value, with its
+        uncertainty carried into the result. Without a prior K_I is exactly nominal.
+    fit_bias
+        Whether K_F is estimated, with its prior (exact model only: the paper takes it as known).
+    nominal_angle
+        Whether the reference displacement is that of the nominal rate; then the drift C, common
+        to all runs, is an unknown of the exact model.
+    ripple
+        As printed: the ripple has the same ``amplitude`` w_p at all rates, or the same ``ratio``
+        w_p/w0.
+    weighted
+        Weight the runs by sigma(b2), or not, as the paper does. Priors then count like runs of
+        the mean sigma(b2).
+    sigma
+        Standard deviation of a sample's displacement, m; None: from the residuals of each run.
+    random_walk
+        Coefficient N of the accelerometer's white noise, m/s^2/Hz^0.5.
+    u_radius, u_gravity
+        Relative standard uncertainties of radius and gravity.
+    """
+
+    model: Literal["exact", "as-printed"] = "exact"
+    priors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fit_bias: bool = True
+    nominal_angle: bool = False
+    ripple: RippleModel = "amplitude"
+    weighted: bool = True
+    sigma: float | None = None
+    random_walk: float = 0.0
+    u_radius: float = 0.0
+    u_gravity: float = 0.0
+
+    @property
+    def scale_factor(self) -> float:
+        """K_I with which the displacement errors are seen, g/g."""
+        return self.considered["K_I"][0]
+
+    @cached_property
+    def unknowns(self) -> dict[str, tuple[float, float]]:
+        """What is estimated, K_II first, with its prior; infinite: nothing is known of it."""
+        unknowns = {"K_II": self.priors.get("K_II", _UNKNOWN)}
+        bias = self.priors.get("K_F", _UNKNOWN)
+        if self.model == "exact" and self.fit_bias and bias[1] > 0.0:
+            unknowns["K_F"] = bias
+        if self.model == "as-printed":
+            unknowns[RIPPLE] = _UNKNOWN
+        elif self.nominal_angle:
+            unknowns[DRIFT] = _UNKNOWN
+        return unknowns
+
+    @cached_property
+    def considered(self) -> dict[str, tuple[float, float]]:
+        """What is taken as known: (value, standard uncertainty), K_I included."""
+        known = {"K_F": (0.0, 0.0), "K_I": (TERMS["K_I"].nominal, 0.0), **self.priors}
+        return {symbol: prior for symbol, prior in known.items() if symbol not in self.unknowns}
+
+    def from_inputs(self, symbol: str, value: float) -> tuple[float, float]:
+        """Return what uncertain radius and gravity add to the uncertainty of an estimate.
+
+        A unit of a coefficient of degree n has a b2 in proportion to R^n g^(1-n).
+        """
+        if symbol not in TERMS:
+            return (0.0, 0.0)
+        degree = len(TERMS[symbol].factors)
+        return (degree * value * self.u_radius, (degree - 1) * value * self.u_gravity)
+
+
+def credible_limit(symbol: str) -> float:
+    """Return the largest credible size of an unknown of the two-stage method."""
+    return _SPINDLE_LIMIT if symbol.startswith("spindle.") else term(symbol).limit
