@@ -104,6 +104,39 @@ def test_a_second_list_of_coefficients_would_be_found():
     assert not lists_of_terms("x = ('K_F', 'K_II')")
 
 
+# Words
+
+
+#: Custom properties of style sheets, which look like options; the words that a result keeps.
+DASHED = {"reports/charts.py", "reports/zoomable.py", "calibration/options.py"}
+FLAG = re.compile(r"(?<![\w-])--[a-z]")
+
+
+def flags_named(source):
+    """Return the texts of a module, docstrings too, that name an option of the command line."""
+    return [
+        node.value
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Constant)
+        and isinstance(node.value, str)
+        and FLAG.search(node.value)
+    ]
+
+
+@every_module
+def test_rooms_below_the_command_line_know_none_of_its_options(module):
+    """What is wrong with which argument is theirs to say; the face adds its option."""
+    name = module.relative_to(PACKAGE).as_posix()
+    if name.startswith("cli/") or name in DASHED:
+        pytest.skip("the command line itself, or no option")
+    assert flags_named(module.read_text(encoding="utf-8")) == []
+
+
+def test_an_option_of_the_command_line_would_be_found():
+    assert flags_named('raise Error(f"{path} exists; give --overwrite")')
+    assert not flags_named('raise Error(f"{path} exists; give `overwrite=True` -- or not")')
+
+
 # Start-up
 
 

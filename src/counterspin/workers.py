@@ -161,7 +161,7 @@ def _on_cluster(address: str) -> Iterator[Crew]:
         from distributed import Client, KilledWorker
     except ImportError as error:
         raise CounterspinError(
-            "--cluster needs Dask: pip install 'counterspin[cluster]'"
+            "`cluster` needs Dask: pip install 'counterspin[cluster]'"
         ) from error
     silent = f"{address}: no Dask scheduler answers there; start one with `dask scheduler`"
     try:
@@ -191,7 +191,7 @@ def _on_cluster(address: str) -> Iterator[Crew]:
         except CancelledError as error:
             raise CounterspinError(
                 f"{address}: the connection with the Dask scheduler was lost; see to it and run "
-                "the command again (a study with an --output folder goes on with --resume)"
+                "the command again (a study with an `output` folder goes on with `resume=True`)"
             ) from error
         except ImportError as error:
             raise CounterspinError(

@@ -556,7 +556,7 @@ def test_a_method_that_is_none_and_options_of_the_other(campaign):
     with pytest.raises(CampaignError, match="'jiont' is not joint or two-stage"):
         calibrate(campaign, method="jiont")
     # As printed returns half of K_II: asked for, it must not be passed over in silence.
-    with pytest.raises(CampaignError, match="say --method two-stage"):
+    with pytest.raises(CampaignError, match='say `method="two-stage"`'):
         calibrate(campaign, options=TwoStageOptions(model="as-printed"))
     assert main(["calibrate", str(campaign), "--model", "as-printed"]) == 2
 

@@ -12,6 +12,7 @@ from scipy.special import chdtrc
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.observed import observe
+from counterspin.calibration.options import command_words
 from counterspin.calibration.result import read_result
 from counterspin.calibration.two_stage import TwoStageOptions, k_ii, two_stage
 from counterspin.campaign.description import read_campaign
@@ -299,7 +300,7 @@ def test_only_horizontal_displacement_has_strobes(tmp_path):
         'displacement = { column = "north_m", unit = "m" }',
         'specific_force = { column = "f", unit = "g" }',
     )
-    with pytest.raises(NotIdentifiableError, match=r"Qy: .* specific force; use --method joint"):
+    with pytest.raises(NotIdentifiableError, match=r"Qy: .* specific force; use the joint method"):
         result_of(tmp_path / "a", force)
     up = (
         'input_axis = "north"\npendulous_axis = "down"',
@@ -414,6 +415,7 @@ def test_options_in_words_are_those_that_the_command_line_takes(key, tmp_path, m
         "counterspin.calibration.calibrate.calibrate",
         lambda _where, *, options, **_: seen.append(options) or 1 / 0,
     )
-    main(["calibrate", str(tmp_path), "--method=two-stage", *options.words()])
+    main(["calibrate", str(tmp_path), *command_words("two-stage", options)])
     assert seen == [options]
-    assert not TwoStageOptions().words()
+    assert command_words("two-stage", TwoStageOptions()) == ["--method=two-stage"]
+    assert command_words("joint", TwoStageOptions()) == []

@@ -217,7 +217,7 @@ def test_simulating_into_its_own_folder_leaves_the_description(tmp_path):
 def test_what_is_there_is_not_overwritten_unless_told_to(tmp_path, name):
     path = write(tmp_path, SMALL)
     other = write(tmp_path / "made", "mine", name)
-    with pytest.raises(CounterspinError, match=rf"{name} exists; .*--overwrite"):
+    with pytest.raises(CounterspinError, match=rf"{name} exists; .*`overwrite=True`"):
         simulate(path, tmp_path / "made")
     assert contents(tmp_path / "made") == {name: b"mine"}
     simulate(path, tmp_path / "made", overwrite=True)

@@ -68,7 +68,7 @@ def test_a_mistake_is_told_by_its_key(tmp_path, old, new, told):
 
 
 def test_a_missing_file_is_told_where_to_get_one(tmp_path):
-    with pytest.raises(CampaignError, match=r"certificate --init LAB\.toml"):
+    with pytest.raises(CampaignError, match=r"`certificates\.lab\.write_example` makes"):
         read_lab(tmp_path / "LAB.toml", result())
 
 

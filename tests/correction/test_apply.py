@@ -24,7 +24,7 @@ from counterspin.calibration.result_parts import (
     RunResult,
 )
 from counterspin.correction.apply import apply, instrument_of
-from counterspin.correction.apply_file import apply_file, parse_others
+from counterspin.correction.apply_file import apply_file
 from counterspin.errors import CampaignError, ConvergenceError
 from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, indicated
 
@@ -291,14 +291,6 @@ def test_as_printed_is_refused_unless_forced(folder, capsys):
     assert run(*words) == 2
     assert "K_II is half of what the accelerometer has" in capsys.readouterr().err
     assert run(*words, "--force") == 0
-
-
-def test_others_are_read_as_pairs():
-    assert parse_others(None) == {}
-    assert parse_others("Qy=a, Qz = b c") == {"Qy": "a", "Qz": "b c"}
-    for wrong in ("Qy", "Qy=", "=a", "Qy=a,Qy=b", "Qy=a,"):
-        with pytest.raises(CampaignError, match="not of the form"):
-            parse_others(wrong)
 
 
 # --- what is applied, and how sure it is ----------------------------------------------------

@@ -281,7 +281,7 @@ def test_a_damaged_file_stops_no_other(tmp_path, text, words, capsys):
 
 
 def test_nothing_to_show_says_why(tmp_path):
-    with pytest.raises(CounterspinError, match=r"no results in .*`counterspin calibrate DIR"):
+    with pytest.raises(CounterspinError, match=r"no results in .*`write_result`"):
         history([tmp_path])
     stored(tmp_path, a=result(date=None))
     with pytest.raises(CounterspinError, match=r"a\.json, Qx: has no date"):

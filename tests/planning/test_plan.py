@@ -405,11 +405,12 @@ def test_all_mistakes_at_once(starter):
 
 def test_missing_file(tmp_path, capsys):
     assert cli.main(["plan", str(tmp_path / "none.toml")]) == 2
-    assert "there is no such file" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "there is no such file; `counterspin plan --init FILE` writes a plan" in told
 
 
 def test_a_missing_plan_is_told_where_to_get_one(tmp_path):
-    with pytest.raises(CampaignError, match="counterspin plan --init FILE"):
+    with pytest.raises(CampaignError, match=r"`planning\.plan\.write_example` writes"):
         read_plan(tmp_path / "nope.toml")
 
 

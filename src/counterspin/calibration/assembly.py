@@ -13,7 +13,7 @@ from counterspin._version import __version__
 from counterspin.calibration.conformity import with_conformity
 from counterspin.calibration.joint import joint
 from counterspin.calibration.observed import ObservedRun
-from counterspin.calibration.options import Method, TwoStageOptions
+from counterspin.calibration.options import Method, TwoStageOptions, command_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import (
     Coefficient,
@@ -76,7 +76,7 @@ def calibration(
         provenance=Provenance(
             version=__version__,
             inputs=dict(checksums()),
-            options=[] if method == "joint" else ["--method=two-stage", *options.words()],
+            options=command_words(method, options),
         ),
         **estimated,
     )

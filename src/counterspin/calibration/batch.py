@@ -81,7 +81,7 @@ def calibrate_many(
             progress(len(done), len(directories))
 
     if workers < 1:
-        raise CounterspinError("--workers must be at least 1")
+        raise CounterspinError("`workers` must be at least 1")
     places = range(len(directories))
     if workers == 1 and cluster is None:
         for index in places:

@@ -94,7 +94,7 @@ def _refuse_mixed(method: str, options: TwoStageOptions | None) -> None:
             "calibrate",
             [
                 "the joint method has no model to choose, no sigma, bias, ripple or weights of "
-                "its own; with these options say --method two-stage"
+                'its own; with these options say `method="two-stage"`'
             ],
         )
 

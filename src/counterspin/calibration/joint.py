@@ -1,4 +1,4 @@
-"""`--method joint`: from observed runs to every coefficient that full records determine."""
+"""The joint method: from observed runs to every coefficient that full records determine."""
 
 from __future__ import annotations
 

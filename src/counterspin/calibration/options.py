@@ -2,6 +2,7 @@
 
 - `Method`: the joint fit of full records, or the paper's two stages
 - `TwoStageOptions`: how the paper's method is applied
+- `command_words`: both as the words of a command line
 """
 
 from __future__ import annotations
@@ -39,14 +40,24 @@ class TwoStageOptions:
     fit_bias: bool = True
     from_residuals: bool = False
 
-    def words(self) -> list[str]:
-        """Return the options as they are typed, where they are not the defaults."""
-        usual = TwoStageOptions()
-        typed = {
-            "model": f"--model={self.model}",
-            "weighted": "--no-weighted",
-            "ripple": f"--ripple={self.ripple}",
-            "fit_bias": "--no-fit-bias",
-            "from_residuals": "--sigma=residuals",
-        }
-        return [text for key, text in typed.items() if getattr(self, key) != getattr(usual, key)]
+
+def command_words(method: str, options: TwoStageOptions) -> list[str]:
+    """Return the words of a command line that asks for a calibration, where it is not the usual.
+
+    A result keeps them, so that whoever reads it can repeat it: the one place below the command
+    line that knows its options, and a test has the command line read them back.
+    """
+    if method == "joint":
+        return []
+    usual = TwoStageOptions()
+    typed = {
+        "model": f"--model={options.model}",
+        "weighted": "--no-weighted",
+        "ripple": f"--ripple={options.ripple}",
+        "fit_bias": "--no-fit-bias",
+        "from_residuals": "--sigma=residuals",
+    }
+    return [
+        "--method=two-stage",
+        *(text for key, text in typed.items() if getattr(options, key) != getattr(usual, key)),
+    ]

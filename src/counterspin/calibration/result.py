@@ -112,7 +112,7 @@ def read_result(path: Path | str) -> Result:
     except (ValueError, RecursionError) as error:
         raise RecordError(
             f"{path}: not a result file, or a damaged one ({error}); write it again with "
-            "`counterspin calibrate DIR --json FILE`"
+            "`write_result`"
         ) from error
     schema = document.get("schema") if isinstance(document, dict) else None
     if isinstance(schema, int) and schema > SCHEMA:

@@ -1,4 +1,4 @@
-"""`--method two-stage`: from observed runs to the paper's result for each accelerometer.
+"""The two-stage method: from observed runs to the paper's result for each accelerometer.
 
 - `two_stage`, `TwoStageOutcome`: all of it
 - `k_ii`: its K_II alone

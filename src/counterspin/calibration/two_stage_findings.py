@@ -111,7 +111,7 @@ def warnings(
     if model == "as-printed":
         found.append(
             "The equations are used as printed: their K_II term is twice the exact one, so K_II "
-            "is half of what the accelerometer has. Use --model exact for a calibration."
+            "is half of what the accelerometer has. Use the exact model for a calibration."
         )
     else:
         found += _undetermined(second, coefficients)
@@ -149,7 +149,7 @@ def _unknown(campaign: Campaign, second: SecondStage) -> list[str]:
             found.append(
                 f"{symbol} is neither estimated nor known beforehand; at its largest credible "
                 f"size, {limit:.3g} {term(symbol).unit}, it would move K_II by {shift:.2g} g/g^2, "
-                "more than its uncertainty. Give it a prior, or use --method joint."
+                "more than its uncertainty. Give it a prior, or use the joint method."
             )
     return found
 

@@ -35,7 +35,7 @@ def request_of(
     if accelerometer.observable != "displacement":
         raise NotIdentifiableError(
             f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
-            f"is of {accelerometer.observable.replace('_', ' ')}; use --method joint"
+            f"is of {accelerometer.observable.replace('_', ' ')}; use the joint method"
         )
     for run in campaign.runs:
         strobe_angle(accelerometer.mounting.turned(run.attitude).input_axis)

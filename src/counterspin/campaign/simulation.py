@@ -87,7 +87,7 @@ def simulate(
     in_the_way = [path for path in (*targets, *([] if own else [description])) if path.exists()]
     if in_the_way and not overwrite:
         raise CounterspinError(
-            f"{in_the_way[0]} exists; simulate into another folder, or give --overwrite"
+            f"{in_the_way[0]} exists; simulate into another folder, or give `overwrite=True`"
         )
     for place in (folder, *(target.parent for target in targets)):
         make_folder(place)

@@ -28,7 +28,7 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
     if result.model == "as-printed":
         raise RecordError(
             "this result was computed by the paper's equations as printed, whose K_II is half of "
-            "the true one; calibrate again with --model exact"
+            "the true one; calibrate again with the exact model"
         )
     by_accelerometer = (result.accelerometers[name].coefficients.values() for name in names)
     if not any(wording.is_determined(c) for coefficients in by_accelerometer for c in coefficients):

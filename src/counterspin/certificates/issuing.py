@@ -91,7 +91,7 @@ def issue_certificate(
     if output.suffix.lower() not in FORMATS:
         raise CampaignError("certificate", [f"{output}: name the file .xml or .pdf"])
     if (key is None) != (cert is None):
-        raise CampaignError("certificate", ["--key and --cert are given together"])
+        raise CampaignError("certificate", ["`key` and `cert` are given together"])
     result = read_result(result_file)
     lab, specifications = read_lab(lab_file, result)
     names = lab.certified(result)

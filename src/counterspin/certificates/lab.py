@@ -178,7 +178,7 @@ def read_lab(path: Path | str, result: Result) -> tuple[Lab, Specifications | No
         not UTF-8 or not TOML.
     """
     path = Path(path)
-    raw = load_document(path, advice=f"`counterspin certificate --init {path.name}` makes one")
+    raw = load_document(path, advice="`certificates.lab.write_example` makes one")
     problems = Problems(raw)
     # Of a missing table, each required key is reported.
     empty: dict[str, Any] = {"persons": [{}]}

@@ -5,7 +5,7 @@ answers at once.
 
 - `init`, `simulate`, `calibrate`, `report`, `certificate`, `history`, `apply`, `plan`, `study`,
   `demo`, `reproduce`: the commands
-- `words`: what several of them share
+- `words`: what several of them share, and errors in the words of a command line
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ from counterspin.cli import (
     simulate,
     study,
 )
+from counterspin.cli.words import spoken
 from counterspin.errors import CampaignError, CounterspinError
 
 app = App(
@@ -70,10 +71,11 @@ def _unforeseen(error: Exception) -> str:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit status: 0 done, 1 failed, 2 wrong usage."""
+    words = sys.argv[1:] if arguments is None else arguments
     try:
-        app(arguments, exit_on_error=False, print_error=False, result_action="return_value")
+        app(words, exit_on_error=False, print_error=False, result_action="return_value")
     except CounterspinError as error:
-        print(f"counterspin: {error}", file=sys.stderr)
+        print(f"counterspin: {spoken(str(error), app, words)}", file=sys.stderr)
         return error.exit_status
     except CycloptsError as error:
         print(f"counterspin: {error}\nTry counterspin --help.", file=sys.stderr)

@@ -8,6 +8,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from counterspin.cli.words import OutputFolder
+from counterspin.errors import CampaignError
 
 
 def apply(
@@ -50,7 +51,7 @@ def apply(
         Apply even a result of the equations as printed, whose K_II is half the true one.
     """
     from counterspin.calibration.result import read_result
-    from counterspin.correction.apply_file import apply_file, parse_others
+    from counterspin.correction.apply_file import apply_file
     from counterspin.correction.page import render_application
     from counterspin.reports.text import report_console
 
@@ -67,3 +68,16 @@ def apply(
         force=force,
     )
     report_console().print(render_application(done))
+
+
+def parse_others(text: str | None) -> dict[str, str]:
+    """Read ``"Qy=COLUMN,Qz=COLUMN"``; raises CampaignError if it is not that."""
+    pairs = {}
+    for item in text.split(",") if text else []:
+        name, mark, column = (part.strip() for part in item.partition("="))
+        if not (name and mark and column) or name in pairs:
+            raise CampaignError(
+                "apply", [f"--others: {text!r} is not of the form Qy=COLUMN,Qz=COLUMN"]
+            )
+        pairs[name] = column
+    return pairs

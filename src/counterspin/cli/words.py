@@ -1,22 +1,73 @@
-"""Words that several commands share: types of their options, paths as a shell takes them.
+"""Words that several commands share, and what is said below them in the words of a command line.
 
 - `OutputFolder`, `OutputFile`, `JsonFile`: options of the same name and meaning
 - `shell_word`: a path as it may be typed into a shell
+- `spoken`: a message with its Python arguments as the options of a command
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterable
 from pathlib import Path
 from shlex import quote
-from typing import Annotated
+from typing import Annotated, Final
 
-from cyclopts import Parameter
+from cyclopts import App, Parameter
 
 OutputFolder = Annotated[Path, Parameter(name=["--output", "-o"])]
 OutputFile = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 JsonFile = Annotated[Path | None, Parameter(name="--json")]
 
+#: Function named in a message -> what the command line has in its place.
+_COMMANDS: Final = {
+    "certificates.lab.write_example": "counterspin certificate --init LAB.toml",
+    "forecast": "counterspin plan --check DIR",
+    "planning.plan.write_example": "counterspin plan --init FILE",
+    "write_result": "counterspin calibrate DIR --json FILE",
+}
+
+#: An argument in a message: `name`, `name=True`, `name="value"`.
+_ARGUMENT: Final = re.compile(
+    r'`(?P<name>[\w.]+)(?:=(?:(?P<truth>True|False)|"(?P<text>[^`"]*)"))?`'
+)
+
 
 def shell_word(path: Path) -> str:
     """Return a path as it may be typed into a shell, blanks and all."""
     return quote(str(path))
+
+
+def spoken(message: str, app: App, words: Iterable[str]) -> str:
+    """Return a message with each Python argument that it names as the option of the command.
+
+    Rooms below the command line name an argument as a Python user writes it, in backquotes:
+    ``give `overwrite=True` ``. Here that becomes ``give --overwrite``.
+
+    Parameters
+    ----------
+    message
+        What was raised.
+    app
+        The command line.
+    words
+        What was typed; the first names the command. Names that it does not have are left alone.
+    """
+    command = next((word for word in words if word[:1] != "-" and word in app), None)
+    options = {}
+    if command is not None:
+        for argument in app[command].assemble_argument_collection(parse_docstring=False):
+            if argument.name.startswith("-"):
+                options[argument.field_info.name] = argument
+
+    def typed(match: re.Match[str]) -> str:
+        name, text = match["name"], match["text"]
+        if name in _COMMANDS:
+            return f"`{_COMMANDS[name]}`"
+        if name not in options:
+            return match[0]
+        option = options[name]
+        flag = option.negatives[0] if match["truth"] == "False" else option.name
+        return flag if text is None else f"{flag} {quote(text)}"
+
+    return _ARGUMENT.sub(typed, message)

@@ -27,8 +27,8 @@ _SOURCE: Final = "apply"  #: what the command's own refusals begin with
 #: Axes of an accelerometer on its own, whose place on the platform then does not matter.
 _ALONE: Final = Mounting.from_axes("east", "north")
 
-#: Axis -> its name, and the option that gives the specific force along it.
-_AXES: Final = {"P": ("pendulous", "--pendulous"), "O": ("output", "--output-axis")}
+#: Axis -> its name, and the argument that gives the specific force along it.
+_AXES: Final = {"P": ("pendulous", "`pendulous`"), "O": ("output", "`output_axis`")}
 
 #: How far beyond the calibration's largest specific force an indication may go unremarked; bias
 #: and scale factor alone bring it there.
@@ -118,12 +118,12 @@ def apply(
             _SOURCE,
             [
                 "the result is of the paper's equations as printed, whose K_II is half of what "
-                "the accelerometer has; calibrate again with --model exact, or give --force"
+                "the accelerometer has; calibrate again with the exact model, or give `force=True`"
             ],
         )
     indications = {accelerometer: indicated, **(others or {})}
     if accelerometer in (others or {}):
-        raise CampaignError(_SOURCE, [f"--others: {accelerometer} is the one to be corrected"])
+        raise CampaignError(_SOURCE, [f"`others`: {accelerometer} is the one to be corrected"])
     factor = _factor(unit, result.inputs.gravity)
     instruments = [instrument_of(result, name, placed=bool(others)) for name in indications]
     mounting = instruments[0].mounting
@@ -229,7 +229,7 @@ def _factor(unit: str, gravity: float) -> float:
     try:
         return unit_factor(unit, "g", gravity=gravity)
     except ValueError as error:
-        raise CampaignError(_SOURCE, [f"--unit: {error}"]) from error
+        raise CampaignError(_SOURCE, [f"`unit`: {error}"]) from error
 
 
 def _known(given: Any, direction: Array, factor: float, gravity: float, option: str) -> Known:
@@ -250,12 +250,12 @@ def _needed(
         words, option = _AXES[axis]
         verb = "needs" if len(symbols) == 1 else "need"
         if one.name == accelerometer:
-            ways = f'give {option} COLUMN or a constant such as {option} "-1 g"'
+            ways = f'give {option}, a column or a constant such as "-1 g"'
         else:
-            ways = "give --pendulous or --output-axis of the accelerometer to be corrected"
+            ways = "give `pendulous` or `output_axis` of the accelerometer to be corrected"
         problems.append(
             f"{', '.join(symbols)} of {one.name} {verb} the specific force along its {words} "
-            f"axis; {ways}, or name an accelerometer that senses it with --others"
+            f"axis; {ways}, or name an accelerometer that senses it with `others`"
         )
     return problems
 

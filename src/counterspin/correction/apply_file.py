@@ -2,7 +2,6 @@
 
 - `apply_file`: the input's columns and two more, the corrected force and its uncertainty
 - `CorrectedFile`, `Level`: what was written, for the report
-- `parse_others`: ``"Qy=COLUMN,Qz=COLUMN"``
 """
 
 from __future__ import annotations
@@ -134,7 +133,7 @@ def apply_file(
     for name in (accelerometer, *(others or {})):
         instrument_of(result, name)  # a wrong name is told before the file is searched for it
     table = open_columns(source, []).table()
-    along = {"--pendulous": pendulous, "--output-axis": output_axis}
+    along = {"pendulous": pendulous, "output_axis": output_axis}
     used = [text for text in (*along.values(), *(others or {}).values()) if text in table.columns]
     column = column or _guessed(source, table, accelerometer, used)
     names = {column, *used, *(others or {}).values()}
@@ -155,8 +154,8 @@ def apply_file(
             accelerometer,
             values[column],
             unit=unit,
-            pendulous=given.get("--pendulous"),
-            output_axis=given.get("--output-axis"),
+            pendulous=given.get("pendulous"),
+            output_axis=given.get("output_axis"),
             others={name: values[text] for name, text in (others or {}).items()},
             force=force,
         )
@@ -172,19 +171,6 @@ def apply_file(
     return report
 
 
-def parse_others(text: str | None) -> dict[str, str]:
-    """Read ``"Qy=COLUMN,Qz=COLUMN"``; raises CampaignError if it is not that."""
-    pairs = {}
-    for item in text.split(",") if text else []:
-        name, mark, column = (part.strip() for part in item.partition("="))
-        if not (name and mark and column) or name in pairs:
-            raise CampaignError(
-                "apply", [f"--others: {text!r} is not of the form Qy=COLUMN,Qz=COLUMN"]
-            )
-        pairs[name] = column
-    return pairs
-
-
 def _guessed(source: Path, table: pl.DataFrame, accelerometer: str, used: list[str]) -> str:
     free = [name for name in table.columns if name not in used]
     if accelerometer in free:
@@ -194,7 +180,7 @@ def _guessed(source: Path, table: pl.DataFrame, accelerometer: str, used: list[s
     raise CampaignError(
         str(source),
         [
-            f"which column is the indication of {accelerometer}? Name it with --input; the file "
+            f"which column is the indication of {accelerometer}? Name it with `column`; the file "
             f"has {', '.join(table.columns)}"
         ],
     )

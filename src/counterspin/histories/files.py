@@ -21,9 +21,7 @@ from counterspin.histories.result import UnusedResult
 #: Keys of every result, whatever its schema; other JSON files in a folder are not results.
 _RESULT_KEYS: Final = {"method", "accelerometers", "provenance"}
 
-_SUMMARY_REASON: Final = (
-    "is a summary of several campaigns; write a result for each, with its own --json"
-)
+_SUMMARY_REASON: Final = "is a summary of several campaigns; write a result for each"
 
 
 @dataclass(frozen=True)

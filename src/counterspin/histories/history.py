@@ -59,7 +59,7 @@ def history(
         If no result can be used; the reasons are given.
     """
     if term not in TERMS:
-        raise CampaignError("--term", [_unknown(term)])
+        raise CampaignError("`term`", [_unknown(term)])
     collected = collect([Path(path) for path in paths], term)
     _leave_out_repeated(collected)
     if not collected.records:
@@ -72,7 +72,7 @@ def history(
     if not by_serial:
         known = {record.serial_number for record in collected.records}
         raise CampaignError(
-            "--serial", [f'no result is of "{serial}"{did_you_mean(str(serial), sorted(known))}']
+            "`serial`", [f'no result is of "{serial}"{did_you_mean(str(serial), sorted(known))}']
         )
     return History(
         term=term,
@@ -124,7 +124,7 @@ def _nothing(paths: Sequence[Path | str], collected: Collected) -> str:
     where = ", ".join(map(str, paths))
     lost = [*collected.damaged, *collected.left_out]
     if not lost:
-        return f"no results in {where}; `counterspin calibrate DIR --json FILE` writes one" + (
+        return f"no results in {where}; `write_result` writes one" + (
             f" ({len(collected.passed_over)} other JSON files)" if collected.passed_over else ""
         )
     reasons = "; ".join(

@@ -103,7 +103,7 @@ def read_plan(path: Path | str) -> Plan:
         With every mistake found, each with the path of its key; or that the file cannot be read.
     """
     file = Path(path)
-    raw = load_document(file, "`counterspin plan --init FILE` writes a plan to start from")
+    raw = load_document(file, "`planning.plan.write_example` writes a plan to start from")
     problems = Problems(raw)
     if "runs" in raw:
         raw = {key: value for key, value in raw.items() if key != "runs"}

@@ -103,7 +103,7 @@ def _write_description(folder: Path) -> None:
         if target.exists() and target.read_text("utf-8", errors="replace") != text:
             raise CounterspinError(
                 f"{target} is another campaign, or an earlier or edited one; remove it, or choose "
-                "another folder with --output"
+                "another folder"
             )
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -47,7 +47,7 @@ DRIFT_RATE: Final = 1e-7  #: 1/s; the paper names C but gives no value
 
 
 def stated_inputs() -> dict[str, Any]:
-    """Return the inputs with their units, as ``--json`` writes them."""
+    """Return the inputs with their units, as the JSON document has them."""
     return {
         "accelerometer": dict(TABLE_1),
         "radius": {"value": RADIUS, "unit": "m"},

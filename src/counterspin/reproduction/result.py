@@ -84,7 +84,7 @@ class Reproduction:
         return {row.key: row for row in self.rows}[key]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return what ``--json`` writes."""
+        """Return the reproduction as its JSON document."""
         return {
             "schema": 1,
             "inputs": dict(self.inputs),

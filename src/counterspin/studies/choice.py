@@ -115,8 +115,8 @@ def choose_engine(
     )
     if against and engine in ("surrogate", "exact"):
         raise NotIdentifiableError(
-            f"{analysis.name}: --engine {engine} is not valid here: {'; '.join(against)}; "
-            "use --engine full, or leave the choice to the program"
+            f'{analysis.name}: `engine="{engine}"` is not valid here: {"; ".join(against)}; '
+            'use `engine="full"`, or leave the choice to the program'
         )
     if against or engine == "full":
         words = "full records" + (f" ({against[0]})" if against and engine == "auto" else "")

@@ -35,7 +35,7 @@ def world_of(campaign: Campaign) -> Instrumented:
             str(campaign.path),
             [
                 f"accelerometers.{name}: a study needs records of displacement; for velocity or "
-                "force, `counterspin plan --check` predicts u, and `simulate` with `calibrate` "
+                "force, `forecast` predicts u, and `simulate` with `calibrate` "
                 "makes one trial"
                 for name in others
             ],

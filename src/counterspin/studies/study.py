@@ -91,12 +91,12 @@ def study(
     """
     description = where if isinstance(where, StudyDescription) else read_study(where)
     if keep_trials and output is None:
-        raise CounterspinError("--keep-trials needs a folder for them: --output FOLDER")
+        raise CounterspinError("`keep_trials` needs a folder for them: `output`")
     if workers < 1:
-        raise CounterspinError("--workers must be at least 1")
+        raise CounterspinError("`workers` must be at least 1")
     trials = description.trials if trials is None else trials
     if trials < 2:
-        raise CounterspinError("--trials must be at least 2")
+        raise CounterspinError("`trials` must be at least 2")
     alone = workers == 1 and cluster is None
     # Workers start while the engine is prepared.
     with nullcontext() if alone else crew_of(workers, cluster, work.__module__) as crew:

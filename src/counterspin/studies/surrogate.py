@@ -158,7 +158,7 @@ class Surrogate:
         )
         if error > _TOLERANCE:
             raise ConvergenceError(
-                f"the polynomial surrogate errs by {error:.1e} in its box; use --engine exact"
+                f'the polynomial surrogate errs by {error:.1e} in its box; use `engine="exact"`'
             )
         return cls(box, tuple(powers), with_radius, without, error)
 

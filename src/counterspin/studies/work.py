@@ -4,7 +4,7 @@ Work is handed out in tasks of whole batches. What a batch gives depends on its 
 that results are the same however the work is shared out. A task that is lost with its worker is
 handed out again, and counts once.
 
-- `Ledger`: which batches are done, and what they gave; kept on disk for `--resume`
+- `Ledger`: which batches are done, and what they gave; kept on disk to be resumed
 - `run_batches`: do what is not done yet
 """
 
@@ -142,14 +142,14 @@ class Ledger:
         """
         if self.folder is None or not self._file.exists():
             raise CounterspinError(
-                f"{self.folder}: holds no study to resume; leave out --resume, or name the folder "
-                "with --output"
+                f"{self.folder}: holds no study to resume; leave out `resume`, or name the folder "
+                "with `output`"
             )
         with np.load(self._file) as kept:
             if str(kept["fingerprint"]) != self._fingerprint:
                 raise CounterspinError(
                     f"{self.folder}: the study that was begun there is another one (its "
-                    "description, engine or --keep-trials differ); use another folder"
+                    "description, engine or `keep_trials` differ); use another folder"
                 )
             before, done, sums = int(kept["trials"]), kept["done"], kept["sums"]
         for row, batch in enumerate(np.flatnonzero(done)):
@@ -305,7 +305,7 @@ def _together(
             losses = 0 if int(ledger.done.sum()) > before else losses + 1
             if losses >= _LOSSES:
                 raise CounterspinError(
-                    "the workers die before they have done anything; try fewer (--workers), or "
+                    "the workers die before they have done anything; try fewer (`workers`), or "
                     "see whether memory runs out"
                 ) from error
 

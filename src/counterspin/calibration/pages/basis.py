@@ -7,9 +7,11 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Iterable, Iterator
 from typing import Final
 
+from counterspin.calibration.options import TwoStageOptions, command_words
 from counterspin.calibration.result import Result
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, Term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
@@ -108,7 +110,7 @@ def origin_blocks(result: Result) -> Iterator[Block]:
         "the same result comes from"
     )
     options = list(result.provenance.options)
-    if result.method == "two-stage" and not any("--method" in option for option in options):
-        # Once this method was the default, and did not have to be asked for.
-        options.insert(0, "--method=two-stage")
-    yield Paragraph(" ".join(("counterspin calibrate .", *options)), "command")
+    asked = command_words(result.method, TwoStageOptions())
+    # Once the two-stage method was the default, and did not have to be asked for.
+    options = [*(word for word in asked if word not in options), *options]
+    yield Paragraph(shlex.join(("counterspin", "calibrate", ".", *options)), "command")

@@ -106,8 +106,8 @@ def issue_date(text: str | None = None) -> datetime:
         if epoch:
             return datetime.fromtimestamp(int(epoch), UTC)
     except (ValueError, OverflowError, OSError) as error:
-        what = f"--date {text!r}" if text is not None else f"SOURCE_DATE_EPOCH {epoch!r}"
+        source, given_text = ("date", text) if text is not None else ("SOURCE_DATE_EPOCH", epoch)
         raise CampaignError(
-            "date", [f"{what} is no date: write 2026-03-01 or 2026-03-01T14:30:00+01:00"]
+            source, [f"{given_text!r} is no date: write 2026-03-01 or 2026-03-01T14:30:00+01:00"]
         ) from error
     return datetime.now(UTC).replace(microsecond=0)

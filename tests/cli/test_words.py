@@ -1,0 +1,35 @@
+"""Messages in the words of a command line."""
+
+import pytest
+
+from counterspin import cli
+from counterspin.cli.words import spoken
+
+
+@pytest.mark.parametrize(
+    ("words", "raised", "told"),
+    [
+        (["simulate", "x"], "give `overwrite=True`", "give --overwrite"),
+        (["apply", "r", "f"], "name it with `column`", "name it with --input"),
+        (["calibrate"], 'say `method="two-stage"`', "say --method two-stage"),
+        (["calibrate"], "`weighted=False`, `fit_bias=True`", "--no-weighted, --fit-bias"),
+        (["study"], "`keep_trials` needs `output`", "--keep-trials needs --output"),
+        (["study"], '`engine="a b"`', "--engine 'a b'"),
+        (["--version"], "`overwrite=True`", "`overwrite=True`"),
+        ([], "`overwrite=True`", "`overwrite=True`"),
+        (["init"], "`overwrite=True`", "`overwrite=True`"),
+        (["calibrate"], "`directory` and `simulate`", "`directory` and `simulate`"),
+        (["plan"], "`planning.plan.write_example`", "`counterspin plan --init FILE`"),
+    ],
+)
+def test_arguments_are_told_as_the_options_of_the_command(words, raised, told):
+    assert spoken(raised, cli.app, words) == told
+
+
+def test_an_error_is_told_with_the_options_of_the_command(tmp_path, capsys):
+    description = tmp_path / "campaign.toml"
+    assert cli.main(["calibrate", str(tmp_path), "--model", "as-printed"]) == 2
+    assert "with these options say --method two-stage" in capsys.readouterr().err
+    assert not description.exists()
+    assert cli.main(["history", str(tmp_path), "--term", "K_2"]) == 2
+    assert capsys.readouterr().err.startswith("counterspin: --term: no term is called")
