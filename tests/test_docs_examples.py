@@ -5,12 +5,12 @@ from pathlib import Path
 import pytest
 
 from counterspin.calibration.pages.full_report import document, identifier_of
-from counterspin.calibration.result import read_result
+from counterspin.calibration.result import Result
 from counterspin.certificates.reading import read_certificate
 from counterspin.reports.blocks import Paragraph
 
 EXAMPLES = Path(__file__).parents[1] / "docs" / "examples" / "three-rate"
-RESULT = read_result(EXAMPLES / "result.json")
+RESULT = Result.read(EXAMPLES / "result.json")
 
 
 def test_the_report_is_of_this_result_and_gives_its_answers():

@@ -15,7 +15,7 @@ from importlib.resources import files
 import pytest
 
 from counterspin import workers as crew
-from counterspin.calibration.batch import calibrate_many
+from counterspin.calibration.batch import BatchResult, calibrate_many
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
@@ -40,13 +40,17 @@ def folders(tmp_path_factory):
     return [place / "a", place / "broken", place / "b"]
 
 
+def outcomes(batch):
+    """Return what became of each campaign, in order."""
+    return list(batch.campaigns.values())
+
+
 @pytest.mark.parametrize("workers", [1, 2])
 def test_each_campaign_is_calibrated_as_if_alone(folders, workers):
-    first, broken, last = calibrate_many(folders, workers=workers)
-    assert first.result == calibrate(folders[0])
-    assert last.result == calibrate(folders[2])
-    assert first.result != last.result
-    assert broken.result is None
+    first, broken, last = outcomes(calibrate_many(folders, workers=workers))
+    assert first == calibrate(folders[0])
+    assert last == calibrate(folders[2])
+    assert first != last
     assert "no such file" in broken.error
 
 
@@ -58,9 +62,10 @@ def test_command_prints_a_summary_and_fails_if_any_failed(folders, tmp_path, cap
     assert "1 of 3 campaigns could not be calibrated" in shown.err
     assert "2 campaigns calibrated, 1 failed." in shown.out
     assert shown.out.count("Qx") == 2
-    campaigns = json.loads(kept.read_text(encoding="utf-8"))["campaigns"]
-    assert list(campaigns) == [str(folder) for folder in folders]
-    assert "error" in campaigns[str(folders[1])]
+    batch = BatchResult.read(kept)
+    assert list(batch.campaigns) == [str(folder) for folder in folders]
+    assert list(batch.failed) == [str(folders[1])]
+    assert batch.campaigns[str(folders[0])] == calibrate(folders[0])
     assert main(["calibrate", str(folders[0]), str(folders[2])]) == 0
 
 
@@ -96,11 +101,10 @@ class Held:
 
 def test_campaign_whose_worker_dies_is_tried_again(folders, tmp_path):
     held = Held(tmp_path / "held", folders[0], of_pool, times=1)
-    first, middle, last = calibrate_many([folders[0], tmp_path / "held", folders[2]], workers=2)
+    several = [folders[0], tmp_path / "held", folders[2]]
+    found = calibrate_many(several, workers=2)
     assert held.killed == 1
-    assert first.result == calibrate(folders[0])
-    assert middle.result == calibrate(tmp_path / "held")
-    assert last.result == calibrate(folders[2])
+    assert outcomes(found) == [calibrate(folder) for folder in several]
 
 
 def test_campaign_whose_workers_die_is_reported_and_stops_no_other(folders, tmp_path, capsys):
@@ -156,7 +160,7 @@ def test_dask_s_dead_worker_costs_no_campaign(folders, cluster, tmp_path):
     several = [folders[0], tmp_path / "held", folders[2]]
     found = calibrate_many(several, cluster=cluster.scheduler_address)
     assert held.killed == 1
-    assert [one.result for one in found] == [calibrate(folder) for folder in several]
+    assert outcomes(found) == [calibrate(folder) for folder in several]
 
 
 @pytest.fixture
@@ -189,8 +193,8 @@ def test_lost_scheduler_is_told_and_loses_nothing_that_was_done(
     monkeypatch.setattr(crew, "_ANSWER", 1.0)
     address, process = scheduler
     Held(tmp_path / "held", folders[0], lambda: [process.pid], times=1)
-    first, second = calibrate_many([folders[0], tmp_path / "held"], cluster=address)
-    assert first.result == calibrate(folders[0])
+    first, second = outcomes(calibrate_many([folders[0], tmp_path / "held"], cluster=address))
+    assert first == calibrate(folders[0])
     assert "connection with the Dask scheduler was lost" in second.error
     with pytest.raises(CounterspinError, match="no Dask scheduler answers"):
         calibrate_many([folders[0]], cluster=address)

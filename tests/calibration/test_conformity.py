@@ -7,7 +7,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.conformity import conformity, with_conformity
 from counterspin.calibration.pages.conformity import conformity_blocks
 from counterspin.calibration.pages.sections import sections
-from counterspin.calibration.result import read_result, write_result
+from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Residual
 from counterspin.calibration.two_stage import TwoStageOptions
 from counterspin.campaign.checking import Problems
@@ -53,8 +53,8 @@ def test_verdicts_are_in_the_result(found, tmp_path):
         ("Qy", "K_II"): "fail",
         ("Qy", "K_PO"): "undecided",
     }
-    write_result(found, tmp_path / "r.json")
-    assert read_result(tmp_path / "r.json") == found
+    found.write(tmp_path / "r.json")
+    assert Result.read(tmp_path / "r.json") == found
 
 
 def test_verdict_is_that_of_the_estimate(found):

@@ -12,7 +12,7 @@ import pytest
 from scipy.special import stdtrit
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.result import read_result, write_result
+from counterspin.calibration.result import Result
 from counterspin.calibration.two_stage import TwoStageOptions
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
@@ -148,7 +148,7 @@ def test_the_truth_is_found(result):
 
 
 def test_the_json_is_what_the_contract_says(result, campaign, tmp_path):
-    write_result(result, tmp_path / "result.json")
+    result.write(tmp_path / "result.json")
     document = json.loads((tmp_path / "result.json").read_text(encoding="utf-8"))
     assert document["schema"] == 1
     assert document["method"] == "joint"
@@ -188,7 +188,7 @@ def test_the_json_is_what_the_contract_says(result, campaign, tmp_path):
         "run2.csv",
         "run3.csv",
     }
-    assert read_result(tmp_path / "result.json") == result
+    assert Result.read(tmp_path / "result.json") == result
 
 
 def test_the_budget_in_the_result_is_the_whole_of_u(result):

@@ -7,7 +7,7 @@ from campaigns import SMALL, changed, write
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.joint_traces import _rounded
-from counterspin.calibration.result import read_result, write_result
+from counterspin.calibration.result import Result
 from counterspin.campaign.simulation import simulate
 
 #: Where samples are displaced, and by how much, in metres.
@@ -80,8 +80,8 @@ def test_outliers_are_left_out_and_shown_where_they_were(results):
 def test_the_file_holds_them_a_list_a_line(results, tmp_path):
     clean, _, _ = results
     path = tmp_path / "result.json"
-    write_result(clean, path)
-    assert read_result(path) == clean
+    clean.write(path)
+    assert Result.read(path) == clean
     lines = path.read_text().splitlines()
     assert sum(line.lstrip().startswith('"low": [') for line in lines) == 12  # two a trace
     assert len(lines) < 2500

@@ -13,7 +13,7 @@ from scipy.special import chdtrc
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.observed import observe
 from counterspin.calibration.options import command_words
-from counterspin.calibration.result import read_result
+from counterspin.calibration.result import Result
 from counterspin.calibration.two_stage import TwoStageOptions, k_ii, two_stage
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
@@ -88,7 +88,7 @@ def test_json_has_the_fields_of_the_contract(tmp_path, capsys):
     assert set(document["provenance"]["inputs"]) == {
         *("campaign.toml", "slow.csv", "middle.csv", "fast.csv")
     }
-    assert read_result(file).accelerometers["Qx"].coefficients["K_II"].value == k_ii["value"]
+    assert Result.read(file).accelerometers["Qx"].coefficients["K_II"].value == k_ii["value"]
 
 
 def test_what_the_method_does_not_determine_has_its_prior_or_nothing(tmp_path):
@@ -181,7 +181,7 @@ def test_sigma_from_the_residuals(tmp_path, capsys, how):
     assert main(command) == 0
     text = capsys.readouterr().out
     assert "estimated from the residuals" in text
-    result = read_result(file)
+    result = Result.read(file)
     for run in result.runs.values():
         assert run.parabolas["Qx"].sigma_from_residuals
         assert run.parabolas["Qx"].sigma == pytest.approx(0.01, rel=0.6)
@@ -235,7 +235,7 @@ def test_terms_that_act_alike_are_said_with_their_combination(tmp_path, capsys):
     folder, file = made(tmp_path, PRIORS), tmp_path / "result.json"
     main(["calibrate", str(folder), "--method", "two-stage", "--json", str(file)])
     text = " ".join(capsys.readouterr().out.split())
-    found = qx(read_result(file))
+    found = qx(Result.read(file))
     second, bias = found.confounded
     assert (second.terms, second.determined) == (["K_II", "K_OO"], "K_II + K_OO")
     assert bias.terms == ["K_F", "K_PP", "delta_O", "platform.tilt.north"]

@@ -7,7 +7,7 @@ import pytest
 from results import coefficient, result
 
 from certificates import ISSUE, document, find
-from counterspin.calibration.result import read_result
+from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Conformity
 from counterspin.campaign.quantity import unit_factor
 from counterspin.certificates.administrative import Issue
@@ -253,7 +253,7 @@ def test_result_and_report_are_attached(tmp_path):
     made = document(tmp_path, given, report=b"%PDF-1.7 for people")
     (data,) = find(made, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
     (tmp_path / "r.json").write_bytes(b64decode(data.text))
-    assert read_result(tmp_path / "r.json") == given
+    assert Result.read(tmp_path / "r.json") == given
     (data,) = find(made, "/dcc:digitalCalibrationCertificate/dcc:document/dcc:dataBase64")
     assert b64decode(data.text) == b"%PDF-1.7 for people"
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from counterspin.calibration.result import SCHEMA
-from counterspin.calibration.result_parts import ResultPart
+from counterspin.calibration.result import Result
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.histories import result as history_result
 from counterspin.histories.history import history
 from counterspin.histories.page import control_plot, history_blocks, history_figure
+from counterspin.histories.result import History
 from counterspin.physics.accelerometer import TERMS
 from counterspin.reports.blocks import Plot
 from counterspin.reports.figure import save
@@ -259,7 +259,10 @@ def test_other_json_files_are_passed_over(tmp_path):
         (json.dumps(result())[:300], "not a result file, or a damaged one"),
         ("", "not a result file, or a damaged one"),
         ("[" * 100_000, "damaged"),
-        (json.dumps(result() | {"schema": SCHEMA + 1}), "written by a newer counterspin"),
+        (
+            json.dumps(result() | {"schema": Result.newest_schema() + 1}),
+            "written by a newer counterspin",
+        ),
         (json.dumps(result(u=-1.0)), "damaged result"),
         ("\udc80", "damaged"),
     ],
@@ -277,7 +280,7 @@ def test_a_damaged_file_stops_no_other(tmp_path, text, words, capsys):
     assert "Q-104" in told.out
     assert "bad.json" in told.out.replace("\n", "")
     assert told.err.startswith("counterspin: 1 of the files are results that cannot be read")
-    assert json.loads(kept.read_text("utf-8"))["damaged"][0]["file"].endswith("bad.json")
+    assert History.read(kept).damaged[0].file.endswith("bad.json")
 
 
 def test_nothing_to_show_says_why(tmp_path):
@@ -392,7 +395,7 @@ def test_page_has_every_key():
     models = {
         name: model
         for name, model in vars(history_result).items()
-        if inspect.isclass(model) and issubclass(model, ResultPart) and model is not ResultPart
+        if inspect.isclass(model) and model.__module__ == history_result.__name__
     }
     assert set(tables) == set(models)
     for name, model in models.items():

@@ -19,6 +19,7 @@ from counterspin.planning.page import render_plan
 from counterspin.planning.plan import check, plan, write_campaign, write_example
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings
+from counterspin.planning.result import PlanResult
 from counterspin.planning.search import Search
 from counterspin.planning.toml_text import write_document
 from counterspin.reports.text import report_console
@@ -324,6 +325,7 @@ def test_command_writes_campaign_and_json(starter, tmp_path, capsys):
     assert cli.main(["plan", str(file), "-o", str(out), "--json", str(tmp_path / "p.json")]) == 0
     printed = capsys.readouterr().out
     assert "counterspin simulate" in printed
+    assert PlanResult.read(tmp_path / "p.json").runs
     document = json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))
     assert document["schema"] == 1
     u = document["accelerometers"]["Qx"]["coefficients"]["K_II"]["u"]

@@ -31,7 +31,7 @@ def test_every_number_is_whole_in_the_width(width):
 
 def test_a_figure_the_paper_does_not_have_is_a_dash():
     row = Row("a.b", "something", None, 2.5, "m", "not in the paper", ".1f")
-    text = rendered(Reproduction({}, (PaperSection("Part", (row,)),)), 80)
+    text = rendered(Reproduction(inputs={}, sections=(PaperSection("Part", (row,)),)), 80)
     assert next(line.split()[:4] for line in text.splitlines() if line.startswith("something")) == [
         "something",
         "-",

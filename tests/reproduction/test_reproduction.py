@@ -17,6 +17,7 @@ from counterspin.reproduction.plan import (
     TABLE_1,
     simulate_strobes,
 )
+from counterspin.reproduction.result import Reproduction
 
 
 @pytest.fixture(scope="module")
@@ -140,7 +141,8 @@ def test_the_second_column_takes_up_the_drift(reproduction):
 
 
 def test_json_holds_every_figure(reproduction):
-    written = json.loads(json.dumps(reproduction.to_dict(), allow_nan=False))
+    written = json.loads(reproduction.to_json())
+    assert Reproduction.model_validate(written).to_json() == reproduction.to_json()
     rows = {row["key"]: row for section in written["sections"] for row in section["rows"]}
     assert set(rows) == {row.key for row in reproduction.rows}
     exact = rows["sigma_k_ii.exact"]

@@ -1,43 +1,46 @@
 """`counterspin calibrate DIR1 DIR2 ...`: many campaigns, one failure stopping no other.
 
 - `calibrate_many`: all of them, on several cores or a cluster
-- `Calibrated`: what became of one
+- `BatchResult`: what became of each; `FailedCampaign`: why one has no result
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.options import Method, TwoStageOptions
 from counterspin.calibration.result import Result
 from counterspin.errors import CounterspinError
+from counterspin.results import ResultFile, ResultPart
 from counterspin.workers import crew_of
 
 
-@dataclass(frozen=True)
-class Calibrated:
-    """What became of one campaign.
+class FailedCampaign(ResultPart):
+    """Why a campaign has no result."""
 
-    Attributes
-    ----------
-    directory
-        As it was named.
-    result
-        Its result, or None.
-    error
-        Why there is none.
-    """
+    error: str
 
-    directory: Path
-    result: Result | None
-    error: str | None = None
+
+class BatchResult(ResultFile):
+    """What became of each campaign, by its folder as it was named."""
+
+    KIND: ClassVar[str] = "batch"
+
+    campaigns: dict[str, Result | FailedCampaign]
+
+    @property
+    def failed(self) -> dict[str, str]:
+        """The errors of the campaigns that have no result, by folder."""
+        return {
+            folder: outcome.error
+            for folder, outcome in self.campaigns.items()
+            if isinstance(outcome, FailedCampaign)
+        }
 
 
 def calibrate_many(
@@ -48,7 +51,7 @@ def calibrate_many(
     workers: int = 1,
     cluster: str | None = None,
     progress: Callable[[int, int], None] | None = None,
-) -> tuple[Calibrated, ...]:
+) -> BatchResult:
     """Calibrate campaigns independently of each other.
 
     Parameters
@@ -64,8 +67,8 @@ def calibrate_many(
 
     Returns
     -------
-    tuple of Calibrated
-        In the order of the folders.
+    BatchResult
+        In the order of the folders; one that is named twice is calibrated once.
 
     Raises
     ------
@@ -73,9 +76,10 @@ def calibrate_many(
         If the cluster cannot be reached or is lost.
     """
     options = options or TwoStageOptions()
-    done: dict[int, Calibrated] = {}
+    directories = list(dict.fromkeys(directories))
+    done: dict[int, Result | FailedCampaign] = {}
 
-    def enter(index: int, outcome: Calibrated) -> None:
+    def enter(index: int, outcome: Result | FailedCampaign) -> None:
         done[index] = outcome
         if progress is not None:
             progress(len(done), len(directories))
@@ -98,29 +102,29 @@ def calibrate_many(
             for index in together(places, workers):
                 if together([index], 1):
                     died = "the process that worked on it died, twice; perhaps memory ran out"
-                    enter(index, Calibrated(directories[index], None, died))
+                    enter(index, FailedCampaign(error=died))
         except CounterspinError as error:
             # The cluster is gone. What it has done before is not thrown away.
             if not done:
                 raise
             for index in places:
                 if index not in done:
-                    enter(index, Calibrated(directories[index], None, str(error)))
-    return tuple(done[index] for index in places)
+                    enter(index, FailedCampaign(error=str(error)))
+    return BatchResult(campaigns={str(directories[index]): done[index] for index in places})
 
 
 def _together(
     jobs: Mapping[int, tuple[Path, Method, TwoStageOptions]],
     workers: int,
     cluster: str | None,
-    enter: Callable[[int, Calibrated], None],
+    enter: Callable[[int, Result | FailedCampaign], None],
 ) -> list[int]:
     """Do jobs side by side, and return those that were in hand when a worker died."""
     suspects: list[int] = []
     left = list(jobs)
     died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
     while left:
-        pending: dict[Future[Calibrated], int] = {}
+        pending: dict[Future[Result | FailedCampaign], int] = {}
         try:
             with crew_of(min(workers, len(left)), cluster, __name__) as crew:
                 died = crew.died
@@ -142,23 +146,12 @@ def _together(
     return suspects
 
 
-def attempt(directory: Path, method: Method, options: TwoStageOptions) -> Calibrated:
+def attempt(directory: Path, method: Method, options: TwoStageOptions) -> Result | FailedCampaign:
     """Calibrate one campaign; whatever goes wrong is told and not raised."""
     try:
-        return Calibrated(directory, calibrate(directory, method=method, options=options))
+        return calibrate(directory, method=method, options=options)
     except CounterspinError as error:
-        return Calibrated(directory, None, str(error))
+        return FailedCampaign(error=str(error))
     except Exception as error:
         # One campaign's fault must not stop the others.
-        return Calibrated(directory, None, f"internal error ({type(error).__name__}: {error})")
-
-
-def to_json(outcomes: Sequence[Calibrated]) -> str:
-    """Return all results in one document, by folder."""
-    found: dict[str, Any] = {
-        str(one.directory): {"error": one.error}
-        if one.result is None
-        else json.loads(one.result.to_json())
-        for one in outcomes
-    }
-    return json.dumps({"schema": 1, "campaigns": found}, indent=1, ensure_ascii=False) + "\n"
+        return FailedCampaign(error=f"internal error ({type(error).__name__}: {error})")

@@ -13,13 +13,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import BaseModel, ConfigDict
-
-
-class ResultPart(BaseModel):
-    """A part of the result; unknown keys are kept out so that a slip is seen at once."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")
+from counterspin.results import ResultPart
 
 
 class Coefficient(ResultPart):

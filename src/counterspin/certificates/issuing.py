@@ -17,7 +17,7 @@ from typing import Final
 from counterspin.calibration.conformity import with_conformity
 from counterspin.calibration.pages.full_report import document, identifier_of
 from counterspin.calibration.pages.publishing import issue_date
-from counterspin.calibration.result import Result, read_result
+from counterspin.calibration.result import Result
 from counterspin.certificates.administrative import Issue
 from counterspin.certificates.build import certificate, check_certifiable, to_bytes
 from counterspin.certificates.front import TITLE, front_blocks, results_table
@@ -92,7 +92,7 @@ def issue_certificate(
         raise CampaignError("certificate", [f"{output}: name the file .xml or .pdf"])
     if (key is None) != (cert is None):
         raise CampaignError("certificate", ["`key` and `cert` are given together"])
-    result = read_result(result_file)
+    result = Result.read(result_file)
     lab, specifications = read_lab(lab_file, result)
     names = lab.certified(result)
     try:

@@ -50,13 +50,13 @@ def apply(
     force
         Apply even a result of the equations as printed, whose K_II is half the true one.
     """
-    from counterspin.calibration.result import read_result
+    from counterspin.calibration.result import Result
     from counterspin.correction.apply_file import apply_file
     from counterspin.correction.page import render_application
     from counterspin.reports.text import report_console
 
     done = apply_file(
-        read_result(result),
+        Result.read(result),
         accelerometer,
         file,
         output,

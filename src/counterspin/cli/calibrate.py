@@ -77,13 +77,12 @@ def calibrate(
         result = run(directory, method=method, options=options, progress=advance)
     # Loaded last, so that reading begins as early as can be.
     from counterspin.calibration.pages.terminal import print_result
-    from counterspin.calibration.result import write_result
     from counterspin.reports.text import report_console
 
     print_result(result, report_console(), budget=budget, details=details)
     if json is not None:
         # Last: a file that cannot be written must not cost the report as well.
-        write_result(result, json)
+        result.write(json)
 
 
 def calibrate_several(
@@ -95,14 +94,13 @@ def calibrate_several(
     cluster: str | None,
 ) -> None:
     """Calibrate campaigns one by one, print a summary, and raise if any failed."""
-    from counterspin.calibration.batch import calibrate_many, to_json
+    from counterspin.calibration.batch import calibrate_many
     from counterspin.calibration.pages.batch import render_batch
-    from counterspin.output import write_text
     from counterspin.reports.progress import work_progress
     from counterspin.reports.text import report_console
 
     with work_progress("Campaigns") as advance:
-        outcomes = calibrate_many(
+        batch = calibrate_many(
             directories,
             method=method,
             options=options,
@@ -111,8 +109,9 @@ def calibrate_several(
             progress=advance,
         )
     if json is not None:
-        write_text(json, to_json(outcomes))
-    report_console().print(render_batch(outcomes))
-    failed = sum(one.result is None for one in outcomes)
-    if failed:
-        raise CounterspinError(f"{failed} of {len(outcomes)} campaigns could not be calibrated")
+        batch.write(json)
+    report_console().print(render_batch(batch))
+    if batch.failed:
+        raise CounterspinError(
+            f"{len(batch.failed)} of {len(batch.campaigns)} campaigns could not be calibrated"
+        )

@@ -32,7 +32,6 @@ def history(
     """
     from counterspin.histories.history import history as run
     from counterspin.histories.page import history_figure, render_history
-    from counterspin.output import write_text
     from counterspin.reports.figure import check_format, save
     from counterspin.reports.text import report_console
 
@@ -43,7 +42,7 @@ def history(
     found = run(paths, term=term, serial=serial)
     report_console().print(render_history(found))
     if json is not None:
-        write_text(json, found.to_json())
+        found.write(json)
     if figure is not None:
         save(history_figure(found), figure)
     if found.damaged:

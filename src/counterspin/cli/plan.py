@@ -46,7 +46,6 @@ def plan(
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search
     from counterspin.planning.plan import write_campaign, write_example
-    from counterspin.planning.result import write_plan_result
     from counterspin.reports.text import report_console
 
     if sum(given is not None for given in (file, check, init)) != 1:
@@ -67,7 +66,7 @@ def plan(
         planned = search(file, curves=figures is not None)
         result = planned.result
     if json is not None:
-        write_plan_result(result, json)
+        result.write(json)
     report_console().print(render_plan(result))
     if output is not None:
         written = write_campaign(planned, output)

@@ -30,14 +30,14 @@ def report(
     """
     from counterspin.calibration.pages.full_report import document
     from counterspin.calibration.pages.publishing import check_format, issue_date, write_report
-    from counterspin.calibration.result import read_result
+    from counterspin.calibration.result import Result
     from counterspin.reports.text import Report, report_console
 
     issued = issue_date(date)
     if output is not None:
         check_format(output)
     if source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml"):
-        found = read_result(source)
+        found = Result.read(source)
     else:
         from counterspin.calibration.calibrate import calibrate
         from counterspin.reports.progress import progress

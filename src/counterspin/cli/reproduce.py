@@ -13,14 +13,11 @@ def reproduce(*, json: JsonFile = None) -> None:
     json
         Write all figures to this file too.
     """
-    from json import dumps
-
-    from counterspin.output import write_text
     from counterspin.reports.text import report_console
     from counterspin.reproduction.comparison import reproduce as run
     from counterspin.reproduction.page import render_reproduction
 
     reproduction = run()
     if json is not None:
-        write_text(json, dumps(reproduction.to_dict(), indent=1) + "\n")
+        reproduction.write(json)
     report_console().print(render_reproduction(reproduction))

@@ -47,9 +47,6 @@ def study(
     json
         Write the result to this file too.
     """
-    from json import dumps
-
-    from counterspin.output import write_text
     from counterspin.reports.progress import work_progress
     from counterspin.reports.text import report_console
     from counterspin.studies.page import render_study
@@ -69,7 +66,7 @@ def study(
             progress=advance,
         )
     if json is not None:
-        write_text(json, dumps(result.to_dict(), indent=1) + "\n")
+        result.write(json)
     if output is not None:
         from counterspin.studies.figures import write_figures
 

@@ -14,7 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from counterspin.calibration.result import Result, read_result
+from counterspin.calibration.result import Result
 from counterspin.errors import CampaignError, RecordError
 from counterspin.histories.result import UnusedResult
 
@@ -147,7 +147,7 @@ def _is_other(content: bytes) -> str | None:
 
 def _enter(file: Path, term: str, collected: Collected) -> None:
     try:
-        result = read_result(file)
+        result = Result.read(file)
     except RecordError as error:
         reason = str(error).removeprefix(f"{file}: ")
         collected.damaged.append(UnusedResult(file=str(file), reason=reason))

@@ -9,13 +9,9 @@ Values are in the unit of the term, in g-units of one gravity, which is stated.
 
 from __future__ import annotations
 
-from typing import Annotated, Final, Literal
+from typing import ClassVar, Literal
 
-from pydantic import Field
-
-from counterspin.calibration.result_parts import ResultPart
-
-HISTORY_SCHEMA: Final = 1  #: version of the JSON
+from counterspin.results import ResultFile, ResultPart
 
 #: Whether the results of an instrument agree.
 Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
@@ -129,7 +125,7 @@ class UnusedResult(ResultPart):
     reason: str
 
 
-class History(ResultPart):
+class History(ResultFile):
     """The history of all instruments.
 
     Attributes
@@ -152,7 +148,8 @@ class History(ResultPart):
         Further remarks about the files, in sentences.
     """
 
-    schema_version: Annotated[int, Field(alias="schema")] = HISTORY_SCHEMA
+    KIND: ClassVar[str] = "history"
+
     term: str
     unit: str
     gravity: float
@@ -162,7 +159,3 @@ class History(ResultPart):
     damaged: list[UnusedResult]
     passed_over: list[str]
     notes: list[str]
-
-    def to_json(self) -> str:
-        """Return the JSON text, with a newline at the end."""
-        return self.model_dump_json(by_alias=True, indent=1) + "\n"

@@ -3,19 +3,14 @@
 Units are SI, coefficients in g-units of the stated gravity, as in the result of a calibration.
 
 - `PlanResult` and its parts
-- `write_plan_result`
 """
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated, Literal
+from typing import ClassVar, Literal
 
-from pydantic import Field
-
-from counterspin.calibration.result import SCHEMA
-from counterspin.calibration.result_parts import BudgetLine, ConfoundedTerms, Provenance, ResultPart
-from counterspin.output import write_text
+from counterspin.calibration.result_parts import BudgetLine, ConfoundedTerms, Provenance
+from counterspin.results import ResultFile, ResultPart
 
 
 class PlannedRun(ResultPart):
@@ -114,10 +109,11 @@ class Curves(ResultPart):
     sources: dict[str, Curve]
 
 
-class PlanResult(ResultPart):
+class PlanResult(ResultFile):
     """A plan, or the forecast of a campaign that exists (then without goal and limits)."""
 
-    schema_version: Annotated[int, Field(alias="schema")] = SCHEMA
+    KIND: ClassVar[str] = "plan's result"
+
     title: str
     gravity: float
     radius: float
@@ -127,21 +123,10 @@ class PlanResult(ResultPart):
     accelerometers: dict[str, PlannedAccelerometer]
     platform: dict[str, Predicted]
     goal: GoalResult | None = None
-    others: list[OtherPlan] = Field(default_factory=list)
-    limits: list[LimitResult] = Field(default_factory=list)
-    requirements: list[Requirement] = Field(default_factory=list)
+    others: list[OtherPlan] = []
+    limits: list[LimitResult] = []
+    requirements: list[Requirement] = []
     requirements_for: str = ""
     curves: Curves | None = None
-    warnings: list[str] = Field(default_factory=list)
+    warnings: list[str] = []
     provenance: Provenance
-
-
-def write_plan_result(result: PlanResult, path: Path) -> None:
-    """Write a plan's result as JSON, whole or not at all.
-
-    Raises
-    ------
-    CounterspinError
-        If the file cannot be written.
-    """
-    write_text(path, result.model_dump_json(indent=1, by_alias=True) + "\n")

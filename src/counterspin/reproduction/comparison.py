@@ -18,8 +18,8 @@ def reproduce() -> Reproduction:
     Reproduction
     """
     return Reproduction(
-        stated_inputs(),
-        (
+        inputs=stated_inputs(),
+        sections=(
             PaperSection("Equations 5 to 19", equations.coefficients()),
             PaperSection("First stage: sigma(b2), after Eq. 31", stages.first_stage_spread()),
             PaperSection("Second stage: sigma(K_II), after Eq. 34", stages.second_stage_spread()),

@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any, ClassVar
+
+from pydantic import ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from counterspin.results import ResultFile
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid", populate_by_name=True))
 class Row:
     """One figure of the paper and ours.
 
@@ -23,22 +26,22 @@ class Row:
     printed
         The paper's figure, or what its printed equation gives; None where it has none.
     ours
-        The figure computed here.
+        The figure computed here; ``counterspin`` in the JSON.
     unit
         Of both.
     why
         Why they differ, or that they agree.
     form
-        Format of both numbers.
+        Format of both numbers; not in the JSON.
     """
 
     key: str
     quantity: str
     printed: float | None
-    ours: float
+    ours: Annotated[float, Field(alias="counterspin")]
     unit: str
     why: str
-    form: str = ".4e"
+    form: Annotated[str, Field(exclude=True)] = ".4e"
 
     @property
     def printed_text(self) -> str:
@@ -51,7 +54,7 @@ class Row:
         return format(self.ours, self.form)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=ConfigDict(extra="forbid"))
 class PaperSection:
     """Rows that belong together, under one title."""
 
@@ -59,8 +62,7 @@ class PaperSection:
     rows: tuple[Row, ...]
 
 
-@dataclass(frozen=True)
-class Reproduction:
+class Reproduction(ResultFile):
     """The result of `reproduce`.
 
     Attributes
@@ -71,7 +73,9 @@ class Reproduction:
         The rows, grouped in the order of the paper.
     """
 
-    inputs: Mapping[str, Any]
+    KIND: ClassVar[str] = "reproduction"
+
+    inputs: dict[str, Any]
     sections: tuple[PaperSection, ...]
 
     @property
@@ -82,27 +86,3 @@ class Reproduction:
     def __getitem__(self, key: str) -> Row:
         """Return the row with this key; KeyError if there is none."""
         return {row.key: row for row in self.rows}[key]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the reproduction as its JSON document."""
-        return {
-            "schema": 1,
-            "inputs": dict(self.inputs),
-            "sections": [
-                {
-                    "title": section.title,
-                    "rows": [
-                        {
-                            "key": row.key,
-                            "quantity": row.quantity,
-                            "printed": row.printed,
-                            "counterspin": row.ours,
-                            "unit": row.unit,
-                            "why": row.why,
-                        }
-                        for row in section.rows
-                    ],
-                }
-                for section in self.sections
-            ],
-        }

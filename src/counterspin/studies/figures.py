@@ -25,7 +25,11 @@ _COLOURS = ("#0072B2", "#D55E00", "#009E73")
 
 
 def _all(result: StudyResult) -> list[tuple[str, CoefficientResult]]:
-    return [(f"{a.name}: {c.name}", c) for a in result.analyses for c in a.coefficients]
+    return [
+        (f"{analysis}: {name}", coefficient)
+        for analysis, found in result.analyses.items()
+        for name, coefficient in found.coefficients.items()
+    ]
 
 
 def z_figure(result: StudyResult) -> Figure:
@@ -38,7 +42,7 @@ def z_figure(result: StudyResult) -> Figure:
     edges = np.linspace(-Z_EDGE, Z_EDGE, Z_BINS + 1)
     fine = np.linspace(-Z_EDGE, Z_EDGE, 241)
     for axes, (name, one) in zip(panels, chosen, strict=True):
-        counts = one.summary.histogram
+        counts = np.array(one.histogram)
         density = counts[1:-1] / (counts.sum() * (edges[1] - edges[0]))
         axes.stairs(density, edges, fill=True, color=_COLOURS[0], alpha=0.5)
         axes.plot(fine, np.exp(-0.5 * fine**2) / np.sqrt(2.0 * np.pi), color="0.3", linewidth=0.9)
@@ -58,8 +62,8 @@ def coverage_figure(result: StudyResult) -> Figure:
     axes = figure.subplots()
     place = np.arange(len(chosen))
     for index, level in enumerate(LEVELS):
-        share = np.array([one.summary.covered[index] for _, one in chosen])
-        low, high = np.array([one.summary.intervals[index] for _, one in chosen]).T
+        share = np.array([one.covered[index] for _, one in chosen])
+        low, high = np.array([one.intervals[index] for _, one in chosen]).T
         error = np.maximum(np.array([share - low, high - share]), 0.0)
         at = place + 0.25 * (index - 1)
         label = f"{100 * level:.0f} %"
@@ -73,15 +77,17 @@ def coverage_figure(result: StudyResult) -> Figure:
     return figure
 
 
-def bias_figure(result: StudyResult, driver: int) -> Figure:
-    """Draw the bias of each coefficient against one of the result's drivers."""
+def bias_figure(result: StudyResult, driver: str) -> Figure:
+    """Draw the bias of each coefficient against one of the quantities that varied."""
     from matplotlib.figure import Figure
 
     chosen = _all(result)
     figure = Figure(figsize=(7.0, 1.8 * len(chosen)), layout="constrained")
     panels = figure.subplots(len(chosen), 1, sharex=True, squeeze=False)[:, 0]
     for axes, (name, one) in zip(panels, chosen, strict=True):
-        value, trials, bias, spread = one.summary.drivers[driver]
+        against = one.against[driver]
+        columns = (against.value, against.trials, against.bias, against.se_bias)
+        value, trials, bias, spread = (np.array(column, dtype=float) for column in columns)
         seen = trials > 1
         unit, factor = field_unit(one.unit)
         axes.axhline(0.0, color="0.4", linewidth=0.8)
@@ -95,7 +101,7 @@ def bias_figure(result: StudyResult, driver: int) -> Figure:
         )
         axes.set_title(name, loc="left", fontsize=8)
         axes.set_ylabel(f"bias / {unit}" if unit else "bias")
-    panels[-1].set_xlabel(result.drivers[driver])
+    panels[-1].set_xlabel(driver)
     return figure
 
 
@@ -103,5 +109,5 @@ def write_figures(result: StudyResult, folder: Path) -> None:
     """Write all figures of a study to a folder, as SVG."""
     save(z_figure(result), folder / "z.svg")
     save(coverage_figure(result), folder / "coverage.svg")
-    for index, symbol in enumerate(result.drivers):
-        save(bias_figure(result, index), folder / f"bias-{symbol}.svg")
+    for driver in dict.fromkeys(driver for _, one in _all(result) for driver in one.against):
+        save(bias_figure(result, driver), folder / f"bias-{driver}.svg")

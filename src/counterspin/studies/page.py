@@ -8,7 +8,7 @@ from __future__ import annotations
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import field_unit, format_number
 from counterspin.reports.text import Report
-from counterspin.studies.result import AnalysisResult, CoefficientResult, StudyResult
+from counterspin.studies.result import CoefficientResult, StudyResult
 from counterspin.studies.tally import LEVELS
 
 _COLUMNS = (
@@ -24,18 +24,19 @@ _COLUMNS = (
 
 def render_study(result: StudyResult) -> Report:
     """Return the study's tables and its verdict."""
-    state = "" if result.complete else f" of {result.asked} (interrupted)"
+    state = "" if result.complete else f" of {result.trials_asked} (interrupted)"
     blocks: list[Block] = [
         Heading(f"{result.title}: {result.trials} trials{state}, seed {result.seed}"),
         Paragraph("Varying: " + ("; ".join(result.varying) or "the noise only") + "."),
     ]
-    for one in result.analyses:
+    for name, analysis in result.analyses.items():
         blocks += [
-            Heading(f"{one.name} ({one.engine})"),
-            Table(_COLUMNS, tuple(_row(c) for c in one.coefficients)),
+            Heading(f"{name} ({analysis.engine})"),
+            Table(_COLUMNS, tuple(_row(*item) for item in analysis.coefficients.items())),
         ]
-        if one.lost:
-            blocks.append(Paragraph(_lost(one), "quiet"))
+        if analysis.undetermined:
+            listed = ", ".join(analysis.undetermined)
+            blocks.append(Paragraph(f"Not determined by the records: {listed}.", "quiet"))
     blocks.append(Heading("Verdict"))
     for line in result.verdict:
         good = "is trustworthy" in line
@@ -51,23 +52,18 @@ def render_study(result: StudyResult) -> Report:
     return Report(blocks)
 
 
-def _lost(one: AnalysisResult) -> str:
-    return f"Not determined by the records: {', '.join(one.lost)}."
-
-
-def _row(one: CoefficientResult) -> tuple[str, ...]:
-    unit, factor = field_unit(one.unit)
-    summary = one.summary
-    bias, error = (format_number(factor * x, 2) for x in (summary.bias, summary.se_bias))
+def _row(name: str, found: CoefficientResult) -> tuple[str, ...]:
+    unit, factor = field_unit(found.unit)
+    bias, error = (format_number(factor * x, 2) for x in (found.bias, found.se_bias))
     return (
-        one.name,
+        name,
         unit,
         f"{bias}\n± {error}",
-        format_number(summary.sd * factor),
-        format_number(summary.u * factor),
+        format_number(found.sd * factor),
+        format_number(found.u * factor),
         *(
             f"{100 * share:.2f}\n[{100 * low:.2f}, {100 * high:.2f}]"
-            for share, (low, high) in zip(summary.covered, summary.intervals, strict=True)
+            for share, (low, high) in zip(found.covered, found.intervals, strict=True)
         ),
-        "-" if one.efficiency is None else format_number(one.efficiency, 2),
+        "-" if found.efficiency is None else format_number(found.efficiency, 2),
     )

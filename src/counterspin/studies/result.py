@@ -1,15 +1,18 @@
 """The result of a study: figures for each analysis and coefficient, a verdict, JSON.
 
-- `StudyResult`, `AnalysisResult`, `CoefficientResult`: the figures
+- `StudyResult`, `AnalysisResult`, `CoefficientResult`, `BiasAgainst`: the figures
+- `coefficient_result`: those of one coefficient, from what its trials amount to
 - `judge`: whether a coefficient's claims hold, in words
+- `verdict_of`: which analyses to trust
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
-from typing import Any, Final
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Final
 
+from counterspin.results import ResultFile, ResultPart
 from counterspin.studies.engine import Reported
 from counterspin.studies.tally import LEVELS, Summary
 
@@ -20,153 +23,158 @@ _GOOD: Final = (0.94, 0.96)
 _SLIGHT: Final = 0.2
 
 
-@dataclass(frozen=True)
-class CoefficientResult:
+class BiasAgainst(ResultPart):
+    """Bias against a quantity that varied, bin by bin; null where a bin has no trials.
+
+    `value` is the centre of each bin, `trials` the number in it.
+    """
+
+    value: list[float | None]
+    trials: list[float | None]
+    bias: list[float | None]
+    se_bias: list[float | None]
+
+
+class CoefficientResult(ResultPart):
     """One coefficient of one analysis.
 
     Attributes
     ----------
-    owner, symbol, unit
-        Which; the owner of a platform term is empty.
-    summary
-        Bias, spread, claimed u, coverage.
+    unit
+        Of the coefficient.
+    trials, truth, bias, se_bias, sd, mse, u, covered, intervals, histogram
+        As in `counterspin.studies.tally.Summary`.
     bound
         The Cramer-Rao bound of the standard uncertainty, or None.
+    efficiency
+        The bound's variance over the mean square error; None without a bound.
     trustworthy
         Whether its intervals hold the truth as often as they say.
     finding
         The same in words.
+    against
+        By what varied: the bias against it.
     """
 
-    owner: str
-    symbol: str
     unit: str
-    summary: Summary
+    trials: int
+    truth: float
+    bias: float
+    se_bias: float
+    sd: float
+    mse: float
+    u: float
+    covered: tuple[float, ...]
+    intervals: tuple[tuple[float, float], ...]
+    histogram: list[int]
     bound: float | None
+    efficiency: float | None
     trustworthy: bool
     finding: str
-
-    @property
-    def name(self) -> str:
-        """Owner and symbol in one word."""
-        return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
-
-    @property
-    def efficiency(self) -> float | None:
-        """The bound's variance over the mean square error; None without a bound."""
-        if self.bound is None or self.summary.mse == 0.0:
-            return None
-        return self.bound**2 / self.summary.mse
+    against: dict[str, BiasAgainst]
 
 
-@dataclass(frozen=True)
-class AnalysisResult:
+class AnalysisResult(ResultPart):
     """One competitor.
 
     Attributes
     ----------
-    name, engine
-        The study's name for it, and the engine used.
+    engine
+        The engine used, in words.
+    trustworthy
+        Whether all its coefficients are.
     coefficients
-        What it reports.
-    lost
+        What it reports, by owner and symbol.
+    undetermined
         What the records do not determine.
     """
 
-    name: str
     engine: str
-    coefficients: tuple[CoefficientResult, ...]
-    lost: tuple[str, ...]
-
-    @property
-    def trustworthy(self) -> bool:
-        """Whether all its coefficients are."""
-        return all(one.trustworthy for one in self.coefficients)
+    trustworthy: bool
+    coefficients: dict[str, CoefficientResult]
+    undetermined: list[str]
 
 
-@dataclass(frozen=True)
-class StudyResult:
+class StudyResult(ResultFile):
     """A study.
 
     Attributes
     ----------
     title
         Of the campaign.
-    asked, seed
-        Trials asked for, and the random numbers' seed.
+    trials, trials_asked
+        Trials done and asked for.
     complete
         Whether all trials were done.
-    seconds
-        What they took, preparation left out; of a resumed study its last part.
+    seed
+        Of the random numbers.
     varying
         What varied, in words.
-    drivers
-        Quantities against which the bias is given in each summary.
+    levels
+        Of the intervals whose coverage is given.
     analyses
-        The competitors.
+        The competitors, by name.
     verdict
         Which of them to trust, and why not the others.
-    version
-        Of the program.
+    provenance
+        ``version`` of the program.
     """
 
+    KIND: ClassVar[str] = "study's result"
+
     title: str
-    asked: int
-    seed: int
+    trials: int
+    trials_asked: int
     complete: bool
-    seconds: float
-    varying: tuple[str, ...]
-    drivers: tuple[str, ...]
-    analyses: tuple[AnalysisResult, ...]
-    verdict: tuple[str, ...]
-    version: str
-
-    @property
-    def trials(self) -> int:
-        """Trials done."""
-        return self.analyses[0].coefficients[0].summary.trials
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return what the JSON holds."""
-        return {
-            "schema": 1,
-            "title": self.title,
-            "trials": self.trials,
-            "trials_asked": self.asked,
-            "complete": self.complete,
-            "seed": self.seed,
-            "varying": list(self.varying),
-            "levels": list(LEVELS),
-            "analyses": {
-                one.name: {
-                    "engine": one.engine,
-                    "trustworthy": one.trustworthy,
-                    "coefficients": {c.name: _figures(c, self.drivers) for c in one.coefficients},
-                    "undetermined": list(one.lost),
-                }
-                for one in self.analyses
-            },
-            "verdict": list(self.verdict),
-            "provenance": {"version": self.version},
-        }
+    seed: int
+    varying: list[str]
+    levels: tuple[float, ...] = LEVELS
+    analyses: dict[str, AnalysisResult]
+    verdict: list[str]
+    provenance: dict[str, str]
 
 
-def _figures(one: CoefficientResult, drivers: tuple[str, ...]) -> dict[str, Any]:
-    summary = asdict(one.summary)
-    summary["histogram"] = summary["histogram"].tolist()
-    found = {
-        name: dict(zip(("value", "trials", "bias", "se_bias"), map(_numbers, parts), strict=True))
-        for name, parts in zip(drivers, summary.pop("drivers"), strict=True)
-    }
-    return {
-        "unit": one.unit,
-        **summary,
-        "bound": one.bound,
-        "efficiency": one.efficiency,
-        "trustworthy": one.trustworthy,
-        "finding": one.finding,
-        "against": found,
-    }
+def coefficient_result(
+    one: Reported, unit: str, summary: Summary, drivers: Sequence[str]
+) -> CoefficientResult:
+    """Return the figures of one coefficient.
+
+    Parameters
+    ----------
+    one
+        Which coefficient, and its bound.
+    unit
+        Of the coefficient.
+    summary
+        What its trials amount to.
+    drivers
+        The quantities against which the summary gives the bias.
+    """
+    trustworthy, finding = judge(one, summary)
+    unbounded = one.bound is None or summary.mse == 0.0
+    return CoefficientResult(
+        unit=unit,
+        trials=summary.trials,
+        truth=summary.truth,
+        bias=summary.bias,
+        se_bias=summary.se_bias,
+        sd=summary.sd,
+        mse=summary.mse,
+        u=summary.u,
+        covered=summary.covered,
+        intervals=summary.intervals,
+        histogram=summary.histogram.tolist(),
+        bound=one.bound,
+        efficiency=None if unbounded else one.bound**2 / summary.mse,  # type: ignore[operator]
+        trustworthy=trustworthy,
+        finding=finding,
+        against={
+            name: BiasAgainst(
+                **dict(zip(BiasAgainst.model_fields, map(_numbers, columns), strict=True))
+            )
+            for name, columns in zip(drivers, summary.drivers, strict=True)
+        },
+    )
 
 
 def _numbers(values: Any) -> list[float | None]:
@@ -208,30 +216,32 @@ def judge(one: Reported, summary: Summary) -> tuple[bool, str]:
     )
 
 
-def verdict_of(analyses: tuple[AnalysisResult, ...]) -> tuple[str, ...]:
+def verdict_of(analyses: Mapping[str, AnalysisResult]) -> list[str]:
     """Say which analyses are trustworthy, the best of them first, and why not the others."""
-    good = [one for one in analyses if one.trustworthy]
+    good = {name: analysis for name, analysis in analyses.items() if analysis.trustworthy}
     lines = []
     if not good:
         lines.append("No analysis is trustworthy here.")
     else:
-        best = min(good, key=_error)
+        best = min(good, key=lambda name: _mean_square_error(good[name]))
         lines.append(
-            f"{best.name} is trustworthy here"
+            f"{best} is trustworthy here"
             + (" and has the smallest errors" if len(good) > 1 else "")
             + ": "
-            + "; ".join(c.finding for c in best.coefficients)
+            + "; ".join(c.finding for c in good[best].coefficients.values())
             + "."
         )
-        lines += [f"{one.name} is trustworthy too." for one in good if one is not best]
-    for one in analyses:
-        if not one.trustworthy:
-            reasons = "; ".join(c.finding for c in one.coefficients if not c.trustworthy)
-            lines.append(f"{one.name} is not: {reasons}.")
-    return tuple(lines)
+        lines += [f"{name} is trustworthy too." for name in good if name != best]
+    for name, analysis in analyses.items():
+        if not analysis.trustworthy:
+            findings = (c.finding for c in analysis.coefficients.values() if not c.trustworthy)
+            lines.append(f"{name} is not: {'; '.join(findings)}.")
+    return lines
 
 
-def _error(one: AnalysisResult) -> float:
-    """Return the root mean square error of K_II, or of the first coefficient there is."""
-    chosen = [c for c in one.coefficients if c.symbol == "K_II"] or list(one.coefficients)
-    return sum(c.summary.mse for c in chosen) / len(chosen)
+def _mean_square_error(analysis: AnalysisResult) -> float:
+    """Return the mean square error of K_II, or of all coefficients where it is not reported."""
+    coefficients = analysis.coefficients
+    chosen = [c for name, c in coefficients.items() if name.rpartition(".")[2] == "K_II"]
+    chosen = chosen or list(coefficients.values())
+    return sum(c.mse for c in chosen) / len(chosen)

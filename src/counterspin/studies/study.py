@@ -6,10 +6,8 @@
 from __future__ import annotations
 
 import hashlib
-import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,18 +15,18 @@ import polars as pl
 
 from counterspin._version import __version__
 from counterspin.errors import CounterspinError
-from counterspin.output import make_folder, write_text, write_whole
+from counterspin.output import make_folder, write_whole
 from counterspin.physics.accelerometer import term
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import StudyDescription, read_study
 from counterspin.studies.draws import OTHERS, Varying
-from counterspin.studies.engine import StudyEngine
+from counterspin.studies.engine import Reported, StudyEngine
 from counterspin.studies.preparation import analyses_of, truth_of, world_of
 from counterspin.studies.result import (
     AnalysisResult,
     CoefficientResult,
     StudyResult,
-    judge,
+    coefficient_result,
     verdict_of,
 )
 from counterspin.studies.tally import summarise
@@ -113,11 +111,10 @@ def study(
         )
         if resume:
             ledger.resume()
-        begin = time.perf_counter()
         complete = run_batches(
             prepared, ledger, workers=workers, cluster=cluster, crew=crew, progress=progress
         )
-    result = _result(description, prepared, ledger, complete, time.perf_counter() - begin)
+    result = _result(description, prepared, ledger, complete)
     if folder is not None:
         _write(folder, result, prepared, ledger)
     return result
@@ -138,50 +135,53 @@ def _fingerprint(engine: StudyEngine) -> str:
 
 
 def _result(
-    description: StudyDescription,
-    engine: StudyEngine,
-    ledger: Ledger,
-    complete: bool,
-    seconds: float,
+    description: StudyDescription, engine: StudyEngine, ledger: Ledger, complete: bool
 ) -> StudyResult:
     if not ledger.done.any():
         raise CounterspinError("the study was stopped before a single batch of trials was done")
     sums = ledger.sums[ledger.done]
-    found: dict[str, AnalysisResult] = {}
+    drivers = [driver.symbol for driver in engine.tally.drivers]
+    coefficients: dict[str, dict[str, CoefficientResult]] = {}
+    undetermined: dict[str, list[str]] = {}
+    words: dict[str, str] = {}
     row = 0
     for part in engine.parts:
-        coefficients = []
-        for one in part.reported:
-            summary = summarise(engine.tally, sums[:, row])
-            unit = term(one.symbol).unit
-            trustworthy, finding = judge(one, summary)
-            coefficients.append(
-                CoefficientResult(
-                    one.owner, one.symbol, unit, summary, one.bound, trustworthy, finding
-                )
+        # A two-stage analysis has an engine for each accelerometer.
+        name = part.reported[0].analysis
+        words.setdefault(name, part.words)
+        undetermined.setdefault(name, []).extend(part.lost)
+        for reported in part.reported:
+            coefficients.setdefault(name, {})[_full_name(reported)] = coefficient_result(
+                reported,
+                term(reported.symbol).unit,
+                summarise(engine.tally, sums[:, row]),
+                drivers,
             )
             row += 1
-        name = part.reported[0].analysis
-        result = AnalysisResult(name, part.words, tuple(coefficients), part.lost)
-        if name in found:
-            # A two-stage analysis has an engine for each accelerometer.
-            before = found[name]
-            joined = before.coefficients + result.coefficients
-            result = replace(before, coefficients=joined, lost=before.lost + result.lost)
-        found[name] = result
-    analyses = tuple(found.values())
+    analyses = {
+        name: AnalysisResult(
+            engine=words[name],
+            trustworthy=all(c.trustworthy for c in own.values()),
+            coefficients=own,
+            undetermined=undetermined[name],
+        )
+        for name, own in coefficients.items()
+    }
     return StudyResult(
         title=description.campaign.title,
-        asked=ledger.trials,
-        seed=engine.seed,
+        trials=next(c.trials for own in coefficients.values() for c in own.values()),
+        trials_asked=ledger.trials,
         complete=complete,
-        seconds=seconds,
-        varying=tuple(_in_words(one) for one in description.varying),
-        drivers=tuple(driver.symbol for driver in engine.tally.drivers),
+        seed=engine.seed,
+        varying=[_in_words(varying) for varying in description.varying],
         analyses=analyses,
         verdict=verdict_of(analyses),
-        version=__version__,
+        provenance={"version": __version__},
     )
+
+
+def _full_name(reported: Reported) -> str:
+    return f"{reported.owner}.{reported.symbol}" if reported.owner else reported.symbol
 
 
 def _in_words(one: Varying) -> str:
@@ -198,9 +198,7 @@ def _in_words(one: Varying) -> str:
 
 
 def _write(folder: Path, result: StudyResult, engine: StudyEngine, ledger: Ledger) -> None:
-    from json import dumps
-
-    write_text(folder / "study.json", dumps(result.to_dict(), indent=1) + "\n")
+    result.write(folder / "study.json")
     if ledger.keep:
         names = [
             ".".join(word for word in (one.analysis, one.owner, one.symbol) if word)

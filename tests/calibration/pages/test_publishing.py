@@ -7,7 +7,6 @@ from results import result
 
 from counterspin.calibration.pages.full_report import identifier_of
 from counterspin.calibration.pages.publishing import FORMATS, issue_date, write_report
-from counterspin.calibration.result import write_result
 from counterspin.cli import main
 from counterspin.errors import CampaignError
 
@@ -74,7 +73,7 @@ def test_the_clock_s_date_has_whole_seconds(monkeypatch):
 @pytest.fixture
 def stored(tmp_path):
     path = tmp_path / "result.json"
-    write_result(result(), path)
+    result().write(path)
     return path
 
 

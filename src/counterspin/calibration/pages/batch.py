@@ -5,10 +5,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 
-from counterspin.calibration.batch import Calibrated
+from counterspin.calibration.batch import BatchResult
 from counterspin.calibration.pages.accelerometer import in_field_units
+from counterspin.calibration.result import Result
 from counterspin.reports.blocks import Block, Column, Paragraph, Table
 from counterspin.reports.numbers import format_estimate
 from counterspin.reports.text import Report
@@ -22,27 +23,25 @@ _COLUMNS = (
 )
 
 
-def render_batch(outcomes: Sequence[Calibrated]) -> Report:
+def render_batch(batch: BatchResult) -> Report:
     """Return the summary of a batch, failures below it."""
-    rows = tuple(row for one in outcomes for row in _rows(one))
-    blocks: list[Block] = [Table(_COLUMNS, rows)] if rows else []
-    blocks += [
-        Paragraph(f"{one.directory}: {one.error}", "warning") for one in outcomes if one.error
-    ]
-    failed = sum(one.result is None for one in outcomes)
-    blocks.append(
-        Paragraph(f"{len(outcomes) - failed} campaigns calibrated, {failed} failed.", "quiet")
+    rows = tuple(
+        row
+        for folder, outcome in batch.campaigns.items()
+        if isinstance(outcome, Result)
+        for row in _rows(folder, outcome)
     )
+    blocks: list[Block] = [Table(_COLUMNS, rows)] if rows else []
+    blocks += [Paragraph(f"{folder}: {error}", "warning") for folder, error in batch.failed.items()]
+    failed = len(batch.failed)
+    calibrated = len(batch.campaigns) - failed
+    blocks.append(Paragraph(f"{calibrated} campaigns calibrated, {failed} failed.", "quiet"))
     return Report(blocks)
 
 
-def _rows(one: Calibrated) -> list[tuple[str, ...]]:
-    if one.result is None:
-        return []
-    rows: list[tuple[str, ...]] = []
-    for name, found in one.result.accelerometers.items():
-        coefficient = found.coefficients.get("K_II")
+def _rows(folder: str, result: Result) -> Iterator[tuple[str, ...]]:
+    for name, accelerometer in result.accelerometers.items():
+        coefficient = accelerometer.coefficients.get("K_II")
         value, u, unit = (None, None, "") if coefficient is None else in_field_units(coefficient)
-        warnings = str(len(found.warnings) + len(one.result.warnings))
-        rows.append((str(one.directory), name, format_estimate(value, u), unit, warnings))
-    return rows
+        warnings = str(len(accelerometer.warnings) + len(result.warnings))
+        yield folder, name, format_estimate(value, u), unit, warnings

@@ -1,0 +1,102 @@
+"""What every command's result is made of, and how it is written and read: one way for all.
+
+- `ResultPart`: a part of a result; it cannot be changed, and no key goes unnoticed
+- `ResultFile`: a whole result: its JSON, the file, reading it back
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, ClassVar, Final, Self
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from counterspin.errors import RecordError
+from counterspin.output import write_text
+
+#: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
+_NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
+
+
+class ResultPart(BaseModel):
+    """A part of a result; unknown keys are refused so that a slip is seen at once."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")
+
+
+class ResultFile(ResultPart):
+    """The result of a command, as one JSON document.
+
+    A subclass adds the fields, in the order in which they are written, and says in `KIND` what a
+    message calls it. Within one schema version keys keep their names and meaning; new ones may be
+    added.
+    """
+
+    KIND: ClassVar[str] = "result"
+
+    schema_version: Annotated[int, Field(alias="schema")] = 1
+
+    @classmethod
+    def newest_schema(cls) -> int:
+        """Return the version that is written, and the newest that can be read."""
+        return int(cls.model_fields["schema_version"].default)
+
+    @classmethod
+    def json_schema(cls) -> dict[str, Any]:
+        """Return the JSON Schema (draft 2020-12) of what `to_json` writes."""
+        return cls.model_json_schema(by_alias=True, mode="serialization")
+
+    def to_json(self) -> str:
+        """Return the JSON text, with a newline at the end; NaN and infinity become null."""
+        text = self.model_dump_json(by_alias=True, indent=1)
+        # A list of numbers is one line, however many they are.
+        return _NUMBERS.sub(lambda numbers: re.sub(r"\s+", " ", numbers[0]), text) + "\n"
+
+    def write(self, path: Path | str) -> None:
+        """Write the JSON file, whole or not at all; raises CounterspinError if it cannot."""
+        write_text(Path(path), self.to_json())
+
+    @classmethod
+    def read(cls, path: Path | str) -> Self:
+        """Read a file that `write` has written, now or in an earlier version.
+
+        Raises
+        ------
+        RecordError
+            If the file is missing, damaged, of a newer schema or of another kind.
+        """
+        path = Path(path)
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_not_a_number)
+        except OSError as error:
+            raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+        except (ValueError, RecursionError) as error:
+            raise RecordError(
+                f"{path}: not a {cls.KIND} file, or a damaged one ({error}); write it again"
+            ) from error
+        schema = document.get("schema") if isinstance(document, dict) else None
+        if isinstance(schema, int) and schema > cls.newest_schema():
+            raise RecordError(
+                f"{path}: written by a newer counterspin (schema {schema}; this one reads up to "
+                f"{cls.newest_schema()}); update counterspin"
+            )
+        try:
+            result = cls.model_validate(document)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = "".join(f"{key}: " for key in first["loc"])
+            raise RecordError(f"{path}: not a {cls.KIND} file: {where}{first['msg']}") from error
+        for fault in result.faults():
+            raise RecordError(f"{path}: a damaged {cls.KIND}: {fault}")
+        return result
+
+    def faults(self) -> Iterator[str]:
+        """Yield what makes the document unusable although every part of it has the right form."""
+        yield from ()
+
+
+def _not_a_number(word: str) -> None:
+    raise ValueError(f"{word} is not a number that JSON knows")

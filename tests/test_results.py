@@ -1,0 +1,102 @@
+"""One way of writing and reading for every result."""
+
+import json
+import math
+from importlib import import_module
+from pkgutil import walk_packages
+from typing import ClassVar
+
+import pytest
+
+import counterspin
+from counterspin.errors import CounterspinError, RecordError
+from counterspin.results import ResultFile, ResultPart
+
+
+class Temperature(ResultPart):
+    value: float | None
+    unit: str = "K"
+
+
+class Log(ResultFile):
+    KIND: ClassVar[str] = "log"
+
+    rooms: dict[str, Temperature]
+    series: list[float | None]
+
+    def faults(self):
+        if not self.rooms:
+            yield "it has no rooms"
+
+
+LOG = Log(rooms={"cellar": Temperature(value=281.5)}, series=[1.0, math.inf, 3.0])
+
+
+def test_what_is_written_is_read(tmp_path):
+    LOG.write(tmp_path / "log.json")
+    text = (tmp_path / "log.json").read_text(encoding="utf-8")
+    assert text == LOG.to_json()
+    assert json.loads(text) == {
+        "schema": 1,
+        "rooms": {"cellar": {"value": 281.5, "unit": "K"}},
+        "series": [1.0, None, 3.0],
+    }
+    assert '"series": [ 1.0, null, 3.0 ]' in text  # one line, however long
+    assert Log.read(tmp_path / "log.json").to_json() == text
+
+
+def test_json_schema_says_what_is_written():
+    schema = Log.json_schema()
+    assert set(schema["properties"]) == set(json.loads(LOG.to_json()))
+    assert schema["properties"]["schema"]["default"] == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("[]", "not a log file: Input should be"),
+        ("{", "not a log file, or a damaged one (Expecting"),
+        ('{"rooms": {"attic": {"value": NaN}}}', "NaN is not a number that JSON knows"),
+        ('{"rooms": {"attic": {"valve": 1}}}', "not a log file: rooms: attic: value: Field req"),
+        ('{"rooms": {"attic": {"value": 1, "u": 2}}}', "attic: u: Extra inputs are not permitted"),
+        ('{"rooms": {}, "series": []}', "a damaged log: it has no rooms"),
+        ('{"schema": 2}', "written by a newer counterspin (schema 2; this one reads up to 1)"),
+    ],
+)
+def test_what_cannot_be_used_is_told(tmp_path, text, words):
+    path = tmp_path / "log.json"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(RecordError) as caught:
+        Log.read(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert words in str(caught.value)
+
+
+def test_missing_files_and_folders_are_told(tmp_path):
+    with pytest.raises(RecordError, match="cannot be read"):
+        Log.read(tmp_path / "none.json")
+    with pytest.raises(CounterspinError, match="cannot be written"):
+        LOG.write(tmp_path / "none" / "log.json")
+
+
+def test_every_result_of_the_package_is_written_so():
+    for module in walk_packages(counterspin.__path__, "counterspin."):
+        if module.name.rpartition(".")[2].startswith("result"):
+            import_module(module.name)
+    import_module("counterspin.calibration.batch")
+    files = {
+        cls.__name__: cls
+        for cls in ResultFile.__subclasses__()
+        if cls.__module__.startswith("counterspin.")
+    }
+    assert set(files) == {
+        "BatchResult",
+        "History",
+        "PlanResult",
+        "Reproduction",
+        "Result",
+        "StudyResult",
+    }
+    for cls in files.values():
+        assert not {"to_json", "write", "read", "json_schema"} & set(vars(cls))
+        assert "schema" in cls.json_schema()["properties"]
