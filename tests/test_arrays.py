@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from counterspin.arrays import PART, in_parts, triangle_of, triangular_root
+from counterspin.arrays import PART, aligned, in_parts, triangle_of, triangular_root
 
 
 @pytest.mark.parametrize("rows", [0, 3, PART - 1, PART, PART + 1, 3 * PART + 7])
@@ -22,3 +22,11 @@ def test_the_root_of_a_covariance_is_triangular_and_unique():
     factor = np.random.default_rng(1).standard_normal((4, 6))
     root = triangular_root(factor)
     np.testing.assert_allclose(root, np.linalg.cholesky(factor @ factor.T), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("shape", [(1,), (1000,), (3, 65), (511, 128)])
+def test_working_arrays_begin_with_a_cache_line(shape):
+    array = aligned(*shape)
+    assert array.shape == shape
+    rows = array.reshape(-1, shape[-1]) if array.flags.c_contiguous else array
+    assert all(row.ctypes.data % 64 == 0 for row in rows)

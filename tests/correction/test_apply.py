@@ -6,9 +6,11 @@ import re
 import shlex
 from pathlib import Path
 
+import h5py
 import numpy as np
 import polars as pl
 import pytest
+from scipy.io import savemat
 
 import counterspin as cs
 from counterspin import cli
@@ -411,3 +413,24 @@ def test_python_names_the_sample(tmp_path):
     done = apply_file(found, "Qx", str(tmp_path / "in.csv"), str(tmp_path / "out.csv"))
     assert done.at_one_g.indicated == done.low == done.high == 1.0
     assert done.most.correction == pytest.approx(1e-4, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["in.csv", "in.parquet", "in.h5", "in.mat"])
+def test_every_record_file_can_be_corrected(tmp_path, name):
+    table = pl.DataFrame({"Qx": [1.0, 2.0, -3.0], "t": [0.0, 0.5, 1.0]})
+    file = tmp_path / name
+    if file.suffix == ".csv":
+        table.write_csv(file)
+    elif file.suffix == ".parquet":
+        table.write_parquet(file)
+    elif file.suffix == ".mat":
+        savemat(file, table.to_dict())
+    else:
+        with h5py.File(file, "w") as store:
+            for column in table:
+                store[column.name] = column.to_numpy()
+    found = result({"Qx": accelerometer({"K_I": 2.0})})
+    apply_file(found, "Qx", file, tmp_path / "out.parquet", column="Qx")
+    written_table = pl.read_parquet(tmp_path / "out.parquet")
+    assert written_table["Qx_corrected"].to_list() == [0.5, 1.0, -1.5]
+    assert written_table["t"].to_list() == [0.0, 0.5, 1.0]

@@ -14,7 +14,8 @@ from counterspin.campaign.resolved import Accelerometer, Campaign, Channel, Run
 from counterspin.physics import observation
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
-from counterspin.records.reading import ColumnSpec, Record, read_record
+from counterspin.records.reading import read_record
+from counterspin.records.record import ColumnSpec, Motion, Record, RecordColumns
 
 
 @dataclass(frozen=True)
@@ -76,21 +77,19 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
     RecordError
         If a record cannot be used; the message names file and line.
     """
+    columns = RecordColumns(
+        _column(campaign.time),
+        _column(campaign.angle) if campaign.angle else None,
+        {name: _column(a.channel) for name, a in campaign.accelerometers.items()},
+    )
     for run in campaign.runs:
-        record = read_record(
-            run.record,
-            _column(campaign.time),
-            _column(campaign.angle) if campaign.angle else None,
-            {name: _column(a.channel) for name, a in campaign.accelerometers.items()},
-            nominal_rate=run.rate,
-            radius=campaign.radius.value,
-            input_axes={
-                name: a.mounting.turned(run.attitude).input_axis
-                for name, a in campaign.accelerometers.items()
-                if a.observable == "displacement"
-            },
-        )
-        yield observe_run(campaign, run, record)
+        input_axes = {
+            name: a.mounting.turned(run.attitude).input_axis
+            for name, a in campaign.accelerometers.items()
+            if a.observable == "displacement"
+        }
+        motion = Motion(run.rate, campaign.radius.value, input_axes)
+        yield observe_run(campaign, run, read_record(run.record, columns, motion))
 
 
 def _column(channel: Channel) -> ColumnSpec:

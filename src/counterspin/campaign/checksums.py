@@ -20,9 +20,9 @@ from counterspin.campaign.toml_file import description_file, load_document
 from counterspin.errors import CampaignError
 
 #: Niceness of the thread: nothing waits for a checksum before the end.
-_BEHIND: Final = 10
+_NICENESS: Final = 10
 #: Bytes between two requests for the interpreter's lock, for which imports let others wait.
-_AT_ONCE: Final = 1 << 23
+_BUFFER_BYTES: Final = 1 << 23
 
 
 class Checksums:
@@ -77,7 +77,7 @@ class Checksums:
             if not file.is_file():
                 return "unreadable"
             with file.open("rb", buffering=0) as stream:
-                self._buffer = self._buffer or bytearray(_AT_ONCE)
+                self._buffer = self._buffer or bytearray(_BUFFER_BYTES)
                 buffer = memoryview(self._buffer)
                 while (read := stream.readinto(buffer)) and not self._given_up.is_set():
                     digest.update(buffer[:read])
@@ -89,4 +89,4 @@ class Checksums:
 
 def _step_back() -> None:
     if sys.platform == "linux":
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _BEHIND)
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)

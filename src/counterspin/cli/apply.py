@@ -32,7 +32,7 @@ def apply(
     result
         Result that `counterspin calibrate --json` wrote.
     file
-        Table with a column of indicated specific force, .csv or .parquet.
+        Record file with a column of indicated specific force, such as .csv, .parquet, .h5 or .mat.
     accelerometer
         Which of the result's accelerometers it is.
     output

@@ -22,7 +22,8 @@ from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.output import write_whole
 from counterspin.physics.inversion import NotInvertibleError
 from counterspin.records.column_file import ColumnFile
-from counterspin.records.formats import open_columns
+from counterspin.records.formats import open_columns, refusals
+from counterspin.records.pieces import joined
 
 #: Ending of the output -> what parts its cells; None for Parquet.
 _SEPARATORS: Final[Mapping[str, str | None]] = {
@@ -98,7 +99,7 @@ def apply_file(
     result, accelerometer, unit, force
         As `apply`.
     source
-        A .csv or .parquet file.
+        A record file of any format.
     output
         The file to write, .csv or .parquet; not the source.
     column
@@ -131,14 +132,16 @@ def apply_file(
     if output.exists() and source.exists() and output.samefile(source):
         raise CampaignError(str(output), ["is the input; a record is not overwritten"])
     for name in (accelerometer, *(others or {})):
-        instrument_of(result, name)  # a wrong name is told before the file is searched for it
-    table = open_columns(source, []).table()
+        instrument_of(result, name)  # a wrong name is refused before the file is searched for it
+    file = open_columns(source)
+    with refusals(source):
+        table = file.table()
     along = {"pendulous": pendulous, "output_axis": output_axis}
     used = [text for text in (*along.values(), *(others or {}).values()) if text in table.columns]
     column = column or _guessed(source, table, accelerometer, used)
     names = {column, *used, *(others or {}).values()}
-    opened = open_columns(source, sorted(names))
-    values = _values(opened)
+    with refusals(source):
+        values = _values(file, sorted(names))
     new = (f"{column}_corrected", f"{column}_corrected_u")
     for name in new:
         if name in table.columns:
@@ -160,12 +163,12 @@ def apply_file(
             force=force,
         )
     except NotInvertibleError as error:
-        where = opened.locate(error.row)
+        where = file.locate(error.row)
         raise CounterspinError(f"{source}, {where}: the indication {error.reason}") from error
     report = _report(output, column, values[column], correction, result.inputs.gravity)
     added = [
-        pl.Series(name, one).fill_nan(None)
-        for name, one in zip(new, (correction.corrected, correction.u), strict=True)
+        pl.Series(name, array).fill_nan(None)
+        for name, array in zip(new, (correction.corrected, correction.u), strict=True)
     ]
     write_whole(output, _writer(table.with_columns(added), _SEPARATORS[suffix]))
     return report
@@ -186,12 +189,13 @@ def _guessed(source: Path, table: pl.DataFrame, accelerometer: str, used: list[s
     )
 
 
-def _values(opened: ColumnFile) -> dict[str, Array]:
-    batches = list(opened.batches())
+def _values(file: ColumnFile, names: list[str]) -> Mapping[str, Array]:
+    file.require(names)
+    file.look_closely()
+    batches = list(file.batches(names))
     if not batches:
-        raise RecordError(f"{opened.path}: the file has no rows.")
-    arrays = (np.concatenate(parts) for parts in zip(*batches, strict=True))
-    return dict(zip(opened.names, arrays, strict=True))
+        raise RecordError(f"{file.path}: the file has no rows.")
+    return joined(batches)
 
 
 def _constant(option: str, text: str, columns: list[str]) -> str:
@@ -237,7 +241,7 @@ def _report(
 def _writer(table: pl.DataFrame, separator: str | None) -> Callable[[Path], object]:
     if separator is not None:
         return lambda path: table.write_csv(path, separator=separator)
-    return pl.DataFrame([_typed(one) for one in table.get_columns()]).write_parquet
+    return pl.DataFrame([_typed(column) for column in table.get_columns()]).write_parquet
 
 
 def _typed(column: pl.Series) -> pl.Series:

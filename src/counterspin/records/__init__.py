@@ -1,8 +1,9 @@
 """Record files in, clean samples or block means out; nothing of campaigns is known here.
 
 - `reading`: `read_record`, from a run's file to samples or block means, checked and cleaned
-- `column_file`, `csv_file`, `formats`: the files themselves, whatever their format
-- `clock`, `clock_faults`, `spikes`, `reduction`, `amplitude`: the steps of reading, in the order
-  in which a record passes them
+- `record`: the columns asked for, the stated motion, and the record that comes out
+- `formats`, `column_file`, `csv_file`, `parquet_file`, `array_files`: the files, by format
+- `pieces`, `clock`, `clock_faults`, `spikes`, `reduction`, `amplitude`: the steps of reading, in
+  the order in which a record passes them
 - `report`: what was found on the way
 """

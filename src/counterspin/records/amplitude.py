@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 #: Fewest samples from which one revolution's amplitude is taken.
-_FEWEST = 12
-#: The factor by which an amplitude must be off to be refused.
-_OFF = 2.0
+_FEWEST_SAMPLES = 12
+#: An amplitude that differs from the others by this factor or more is refused.
+_CHANGE_RATIO = 2.0
 
 #: Ratios that come of a mistaken unit, and the units' names.
 _UNIT_RATIOS = (
@@ -84,14 +84,16 @@ def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
     """
     turns = np.abs(angle - angle[0]) / (2 * math.pi)
     per_turn = len(angle) / max(float(turns[-1]), 1.0)
-    together = math.ceil(2 * _FEWEST / max(per_turn, 1e-9))
+    together = math.ceil(2 * _FEWEST_SAMPLES / max(per_turn, 1e-9))
     bins = (turns // together).astype(int)
     order = np.flatnonzero(np.isfinite(signal))
     bins, th, s = bins[order], angle[order], signal[order]
     edges = np.flatnonzero(np.diff(bins, prepend=-1))
     sizes = np.diff(edges, append=len(bins))
     # An incomplete last revolution carries too little of the wave.
-    enough = sizes >= max(_FEWEST, 0.7 * float(np.median(sizes))) if len(sizes) else sizes > 0
+    enough = (
+        sizes >= max(_FEWEST_SAMPLES, 0.7 * float(np.median(sizes))) if len(sizes) else sizes > 0
+    )
     edges, sizes = edges[enough], sizes[enough]
     index = edges[:, None] + np.arange(sizes.max(initial=0))
     valid = np.arange(sizes.max(initial=0)) < sizes[:, None]
@@ -107,24 +109,29 @@ def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
     return Waves(fitted[..., 0], centre, deviation, order[edges], order[edges + sizes - 1])
 
 
-def change_of_unit(found: Waves) -> tuple[int, int, str] | None:
+@dataclass(frozen=True)
+class UnitChange:
+    """Where a wave's amplitude changes: a revolution before it and one after it, and the words."""
+
+    before: int
+    after: int
+    words: str
+
+
+def change_of_unit(fitted: Waves) -> UnitChange | None:
     """Find where the amplitude of a signal's wave changes by a factor.
 
-    Returns
-    -------
-    (before, after, words) or None
-        The places of a revolution before the change and of one after it, and what changes. None
-        where all is well, or where the signal has no wave to judge by.
+    None where all is well, or where the signal has no wave to judge by.
     """
-    size = np.abs(found.amplitude)
+    size = np.abs(fitted.amplitude)
     if len(size) < 3:
         return None
     # One of the amplitudes, not the middle of two: half the record may be in either unit.
     usual = float(np.sort(size)[len(size) // 2])
-    if not usual > 5 * float(np.median(found.deviation)):
+    if not usual > 5 * float(np.median(fitted.deviation)):
         return None
     ratio = size / usual
-    odd = (ratio > _OFF) | (ratio < 1 / _OFF)
+    odd = (ratio > _CHANGE_RATIO) | (ratio < 1 / _CHANGE_RATIO)
     if not odd.any():
         return None
     turn = int(np.flatnonzero(odd != odd[0])[0])
@@ -133,7 +140,9 @@ def change_of_unit(found: Waves) -> tuple[int, int, str] | None:
     factor = float(size[after] / size[before])
     near, off = _nearest_units(factor)
     words = f"its wave of one period a revolution changes by a factor of {factor:.4g}"
-    return before, after, words + (f", as between {near}" if off < 0.02 else "")
+    if off < 0.02:
+        words += f", as between {near}"
+    return UnitChange(before, after, words)
 
 
 def _nearest_units(factor: float) -> tuple[str, float]:
@@ -142,20 +151,21 @@ def _nearest_units(factor: float) -> tuple[str, float]:
     return min(((names, abs(size - math.log(r))) for r, names in _UNIT_RATIOS), key=lambda n: n[1])
 
 
-def switch(found: Waves, before: int, after: int, angle: np.ndarray, signal: np.ndarray) -> int:
-    """Return the sample, of (n,) signal, from which on it follows `after` and not `before`."""
-    cost = np.abs(signal - found.value(before, angle)) - np.abs(signal - found.value(after, angle))
-    return int(np.argmin(np.append(0.0, np.cumsum(np.nan_to_num(cost)))))
+def switch(fitted: Waves, change: UnitChange, angle: np.ndarray, signal: np.ndarray) -> int:
+    """Return the sample, of (n,) signal, at which it leaves the wave before for the one after."""
+    before = np.abs(signal - fitted.value(change.before, angle))
+    after = np.abs(signal - fitted.value(change.after, angle))
+    return int(np.argmin(np.append(0.0, np.cumsum(np.nan_to_num(before - after)))))
 
 
 def against_reference(
-    found: Waves, radius: float, input_axis: np.ndarray, has_angle: bool
+    fitted: Waves, radius: float, input_axis: np.ndarray, has_angle: bool
 ) -> str | None:
     """Compare a displacement's wave with the motion's; say what is wrong, or return None.
 
     Parameters
     ----------
-    found
+    fitted
         The displacement's waves, m.
     radius
         m.
@@ -165,10 +175,10 @@ def against_reference(
         Whether the waves are over the recorded angle; else their phase means nothing.
     """
     across = math.hypot(input_axis[0], input_axis[1])
-    if across < 0.05 or not len(found.amplitude):
+    if across < 0.05 or not len(fitted.amplitude):
         return None
     expected = radius * complex(input_axis[0], input_axis[1])
-    ratio = complex(np.median(found.amplitude.real), np.median(found.amplitude.imag)) / expected
+    ratio = complex(np.median(fitted.amplitude.real), np.median(fitted.amplitude.imag)) / expected
     size = abs(ratio)
     if (has_angle and abs(ratio - 1) < 0.5) or (not has_angle and 0.5 < size < 2):
         return None

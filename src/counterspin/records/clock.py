@@ -18,7 +18,7 @@ import numpy as np
 from counterspin.arrays import aligned
 from counterspin.errors import RecordError
 from counterspin.records.clock_faults import jump_words, rate_words
-from counterspin.records.column_file import Columns
+from counterspin.records.pieces import Piece
 from counterspin.records.report import Gap
 from counterspin.records.spikes import median, middle
 
@@ -27,13 +27,15 @@ LISTED = 100
 _TURN = 2 * math.pi
 _MAD = 1.4826
 #: Robust standard deviations that a step of the angle may stray from its neighbours.
-_LIMIT = 10.0
+_STRAY_SDS = 10.0
 #: Steps of the angle that stand off are taken for the encoder's own, whatever their size, if they
 #: are more than this part of all; otherwise up to this size, rad.
-_RARE = 0.01
-_FINE = 1e-3
+_COMMON_PART = 0.01
+_ENCODER_STEP_RAD = 1e-3
+#: A time step longer than this many usual ones is a gap.
+_GAP_STEPS = 1.5
 #: The part of the advance across a gap by which the rate may have changed meanwhile.
-_GAP_SLACK = 1e-3
+_GAP_RATE_CHANGE = 1e-3
 
 
 @dataclass
@@ -55,12 +57,12 @@ class ClockFindings:
 class Accepted:
     """The usable rows of a piece: `rows` are places in the piece, None when all are used.
 
-    `columns` are the piece's columns at those rows, with the angle unwrapped; `unevenness` is the
-    largest deviation of a time step from the usual one, relative to it.
+    `piece` is the piece at those rows, with the angle unwrapped; `unevenness` is the largest
+    deviation of a time step from the usual one, relative to it.
     """
 
     rows: np.ndarray | None
-    columns: Columns
+    piece: Piece
     unevenness: float
 
 
@@ -82,7 +84,7 @@ class Clock:
         self._locate = locate
         self.rate = nominal_rate
         self.step = math.nan
-        self.found = ClockFindings()
+        self.findings = ClockFindings()
         self._last_time = math.nan
         self._last_angle = math.nan
         self._last_values: list[float] = []
@@ -114,7 +116,7 @@ class Clock:
         # short against a turn, so that one median serves wrapped and unwrapped angles.
         lag = int(np.clip(_TURN / 8 / abs(nominal * self.step), 1, max(1, len(t) // 4)))
         spans = t[lag:] - t[:-lag]
-        usual = (spans > 0) & (spans < 1.5 * lag * self.step)
+        usual = (spans > 0) & (spans < _GAP_STEPS * lag * self.step)
         advances, spans = (a[lag:] - a[:-lag])[usual], spans[usual]
         measured = median(advances / spans)
         ratio = measured / nominal
@@ -123,57 +125,53 @@ class Clock:
         turned = _wrap(advances - nominal * spans)
         self.rate = nominal + median(turned / spans)
 
-    def accept(self, first_row: int, columns: Columns, has_angle: bool) -> Accepted:
+    def accept(self, first_row: int, piece: Piece) -> Accepted:
         """Check one piece.
 
         Parameters
         ----------
         first_row
             The row of the file at which the piece begins.
-        columns
-            Time (s), angle (rad; if `has_angle`), then the signals: arrays (n,), NaN where empty.
-        has_angle
-            Whether the second column is the angle.
+        piece
+            Its rows.
 
         Raises
         ------
         RecordError
             Time runs backwards, a value is infinite, or the clock or the angle jumps.
         """
-        whole = self._accept_whole(first_row, columns, has_angle)
-        accepted = whole or self._accept_rows(first_row, columns, has_angle)
-        good = accepted.columns
-        if len(good[0]):
+        accepted = self._accept_whole(first_row, piece) or self._accept_rows(first_row, piece)
+        good = accepted.piece
+        if len(good):
             last = -1 if accepted.rows is None else int(accepted.rows[-1])
-            self._last_values = [float(column[last]) for column in columns]
-            self._last_time = float(good[0][-1])
-            if has_angle:
-                self._last_angle = float(good[1][-1])
-                span = self._last_time - float(good[0][0])
+            self._last_values = [float(column[last]) for column in piece.columns]
+            self._last_time = float(good.time[-1])
+            if good.angle is not None:
+                self._last_angle = float(good.angle[-1])
+                span = self._last_time - float(good.time[0])
                 if abs(self.rate) * span > 1.0:
-                    self.rate = (self._last_angle - float(good[1][0])) / span
+                    self.rate = (self._last_angle - float(good.angle[0])) / span
         return accepted
 
     def _accept_whole(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
-        self, first_row: int, columns: Columns, has_angle: bool
+        self, first_row: int, piece: Piece
     ) -> Accepted | None:
         """Take the piece as it stands, if nothing in it needs attention (NaN fails every test)."""
-        time = columns[0]
+        time, angle = piece.time, piece.angle
         if len(time) < 2:
             return None
         steps = self._differences(time)
         shortest, longest = float(steps.min()), float(steps.max())
-        if not (shortest > 0 and longest < 1.5 * self.step):
+        if not (shortest > 0 and longest < _GAP_STEPS * self.step):
             return None
         unevenness = max(longest / self.step - 1, 1 - shortest / self.step)
         gone = time[0] - self._last_time if first_row else self.step
-        if not 0 < gone < 1.5 * self.step:
+        if not 0 < gone < _GAP_STEPS * self.step:
             return None
-        if not has_angle:
-            return Accepted(None, columns, unevenness)
+        if angle is None:
+            return Accepted(None, piece, unevenness)
         if self._lost is not None:
             return None
-        angle = columns[1]
         advance = self._differences(angle)
         low, high = float(advance.min()), float(advance.max())
         if not math.isfinite(low + high):
@@ -198,9 +196,9 @@ class Clock:
         if len(turns) > 1 or turns[0]:
             lengths = np.diff(breaks, append=len(angle))
             unwrapped = angle + np.repeat(_TURN * turns, lengths)
-            self.found.wrapped = True
-            columns = [time, unwrapped, *columns[2:]]
-        return Accepted(None, columns, unevenness)
+            self.findings.wrapped = True
+            piece = Piece(time, unwrapped, piece.signals)
+        return Accepted(None, piece, unevenness)
 
     def _differences(self, column: np.ndarray) -> np.ndarray:
         """Return the steps of a column, in an array that the next call writes over."""
@@ -210,15 +208,15 @@ class Clock:
         np.subtract(column[1:], column[:-1], out=steps)
         return steps
 
-    def _accept_rows(self, first_row: int, columns: Columns, has_angle: bool) -> Accepted:
+    def _accept_rows(self, first_row: int, piece: Piece) -> Accepted:
         """Judge a piece row by row."""
-        time, clock = columns[0], columns[: 2 if has_angle else 1]
-        for column, word in zip(clock, ("time", "angle"), strict=False):
-            if np.isinf(column).any():
+        time = piece.time
+        for column, word in ((time, "time"), (piece.angle, "angle")):
+            if column is not None and np.isinf(column).any():
                 row = first_row + int(np.flatnonzero(np.isinf(column))[0])
                 raise self._fail(row, f"the {word} is infinite.")
         has_time = ~np.isnan(time)
-        self.found.empty_time += int((~has_time).sum())
+        self.findings.empty_time += int((~has_time).sum())
         rows = np.flatnonzero(has_time)
         before = self._last_time if first_row else math.nan
         steps = np.diff(time[rows], prepend=before)
@@ -230,42 +228,42 @@ class Clock:
                 f"time runs backwards, from {earlier:.9g} s to {time[rows[place]]:.9g} s "
                 "after the record's start.",
             )
-        rows = self._drop_repeats(columns, rows, steps)
+        rows = self._drop_repeats(piece, rows, steps)
         self._note_gaps(time[rows], before)
-        if has_angle:
-            has_number = ~np.isnan(columns[1][rows])
-            self.found.empty_angle += int((~has_number).sum())
+        if piece.angle is not None:
+            has_number = ~np.isnan(piece.angle[rows])
+            self.findings.empty_angle += int((~has_number).sum())
             rows = rows[has_number]
-            good, unwrapped = self._follow(first_row, rows, time[rows], columns[1][rows])
+            good, unwrapped = self._follow(first_row, rows, time[rows], piece.angle[rows])
             rows = rows[good]
-        chosen = [column[rows] for column in columns]
-        if has_angle:
-            chosen[1] = unwrapped[good]
-        unevenness = float(np.abs(np.diff(chosen[0]) / self.step - 1).max(initial=0.0))
+        chosen = piece[rows]
+        if piece.angle is not None:
+            chosen = Piece(chosen.time, unwrapped[good], chosen.signals)
+        unevenness = float(np.abs(np.diff(chosen.time) / self.step - 1).max(initial=0.0))
         return Accepted(rows, chosen, unevenness)
 
-    def _drop_repeats(self, columns: Columns, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    def _drop_repeats(self, piece: Piece, rows: np.ndarray, steps: np.ndarray) -> np.ndarray:
         again = np.flatnonzero(steps == 0)
         if not len(again):
             return rows
         differ = np.zeros(len(again), dtype=bool)
-        for place, column in enumerate(columns):
+        for place, column in enumerate(piece.columns):
             now = column[rows[again]]
             then = column[rows[again - 1]]
             if again[0] == 0:
                 then[0] = self._last_values[place]
             differ |= (now != then) & ~(np.isnan(now) & np.isnan(then))
-        self.found.repeated += len(again)
-        self.found.differing += int(differ.sum())
+        self.findings.repeated += len(again)
+        self.findings.differing += int(differ.sum())
         return np.delete(rows, again)
 
     def _note_gaps(self, time: np.ndarray, before: float) -> None:
         steps = np.diff(time, prepend=before)
-        for place in np.flatnonzero(steps > 1.5 * self.step):
-            self.found.gap_count += 1
-            if len(self.found.gaps) < LISTED:
+        for place in np.flatnonzero(steps > _GAP_STEPS * self.step):
+            self.findings.gap_count += 1
+            if len(self.findings.gaps) < LISTED:
                 length = float(steps[place])
-                self.found.gaps.append(Gap(float(time[place]) - length, length))
+                self.findings.gaps.append(Gap(float(time[place]) - length, length))
 
     def _follow(
         self, first_row: int, rows: np.ndarray, time: np.ndarray, angle: np.ndarray
@@ -281,13 +279,15 @@ class Clock:
 
         def misfit(places: np.ndarray, time0: float, angle0: float) -> np.ndarray:
             gone = time[places] - time0
-            slack = _GAP_SLACK * abs(self.rate) * np.maximum(gone - 1.5 * self.step, 0.0)
+            slack = (
+                _GAP_RATE_CHANGE * abs(self.rate) * np.maximum(gone - _GAP_STEPS * self.step, 0.0)
+            )
             stray = _wrap(angle[places] - angle0 - self.rate * gone)
             excess: np.ndarray = np.abs(stray) - base - slack
             return excess
 
-        late = np.maximum(steps - 1.5 * self.step, 0.0)
-        bad = np.abs(strays) > base + _GAP_SLACK * abs(self.rate) * late
+        late = np.maximum(steps - _GAP_STEPS * self.step, 0.0)
+        bad = np.abs(strays) > base + _GAP_RATE_CHANGE * abs(self.rate) * late
         if math.isnan(self._last_angle):
             # Begin at the first sample that its successor agrees with.
             begin = int(np.argmin(bad)) if len(bad) else 0
@@ -331,9 +331,9 @@ class Clock:
         return good, self._unwrapped(time, angle, good)
 
     def _note_strays(self, rows: np.ndarray) -> None:
-        self.found.angle_outliers += len(rows)
-        room = LISTED - len(self.found.outlier_rows)
-        self.found.outlier_rows += [int(row) for row in rows[:room]]
+        self.findings.angle_outliers += len(rows)
+        room = LISTED - len(self.findings.outlier_rows)
+        self.findings.outlier_rows += [int(row) for row in rows[:room]]
 
     def _unwrapped(self, time: np.ndarray, angle: np.ndarray, good: np.ndarray) -> np.ndarray:
         angle = angle.copy()
@@ -346,13 +346,13 @@ class Clock:
             expected = self._last_angle + self.rate * (t[0] - self._last_time)
             turns += np.round((expected - a[0]) / _TURN)
         if turns.any():
-            self.found.wrapped = True
+            self.findings.wrapped = True
         angle[good] = a + _TURN * turns
         return angle
 
     def finish(self) -> None:
         """Refuse a record that ends on angles which do not fit, unless they are a few."""
-        if self._lost is not None and self.found.angle_outliers and self._open_rows() > 3:
+        if self._lost is not None and self.findings.angle_outliers and self._open_rows() > 3:
             raise self._jump()
 
     def _lose(self, row: int, time: float, gone: float, stray: float) -> None:
@@ -363,7 +363,7 @@ class Clock:
         return self._fail(self._lost or 0, self._lost_words)
 
     def _open_rows(self) -> int:
-        return sum(row >= (self._lost or 0) for row in self.found.outlier_rows)
+        return sum(row >= (self._lost or 0) for row in self.findings.outlier_rows)
 
 
 def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
@@ -372,10 +372,10 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
     rounding = 1e-10 + 8 * np.finfo(float).eps * float(abs(angle[0]) + abs(angle[-1]))
     apart = size[size > rounding]
     quantum = float(apart.min()) if len(apart) else 0.0
-    if len(apart) <= max(4, _RARE * len(size)):
+    if len(apart) <= max(4, _COMMON_PART * len(size)):
         # An encoder's step shows again and again, a jump once: it must not excuse itself.
-        quantum = min(quantum, _FINE)
-    return _LIMIT * _MAD * middle(size) + 3 * quantum + rounding if len(size) else rounding
+        quantum = min(quantum, _ENCODER_STEP_RAD)
+    return _STRAY_SDS * _MAD * middle(size) + 3 * quantum + rounding if len(size) else rounding
 
 
 def _wrap(angle: np.ndarray) -> np.ndarray:

@@ -11,27 +11,43 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from counterspin.errors import RecordError
+from counterspin.records.pieces import Columns
 
 if TYPE_CHECKING:
     import polars as pl
 
-Columns = list[np.ndarray]
-
 
 class ColumnFile(ABC):
-    """The named columns of one record file."""
+    """The named columns of one record file.
 
-    def __init__(self, path: Path, names: Sequence[str]) -> None:
-        self.path = path
-        self.names = list(names)
+    Attributes
+    ----------
+    path
+        The file.
+    names
+        All its columns.
+    """
+
+    path: Path
+    names: list[str]
+
+    def require(self, wanted: Sequence[str]) -> None:
+        """Raise `RecordError` unless the file has the wanted columns and they can hold numbers."""
+        missing = [name for name in wanted if name not in self.names]
+        if not missing:
+            return
+        close = difflib.get_close_matches(missing[0], self.names, n=1)
+        words = f"there is no column {quoted(missing)}; the file has {quoted(self.names)}."
+        if close:
+            words += f" Did you mean '{close[0]}'?"
+        raise RecordError(f"{self.path}: {words}")
 
     @abstractmethod
-    def batches(self) -> Iterator[Columns]:
-        """Yield the columns, in the order asked for, in consecutive batches of equal length."""
+    def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
+        """Yield the wanted columns, which `require` has passed, in consecutive batches."""
 
+    @abstractmethod
     def table(self) -> pl.DataFrame:
         """Return the whole file as it stands, cells of text remaining text.
 
@@ -40,21 +56,14 @@ class ColumnFile(ABC):
         RecordError
             The file is not a table.
         """
-        raise RecordError(f"{self.path}: a table is needed here: a .csv or .parquet file.")
+
+    def look_closely(self) -> bool:
+        """Read with more patience from now on, if there is such a way that was not taken yet."""
+        return False
 
     def locate(self, row: int) -> str:
         """Say where data row `row` (counted from 0) stands in the file."""
         return f"row {row + 1}"
-
-    def _require(self, present: Sequence[str]) -> None:
-        missing = [name for name in self.names if name not in present]
-        if not missing:
-            return
-        close = difflib.get_close_matches(missing[0], present, n=1)
-        words = f"there is no column {quoted(missing)}; the file has {quoted(present)}."
-        if close:
-            words += f" Did you mean '{close[0]}'?"
-        raise RecordError(f"{self.path}: {words}")
 
 
 def quoted(names: Sequence[str], cap: int = 20) -> str:
@@ -63,6 +72,6 @@ def quoted(names: Sequence[str], cap: int = 20) -> str:
     return listed + (f" and {len(names) - cap} more" if len(names) > cap else "") or "none"
 
 
-def frame_arrays(frame: pl.DataFrame) -> Columns:
+def frame_columns(frame: pl.DataFrame) -> Columns:
     """Return the columns of a frame as arrays."""
-    return [column.to_numpy() for column in frame.get_columns()]
+    return {column.name: column.to_numpy() for column in frame.get_columns()}

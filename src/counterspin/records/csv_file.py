@@ -12,13 +12,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from counterspin.errors import RecordError
-from counterspin.records.column_file import ColumnFile, Columns, frame_arrays
+from counterspin.records.column_file import ColumnFile, frame_columns
+from counterspin.records.pieces import Columns
 
 if TYPE_CHECKING:
     import polars as pl
 
-#: No line of column names is longer, in bytes.
-_LONGEST_HEADER = 100_000
+#: No line of column names is longer.
+_HEADER_BYTES = 100_000
 #: What counts as an empty cell of a CSV file, in lower case and without surrounding blanks.
 _EMPTY_WORDS = ("", "nan")
 
@@ -26,16 +27,17 @@ _EMPTY_WORDS = ("", "nan")
 class CsvFile(ColumnFile):
     """A text table with a header line; cells parted by comma, semicolon or tab; '#' comments."""
 
-    def __init__(self, path: Path, names: Sequence[str]) -> None:
-        super().__init__(path, names)
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._closely = False
         self._find_header()
-        self._require(self._header)
-        # Looking out for comments takes the parser half as long again. A comment cannot pass for
-        # a number, so where the first column is read the strict parser stops at it by itself.
-        self._comments = self._header[0] not in names
-        for name in self.names:
-            if self._header.count(name) > 1:
-                raise RecordError(f"{path}: two columns of the header are named '{name}'.")
+
+    def require(self, wanted: Sequence[str]) -> None:
+        """Raise `RecordError` unless the header has each of the wanted names, and once."""
+        super().require(wanted)
+        for name in wanted:
+            if self.names.count(name) > 1:
+                raise RecordError(f"{self.path}: two columns of the header are named '{name}'.")
 
     def _find_header(self) -> None:
         number = blank = 0
@@ -44,7 +46,7 @@ class CsvFile(ColumnFile):
                 number += 1
                 line = raw.decode("utf-8-sig", errors="replace").strip("\r\n")
                 odd = "\ufffd" in line or any(c < " " and c != "\t" for c in line)
-                if odd or len(raw) > _LONGEST_HEADER:
+                if odd or len(raw) > _HEADER_BYTES:
                     raise RecordError(
                         f"{self.path}, line {number}: this is not text in UTF-8; a .csv file holds "
                         "a line of column names and lines of numbers."
@@ -62,88 +64,102 @@ class CsvFile(ColumnFile):
         # The delimiter is the one that the header uses most; a lone column has none.
         self._separator = max(",;\t", key=line.count)
         cells = next(csv.reader([line], delimiter=self._separator))
-        self._header = [cell.strip() for cell in cells]
-        if all(_is_number(cell) for cell in self._header):
+        self.names = [cell.strip() for cell in cells]
+        if all(_is_number(cell) for cell in self.names):
             raise RecordError(
                 f"{self.path}, line {number}: the first line must name the columns, "
                 f"but it holds numbers: {line[:60]}"
             )
 
-    def _scan(self, wanted: Any) -> pl.LazyFrame:
+    def _scan(self, wanted: Sequence[str], kind: Any, *, comments: bool) -> pl.LazyFrame:
         import polars as pl
 
         # An explicit type for every column: a type guessed from the first lines breaks on a
         # column that looks whole at the start. Unwanted columns are never parsed.
         schema = {
-            name if name not in self._header[:place] else f"{name} ({place})": (
-                wanted if name in self.names else pl.String()
+            name if name not in self.names[:place] else f"{name} ({place})": (
+                kind if name in wanted else pl.String()
             )
-            for place, name in enumerate(self._header)
+            for place, name in enumerate(self.names)
         }
         return pl.scan_csv(
             self.path,
             separator=self._separator,
             has_header=False,  # read above: blanks around the names are no part of them
             skip_lines=self._before_rows,
-            comment_prefix="#" if self._comments else None,
+            comment_prefix="#" if comments else None,
             schema=schema,
             encoding="utf8-lossy",
-        ).select(self.names)
+        ).select(wanted)
+
+    def _text(self, wanted: Sequence[str]) -> pl.LazyFrame:
+        import polars as pl
+
+        return self._scan(wanted, pl.String(), comments=True)
 
     def table(self) -> pl.DataFrame:
         """Return every column of the file as text; comments are left out."""
+        self.require(self.names)
+        return self._text(self.names).collect()
+
+    def look_closely(self) -> bool:
+        """Look out for comments, blanks around numbers and text from now on, at twice the time."""
+        before, self._closely = self._closely, True
+        return not before
+
+    def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
+        """Yield batches of the columns.
+
+        Raises
+        ------
+        RecordError
+            A cell is no number. Only after `look_closely` it is known where; till then rows before
+            it may be missing, as the parser goes on for a while, and a comment is no number either.
+        """
         import polars as pl
 
-        whole = CsvFile(self.path, self._header)
-        whole._comments = True
-        return whole._scan(pl.String()).collect()
-
-    def batches(self) -> Iterator[Columns]:
-        """Yield batches of the columns; text in a cell raises `RecordError` with its line."""
-        import polars as pl
-
-        done = 0
+        if self._closely:
+            self._refuse_bad_cells(wanted)
+            cells = pl.all().str.strip_chars().cast(pl.Float64(), strict=False)
+            frames = self._text(wanted).select(cells)
+        else:
+            # Looking out for comments takes the parser half as long again. They cannot pass for
+            # numbers, so where the first column is read the strict parser stops at them by itself.
+            frames = self._scan(wanted, pl.Float64(), comments=self.names[0] not in wanted)
         try:
-            for frame in self._scan(pl.Float64()).collect_batches(maintain_order=True):
-                yield frame_arrays(frame)
-                done += frame.height
+            for frame in frames.collect_batches(maintain_order=True):
+                yield frame_columns(frame)
         except pl.exceptions.NoDataError:
             return
-        except pl.exceptions.PolarsError:
-            # The strict parser says no more than the cell's text. Find out where it stands; if it
-            # is a comment, or blanks around the numbers, go on from there with the tolerant one.
-            self._comments = True
-            self._refuse_bad_cells()
-            cells = pl.all().str.strip_chars().cast(pl.Float64(), strict=False)
-            frames = self._scan(pl.String()).select(cells).slice(done)
-            for frame in frames.collect_batches(maintain_order=True):
-                yield frame_arrays(frame)
+        except pl.exceptions.PolarsError as error:
+            raise RecordError(f"{self.path}: a cell is no number.") from error
 
-    def _refuse_bad_cells(self) -> None:
+    def _refuse_bad_cells(self, wanted: Sequence[str]) -> None:
         import polars as pl
 
         number, width = self._widest_line()
-        if width > len(self._header):
+        if width > len(self.names):
             raise RecordError(
                 f"{self.path}, line {number}: the line has {width} cells, "
-                f"the header names {len(self._header)}."
+                f"the header names {len(self.names)}."
             )
         text = pl.all().str.strip_chars()
         bad = text.cast(pl.Float64(), strict=False).is_null() & ~text.str.to_lowercase().is_in(
             list(_EMPTY_WORDS)
         )
-        marks = self._scan(pl.String()).select(bad.fill_null(False))
+        marks = self._text(wanted).select(bad.fill_null(False))
+        index = _unused_name(wanted)
         rows = (
-            marks.with_row_index("#row")
-            .filter(pl.any_horizontal(self.names))
+            marks.with_row_index(index)
+            .filter(pl.any_horizontal(wanted))
             .head(1)
             .collect(engine="streaming")
         )
         if rows.is_empty():
             return
-        row = int(rows["#row"][0])
-        column = next(name for name in self.names if rows[name][0])
-        cell = str(self._scan(pl.String()).select(column).slice(row, 1).collect().item())
+        row = int(rows[index][0])
+        column = next(name for name in wanted if rows[name][0])
+        cell = str(self._text([column]).slice(row, 1).collect().item())
         hint = ""
         if _is_number(cell.replace(",", ".")):
             hint = " Write numbers with a decimal point, not a comma."
@@ -157,10 +173,10 @@ class CsvFile(ColumnFile):
         number, width = 0, 0
         with self.path.open(encoding="utf-8", errors="replace", newline="") as file:
             for number, line in enumerate(file, start=1):
-                if line.count(self._separator) < len(self._header) or line.startswith("#"):
+                if line.count(self._separator) < len(self.names) or line.startswith("#"):
                     continue
                 width = len(next(csv.reader([line.rstrip("\r\n")], delimiter=self._separator)))
-                if width > len(self._header):
+                if width > len(self.names):
                     return number, width
         return number, 0
 
@@ -172,6 +188,10 @@ class CsvFile(ColumnFile):
             data = (number for number, line in body if not line.startswith(b"#"))
             number = next(islice(data, row, None), row + self._before_rows + 1)
         return f"line {number}"
+
+
+def _unused_name(names: Sequence[str]) -> str:
+    return "row" + "_" * max(map(len, names), default=0)
 
 
 def _is_number(text: str) -> bool:

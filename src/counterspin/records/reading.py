@@ -1,30 +1,34 @@
-"""Records: the samples of one run, read from a file, checked, cleaned and reduced.
+"""Reading a record: the samples of one run, checked, cleaned and reduced.
 
-- `ColumnSpec`: a column of the file and its unit
-- `read_record`: file -> `Record`, or a `RecordError` that names the file and the line
-- `Record`: point samples, or means over blocks of at most 1/64 revolution, in SI units
-- `RecordReport` (of `record_report`): what was found on the way, counted and listed
+- `read_record`: from a file to a `Record`, or a `RecordError` that names the file and the line
 
 Whatever the format and the length, a record passes once through memory, in pieces: its clock is
-checked against the encoder (`record_clock`), outliers are found among their neighbours (`spikes`)
-and the rest is averaged (`reduction`). At the end the amplitudes are checked (`record_amplitude`).
+checked against the encoder (`clock`), outliers are found among their neighbours (`spikes`) and
+the rest is averaged (`reduction`). At the end the amplitudes are checked (`amplitude`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from counterspin.errors import RecordError
-from counterspin.records.amplitude import Waves, against_reference, change_of_unit, switch, waves
+from counterspin.records.amplitude import (
+    UnitChange,
+    Waves,
+    against_reference,
+    change_of_unit,
+    switch,
+    waves,
+)
 from counterspin.records.clock import LISTED, Clock
-from counterspin.records.column_file import ColumnFile, Columns
-from counterspin.records.formats import open_columns
-from counterspin.records.reduction import Blocks, Reducer, block_size, in_pieces, joined, piece_size
+from counterspin.records.column_file import ColumnFile
+from counterspin.records.formats import open_columns, refusals
+from counterspin.records.pieces import Columns, Piece, in_pieces, piece_rows
+from counterspin.records.record import Motion, Record, RecordColumns
+from counterspin.records.reduction import Blocks, Reducer, block_size
 from counterspin.records.report import Gap, Outlier, RecordReport
 from counterspin.records.spikes import find_spikes
 
@@ -34,55 +38,11 @@ MOST_EMPTY = 0.05
 FEWEST_REVOLUTIONS = 3.0
 
 
-@dataclass(frozen=True)
-class ColumnSpec:
-    """A column of a record file: its name and the factor that turns its unit into SI."""
-
-    name: str
-    factor: float = 1.0
-
-
-@dataclass(frozen=True)
-class Record:
-    """One run: point samples or block means, in SI units. Arrays (n,).
-
-    Attributes
-    ----------
-    time
-        s since the first sample; of a block, the mean time of its samples.
-    angle
-        rad, unwrapped; None when the file has no angle column.
-    signals
-        Accelerometer -> displacement, velocity or specific force (m, m/s, m/s^2); NaN where that
-        accelerometer has no good sample.
-    count
-        Samples in each block; 1 is a point sample.
-    time_sd
-        s, standard deviation of the times inside each block; 0 for a point.
-    start_time
-        s, the first sample's time in the file's own clock.
-    report
-        What was found.
-    """
-
-    time: np.ndarray
-    angle: np.ndarray | None
-    signals: dict[str, np.ndarray]
-    count: np.ndarray
-    time_sd: np.ndarray
-    start_time: float
-    report: RecordReport
-
-
 def read_record(
     path: str | Path,
-    time: ColumnSpec,
-    angle: ColumnSpec | None,
-    signals: Mapping[str, ColumnSpec],
+    columns: RecordColumns,
+    motion: Motion,
     *,
-    nominal_rate: float,
-    radius: float,
-    input_axes: Mapping[str, np.ndarray] | None = None,
     block: Literal["auto"] | None = "auto",
 ) -> Record:
     """Read, check, clean and reduce one record.
@@ -90,18 +50,11 @@ def read_record(
     Parameters
     ----------
     path
-        A .csv, .parquet, .h5, .hdf5 or .mat file.
-    time, angle
-        The columns of time and spindle angle (wrapped or not), or no angle.
-    signals
-        Accelerometer -> its column.
-    nominal_rate
-        The run's stated rate, rad/s; negative turns from north to east.
-    radius
-        m.
-    input_axes
-        Accelerometer -> (3,) unit vector in east, north, up, for those whose signal is a
-        displacement: its swing about the axis is then checked against the radius.
+        A .csv, .txt, .tsv, .parquet, .h5, .hdf5 or .mat file.
+    columns
+        Its columns.
+    motion
+        The run's stated motion.
     block
         "auto" reduces a record that is denser than 2 samples per 1/64 revolution to block means;
         None keeps every sample.
@@ -111,24 +64,19 @@ def read_record(
     RecordError
         The file is missing, empty or unreadable, a column is missing, a cell holds text or an
         infinite value, time runs backwards, the clock or the angle jumps, the angle's rate is not
-        the run's, more than 5 % of a column are empty, a unit changes on the way, or there are
-        fewer than three revolutions.
+        the run's, more than 5 % of a column are empty, a unit changes within the record, or there
+        are fewer than three revolutions.
     """
     path = Path(path)
-    specs = [time, *([angle] if angle else []), *signals.values()]
-    names = list(dict.fromkeys(spec.name for spec in specs))
-    file = open_columns(path, names)
-    reading = _RecordReader(file, specs, angle is not None, nominal_rate, block)
-    blocks = reading.run()
-    duration = float(blocks.time[-1] - blocks.time[0])
-    revolutions = duration * abs(nominal_rate) / (2 * np.pi)
-    if revolutions < FEWEST_REVOLUTIONS:
-        raise RecordError(
-            f"{path}: the record lasts {duration:.6g} s, {revolutions:.3g} revolutions at the "
-            f"run's rate; at least {FEWEST_REVOLUTIONS:g} are needed. "
-            "Check the unit of the time column."
-        )
-    return reading.record(blocks, list(signals), radius, input_axes)
+    with refusals(path):
+        file = open_columns(path)
+        file.require(columns.names)
+        try:
+            return _RecordReader(file, columns, motion, block).read()
+        except RecordError:
+            if not file.look_closely():
+                raise
+            return _RecordReader(file, columns, motion, block).read()
 
 
 class _RecordReader:
@@ -137,39 +85,54 @@ class _RecordReader:
     def __init__(
         self,
         file: ColumnFile,
-        specs: list[ColumnSpec],
-        has_angle: bool,
-        nominal_rate: float,
+        columns: RecordColumns,
+        motion: Motion,
         block: Literal["auto"] | None,
     ) -> None:
         self._file = file
-        self._specs = specs
-        self._places = [file.names.index(spec.name) for spec in specs]
-        self._has_angle = has_angle
-        self._signals = specs[2 if has_angle else 1 :]
-        self._nominal_rate = nominal_rate
+        self._columns = columns
+        self._signals = list(columns.signals.values())
+        self._motion = motion
         self._wants_blocks = block == "auto"
-        self._clock = Clock(file.path, file.locate, nominal_rate)
+        self._clock = Clock(file.path, file.locate, motion.rate)
         self._rows = 0
         self._empty = [0] * len(self._signals)
         self._outliers = [0] * len(self._signals)
         self._listed: list[Outlier] = []
-        self.start_time = 0.0
-        self.block = 1
+        self._first_time = 0.0  # in the file's unit
+        self._block = 1
 
-    def run(self) -> Blocks:
-        """Read the file to its end."""
+    @property
+    def _start_time(self) -> float:
+        """The first sample's time in the file's own clock, s."""
+        return self._first_time * self._columns.time.factor
+
+    def read(self) -> Record:
+        """Read the file and judge it as a whole."""
+        blocks = self._reduced()
+        duration = float(blocks.time[-1] - blocks.time[0])
+        revolutions = duration * abs(self._motion.rate) / (2 * np.pi)
+        if revolutions < FEWEST_REVOLUTIONS:
+            raise RecordError(
+                f"{self._file.path}: the record lasts {duration:.6g} s, {revolutions:.3g} "
+                f"revolutions at the run's rate; at least {FEWEST_REVOLUTIONS:g} are needed. "
+                "Check the unit of the time column."
+            )
+        return self._record(blocks)
+
+    def _reduced(self) -> Blocks:
+        """Read the file to its end, piece after piece."""
         parts: list[Blocks] = []
         reducer: Reducer | None = None
-        for piece in in_pieces(self._file.batches(), self._places, self._choose_size):
+        for columns in in_pieces(self._file.batches(self._columns.names), self._choose_rows):
             if reducer is None:
-                self.start_time = self._first_time(piece[0])
-            columns = self._in_si(piece)
+                self._first_time = self._first_number(columns[self._columns.time.name])
+            piece = self._piece(columns)
             if reducer is None:
-                self._clock.start(columns[0], columns[1] if self._has_angle else None)
-                reducer = Reducer(self.block, self._clock.step, self._clock.rate)
-            blocks = self._take(columns, reducer)
-            self._rows += len(columns[0])
+                self._clock.start(piece.time, piece.angle)
+                reducer = Reducer(self._block, self._clock.step, self._clock.rate)
+            blocks = self._take(piece, reducer)
+            self._rows += len(piece)
             if blocks is not None:
                 parts.append(blocks)
         if reducer is None:
@@ -180,52 +143,54 @@ class _RecordReader:
             raise RecordError(f"{self._file.path}: no row of the record can be used.")
         return Blocks.joined(parts)
 
-    def _choose_size(self, columns: Columns) -> int:
+    def _choose_rows(self, columns: Columns) -> int:
         """Choose the block from the spacing of the first rows; return the rows to a piece."""
-        time = columns[0][: piece_size(1)] * self._specs[0].factor
+        spec = self._columns.time
+        time = columns[spec.name][: piece_rows(1)] * spec.factor
         steps = np.diff(time[np.isfinite(time)])
         steps = steps[steps > 0]
         if self._wants_blocks and len(steps):
-            self.block = block_size(float(np.median(steps)), self._nominal_rate)
-        return piece_size(self.block)
+            self._block = block_size(float(np.median(steps)), self._motion.rate)
+        return piece_rows(self._block)
 
-    def _first_time(self, time: np.ndarray) -> float:
+    def _first_number(self, time: np.ndarray) -> float:
         finite = time[np.isfinite(time)]
         if not len(finite):
             raise RecordError(
-                f"{self._file.path}: column '{self._specs[0].name}' has no numbers at its start."
+                f"{self._file.path}: column '{self._columns.time.name}' has no numbers at its "
+                "start."
             )
         return float(finite[0])
 
-    def _in_si(self, piece: Columns) -> Columns:
+    def _piece(self, columns: Columns) -> Piece:
         """Return time from the record's start (s), the angle (rad) and the signals as filed."""
-        columns = list(piece)
-        if self.start_time:
-            columns[0] = columns[0] - self.start_time
-        for place in range(2 if self._has_angle else 1):
-            factor = self._specs[place].factor
-            if factor != 1:
-                columns[place] = columns[place] * factor
-        return columns
+        time, angle = self._columns.time, self._columns.angle
+        seconds = columns[time.name]
+        if self._first_time:
+            seconds = seconds - self._first_time
+        return Piece(
+            _scaled(seconds, time.factor),
+            None if angle is None else _scaled(columns[angle.name], angle.factor),
+            [columns[spec.name] for spec in self._signals],
+        )
 
-    def _take(self, columns: Columns, reducer: Reducer) -> Blocks | None:
-        accepted = self._clock.accept(self._rows, columns, self._has_angle)
-        good, first = accepted.columns, len(columns) - len(self._signals)
-        if not len(good[0]):
-            self._count_empty(columns[first:])
+    def _take(self, piece: Piece, reducer: Reducer) -> Blocks | None:
+        accepted = self._clock.accept(self._rows, piece)
+        good = accepted.piece
+        if not len(good):
+            self._count_empty(piece.signals)
             return None
-        blocks, outliers, complete = reducer.reduce(good, self._has_angle, accepted.unevenness)
-        if not complete or accepted.rows is not None:
-            self._count_empty(columns[first:])
-        for place, found in enumerate(outliers):
-            if len(found):
-                rows = found if accepted.rows is None else accepted.rows[found]
-                self._note_outliers(
-                    place, rows + self._rows, good[0][found], good[first + place][found]
-                )
-        return blocks
+        reduced = reducer.reduce(good, accepted.unevenness)
+        if not reduced.complete or accepted.rows is not None:
+            self._count_empty(piece.signals)
+        for place, outlying in enumerate(reduced.outliers):
+            if len(outlying):
+                rows = outlying if accepted.rows is None else accepted.rows[outlying]
+                values = good.signals[place][outlying]
+                self._note_outliers(place, rows + self._rows, good.time[outlying], values)
+        return reduced.blocks
 
-    def _count_empty(self, signals: Columns) -> None:
+    def _count_empty(self, signals: list[np.ndarray]) -> None:
         for place, signal in enumerate(signals):
             self._empty[place] += int(np.isnan(signal).sum())
             infinite = np.flatnonzero(np.isinf(signal))
@@ -242,110 +207,107 @@ class _RecordReader:
         room = LISTED - self._outliers[place]
         self._outliers[place] += len(rows)
         name, factor = self._signals[place].name, self._signals[place].factor
-        start = self.start_time * self._specs[0].factor
         for row, time, value in zip(rows[: max(room, 0)], times, values, strict=False):
             self._listed.append(
-                Outlier(name, int(row) + 1, float(time) + start, float(value) * factor)
+                Outlier(name, int(row) + 1, float(time) + self._start_time, float(value) * factor)
             )
 
     def _refuse_empty(self) -> None:
-        found = self._clock.found
         for name, count in self._empty_counts().items():
             if count > MOST_EMPTY * self._rows:
                 raise RecordError(
                     f"{self._file.path}: column '{name}' has {count} empty cells in "
                     f"{self._rows} rows; at most {MOST_EMPTY:.0%} may be empty."
                 )
-        if found.differing > MOST_EMPTY * self._rows:
+        differing = self._clock.findings.differing
+        if differing > MOST_EMPTY * self._rows:
             raise RecordError(
-                f"{self._file.path}: {found.differing} of {self._rows} rows repeat the time of "
+                f"{self._file.path}: {differing} of {self._rows} rows repeat the time of "
                 "the row before with other values; the time column may be too coarse."
             )
 
     def _empty_counts(self) -> dict[str, int]:
-        counts = {self._specs[0].name: self._clock.found.empty_time}
-        if self._has_angle:
-            counts[self._specs[1].name] = self._clock.found.empty_angle
+        counts = {self._columns.time.name: self._clock.findings.empty_time}
+        if self._columns.angle is not None:
+            counts[self._columns.angle.name] = self._clock.findings.empty_angle
         counts.update(zip((s.name for s in self._signals), self._empty, strict=True))
         return counts
 
-    def record(
-        self,
-        blocks: Blocks,
-        accelerometers: list[str],
-        radius: float,
-        input_axes: Mapping[str, np.ndarray] | None,
-    ) -> Record:
+    def _record(self, blocks: Blocks) -> Record:
         """Check the signals as a whole and assemble the record."""
-        angle = blocks.angle
-        phase = self._nominal_rate * blocks.time if angle is None else angle
+        phase = self._motion.rate * blocks.time if blocks.angle is None else blocks.angle
         signals: dict[str, np.ndarray] = {}
-        for place, name in enumerate(accelerometers):
-            spec = self._signals[place]
+        for place, (name, spec) in enumerate(self._columns.signals.items()):
             signal = blocks.signals[place] * spec.factor
-            if self.block > 1:
+            if self._block > 1:
                 signal = self._without_odd_blocks(blocks, place, signal)
-            found = waves(phase, signal)
-            change = change_of_unit(found)
-            if change is not None:
-                raise self._changed(place, blocks, phase, found, *change)
-            if input_axes is not None and name in input_axes:
-                axis = np.asarray(input_axes[name], dtype=float)
-                wrong = against_reference(found, radius, axis, angle is not None)
-                if wrong is not None:
-                    raise RecordError(f"{self._file.path}: column '{spec.name}' {wrong}.")
+            self._check_amplitude(name, blocks.time, phase, signal)
             signals[name] = signal
         return Record(
             blocks.time,
-            angle,
+            blocks.angle,
             signals,
             blocks.count,
             blocks.time_sd,
-            self.start_time * self._specs[0].factor,
+            self._start_time,
             self._report(blocks),
         )
 
+    def _check_amplitude(
+        self, accelerometer: str, time: np.ndarray, phase: np.ndarray, signal: np.ndarray
+    ) -> None:
+        """Refuse a signal whose wave changes its size or is not the motion's."""
+        fitted = waves(phase, signal)
+        change = change_of_unit(fitted)
+        if change is not None:
+            raise self._changed(accelerometer, fitted, change, time, phase)
+        if accelerometer in self._motion.input_axes:
+            axis = np.asarray(self._motion.input_axes[accelerometer], dtype=float)
+            has_angle = self._columns.angle is not None
+            wrong = against_reference(fitted, self._motion.radius, axis, has_angle)
+            if wrong is not None:
+                column = self._columns.signals[accelerometer].name
+                raise RecordError(f"{self._file.path}: column '{column}' {wrong}.")
+
     def _changed(
         self,
-        place: int,
-        blocks: Blocks,
+        accelerometer: str,
+        fitted: Waves,
+        change: UnitChange,
+        block_times: np.ndarray,
         phase: np.ndarray,
-        found: Waves,
-        before: int,
-        after: int,
-        words: str,
     ) -> RecordError:
         """Say at which line of the file a signal changes its unit."""
         # Samples about the change were taken for outliers: look at the file again.
-        ends = blocks.time[found.first[before]], blocks.time[found.last[after]]
-        spec = self._signals[place]
+        begin = block_times[fitted.first[change.before]]
+        end = block_times[fitted.last[change.after]]
+        spec = self._columns.signals[accelerometer]
         rows: list[np.ndarray] = []
-        parts: list[Columns] = []
+        times: list[np.ndarray] = []
+        signals: list[np.ndarray] = []
         row = 0
-        for batch in self._file.batches():
-            columns = self._in_si([batch[place] for place in self._places])
-            inside = np.flatnonzero((columns[0] >= ends[0]) & (columns[0] <= ends[1]))
-            if len(inside):
-                signal = columns[len(columns) - len(self._signals) + place] * spec.factor
-                parts.append([columns[0][inside], signal[inside]])
-                rows.append(row + inside)
-            row += len(batch[0])
-        time, signal = joined(parts)
-        angle = np.interp(time, blocks.time, phase)
-        at = min(switch(found, before, after, angle, signal), len(time) - 1)
+        for columns in self._file.batches(self._columns.names):
+            time = self._piece(columns).time
+            inside = np.flatnonzero((time >= begin) & (time <= end))
+            rows.append(row + inside)
+            times.append(time[inside])
+            signals.append(columns[spec.name][inside] * spec.factor)
+            row += len(time)
+        angle = np.interp(np.concatenate(times), block_times, phase)
+        at = min(switch(fitted, change, angle, np.concatenate(signals)), len(angle) - 1)
+        where = self._file.locate(int(np.concatenate(rows)[at]))
         return RecordError(
-            f"{self._file.path}, {self._file.locate(int(np.concatenate(rows)[at]))}: column "
-            f"'{spec.name}' changes its unit or its scale: {words}. "
-            "Cut the record here or correct the column."
+            f"{self._file.path}, {where}: column '{spec.name}' changes its unit or its scale: "
+            f"{change.words}. Cut the record here or correct the column."
         )
 
     def _without_odd_blocks(self, blocks: Blocks, place: int, signal: np.ndarray) -> np.ndarray:
         """Leave out block means that stand off from their neighbours (a burst, a dead stretch)."""
-        weight = np.sqrt(blocks.count / self.block)
-        step = self._clock.step * self.block
+        weight = np.sqrt(blocks.count / self._block)
+        step = self._clock.step * self._block
         unevenness = float(np.abs(np.diff(blocks.time) / step - 1).max(initial=0.0))
         # The mean over a shorter piece of a wave's crest is another: such blocks are not compared.
-        judged = np.where(blocks.count >= 0.9 * self.block, signal, np.nan)
+        judged = np.where(blocks.count >= 0.9 * self._block, signal, np.nan)
         odd = find_spikes(blocks.time, judged, self._clock.rate, step, unevenness, weight)
         if len(odd):
             self._outliers[place] += int(blocks.count[odd].sum())
@@ -353,34 +315,34 @@ class _RecordReader:
             signal[odd] = np.nan
         return signal
 
-    @staticmethod
-    def _measured_rate(blocks: Blocks) -> float | None:
-        if blocks.angle is None:
-            return None
-        return float((blocks.angle[-1] - blocks.angle[0]) / (blocks.time[-1] - blocks.time[0]))
-
     def _report(self, blocks: Blocks) -> RecordReport:
-        found = self._clock.found
+        findings = self._clock.findings
         outliers = dict(zip((s.name for s in self._signals), self._outliers, strict=True))
         listed = list(self._listed)
-        if self._has_angle:
-            name = self._specs[1].name
-            outliers = {name: found.angle_outliers, **outliers}
-            listed += [Outlier(name, row + 1, np.nan, np.nan) for row in found.outlier_rows]
-        start = self.start_time * self._specs[0].factor
+        rate = None
+        if self._columns.angle is not None and blocks.angle is not None:
+            name = self._columns.angle.name
+            outliers = {name: findings.angle_outliers, **outliers}
+            listed += [Outlier(name, row + 1, np.nan, np.nan) for row in findings.outlier_rows]
+            advance = blocks.angle[-1] - blocks.angle[0]
+            rate = float(advance / (blocks.time[-1] - blocks.time[0]))
         return RecordReport(
             path=self._file.path,
             rows=self._rows,
             used=int(blocks.count.sum()),
-            repeated=found.repeated,
-            differing=found.differing,
+            repeated=findings.repeated,
+            differing=findings.differing,
             empty=self._empty_counts(),
             outliers=outliers,
             listed=tuple(listed),
-            gaps=tuple(Gap(gap.time + start, gap.length) for gap in found.gaps),
-            gap_count=found.gap_count,
-            wrapped=found.wrapped,
+            gaps=tuple(Gap(gap.time + self._start_time, gap.length) for gap in findings.gaps),
+            gap_count=findings.gap_count,
+            wrapped=findings.wrapped,
             step=self._clock.step,
-            rate=self._measured_rate(blocks),
-            block=self.block,
+            rate=rate,
+            block=self._block,
         )
+
+
+def _scaled(values: np.ndarray, factor: float) -> np.ndarray:
+    return values if factor == 1 else values * factor

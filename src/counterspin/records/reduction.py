@@ -10,24 +10,21 @@ before the mean is taken, and the rows that remain carry the block's mean time a
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
 
 import numpy as np
 
-from counterspin.arrays import aligned
-from counterspin.records.column_file import Columns
+from counterspin.records.pieces import Piece
 from counterspin.records.spikes import find_spikes
 
 #: A block covers at most this part of a revolution: the means then lose nothing of K_II.
 BLOCKS_PER_REVOLUTION = 64
 #: More samples than this in one block gain nothing.
-_LARGEST_BLOCK = 8192
+_BLOCK_SAMPLES = 8192
 #: Steps less uneven than this give a block's times the spread of an even grid.
-_EVEN = 1e-3
-#: Rows in a piece, about: three columns of them fit the processor's second cache.
-_PIECE = 65536
+_IGNORED_UNEVENNESS = 1e-3
+#: Steps less uneven than this let a block be a number of rows; else it is a span of time.
+_ROW_UNEVENNESS = 0.5
 
 
 @dataclass(frozen=True)
@@ -59,69 +56,26 @@ def block_size(step: float, rate: float) -> int:
     longest = 2 * math.pi / (BLOCKS_PER_REVOLUTION * abs(rate))
     # The tolerance keeps a spacing that divides the block exactly from losing a sample.
     size = math.floor(longest / step * (1 + 1e-9))
-    return min(size, _LARGEST_BLOCK) if size >= 2 else 1
+    return min(size, _BLOCK_SAMPLES) if size >= 2 else 1
 
 
-def piece_size(block: int) -> int:
-    """Return the rows to a piece: a whole number of blocks."""
-    return block * max(1, _PIECE // block)
+@dataclass(frozen=True)
+class Reduced:
+    """A piece, reduced.
 
-
-def in_pieces(
-    batches: Iterator[Columns], places: Sequence[int], choose_size: Callable[[Columns], int]
-) -> Iterator[Columns]:
-    """Yield columns in pieces of a fixed number of rows, however the file was batched.
-
-    Parameters
+    Attributes
     ----------
-    batches
-        Consecutive batches of the file's columns.
-    places
-        Which column of the batches each column of the pieces is.
-    choose_size
-        Takes the columns of the first rows and returns the rows to a piece.
-
-    Yields
-    ------
-    Columns
-        To be read, not changed, and only until the next piece is asked for.
+    blocks
+        Its means.
+    outliers
+        For each signal the places of its outlying samples.
+    complete
+        Whether it is certain that every sample is a number.
     """
-    head: list[Columns] = []
-    for batch in batches:
-        head.append(batch)
-        if sum(len(columns[0]) for columns in head) >= piece_size(1):
-            break
-    if not sum(len(columns[0]) for columns in head):
-        return
-    first = [joined(head)[place] for place in places]
-    size = choose_size(first)
-    # What lies across two batches is brought together in a buffer; the rest are views.
-    buffer = aligned(len(places), size)
-    filled = 0
-    for batch in chain([first], ([batch[place] for place in places] for batch in batches)):
-        rows = len(batch[0])
-        start = 0
-        while start < rows:
-            stop = min(start + size - filled, rows)
-            if stop - start == size:
-                yield [column[start:stop] for column in batch]
-            else:
-                for column, part in zip(buffer, batch, strict=True):
-                    column[filled : filled + stop - start] = part[start:stop]
-                filled += stop - start
-            if filled == size:
-                yield list(buffer)
-                filled = 0
-            start = stop
-    if filled:
-        yield list(buffer[:, :filled])
 
-
-def joined(batches: list[Columns]) -> Columns:
-    """Return the columns of several batches, one batch after the other."""
-    if len(batches) == 1:
-        return batches[0]
-    return [np.concatenate(columns) for columns in zip(*batches, strict=True)]
+    blocks: Blocks
+    outliers: list[np.ndarray]
+    complete: bool
 
 
 class Reducer:
@@ -144,89 +98,65 @@ class Reducer:
         # A product with a constant vector is the fastest sum along short rows.
         self._mean = np.full(block, 1 / block)
 
-    def reduce(
-        self, columns: Columns, has_angle: bool, unevenness: float
-    ) -> tuple[Blocks, list[np.ndarray], bool]:
+    def reduce(self, piece: Piece, unevenness: float) -> Reduced:
         """Reduce one piece.
 
         Parameters
         ----------
-        columns
-            Arrays (n,): time, s, increasing; if `has_angle`, the angle, rad, unwrapped; then the
-            signals, NaN where empty (or infinite).
-        has_angle
-            Whether the second column is the angle.
+        piece
+            Its rows, without those that cannot be used: time rises, the angle is unwrapped.
         unevenness
             Largest relative deviation of a time step from the usual one.
-
-        Returns
-        -------
-        blocks
-            The piece, reduced.
-        outliers
-            For each signal the places of its outlying samples.
-        complete
-            Whether it is certain that every sample is a number.
         """
-        time, signals = columns[0], columns[2 if has_angle else 1 :]
+        time, signals = piece.time, piece.signals
         outliers = [find_spikes(time, x, self._rate, self._step, unevenness) for x in signals]
-        even = unevenness < 0.5
-        clean = not any(len(places) for places in outliers)
+        by_rows = unevenness < _ROW_UNEVENNESS
         if self._block == 1:
-            # A copy: the next piece overwrites this one.
-            points = [x.copy() for x in columns]
-            for x, places in zip(points[len(points) - len(signals) :], outliers, strict=True):
-                x[places] = np.nan
-            alone = np.ones(len(time), dtype=int)
-            return _blocks(points, has_angle, np.zeros(len(time)), alone), outliers, False
-        if even and clean:
-            blocks = self._even_means(columns, has_angle, unevenness)
+            return Reduced(_points(piece, outliers), outliers, False)
+        if by_rows and not any(len(places) for places in outliers):
+            blocks = self._even_means(piece, unevenness)
             # The mean over a sample that is no number is none either.
             if all(np.isfinite(x).all() for x in blocks.signals):
-                return blocks, outliers, True
+                return Reduced(blocks, outliers, True)
         usable = [np.isfinite(x) for x in signals]
         for mask, places in zip(usable, outliers, strict=True):
             mask[places] = False
-        angle = columns[1] if has_angle else None
-        return self._means(time, angle, signals, usable, even), outliers, False
+        return Reduced(self._means(piece, usable, by_rows), outliers, False)
 
-    def _even_means(self, columns: Columns, has_angle: bool, unevenness: float) -> Blocks:
-        size, time = self._block, columns[0]
+    def _even_means(self, piece: Piece, unevenness: float) -> Blocks:
+        size, time = self._block, piece.time
         whole = len(time) // size * size
         tail = len(time) - whole
-        means = [x[:whole].reshape(-1, size) @ self._mean for x in columns]
-        if tail:
-            means = [np.append(m, x[whole:].mean()) for m, x in zip(means, columns, strict=True)]
-        mean_time = means[0]
+
+        def means(x: np.ndarray) -> np.ndarray:
+            mean: np.ndarray = x[:whole].reshape(-1, size) @ self._mean
+            return np.append(mean, x[whole:].mean()) if tail else mean
+
+        mean_time = means(time)
         count = np.full(len(mean_time), size)
-        if unevenness < _EVEN:
+        if unevenness < _IGNORED_UNEVENNESS:
             sd = np.full(len(mean_time), self._step * math.sqrt((size**2 - 1) / 12))
         else:
             apart = time[:whole].reshape(-1, size) - mean_time[: whole // size, None]
             sd = np.sqrt(np.einsum("ij,ij->i", apart, apart) / size)
+            sd = np.append(sd, 0.0) if tail else sd
         if tail:
-            sd = np.append(sd, 0.0) if len(sd) < len(mean_time) else sd
             sd[-1] = time[whole:].std()
             count[-1] = tail
-        return _blocks(means, has_angle, sd, count)
+        mean_angle = None if piece.angle is None else means(piece.angle)
+        return Blocks(mean_time, sd, count, mean_angle, [means(x) for x in piece.signals])
 
-    def _means(
-        self,
-        time: np.ndarray,
-        angle: np.ndarray | None,
-        signals: list[np.ndarray],
-        usable: list[np.ndarray],
-        even: bool,
-    ) -> Blocks:
+    def _means(self, piece: Piece, usable: list[np.ndarray], by_rows: bool) -> Blocks:
         """Reduce a piece with gaps, empty cells or outliers."""
-        if even:
+        time = piece.time
+        if by_rows:
             places = np.arange(len(time)) // self._block
         else:
             span = self._block * self._step
             places = np.floor((time - time[0] + 0.5 * self._step) / span).astype(int)
         starts = np.flatnonzero(np.diff(places, prepend=-1))
-        places = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(time)))
         rows = np.diff(starts, append=len(time))
+        places = np.repeat(np.arange(len(starts)), rows)
         # One set of rows serves the whole block, so that time and angle are the means of the very
         # samples that the signals are means of. A signal that lacks most of a block is left out
         # of it, rather than costing the others their samples.
@@ -243,18 +173,24 @@ class Reducer:
 
         mean_time = means(time)
         sd = np.sqrt(means((time - mean_time[places]) ** 2))
-        reduced = []
-        for x, gone in zip(signals, absent, strict=True):
-            reduced.append(np.where(gone, np.nan, means(np.where(np.isfinite(x), x, 0.0)))[filled])
         return Blocks(
             mean_time[filled],
             sd[filled],
             count[filled],
-            None if angle is None else means(angle)[filled],
-            reduced,
+            None if piece.angle is None else means(piece.angle)[filled],
+            [
+                np.where(gone, np.nan, means(np.where(np.isfinite(x), x, 0.0)))[filled]
+                for x, gone in zip(piece.signals, absent, strict=True)
+            ],
         )
 
 
-def _blocks(columns: Columns, has_angle: bool, sd: np.ndarray, count: np.ndarray) -> Blocks:
-    angle = columns[1] if has_angle else None
-    return Blocks(columns[0], sd, count, angle, columns[2 if has_angle else 1 :])
+def _points(piece: Piece, outliers: list[np.ndarray]) -> Blocks:
+    """Return every sample as a block of its own."""
+    # Copies: the next piece overwrites this one.
+    signals = [x.copy() for x in piece.signals]
+    for x, places in zip(signals, outliers, strict=True):
+        x[places] = np.nan
+    rows = len(piece)
+    angle = None if piece.angle is None else piece.angle.copy()
+    return Blocks(piece.time.copy(), np.zeros(rows), np.ones(rows, dtype=int), angle, signals)

@@ -21,25 +21,25 @@ import numpy as np
 from counterspin.arrays import aligned
 
 #: Samples in a window.
-WINDOW = 128
+WINDOW_SAMPLES = 128
 #: Fewest samples that can be judged at all: up to nine functions are fitted to them.
-FEWEST = 24
+FEWEST_SAMPLES = 24
 #: How many of the functions are fitted first, while outliers are still in.
-_STURDY = 5
+_FIRST_FUNCTIONS = 5
 #: Standard deviations beyond which a sample is an outlier.
-LIMIT = 6.0
+LIMIT_SDS = 6.0
 #: Standard deviations beyond which the screening hands a window to the robust fit.
-_SCREEN = 5.5
+_SCREEN_SDS = 5.5
 #: A window may be this many times noisier than its surroundings before that counts against it.
-_NOISIER = 4.0
+_NOISE_RATIO = 4.0
 #: Times the middle of a piece beyond which a sample is no measurement at all.
-_WILD = 1e9
+_FILLER_RATIO = 1e9
 #: Relative unevenness of the steps that may be ignored.
-_EVEN = 1e-4
+_IGNORED_UNEVENNESS = 1e-4
 #: How late a sample may be before moving it along the slope no longer serves: in steps, or, where
 #: that is more, in rad of spindle angle (the curvature then costs 5e-7 of the wave).
-_GAP = 0.3
-_LATE = 1e-3
+_SHIFT_STEPS = 0.3
+_SHIFT_RAD = 1e-3
 #: MAD to standard deviation of Gaussian data.
 _MAD = 1.4826
 
@@ -74,10 +74,10 @@ def find_spikes(
     -------
     (m,) int, the places of the outliers, rising; a NaN is never one.
     """
-    if len(signal) < FEWEST:
+    if len(signal) < FEWEST_SAMPLES:
         return np.empty(0, dtype=int)
-    width = min(WINDOW, len(signal))
-    uneven_time = time if unevenness > _EVEN else None
+    width = min(WINDOW_SAMPLES, len(signal))
+    uneven_time = time if unevenness > _IGNORED_UNEVENNESS else None
     phase_step = rate * step
     peak, broken, scale = _screen_all(signal, uneven_time, width, phase_step, step)
     if not (peak.any() or broken.any()):
@@ -90,17 +90,17 @@ def find_spikes(
             return np.empty(0, dtype=int)
         signal = np.interp(time, time[finite], signal[finite])
         peak, broken, scale = _screen_all(signal, uneven_time, width, phase_step, step)
-    suspect = broken | (peak > _SCREEN * scale)
+    suspect = broken | (peak > _SCREEN_SDS * scale)
     if not suspect.any():
         return np.empty(0, dtype=int)
     starts = np.minimum(np.arange(len(peak)) * width, len(signal) - width)
     # A filler such as 1e30 in place of an empty cell would drown its window by rounding alone.
     usual = middle(np.abs(signal))
-    wild = np.abs(signal) > _WILD * usual
-    if usual > 0.0 and wild.any():
-        rest = np.where(wild if finite is None else wild | ~finite, np.nan, signal)
+    filler = np.abs(signal) > _FILLER_RATIO * usual
+    if usual > 0.0 and filler.any():
+        rest = np.where(filler if finite is None else filler | ~finite, np.nan, signal)
         others = find_spikes(time, rest, rate, step, unevenness, weight)
-        return np.union1d(np.flatnonzero(wild if finite is None else wild & finite), others)
+        return np.union1d(np.flatnonzero(filler if finite is None else filler & finite), others)
 
     def robust(chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         index = starts[chosen, None] + np.arange(width)
@@ -119,12 +119,12 @@ def find_spikes(
         _, _, scales = robust(np.unique(np.linspace(0, len(starts) - 1, 32).astype(int)))
         scale = float(np.median(scales))
     scale = max(scale, _resolution(signal) / 2)
-    suspect |= peak > _SCREEN * scale
+    suspect |= peak > _SCREEN_SDS * scale
     marked = np.zeros(len(signal), dtype=bool)
     suspects = np.flatnonzero(suspect)
     for begin in range(0, len(suspects), 1024):
         index, residuals, scales = robust(suspects[begin : begin + 1024])
-        limit = LIMIT * np.clip(scales, scale, _NOISIER * scale)
+        limit = LIMIT_SDS * np.clip(scales, scale, _NOISE_RATIO * scale)
         out = np.abs(residuals) > limit[:, None]
         # Where most of a window is out, something has changed; that is not for us to judge.
         out[2 * out.sum(axis=1) > width] = False
@@ -172,7 +172,7 @@ def _screen_all(
         # The usual case again, at a fraction of the time that `_screen` takes for one window.
         basis, functions, _ = _even_basis(width, phase_step)
         rest = last - (last @ basis) @ functions
-        top, limit = np.abs(rest).max(), _SCREEN * scale
+        top, limit = np.abs(rest).max(), _SCREEN_SDS * scale
         # Residuals have no mean, and no median is farther from it than their standard deviation.
         if top <= limit and top + math.sqrt(rest @ rest / width) <= limit:
             return np.append(peak, 0.0), np.append(broken, False), scale
@@ -204,7 +204,7 @@ def _screen(
         times = time.reshape(-1, width)
         late = (times - times.mean(axis=1, keepdims=True)) / step
         late -= np.arange(width) - (width - 1) / 2
-        broken = np.abs(late).max(axis=1) > max(_LATE / abs(phase_step), _GAP)
+        broken = np.abs(late).max(axis=1) > max(_SHIFT_RAD / abs(phase_step), _SHIFT_STEPS)
         windows = windows - ((windows @ basis) @ slopes) * late
     rest = aligned(len(windows), width)
     np.matmul(windows @ basis, functions, out=rest)
@@ -215,7 +215,7 @@ def _screen(
         return np.zeros(len(rest)), broken, 0.0
     centre = middle(sample)
     scale = _MAD * middle(np.abs(sample - centre))
-    if max(judged.max() - centre, centre - judged.min()) <= _SCREEN * scale:
+    if max(judged.max() - centre, centre - judged.min()) <= _SCREEN_SDS * scale:
         return np.zeros(len(rest)), broken, scale  # no window needs its own peak: the usual case
     return np.maximum(rest.max(axis=1) - centre, centre - rest.min(axis=1)), broken, scale
 
@@ -283,7 +283,7 @@ def _robust_fit(
 
     # Fewer functions withstand more outliers: the first ones part these from the rest, then all
     # of them follow the rest more closely.
-    first = basis[..., :_STURDY]
+    first = basis[..., :_FIRST_FUNCTIONS]
     residuals = fit(weight**2, first)
     for _ in range(10):
         size = np.maximum(np.abs(residuals), 0.1 * spread(residuals)[:, None])

@@ -1,0 +1,98 @@
+"""What a record is: the columns of its file, the motion it was taken on, and the samples read.
+
+- `ColumnSpec`, `RecordColumns`: columns of a file and their units
+- `Motion`: what the campaign says of the run
+- `Record`: point samples or block means, in SI units
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from counterspin.records.report import RecordReport
+
+
+@dataclass(frozen=True)
+class ColumnSpec:
+    """A column of a record file: its name and the factor that turns its unit into SI."""
+
+    name: str
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class RecordColumns:
+    """Which columns of a file hold what.
+
+    Attributes
+    ----------
+    time, angle
+        Time and spindle angle (wrapped or not), or no angle.
+    signals
+        By accelerometer.
+    """
+
+    time: ColumnSpec
+    angle: ColumnSpec | None
+    signals: Mapping[str, ColumnSpec]
+
+    @property
+    def names(self) -> list[str]:
+        """The columns to be read, each once."""
+        specs = [self.time, *([self.angle] if self.angle else []), *self.signals.values()]
+        return list(dict.fromkeys(spec.name for spec in specs))
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The stated motion of a run, against which its record is checked.
+
+    Attributes
+    ----------
+    rate
+        rad/s; negative turns from north to east.
+    radius
+        m.
+    input_axes
+        Accelerometer -> (3,) unit vector in east, north, up, for those whose signal is a
+        displacement: its swing about the spindle axis is then checked against the radius.
+    """
+
+    rate: float
+    radius: float
+    input_axes: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run: point samples or block means, in SI units. Arrays (n,).
+
+    Attributes
+    ----------
+    time
+        s since the first sample; of a block, the mean time of its samples.
+    angle
+        rad, unwrapped; None when the file has no angle column.
+    signals
+        Accelerometer -> displacement, velocity or specific force (m, m/s, m/s^2); NaN where that
+        accelerometer has no good sample.
+    count
+        Samples in each block; 1 is a point sample.
+    time_sd
+        s, standard deviation of the times inside each block; 0 for a point.
+    start_time
+        s, the first sample's time in the file's own clock.
+    report
+        What was found.
+    """
+
+    time: np.ndarray
+    angle: np.ndarray | None
+    signals: dict[str, np.ndarray]
+    count: np.ndarray
+    time_sd: np.ndarray
+    start_time: float
+    report: RecordReport

@@ -1,0 +1,63 @@
+"""Records of a turning accelerometer, their files, and what reading these gives."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import polars as pl
+import pytest
+
+from counterspin.errors import RecordError
+from counterspin.records.reading import read_record
+from counterspin.records.record import ColumnSpec, Motion, Record, RecordColumns
+
+RATE = math.pi
+RADIUS = 2.5
+EAST = np.array([1.0, 0.0, 0.0])
+TIME, ANGLE, SIGNAL = "time_s", "angle_rad", "east_m"
+
+
+def table(
+    n: int = 1000, step: float = 0.02, rate: float = RATE, seed: int = 1, noise: float = 0.01
+) -> dict[str, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    time = np.round(np.arange(n) * step, 9)
+    angle = rate * time + 1e-6 * rng.standard_normal(n)
+    signal = RADIUS * np.cos(rate * time) + 1e-3 * time**2 + noise * rng.standard_normal(n)
+    return {TIME: time, ANGLE: angle, SIGNAL: signal}
+
+
+def lines(columns: dict[str, np.ndarray], separator: str = ",") -> list[str]:
+    rows = zip(*columns.values(), strict=True)
+    return [separator.join(columns)] + [separator.join(repr(float(x)) for x in r) for r in rows]
+
+
+def write(path: Path, columns: dict[str, np.ndarray] | list[str]) -> Path:
+    if path.suffix == ".parquet":
+        pl.DataFrame(columns).write_parquet(path)
+    else:
+        text = columns if isinstance(columns, list) else lines(columns)
+        path.write_text("\n".join(text) + "\n", encoding="utf-8")
+    return path
+
+
+def read(path: Path, rate: float = RATE, block="auto", **changed) -> Record:
+    columns = {
+        "time": ColumnSpec(TIME),
+        "angle": ColumnSpec(ANGLE),
+        "signals": {"Qx": ColumnSpec(SIGNAL)},
+    }
+    input_axes = changed.pop("input_axes", {"Qx": EAST})
+    motion = Motion(rate, RADIUS, input_axes)
+    return read_record(path, RecordColumns(**columns | changed), motion, block=block)
+
+
+def refusal(path: Path, **options) -> str:
+    with pytest.raises(RecordError) as caught:
+        read(path, **options)
+    assert path.name in str(caught.value)
+    return str(caught.value)
+
+
+def dense(n: int = 300_000) -> dict[str, np.ndarray]:
+    return table(n=n, step=2 / (64 * 50.5))  # 50 samples to a block

@@ -1,0 +1,136 @@
+"""The clock of a record, and the angle that witnesses it."""
+
+import math
+
+import numpy as np
+import pytest
+from record_files import ANGLE, RATE, SIGNAL, TIME, lines, read, refusal, table, write
+
+from counterspin.records.record import ColumnSpec
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_time_running_backwards(tmp_path, suffix):
+    columns = table()
+    columns[TIME][500] -= 1.0
+    message = refusal(write(tmp_path / f"run{suffix}", columns))
+    assert ("line 502:" if suffix == ".csv" else "row 501:") in message
+    assert "backwards" in message
+
+
+def test_time_backwards_far_into_a_long_record(tmp_path):
+    columns = table(n=200_000, step=0.005)
+    columns[TIME][131_072] = columns[TIME][131_070]
+    assert "row 131073:" in refusal(write(tmp_path / "run.parquet", columns))
+
+
+def test_repeated_rows_are_dropped_and_counted(tmp_path):
+    text = lines(table())
+    other = text[20].split(",")
+    other[2] = "2.0"
+    text[300:300] = [text[299]] * 3
+    text.insert(21, ",".join(other))
+    record = read(write(tmp_path / "run.csv", text))
+    assert (record.report.repeated, record.report.differing) == (4, 1)
+    np.testing.assert_array_equal(record.time, table()[TIME])
+    np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
+
+
+def test_clock_that_jumps(tmp_path):
+    columns = table()
+    columns[TIME][400:] += 0.5
+    message = refusal(write(tmp_path / "run.csv", columns))
+    assert "line 402:" in message
+    assert "clock jumps" in message
+    assert "0.52 s" in message
+
+
+def test_gaps_are_listed_and_not_refused(tmp_path):
+    columns = {name: np.delete(values, slice(300, 450)) for name, values in table().items()}
+    record = read(write(tmp_path / "run.csv", columns))
+    assert record.report.gap_count == 1
+    assert record.report.gaps[0].time == pytest.approx(299 * 0.02)
+    assert record.report.gaps[0].length == pytest.approx(151 * 0.02)
+    np.testing.assert_array_equal(record.angle, columns[ANGLE])
+
+
+WRAPS = {
+    "0 to 2 pi": lambda a: np.mod(a, 2 * math.pi),
+    "-pi to pi": lambda a: math.pi - np.mod(math.pi - a, 2 * math.pi),
+}
+
+
+@pytest.mark.parametrize("wrap", WRAPS.values(), ids=WRAPS)
+@pytest.mark.parametrize("rate", [RATE, -RATE])
+@pytest.mark.parametrize("hole", [None, slice(300, 301), slice(300, 580)])
+def test_wrapped_angles(tmp_path, wrap, rate, hole):
+    columns = table(n=3000, rate=rate)
+    expected = columns[ANGLE].copy()
+    columns[ANGLE] = wrap(columns[ANGLE])
+    if hole is not None:  # the second hole takes 2.8 revolutions
+        columns = {name: np.delete(values, hole) for name, values in columns.items()}
+        expected = np.delete(expected, hole)
+    record = read(write(tmp_path / "run.csv", columns), rate=rate)
+    assert record.report.wrapped
+    turns = (record.angle - expected) / (2 * math.pi)
+    np.testing.assert_allclose(turns, round(turns[0]), atol=1e-12)
+    assert record.report.rate == pytest.approx(rate, rel=1e-6)
+
+
+def test_wrapped_degrees_and_a_rate_a_little_off(tmp_path):
+    columns = table(n=200_000, step=0.03, rate=1.03 * RATE)
+    columns[ANGLE] = np.mod(np.degrees(columns[ANGLE]), 360.0)
+    record = read(write(tmp_path / "run.parquet", columns), angle=ColumnSpec(ANGLE, math.pi / 180))
+    np.testing.assert_allclose(record.angle, 1.03 * RATE * record.time, atol=1e-5)
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+@pytest.mark.parametrize("size", [1e-3, 1.0, math.pi, 5.0])
+def test_an_outlying_angle_is_dropped(tmp_path, wrapped, size):
+    columns = table()
+    places = [0, 17, 400, 401, 999]
+    columns[ANGLE][places] += size
+    if wrapped:
+        columns[ANGLE] = np.mod(columns[ANGLE], 2 * math.pi)
+    record = read(write(tmp_path / "run.csv", columns))
+    assert record.report.outliers[ANGLE] == 5
+    np.testing.assert_array_equal(record.time, np.delete(columns[TIME], places))
+    np.testing.assert_allclose(record.angle, RATE * record.time, atol=1e-5)
+
+
+@pytest.mark.parametrize("noisy", [True, False])
+@pytest.mark.parametrize("size", [0.01, 0.5])
+@pytest.mark.parametrize("place", [100, 500, 990])
+def test_angle_that_jumps(tmp_path, place, size, noisy):
+    columns = table()
+    if not noisy:
+        # In an angle without noise the jump is the smallest step that there is.
+        columns[ANGLE] = RATE * columns[TIME]
+    columns[ANGLE][place:] += size
+    message = refusal(write(tmp_path / "run.csv", columns))
+    assert f"line {place + 2}:" in message
+    assert "angle jumps" in message
+
+
+def test_coarse_encoder(tmp_path):
+    columns = table(n=20_000, step=0.001)
+    columns[ANGLE] = np.floor(columns[ANGLE] / 0.01) * 0.01
+    record = read(write(tmp_path / "run.csv", columns), block=None)
+    assert record.report.outliers[ANGLE] == 0
+    np.testing.assert_array_equal(record.angle, columns[ANGLE])
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda c: c[ANGLE].__imul__(180 / math.pi), "in degrees?"),
+        (lambda c: c[ANGLE].__itruediv__(2 * math.pi), "in revolutions?"),
+        (lambda c: c[ANGLE].__imul__(-1), "opposite sense"),
+        (lambda c: c[TIME].__imul__(1e3), "in milliseconds?"),
+        (lambda c: c[ANGLE].__imul__(1.2), "within 5 %"),
+    ],
+)
+def test_a_rate_that_is_not_the_runs(tmp_path, change, words):
+    columns = table()
+    change(columns)
+    assert words in refusal(write(tmp_path / "run.csv", columns))

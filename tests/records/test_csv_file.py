@@ -1,0 +1,86 @@
+"""Record files of text: dialects, and what is wrong in which line."""
+
+import numpy as np
+import pytest
+from record_files import ANGLE, SIGNAL, TIME, lines, read, refusal, table, write
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t"])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_dialects_of_csv(tmp_path, separator, end):
+    columns = table(n=400)
+    text = lines({"note": np.zeros(400), **columns}, separator)
+    text[0] = separator.join(['"note"', f" {TIME}", f"{ANGLE} ", SIGNAL])
+    text[9] = "# the operator sneezed here"
+    path = tmp_path / "run.csv"
+    path.write_bytes(("\ufeff# a comment" + end + end.join(text) + end).encode())
+    record = read(path)
+    assert record.report.rows == 399
+    np.testing.assert_array_equal(record.signals["Qx"], np.delete(columns[SIGNAL], 8))
+
+
+def test_comments_and_blanks_among_the_numbers(tmp_path):
+    text = lines(table())
+    text[3] = "  " + text[3].replace(",", " , ")
+    text.insert(7, "# a comment")
+    record = read(write(tmp_path / "run.csv", text))
+    np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
+
+
+def test_blank_lines_after_the_header_and_at_the_end(tmp_path):
+    text = lines(table())
+    text[1:1] = ["", ""]
+    record = read(write(tmp_path / "run.csv", [*text, ""]))
+    np.testing.assert_array_equal(record.time, table()[TIME])
+    text[500] = "10.0,x,1.0"
+    message = refusal(write(tmp_path / "run.csv", text))
+    assert "line 501: column 'angle_rad' holds the text 'x'" in message
+
+
+def test_header_only(tmp_path):
+    assert "no rows" in refusal(write(tmp_path / "run.csv", [f"{TIME},{ANGLE},{SIGNAL}"]))
+    assert "no header" in refusal(write(tmp_path / "run.csv", ["# only this", ""]))
+
+
+def test_a_file_without_a_header(tmp_path):
+    message = refusal(write(tmp_path / "run.csv", lines(table())[1:]))
+    assert "line 1" in message
+    assert "name the columns" in message
+
+
+@pytest.mark.parametrize("row", [1, 7, 999])
+def test_text_in_a_numeric_cell(tmp_path, row):
+    text = lines(table())
+    text[row] = ",".join([*text[row].split(",")[:2], "abc"])
+    text.insert(0, "# a comment line counts too")
+    message = refusal(write(tmp_path / "run.csv", text))
+    assert f"line {row + 2}:" in message
+    assert "'east_m'" in message
+    assert "'abc'" in message
+
+
+def test_decimal_comma_and_too_many_cells(tmp_path):
+    text = [row.replace(".", ",") for row in lines(table(), ";")]
+    assert "decimal point" in refusal(write(tmp_path / "run.csv", text))
+    text = lines(table())
+    text[5] += ",7"
+    assert "line 6: the line has 4 cells" in refusal(write(tmp_path / "run.csv", text))
+
+
+@pytest.mark.parametrize("content", [bytes(3000), bytes(range(256)) * 40, b"\x89PNG\r\n\x1a\n"])
+def test_a_file_that_is_not_text_is_refused(tmp_path, content):
+    path = tmp_path / "run.csv"
+    path.write_bytes(content)
+    assert "line 1: this is not text in UTF-8" in refusal(path)
+
+
+def test_comments_in_a_long_record_cost_no_row(tmp_path):
+    # Where the fast parser meets a comment it may pass over rows and go on for a while.
+    columns = table(n=200_000, step=0.005)
+    text = lines(columns)
+    for place in (150_000, 70_000, 30_000, 3):
+        text.insert(place, "# a comment")
+    path = write(tmp_path / "run.csv", text)
+    for _ in range(5):
+        record = read(path, block=None)
+        np.testing.assert_array_equal(record.time, columns[TIME])

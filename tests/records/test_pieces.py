@@ -1,0 +1,27 @@
+"""Pieces of a record."""
+
+from itertools import pairwise
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from counterspin.records.pieces import in_pieces
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.lists(st.integers(0, 90_000), min_size=1, max_size=6), st.integers(1, 70_000))
+def test_pieces_hold_every_row_once_and_in_order(lengths, size):
+    ends = np.cumsum([0, *lengths])
+    columns = {"b": np.arange(ends[-1], dtype=float), "a": -np.arange(ends[-1], dtype=float)}
+    batches = ({name: x[a:b] for name, x in columns.items()} for a, b in pairwise(ends))
+    pieces = [
+        {name: x.copy() for name, x in piece.items()}
+        for piece in in_pieces(batches, lambda _: size)
+    ]
+    assert [len(piece["a"]) for piece in pieces[:-1]] == [size] * (len(pieces) - 1)
+    if pieces:
+        for name, expected in columns.items():
+            np.testing.assert_array_equal(np.concatenate([p[name] for p in pieces]), expected)
+    else:
+        assert ends[-1] == 0
