@@ -211,7 +211,7 @@ def test_other_axes_from_columns_constants_and_other_accelerometers(folder, caps
     assert run(*words) == 2
     said = capsys.readouterr().err
     assert "K_IP, K_PP, delta_O of Qx need the specific force along its pendulous axis" in said
-    assert '--pendulous "-1 g"' in said
+    assert 'give --pendulous, a column or a constant such as "-1 g"' in said
     assert "K_OO, delta_P of Qx need the specific force along its output axis" in said
     assert run(*words, "--others", "Qz=qz") == 2
     assert "along its output axis" in capsys.readouterr().err
