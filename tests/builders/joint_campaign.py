@@ -5,8 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from counterspin.inference.joint.fit import Unknown
 from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics import simulation
 from counterspin.physics.accelerometer import DEGREE_PER_HOUR, QX, QY, term
 from counterspin.physics.motion import Site, Trajectory

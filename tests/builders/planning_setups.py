@@ -5,10 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import Considered, Unknown
+from counterspin.inference.joint.fit import solve_joint
+from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import DEGREE_PER_HOUR, QX, QY, TERMS, term
 from counterspin.physics.motion import Site, Trajectory
@@ -132,8 +132,8 @@ def u_by_joint_fit(setup, design):
             for u in model.unknowns
         ]
     )
-    prepared = joint.prepare(series, model, setup.scale_factors, estimate)
-    fit = joint.solve_joint(prepared, model, {one.name: one.noise for one in setup.instruments})
+    prepared = prepare_columns(series, model, setup.scale_factors, estimate)
+    fit = solve_joint(prepared, model, {one.name: one.noise for one in setup.instruments})
     shared = [i for i, u in enumerate(model.unknowns) if u.owner not in owners]
     return fit.solution.u[shared]
 

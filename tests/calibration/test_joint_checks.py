@@ -7,12 +7,18 @@ import pytest
 
 from counterspin.calibration.joint import shared_warnings
 from counterspin.calibration.joint_checks import hidden_walk, unseen_ripple
+from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import Coefficient
-from counterspin.inference.joint.fit import Unknown
+from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.accelerometer import DEGREE_PER_HOUR
 
 
-def found(share: float, name: str = "Qx") -> SimpleNamespace:
+def view(fit: SimpleNamespace, campaign: SimpleNamespace | None = None) -> AccelerometerView:
+    """The fit as Qx sees it."""
+    return AccelerometerView(campaign, SimpleNamespace(fit=fit), None, "Qx")
+
+
+def walking(share: float, name: str = "Qx") -> AccelerometerView:
     """A fit of which this share of u^2 of K_II is noise that the records do not show."""
     unknown = SimpleNamespace(owner="Qx", symbol="K_II")
     fit = SimpleNamespace(
@@ -20,21 +26,21 @@ def found(share: float, name: str = "Qx") -> SimpleNamespace:
         solution=SimpleNamespace(u=np.array([2e-9])),
         unseen={name: (1e-5, np.array([[share * 4e-18]]))},
     )
-    return SimpleNamespace(fit=fit)
+    return view(fit)
 
 
 def test_noise_that_is_most_of_k_ii_without_showing_is_a_warning():
-    (warning,) = hidden_walk(found(0.8), "Qx")
+    (warning,) = hidden_walk(walking(0.8))
     assert "80% of u^2 of K_II" in warning
     assert "acceleration in [noise]" in warning
 
 
 def test_a_smaller_part_or_another_s_noise_is_no_warning():
-    assert hidden_walk(found(0.3), "Qx") == []
-    assert hidden_walk(found(0.8, name="Qy"), "Qx") == []
+    assert hidden_walk(walking(0.3)) == []
+    assert hidden_walk(walking(0.8, name="Qy")) == []
 
 
-def seen(observable: str, angle: object | None) -> tuple[SimpleNamespace, SimpleNamespace]:
+def seen(observable: str, angle: object | None) -> AccelerometerView:
     """A campaign at 10 g, and its K_II."""
     campaign = SimpleNamespace(
         accelerometers={"Qx": SimpleNamespace(observable=observable)},
@@ -47,11 +53,11 @@ def seen(observable: str, angle: object | None) -> tuple[SimpleNamespace, Simple
     fit = SimpleNamespace(
         model=SimpleNamespace(unknowns=[unknown]), solution=SimpleNamespace(u=np.array([2e-9]))
     )
-    return campaign, SimpleNamespace(fit=fit)
+    return view(fit, campaign)
 
 
 def test_a_ripple_that_nobody_recorded_is_a_warning():
-    (warning,) = unseen_ripple(*seen("specific_force", None), "Qx")
+    (warning,) = unseen_ripple(seen("specific_force", None))
     # At 10 g a ripple of 1e-8 of the rate is 1e-9 g/g^2.
     assert "a ripple of 1e-08 of the rate" in warning
 
@@ -60,7 +66,7 @@ def test_a_ripple_that_nobody_recorded_is_a_warning():
     ("observable", "angle"), [("specific_force", object()), ("displacement", None)]
 )
 def test_a_recorded_angle_or_displacement_need_no_warning(observable, angle):
-    assert unseen_ripple(*seen(observable, angle), "Qx") == []
+    assert unseen_ripple(seen(observable, angle)) == []
 
 
 @pytest.mark.parametrize(
@@ -78,7 +84,7 @@ def test_a_drift_is_large_for_the_length_of_the_runs(drift, u, longest, words):
     # g d^2 T^4/24 reaches 0.01 m at 0.2 deg/h over 400 s, and at 0.05 deg/h over 800 s.
     unknown = Unknown("", "platform.drift.north", (0.0, np.inf), 1e-4)
     value, u = -drift * DEGREE_PER_HOUR, u * DEGREE_PER_HOUR
-    found = Coefficient(value=value, u=u, unit="rad/s", estimated=True)
-    warnings = shared_warnings({unknown: found}, longest)
+    fitted = Coefficient(value=value, u=u, unit="rad/s", estimated=True)
+    warnings = shared_warnings({unknown: fitted}, longest)
     assert len(warnings) == bool(words)
     assert all(words in warning for warning in warnings)

@@ -7,12 +7,12 @@ from hypothesis import strategies as st
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.specification import (
-    DecisionRule,
     Specification,
     parse_specification,
     resolve_specifications,
 )
 from counterspin.errors import CampaignError
+from counterspin.inference.conformity import DecisionRule
 from counterspin.physics.accelerometer import TERMS
 
 G = 9.8

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import integrate, stats
 
 from counterspin.inference.conformity import (
+    DecisionRule,
     acceptance_limits,
     conformance_probability,
     expanded_uncertainty,
@@ -140,7 +141,7 @@ def test_guard_band_bounds_the_risk(u, dof, between, factor):
         return
     value = high if high is not None else low
     assert value is not None
-    judged = judge(value, u, dof, *between, rule="guarded", guard_factor=factor)
+    judged = judge(value, u, dof, *between, DecisionRule("guarded", factor))
     assert judged.verdict == "pass"
     tail = float(stats.norm.sf(w / u) if dof is None else stats.t.sf(w / u, dof))
     assert judged.risk is not None
@@ -151,7 +152,7 @@ def test_guard_band_bounds_the_risk(u, dof, between, factor):
 def test_w_equal_to_u_gives_two_and_a_half_per_cent():
     for dof in (None, 4.0):
         w = expanded_uncertainty(1.0, dof)
-        judged = judge(10.0 - w, 1.0, dof, None, 10.0, rule="guarded")
+        judged = judge(10.0 - w, 1.0, dof, None, 10.0, DecisionRule("guarded"))
         assert judged.guard_band == w
         assert judged.risk == pytest.approx(0.025, rel=1e-9)
 
@@ -177,18 +178,19 @@ def test_w_equal_to_u_gives_two_and_a_half_per_cent():
 )
 def test_verdicts_across_a_limit(value, simple, guarded, probability):
     wanted = dict(zip(RULES, (simple, guarded, probability), strict=True))
-    found = {rule: judge(value, 1.0, None, -10.0, 10.0, rule=rule).verdict for rule in RULES}
-    assert found == wanted
+    rules = map(DecisionRule, RULES)
+    judged = {rule.name: judge(value, 1.0, None, -10.0, 10.0, rule).verdict for rule in rules}
+    assert judged == wanted
 
 
 def test_guard_bands_may_leave_nothing_to_accept():
     for value in np.linspace(-3.0, 3.0, 61):
-        assert judge(value, 1.0, None, -1.0, 1.0, rule="guarded").verdict != "pass"
+        assert judge(value, 1.0, None, -1.0, 1.0, DecisionRule("guarded")).verdict != "pass"
 
 
 @given(values, spreads, freedoms, limits(), st.sampled_from(RULES), st.floats(0.51, 0.999))
 def test_risk_is_the_probability_of_the_contrary(value, u, dof, between, rule, needed):
-    judged = judge(value, u, dof, *between, rule=rule, needed=needed)
+    judged = judge(value, u, dof, *between, DecisionRule(rule, needed=needed))
     contrary = {"pass": 1.0 - judged.probability, "fail": judged.probability}
     if judged.verdict == "undecided":
         assert judged.risk is None
@@ -203,7 +205,7 @@ def test_risk_is_the_probability_of_the_contrary(value, u, dof, between, rule, n
 @given(values, spreads, freedoms, limits(), st.floats(0.0, 2.0))
 def test_a_wider_guard_band_never_turns_a_pass_into_a_fail(value, u, dof, between, factor):
     narrow, wide = (
-        judge(value, u, dof, *between, rule="guarded", guard_factor=f).verdict
+        judge(value, u, dof, *between, DecisionRule("guarded", f)).verdict
         for f in (factor, factor + 0.5)
     )
     assert (narrow, wide) in {
@@ -217,8 +219,8 @@ def test_a_wider_guard_band_never_turns_a_pass_into_a_fail(value, u, dof, betwee
 
 def test_no_guard_band_is_simple_acceptance():
     for value in (-1.1, -1.0, 0.0, 1.0, 1.1):
-        bare = judge(value, 0.3, 5.0, -1.0, 1.0, rule="guarded", guard_factor=0.0)
-        assert bare == judge(value, 0.3, 5.0, -1.0, 1.0, rule="simple")
+        bare = judge(value, 0.3, 5.0, -1.0, 1.0, DecisionRule("guarded", 0.0))
+        assert bare == judge(value, 0.3, 5.0, -1.0, 1.0, DecisionRule("simple"))
 
 
 def test_risk_is_how_often_the_verdict_is_wrong():
@@ -228,7 +230,7 @@ def test_risk_is_how_often_the_verdict_is_wrong():
     for dof in (None, 3.0):
         noise = rng.standard_normal(n) if dof is None else rng.standard_t(dof, n)
         for value in (0.4, 1.8, 2.5):
-            judged = judge(value, 1.0, dof, 0.0, 2.0, rule="simple")
+            judged = judge(value, 1.0, dof, 0.0, 2.0, DecisionRule("simple"))
             truth = value + noise
             conforms = (truth >= 0.0) & (truth <= 2.0)
             wrong = float(np.mean(~conforms if judged.verdict == "pass" else conforms))
@@ -239,4 +241,4 @@ def test_risk_is_how_often_the_verdict_is_wrong():
 @pytest.mark.parametrize("wrong", [{"guard_factor": -0.1}, {"needed": 0.5}, {"needed": 1.0}])
 def test_a_rule_that_is_none_is_refused(wrong):
     with pytest.raises(ValueError, match="got"):
-        judge(0.0, 1.0, None, None, 1.0, rule="guarded", **wrong)
+        DecisionRule("guarded", **wrong)

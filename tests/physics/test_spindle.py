@@ -108,7 +108,6 @@ def z_scores(spindle, trials, noise=1e-4, weights=None):
         row = [
             (fit.spindle.rate - spindle.rate) / fit.u_rate,
             (fit.spindle.drift - spindle.drift) / fit.u_drift,
-            (fit.spindle.start_angle - spindle.start_angle) / fit.u_start_angle,
         ]
         for true in spindle.ripples:
             found = fit.spindle.ripples[true.harmonic - 1]

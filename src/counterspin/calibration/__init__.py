@@ -5,6 +5,7 @@
 - `observed`: records brought together with the rotation they were taken on
 - `assembly`: from observed runs to a `Result`, by either method
 - `joint_problem`, `joint`: the joint fit's unknowns, priors and noise; its outcome
+- `joint_view`: what the fit holds of one accelerometer
 - `joint_parts`, `joint_checks`, `joint_traces`: its values and budgets; its checks; its residuals,
   thinned for pictures
 - `two_stage_request`, `two_stage`, `two_stage_findings`: what is asked of the paper's method; its

@@ -25,7 +25,7 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.calibration.two_stage import two_stage
 from counterspin.campaign.resolved import Campaign
-from counterspin.inference.joint.fit import ROTATION
+from counterspin.inference.joint.unknowns import ROTATION
 
 #: More outliers than this part of a run's samples are worth a warning.
 _MANY_OUTLIERS: Final = 0.05

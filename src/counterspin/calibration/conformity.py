@@ -11,8 +11,8 @@ from typing import Final
 
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Conformity
-from counterspin.campaign.specification import DecisionRule, Specification, Specifications
-from counterspin.inference.conformity import Judgement, judge
+from counterspin.campaign.specification import Specification, Specifications
+from counterspin.inference.conformity import DecisionRule, Judgement, judge
 
 _AS_PRINTED: Final = (
     "the equations as printed return half the true K_II, and no verdict rests on them"
@@ -30,23 +30,23 @@ def with_conformity(result: Result, specifications: Specifications) -> Result:
         From the campaign or the laboratory's file; those that the result has are replaced.
     """
     accelerometers = {
-        name: found.model_copy(
+        name: accelerometer.model_copy(
             update={
                 "conformity": conformity(
-                    found,
+                    accelerometer,
                     specifications.terms.get(name, {}),
                     specifications.rule,
                     model=result.model,
                 )
             }
         )
-        for name, found in result.accelerometers.items()
+        for name, accelerometer in result.accelerometers.items()
     }
     return result.model_copy(update={"accelerometers": accelerometers})
 
 
 def conformity(
-    found: AccelerometerResult,
+    accelerometer: AccelerometerResult,
     specifications: Mapping[str, Specification],
     rule: DecisionRule,
     *,
@@ -56,8 +56,8 @@ def conformity(
 
     Parameters
     ----------
-    found
-        What was found out about the accelerometer.
+    accelerometer
+        What was found out about it.
     specifications
         By term symbol.
     rule
@@ -66,19 +66,19 @@ def conformity(
         The result's observation model, ``exact`` or ``as-printed``.
     """
     return {
-        symbol: _verdict(found, symbol, specification, rule, model)
+        symbol: _verdict(accelerometer, symbol, specification, rule, model)
         for symbol, specification in specifications.items()
     }
 
 
 def _verdict(
-    found: AccelerometerResult,
+    accelerometer: AccelerometerResult,
     symbol: str,
     specification: Specification,
     rule: DecisionRule,
     model: str,
 ) -> Conformity:
-    coefficient = found.coefficients.get(symbol)
+    coefficient = accelerometer.coefficients.get(symbol)
     if coefficient is None:
         reason = f"{symbol} is not among the terms of the model"
     elif not coefficient.estimated or coefficient.value is None or coefficient.u is None:
@@ -92,9 +92,7 @@ def _verdict(
             coefficient.dof,
             specification.low,
             specification.high,
-            rule=rule.name,
-            guard_factor=rule.guard_factor,
-            needed=rule.needed,
+            rule,
         )
         return _written(
             specification, rule, judged, _reason(rule) if judged.verdict == "undecided" else None

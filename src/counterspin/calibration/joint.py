@@ -12,7 +12,6 @@ from counterspin.calibration.joint_checks import (
     hidden_walk,
     jackknife,
     left_out,
-    residual_tests,
     run_fits,
     unseen_ripple,
 )
@@ -27,18 +26,23 @@ from counterspin.calibration.joint_parts import (
 )
 from counterspin.calibration.joint_problem import model_of, noise_of, series_of
 from counterspin.calibration.joint_traces import traces
+from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.result import described
-from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, ConfoundedTerms
+from counterspin.calibration.result_parts import (
+    AccelerometerResult,
+    Coefficient,
+    ConfoundedTerms,
+    OmittedTerm,
+)
 from counterspin.campaign.resolved import Campaign
-from counterspin.inference.diagnostics import Diagnostics
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate, estimate
-from counterspin.inference.joint.fit import ROTATION, Unknown
+from counterspin.inference.joint.unknowns import ROTATION, Unknown
 from counterspin.physics.accelerometer import DEGREE_PER_HOUR, TERMS
 
 #: Drift (deg/h) times time squared (s^2) at which first order in the attitude errs by 0.01 m.
-_LARGE_DRIFT: Final = 0.2 * 400.0**2
+_FIRST_ORDER_LIMIT: Final = 0.2 * 400.0**2
 
 
 @dataclass(frozen=True)
@@ -74,104 +78,93 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
     NotIdentifiableError, ConvergenceError
         As `counterspin.inference.joint.estimation.estimate`.
     """
-    series = series_of(campaign, observed)
     model = model_of(campaign)
-    found = estimate(series, model, noise_of(campaign))
-    fit = found.fit
+    estimated = estimate(series_of(campaign, observed), model, noise_of(campaign))
     assessment = assess(
-        fit.solution,
+        estimated.fit.solution,
         [unknown.name for unknown in model.unknowns],
         nominal=[unknown.nominal for unknown in model.unknowns],
     )
-    coefficients = {
-        unknown: coefficient(found, assessment, index)
+    views = [
+        AccelerometerView(campaign, estimated, assessment, name) for name in campaign.accelerometers
+    ]
+    not_modelled = left_out(views)
+    shared = {
+        unknown: coefficient(estimated, assessment, index)
         for index, unknown in enumerate(model.unknowns)
-    } | _rotations(found, assessment)
-    diagnostics = {name: residual_tests(found, name) for name in campaign.accelerometers}
-    not_modelled = left_out(campaign, found)
-    accelerometers = {
-        name: _accelerometer(
-            campaign, observed, found, assessment, coefficients, name, diagnostics[name]
-        ).model_copy(
-            update={
-                "left_out": not_modelled[name],
-                "traces": traces(observed, series, found, name, diagnostics[name]),
-            }
-        )
-        for name in campaign.accelerometers
-    }
-    shared = {u: c for u, c in coefficients.items() if u.symbol not in TERMS}
+        if unknown.symbol not in TERMS
+    } | _rotations(estimated, assessment)
     outliers: dict[str, int] = {run.run.name: 0 for run in observed}
-    for one, mask in zip(series, found.outliers, strict=True):
-        outliers[one.run] += int(one.count[mask].sum())
+    for record, mask in zip(estimated.series, estimated.outliers, strict=True):
+        outliers[record.run] += int(record.count[mask].sum())
+    longest = max(float(record.time[-1]) for record in estimated.series)
     return JointOutcome(
-        accelerometers=accelerometers,
+        accelerometers={
+            view.name: _accelerometer(view, observed, not_modelled[view.name]) for view in views
+        },
         platform={u.symbol: c for u, c in shared.items() if not u.owner},
         runs={
             run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
             for run in observed
         },
-        fits={run.run.name: run_fits(diagnostics, run.run.name) for run in observed},
+        fits={run.run.name: run_fits(views, run.run.name) for run in observed},
         outliers=outliers,
         confounded=tuple(confounded_platform(assessment)),
-        warnings=tuple(shared_warnings(coefficients, max(float(one.time[-1]) for one in series))),
-        estimate=found,
+        warnings=tuple(shared_warnings(shared, longest)),
+        estimate=estimated,
     )
 
 
-def _rotations(found: Estimate, assessment: Assessment) -> dict[Unknown, Coefficient]:
+def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coefficient]:
     """Return the rotations that were found from the displacement, as the runs had them."""
-    spindles = {one.series.run: one.series.trajectory.spindle for one in found.fit.prepared}
+    spindles = {record.run: record.trajectory.spindle for record in estimated.series}
     rotations = {}
-    for index, unknown in enumerate(found.fit.model.unknowns):
+    for index, unknown in enumerate(estimated.fit.model.unknowns):
         if unknown.symbol in ROTATION:
-            step = coefficient(found, assessment, index)
+            step = coefficient(estimated, assessment, index)
             base = getattr(spindles[unknown.owner], unknown.symbol.removeprefix("spindle."))
             rotations[unknown] = step.model_copy(update={"value": base + (step.value or 0.0)})
     return rotations
 
 
 def _accelerometer(
-    campaign: Campaign,
-    observed: Sequence[ObservedRun],
-    found: Estimate,
-    assessment: Assessment,
-    coefficients: Mapping[Unknown, Coefficient],
-    name: str,
-    diagnostics: Diagnostics,
+    view: AccelerometerView, observed: Sequence[ObservedRun], omitted: dict[str, OmittedTerm]
 ) -> AccelerometerResult:
-    own = {u.symbol: c for u, c in coefficients.items() if u.owner == name}
-    # The campaign's order is the user's; the table of terms has its own.
-    own = {symbol: own[symbol] for symbol in campaign.model.terms if symbol in own}
-    lines = {
-        symbol: budget_lines(found, index, name)
-        for index, (unknown, c) in enumerate(coefficients.items())
-        if unknown.owner == name and c.estimated
-        for symbol in (unknown.symbol,)
+    name, estimated = view.name, view.estimate
+    own = {
+        symbol: coefficient(estimated, view.assessment, index)
+        for symbol, index in view.places.items()
     }
-    runs_left_out = jackknife(found, name)
+    runs_left_out = jackknife(view)
     return AccelerometerResult(
-        coefficients=own,
-        correlation=correlation(found, coefficients, name),
-        confounded=confounded(assessment, name),
-        residual=residual(campaign, found, name, diagnostics),
-        noise=noise_lines(campaign, found, name),
-        budget=lines,
+        # The campaign's order is the user's; the table of terms has its own.
+        coefficients={symbol: own[symbol] for symbol in view.campaign.model.terms if symbol in own},
+        correlation=correlation(view),
+        confounded=confounded(view),
+        residual=residual(view),
+        noise=noise_lines(view),
+        budget={
+            symbol: budget_lines(estimated, index, name)
+            for symbol, index in view.places.items()
+            if own[symbol].estimated
+        },
         jackknife=runs_left_out,
-        two_stage=compare(campaign, observed, found, name),
-        warnings=[f"{name}: {finding}" for finding in diagnostics.findings]
+        two_stage=compare(view, observed),
+        left_out=omitted,
+        traces=traces(view, observed),
+        warnings=[f"{name}: {finding}" for finding in view.diagnostics.findings]
         + driving_runs(runs_left_out, name)
-        + hidden_walk(found, name)
-        + unseen_ripple(campaign, found, name)
+        + hidden_walk(view)
+        + unseen_ripple(view)
         + _undetermined(own, name),
-        **described(campaign.accelerometers[name], own),
+        **described(view.accelerometer, own),
     )
 
 
 def _large_drift(symbol: str, drift: Coefficient, longest: float) -> list[str]:
     """Return a warning where a drift is, or with its uncertainty may be, too large."""
     rate, u = (abs(x or 0.0) / DEGREE_PER_HOUR for x in (drift.value, drift.u))
-    limit = _LARGE_DRIFT / longest**2
+    limit = _FIRST_ORDER_LIMIT / longest**2
     if rate + 2.0 * u <= limit:
         return []
     is_ = f"is {rate:.2g} deg/h" if rate > limit else f"may reach {rate + 2.0 * u:.2g} deg/h"

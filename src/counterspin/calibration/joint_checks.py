@@ -1,6 +1,6 @@
-"""Checks of a joint result: tests of the residuals, runs left out, the two-stage method beside it.
+"""Checks of a joint result: runs left out, the two-stage method beside it, what does not show.
 
-- `residual_tests`, `run_fits`
+- `run_fits`
 - `jackknife`, `driving_runs`
 - `compare`
 - `left_out`
@@ -10,64 +10,36 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Final
 
 from counterspin.calibration import two_stage
 from counterspin.calibration.joint_problem import left_out_of
+from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result_parts import Comparison, Jackknife, OmittedTerm
-from counterspin.campaign.resolved import Campaign
 from counterspin.errors import NotIdentifiableError, RecordError
-from counterspin.inference.diagnostics import Diagnostics, diagnose
+from counterspin.inference.diagnostics import AGREEMENT
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint import fit as fitting
-from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.omitted_terms import sensitivities
 from counterspin.physics.accelerometer import term
 
 #: Share of u^2 from which noise that the records do not show is spoken of.
-_HIDDEN: Final = 0.5
-
-#: A run left out that moves K_II by more than this many standard uncertainties drives the result.
-_DRIVES: Final = 3.0
+_HIDDEN_SHARE: Final = 0.5
 
 
-def residual_tests(found: Estimate, name: str) -> Diagnostics:
-    """Test the whitened residuals of one accelerometer, run by run."""
-    fit = found.fit
-    rows, times, dof = {}, {}, {}
-    freedom = fitting.freedom(fit)
-    for index, one in enumerate(fit.prepared):
-        if one.series.accelerometer == name:
-            _, whitened = fitting.residuals(fit, index)
-            rows[one.series.run] = whitened
-            # Differences belong to the later of the rows they are made from.
-            times[one.series.run] = one.series.time[-whitened.size :]
-            # The fit may follow every row of a very short record.
-            dof[one.series.run] = max(freedom[index], 0.5)
-    return diagnose(rows, dof, noise_given=name not in found.components, times=times)
-
-
-def _k_ii(found: Estimate, name: str) -> int | None:
-    for index, unknown in enumerate(found.fit.model.unknowns):
-        if unknown.owner == name and unknown.symbol == "K_II":
-            return index
-    return None
-
-
-def jackknife(found: Estimate, name: str) -> list[Jackknife]:
-    """Leave each run out in turn and see how far K_II moves for what it may move."""
-    index = _k_ii(found, name)
-    runs = list(dict.fromkeys(one.series.run for one in found.fit.prepared))
+def jackknife(view: AccelerometerView) -> list[Jackknife]:
+    """Leave each run out in turn and compare K_II's shift with the shift's own uncertainty."""
+    index, fit = view.k_ii, view.fit
+    runs = list(dict.fromkeys(prepared.run for prepared in fit.prepared))
     if index is None or len(runs) < 2:
         return []
-    whole = found.fit.solution
+    whole = fit.solution
     lines = []
     for run in runs:
-        without = fitting.leave_out(found.fit, run)
-        limit = found.fit.model.unknowns[index].limit
+        without = fit.without_run(run)
+        limit = fit.model.unknowns[index].limit
         if without is None or float(without.u[index]) >= limit:
             lines.append(Jackknife(run=run, value=None, shift=None, z=None))
             continue
@@ -96,19 +68,20 @@ def driving_runs(lines: Sequence[Jackknife], name: str) -> list[str]:
         f"{name}: without {line.run} K_II moves by {line.shift:.2g} g/g^2, {abs(line.z):.1f} times "
         "what its uncertainty explains: this run disagrees with the others."
         for line in lines
-        if line.z is not None and line.shift is not None and abs(line.z) > _DRIVES
+        if line.z is not None and line.shift is not None and abs(line.z) > AGREEMENT
     ]
 
 
 def run_fits(
-    diagnostics: Mapping[str, Diagnostics], run: str
+    views: Sequence[AccelerometerView], run: str
 ) -> dict[str, dict[str, float | str | None]]:
     """Return the tests of one run's residuals, by accelerometer."""
     fits: dict[str, dict[str, float | str | None]] = {}
-    for name, tests in diagnostics.items():
+    for view in views:
+        tests = view.diagnostics
         test = tests.runs.get(run)
         if test is not None:
-            fits[name] = {
+            fits[view.name] = {
                 "rows": float(test.rows),
                 "chi2": test.chi2,
                 "dof": test.dof,
@@ -120,29 +93,27 @@ def run_fits(
     return fits
 
 
-def compare(
-    campaign: Campaign, observed: Sequence[ObservedRun], found: Estimate, name: str
-) -> Comparison | None:
+def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Comparison | None:
     """Return the two-stage K_II beside the joint one; None where that method does not apply."""
-    index = _k_ii(found, name)
+    index = view.k_ii
     if index is None:
         return None
     try:
         other, stage = two_stage.k_ii(
-            campaign, observed, campaign.accelerometers[name], TwoStageOptions()
+            view.campaign, observed, view.accelerometer, TwoStageOptions()
         )
     except (NotIdentifiableError, RecordError):
         return None
     if not other.estimated or other.value is None or other.u is None:
         return None
-    solution = found.fit.solution
+    solution = view.fit.solution
     own = (solution.covariance_noise + solution.covariance_prior)[index, index]
     second = stage.solution
     theirs = (second.covariance_noise + second.covariance_prior)[0, 0]
     # What the two-stage method considers and the joint one estimates is part of its own variance;
     # what both consider moves them by the difference of their sensitivities.
     both = 0.0
-    considered = _considered(found, index)
+    considered = _considered(view, index)
     for source, effect, sd in zip(
         stage.considered,
         second.sensitivity_considered[0],
@@ -166,29 +137,31 @@ def compare(
     )
 
 
-def left_out(campaign: Campaign, found: Estimate) -> dict[str, dict[str, OmittedTerm]]:
+def left_out(views: Sequence[AccelerometerView]) -> dict[str, dict[str, OmittedTerm]]:
     """Return by accelerometer what each term left out would move its K_II by.
 
     Of a term that every run has anew, the runs' effects are combined as independent ones.
+
+    Parameters
+    ----------
+    views
+        Of all accelerometers of one fit.
     """
     terms = {
-        name: left_out_of(campaign, name)
-        for name in campaign.accelerometers
-        if _k_ii(found, name) is not None
+        view.name: left_out_of(view.campaign, view.name) for view in views if view.k_ii is not None
     }
     # Accelerometers share the platform's terms, and all of them one set of columns.
     every = list(dict.fromkeys(other for own in terms.values() for other in own))
     if not every:
-        return {name: {} for name in campaign.accelerometers}
-    moved = sensitivities(found.fit, every)
+        return {view.name: {} for view in views}
+    moved = sensitivities(views[0].fit, every)
     result: dict[str, dict[str, OmittedTerm]] = {}
-    for name in campaign.accelerometers:
-        index = _k_ii(found, name)
+    for view in views:
         effects: dict[str, list[float]] = {}
-        for other in terms.get(name, ()):
-            effect = float(moved[index, every.index(other)])
+        for other in terms.get(view.name, ()):
+            effect = float(moved[view.k_ii, every.index(other)])
             effects.setdefault(other.symbol, []).append(effect)
-        result[name] = {
+        result[view.name] = {
             symbol: OmittedTerm(
                 sensitivity=parts[0] if len(parts) == 1 else math.hypot(*parts),
                 unit=term(symbol).unit,
@@ -198,24 +171,24 @@ def left_out(campaign: Campaign, found: Estimate) -> dict[str, dict[str, Omitted
     return result
 
 
-def _considered(found: Estimate, index: int) -> dict[str, float]:
+def _considered(view: AccelerometerView, index: int) -> dict[str, float]:
     """Return the sensitivities to considered terms, under the two-stage method's names."""
-    row = found.fit.solution.sensitivity_considered[index]
+    row = view.fit.solution.sensitivity_considered[index]
     return {
         f"{c.symbol} ({c.owner})" if term(c.symbol).per_run else c.symbol: float(effect)
-        for c, effect in zip(found.fit.model.considered, row, strict=False)
+        for c, effect in zip(view.fit.model.considered, row, strict=False)
         if effect != 0.0 and c.symbol not in encoder.SYMBOLS
     }
 
 
-def hidden_walk(found: Estimate, name: str) -> list[str]:
+def hidden_walk(view: AccelerometerView) -> list[str]:
     """Return a warning where most of K_II's variance is noise that the records do not show."""
-    index = _k_ii(found, name)
-    if index is None or name not in found.fit.unseen:
+    index, name = view.k_ii, view.name
+    if index is None or name not in view.fit.unseen:
         return []
-    variance = float(found.fit.unseen[name][1][index, index])
-    share = variance / float(found.fit.solution.u[index]) ** 2
-    if share < _HIDDEN:
+    variance = float(view.fit.unseen[name][1][index, index])
+    share = variance / float(view.fit.solution.u[index]) ** 2
+    if share < _HIDDEN_SHARE:
         return []
     return [
         f"{name}: {share:.0%} of u^2 of K_II is white noise of the accelerometer that the records "
@@ -224,23 +197,23 @@ def hidden_walk(found: Estimate, name: str) -> list[str]:
     ]
 
 
-def unseen_ripple(campaign: Campaign, found: Estimate, name: str) -> list[str]:
+def unseen_ripple(view: AccelerometerView) -> list[str]:
     """Return a warning where a ripple would move K_II and no angle was recorded to show it.
 
     A ripple shakes the platform along the tangent with R w^2 times its ratio. In displacement
     that leaves nothing behind; in velocity or specific force it stands where K_II does. Where the
     angle is recorded, what its noise hides is in the uncertainty.
     """
-    index = _k_ii(found, name)
-    if index is None or campaign.accelerometers[name].observable == "displacement":
+    index, campaign = view.k_ii, view.campaign
+    if index is None or view.accelerometer.observable == "displacement":
         return []
     if campaign.angle is not None:
         return []
     fastest = max(abs(run.rate) for run in campaign.runs)
     force = campaign.radius.value * fastest**2 / campaign.gravity.value
-    u = float(found.fit.solution.u[index])
+    u = float(view.fit.solution.u[index])
     return [
-        f"{name}: without a recorded angle no ripple of the rate is known, and in this observable "
-        f"a ripple of {0.5 * u * force:.1g} of the rate moves K_II by about half of its "
+        f"{view.name}: without a recorded angle no ripple of the rate is known, and in this "
+        f"observable a ripple of {0.5 * u * force:.1g} of the rate moves K_II by about half of its "
         "uncertainty, which does not hold it. Record the angle, or calibrate with displacement."
     ]

@@ -6,11 +6,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 
+from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import (
     BudgetLine,
     Coefficient,
@@ -19,13 +19,11 @@ from counterspin.calibration.result_parts import (
     NoiseLine,
     Residual,
 )
-from counterspin.campaign.resolved import Campaign
-from counterspin.inference.diagnostics import Diagnostics
 from counterspin.inference.identifiability import Assessment, Confounded
-from counterspin.inference.joint import fit as fitting
 from counterspin.inference.joint.budget import ENCODER, NOISE, UNSEEN, Line, budget
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.fit import ROTATION, TIMING, Unknown
+from counterspin.inference.joint.inputs import TIMING
+from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.physics.accelerometer import TERMS, term
 
 _UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True)) | {
@@ -44,9 +42,9 @@ def unit_of(symbol: str) -> str:
     return _UNITS.get(symbol) or term(symbol).unit
 
 
-def coefficient(found: Estimate, assessment: Assessment, index: int) -> Coefficient:
+def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coefficient:
     """Return one unknown as the result shows it: estimated, or its prior, or nothing."""
-    unknown, solution = found.fit.model.unknowns[index], found.fit.solution
+    unknown, solution = estimate.fit.model.unknowns[index], estimate.fit.solution
     unit = unit_of(unknown.symbol)
     if not assessment.determined[unknown.name]:
         known = math.isfinite(unknown.prior[1])
@@ -66,7 +64,7 @@ def coefficient(found: Estimate, assessment: Assessment, index: int) -> Coeffici
     )
     if solution.covariance_unseen is not None:
         noise = math.hypot(noise, math.sqrt(float(solution.covariance_unseen[index, index])))
-    dof = float(found.dof[index])
+    dof = float(estimate.dof[index])
     return Coefficient(
         value=float(solution.estimate[index]) + unknown.nominal,
         u=math.hypot(noise, prior, considered),
@@ -79,18 +77,18 @@ def coefficient(found: Estimate, assessment: Assessment, index: int) -> Coeffici
     )
 
 
-def budget_lines(found: Estimate, index: int, name: str) -> list[BudgetLine]:
+def budget_lines(estimate: Estimate, index: int, name: str) -> list[BudgetLine]:
     """Return the budget of one unknown, in the words of the accelerometer that it belongs to."""
     return [
         BudgetLine(
             source=_words(line, name),
             u=line.u,
-            unit=_unit_of_line(found, line),
+            unit=_unit_of_line(estimate, line),
             sensitivity=line.sensitivity,
             contribution=line.contribution,
             share=line.share,
         )
-        for line in budget(found.fit, index)
+        for line in budget(estimate.fit, index)
     ]
 
 
@@ -102,50 +100,49 @@ def _words(line: Line, name: str) -> str:
     return f"{line.source.removeprefix(name + '.')} ({line.kind})"
 
 
-def _unit_of_line(found: Estimate, line: Line) -> str:
+def _unit_of_line(estimate: Estimate, line: Line) -> str:
     if line.kind == NOISE:
         return ""
     if line.kind == UNSEEN:
         return WALK_UNIT
     if line.kind == ENCODER:
         return _ENCODER_UNITS.get(line.source.split(".")[-1], "rad/s")
-    return unit_of(_symbol(found, line.source))
+    return unit_of(_symbol(estimate, line.source))
 
 
-def _symbol(found: Estimate, source: str) -> str:
-    model = found.fit.model
+def _symbol(estimate: Estimate, source: str) -> str:
+    model = estimate.fit.model
     for other in (*model.unknowns, *model.considered):
         if other.name == source:
             return other.symbol
     return source
 
 
-def correlation(
-    found: Estimate, coefficients: Mapping[Unknown, Coefficient], name: str
-) -> Correlation | None:
+def correlation(view: AccelerometerView) -> Correlation | None:
     """Return the correlations of an accelerometer's own and the platform's coefficients."""
-    chosen = [
-        (index, unknown)
-        for index, (unknown, c) in enumerate(coefficients.items())
-        if c.estimated and (unknown.owner == name or unknown.symbol not in TERMS)
+    unknowns, determined = view.fit.model.unknowns, view.assessment.determined
+    index = [
+        place
+        for place, unknown in enumerate(unknowns)
+        if determined.get(unknown.name)
+        and (unknown.owner == view.name or unknown.symbol not in TERMS)
     ]
-    if not chosen:
+    if not index:
         return None
-    index = [i for i, _ in chosen]
-    covariance = found.fit.solution.covariance[np.ix_(index, index)]
+    covariance = view.fit.solution.covariance[np.ix_(index, index)]
     u = np.sqrt(np.diag(covariance))
     return Correlation(
-        terms=[unknown.name.removeprefix(name + ".") for _, unknown in chosen],
+        terms=[unknowns[place].name.removeprefix(view.name + ".") for place in index],
         matrix=(covariance / np.outer(u, u)).tolist(),
     )
 
 
-def confounded(assessment: Assessment, name: str) -> list[ConfoundedTerms]:
+def confounded(view: AccelerometerView) -> list[ConfoundedTerms]:
     """Return the sets with terms of an accelerometer's own, its name left out."""
-    own = f"{name}."
+    own = f"{view.name}."
     return [
         _written(item, own)
-        for item in assessment.confounded
+        for item in view.assessment.confounded
         if any(symbol.startswith(own) for symbol in item.terms)
     ]
 
@@ -169,28 +166,26 @@ def _written(item: Confounded, own: str) -> ConfoundedTerms:
     )
 
 
-def residual(campaign: Campaign, found: Estimate, name: str, diagnostics: Diagnostics) -> Residual:
+def residual(view: AccelerometerView) -> Residual:
     """Return the size of an accelerometer's residuals, a sample, and how well the model fits."""
-    squares, samples = 0.0, 0.0
-    for index, one in enumerate(found.fit.prepared):
-        if one.series.accelerometer == name:
-            left, _ = fitting.residuals(found.fit, index)
-            squares += float(np.sum(left**2 * one.series.count))
-            samples += left.size
+    squares, samples, diagnostics = 0.0, 0.0, view.diagnostics
+    for _, prepared, residuals in view.records():
+        squares += float(np.sum(residuals.plain**2 * prepared.series.count))
+        samples += residuals.plain.size
     return Residual(
         rms=math.sqrt(squares / samples),
-        unit=_OBSERVED_UNITS[campaign.accelerometers[name].observable],
+        unit=_OBSERVED_UNITS[view.accelerometer.observable],
         dof=diagnostics.dof,
         chi2=diagnostics.chi2 if diagnostics.noise_given else None,
         lack_of_fit_p=diagnostics.lack_of_fit_p,
     )
 
 
-def noise_lines(campaign: Campaign, found: Estimate, name: str) -> dict[str, NoiseLine]:
+def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     """Return the noise used, component by component, given or estimated."""
-    noise = found.fit.noise[name]
-    components = found.components.get(name)
-    observable = campaign.accelerometers[name].observable
+    noise = view.fit.noise[view.name]
+    components = view.estimate.components.get(view.name)
+    observable = view.accelerometer.observable
     unit = _OBSERVED_UNITS[observable]
     lines = {}
     for place, (part, label, its_unit) in enumerate(

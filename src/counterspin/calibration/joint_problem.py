@@ -19,9 +19,9 @@ from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import Accelerometer, Campaign, Run
 from counterspin.campaign.terms import acts
 from counterspin.inference.joint.estimation import NoiseRequest
-from counterspin.inference.joint.fit import ROTATION, TIMING, Considered, Unknown
-from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.inputs import TIMING
+from counterspin.inference.joint.series import Series, jitter_of
+from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
 
@@ -33,12 +33,12 @@ _NOTHING: Final = (0.0, math.inf)
 
 def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Series, ...]:
     """Return one series for each run and accelerometer, missing samples left out."""
-    found = []
+    series = []
     for run in observed:
         for name, signal in run.signals.items():
             keep = np.isfinite(signal.error)
             accelerometer = signal.accelerometer
-            found.append(
+            series.append(
                 Series(
                     accelerometer=name,
                     run=run.run.name,
@@ -56,16 +56,15 @@ def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Seri
                     angle_error=run.rotation.error if run.rotation else None,
                 )
             )
-    return tuple(found)
+    return tuple(series)
 
 
 def _jitter(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> float:
-    """Return what noise of the time stamps adds to each sample: its slope's rms times the noise."""
+    """Return what noise of the time stamps adds to each sample, if its size is stated."""
     timing = campaign.noise.timing if campaign.noise else 0.0
-    if not isinstance(timing, float) or timing == 0.0:
-        return 0.0
-    power = 3 - observation.ORDERS[accelerometer.observable]
-    return timing * campaign.radius.value * abs(run.rate) ** power / math.sqrt(2.0)
+    order = observation.ORDERS[accelerometer.observable]
+    known = timing if isinstance(timing, float) else 0.0
+    return jitter_of(known, campaign.radius.value, run.rate, order)
 
 
 def model_of(campaign: Campaign) -> Unknowns:

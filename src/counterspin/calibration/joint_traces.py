@@ -12,12 +12,9 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.result_parts import Fold, Quantiles, Spectrum, Trace
-from counterspin.inference.diagnostics import Diagnostics
-from counterspin.inference.joint import fit as fitting
-from counterspin.inference.joint.estimation import Estimate, Rows
-from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.thinning import (
     normal_quantiles,
     over_revolution,
@@ -42,47 +39,33 @@ _MOST_LEFT_OUT: Final = 100
 #: Significant digits: a picture shows three.
 _DIGITS: Final = 4
 
-#: Residuals below this size are none, but zero or the rounding of data without noise.
-_SMALL: Final = 1e-15
+#: Residuals below this size are zero or the rounding of data without noise.
+_ROUNDING: Final = 1e-15
 
 
-def traces(
-    observed: Sequence[ObservedRun],
-    series: Sequence[Series],
-    found: Estimate,
-    name: str,
-    tests: Diagnostics,
-) -> dict[str, Trace]:
+def traces(view: AccelerometerView, observed: Sequence[ObservedRun]) -> dict[str, Trace]:
     """Return the residuals of one accelerometer by run, thinned.
 
     Parameters
     ----------
+    view
+        The fit, as the accelerometer sees it.
     observed
         The campaign's runs.
-    series
-        What the fit was given, outliers still in.
-    found
-        The fit.
-    name
-        The accelerometer.
-    tests
-        Of its residuals.
     """
-    share = _ALL_STRETCHES // max(len(series), 1)
-    count = min(max(share, _FEWEST_STRETCHES), _MOST_STRETCHES)
     runs = {run.run.name: run for run in observed}
     return {
-        one.run: _trace(runs[one.run], one, found, index, count, tests.runs[one.run].periodogram)
-        for index, one in enumerate(series)
-        if one.accelerometer == name
+        prepared.run: _trace(view, index, runs[prepared.run])
+        for index, prepared, _ in view.records()
     }
 
 
-def _trace(
-    run: ObservedRun, series: Series, found: Estimate, index: int, count: int, periodogram: Array
-) -> Trace:
-    kept = found.fit.prepared[index].series
-    residual, whitened = fitting.residuals(found.fit, index)
+def _trace(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
+    kept = view.fit.prepared[index].series
+    residual, whitened = view.fit.residuals[index].plain, view.fit.residuals[index].whitened
+    periodogram = view.diagnostics.runs[kept.run].periodogram
+    share = _ALL_STRETCHES // len(view.fit.prepared)
+    count = min(max(share, _FEWEST_STRETCHES), _MOST_STRETCHES)
     time, low, high = stretches(kept.time, residual, count)
     angle = kept.trajectory.spindle.angle(kept.time)
     for parts in _PARTS_OF_REVOLUTION:
@@ -96,22 +79,22 @@ def _trace(
         time=_rounded(time, 6),
         low=_rounded(low),
         high=_rounded(high),
-        left_out=_left_out(run, series, kept, residual, found.outliers[index]),
+        left_out=_left_out(view, index, run),
         by_angle=Fold(**dict(zip(("low", "mean", "high"), map(_gaps, folded), strict=True))),
         spectrum=Spectrum(frequency=_rounded(frequency), power=_rounded(power)),
         quantiles=Quantiles(normal=_rounded(normal), found=_rounded(ordered)),
     )
 
 
-def _left_out(
-    run: ObservedRun, series: Series, kept: Series, residual: Array, outliers: Rows
-) -> list[tuple[float, float]]:
+def _left_out(view: AccelerometerView, index: int, run: ObservedRun) -> list[tuple[float, float]]:
     """Return times and residuals of what reading and the fit have left out as outliers.
 
     The model there is that of the neighbours: once the reference is taken away it is smooth.
     """
-    report, channel = run.record.report, run.signals[series.accelerometer].accelerometer.channel
-    listed = [outlier for outlier in report.listed if outlier.column == channel.column]
+    series, outliers = view.estimate.series[index], view.estimate.outliers[index]
+    kept, residual = view.fit.prepared[index].series, view.fit.residuals[index].plain
+    column = view.accelerometer.channel.column
+    listed = [outlier for outlier in run.record.report.listed if outlier.column == column]
     while_reading = np.array([outlier.time - run.record.start_time for outlier in listed])
     values = np.array([outlier.value for outlier in listed])
     reference = observation.reference(
@@ -132,12 +115,12 @@ def _gaps(values: Array) -> list[float | None]:
 def _rounded(values: Array, digits: int = _DIGITS) -> list[float]:
     """Return values with so many significant digits; NaN stays."""
     size = np.abs(values)
-    ordinary = (size > _SMALL) & (size < 1.0 / _SMALL)
+    ordinary = (size > _ROUNDING) & (size < 1.0 / _ROUNDING)
     places = digits - 1.0 - np.floor(np.log10(size, where=ordinary, out=np.zeros_like(size)))
     # Whole numbers and these powers of ten are exact, so that one division rounds correctly.
     up, down = 10.0 ** np.maximum(places, 0.0), 10.0 ** np.maximum(-places, 0.0)
     rounded = np.rint(values * up / down) / up * down
     rest = [float(f"{value:.{digits}g}") for value in values[~ordinary].tolist()]
     rounded[~ordinary] = rest
-    found: list[float] = rounded.tolist()
-    return found
+    numbers: list[float] = rounded.tolist()
+    return numbers

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Literal
 
-from counterspin.calibration.pages.accelerometer import AGREES, noticed_if_left_out
+from counterspin.calibration.pages.accelerometer import noticed_if_left_out
 from counterspin.calibration.result_parts import AccelerometerResult
-from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.diagnostics import AGREEMENT, SIGNIFICANCE
 from counterspin.reports.numbers import format_number
 
 
@@ -88,7 +88,7 @@ def _findings(found: AccelerometerResult) -> Iterator[tuple[bool, str]]:
     driving = [line for line in found.jackknife if line.z is not None]
     if driving:
         worst = max(driving, key=lambda line: abs(line.z or 0.0))
-        drives = abs(worst.z or 0.0) > AGREES
+        drives = abs(worst.z or 0.0) > AGREEMENT
         yield (
             not drives,
             f"K_II without {worst.run} disagrees with that of all runs"
@@ -96,7 +96,7 @@ def _findings(found: AccelerometerResult) -> Iterator[tuple[bool, str]]:
             else "no run drives the result",
         )
     if found.two_stage is not None:
-        agrees = abs(found.two_stage.z) <= AGREES
+        agrees = abs(found.two_stage.z) <= AGREEMENT
         yield agrees, f"the two-stage method {'agrees' if agrees else 'does not agree'}"
     if count := len(found.warnings):
         yield False, "1 warning" if count == 1 else f"{count} warnings"

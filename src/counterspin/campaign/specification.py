@@ -4,7 +4,6 @@ The table is in ``campaign.toml`` or, for a certificate, in the laboratory's own
 
 - `parse_specification`: ``"abs <= 5e-5 g/g^2"`` to a `Specification`
 - `resolve_specifications`: the table to `Specifications`, every mistake noted by its key
-- `DecisionRule`: how pass, fail and undecided are decided
 - `SpecificationSettings`: the keys of the table other than terms
 """
 
@@ -21,7 +20,7 @@ from pydantic import AfterValidator, PlainValidator
 from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import SettingsSection, exact
-from counterspin.inference.conformity import Rule
+from counterspin.inference.conformity import DecisionRule, RuleName
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 
 _FORMS: Final = '"abs <= A UNIT", "<= A UNIT", ">= A UNIT", "A to B UNIT" or "V ± T UNIT"'
@@ -57,25 +56,6 @@ class Specification:
 
 
 @dataclass(frozen=True)
-class DecisionRule:
-    """How conformity is decided; see `counterspin.inference.conformity.judge`.
-
-    Attributes
-    ----------
-    name
-        ``simple``, ``guarded`` or ``probability``.
-    guard_factor
-        Guard band over expanded uncertainty; of the guarded rule.
-    needed
-        Probability that must be reached; of the rule by probability.
-    """
-
-    name: Rule
-    guard_factor: float
-    needed: float
-
-
-@dataclass(frozen=True)
 class Specifications:
     """All specifications of a campaign or certificate.
 
@@ -92,7 +72,7 @@ class Specifications:
 
 
 def _rule_name(value: object) -> object:
-    known = get_args(Rule)
+    known = get_args(RuleName)
     if value not in known:
         raise ValueError(f"must be {', '.join(map(repr, known[:-1]))} or {known[-1]!r}")
     return value

@@ -6,7 +6,8 @@ uncertainty has few degrees of freedom (JCGM 101:2008, 6.4.9). No knowledge of o
 - `conformance_probability`, `nonconformance_probability`: of one item (JCGM 106 clause 7)
 - `expanded_uncertainty`: half of a coverage interval
 - `acceptance_limits`: the tolerance limits, moved inwards by the guard band (clause 8)
-- `judge`, `Judgement`: pass, fail or undecided by a decision rule, and the risk of being wrong
+- `DecisionRule`: by which pass, fail and undecided are told apart
+- `judge`, `Judgement`: pass, fail or undecided, and the risk of being wrong
 """
 
 from __future__ import annotations
@@ -15,11 +16,45 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
-Rule = Literal["simple", "guarded", "probability"]
+RuleName = Literal["simple", "guarded", "probability"]
 Verdict = Literal["pass", "fail", "undecided"]
 
 #: Coverage probability of the expanded uncertainty that is the unit of a guard band.
 COVERAGE: Final = 0.95
+
+
+@dataclass(frozen=True)
+class DecisionRule:
+    """By which rule conformity is decided.
+
+    Attributes
+    ----------
+    name
+        ``simple``: by the estimate alone (clause 8.2). ``guarded``: pass inside the acceptance
+        limits, fail where the estimate is outside the tolerance limits by more than the guard
+        band, undecided between (clause 8.3; ILAC-G8:09/2019 with w = U). ``probability``: pass
+        where the conformance probability is at least `needed`, fail where that of the contrary is.
+    guard_factor
+        Guard band over expanded uncertainty, w = guard_factor x U, U of 95 % coverage; of the
+        guarded rule.
+    needed
+        Probability that must be reached, above 0.5; of the rule by probability.
+
+    Raises
+    ------
+    ValueError
+        If `guard_factor` or `needed` is not possible.
+    """
+
+    name: RuleName
+    guard_factor: float = 1.0
+    needed: float = 0.95
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.guard_factor < math.inf:
+            raise ValueError(f"a guard factor is a number from 0 on; got {self.guard_factor}")
+        if not 0.5 < self.needed < 1.0:
+            raise ValueError(f"the probability needed lies between 0.5 and 1; got {self.needed}")
 
 
 @dataclass(frozen=True)
@@ -117,10 +152,7 @@ def judge(
     dof: float | None,
     low: float | None,
     high: float | None,
-    *,
-    rule: Rule,
-    guard_factor: float = 1.0,
-    needed: float = 0.95,
+    rule: DecisionRule,
 ) -> Judgement:
     """Judge one item by a decision rule.
 
@@ -129,14 +161,7 @@ def judge(
     value, u, dof, low, high
         As for `conformance_probability`.
     rule
-        ``simple``: by the estimate alone (clause 8.2). ``guarded``: pass inside the acceptance
-        limits, fail where the estimate is outside the tolerance limits by more than the guard
-        band, undecided between (clause 8.3; ILAC-G8:09/2019 with w = U). ``probability``: pass
-        where the conformance probability is at least `needed`, fail where that of the contrary is.
-    guard_factor
-        Guard band over expanded uncertainty, w = guard_factor x U, U of 95 % coverage.
-    needed
-        Probability that ``probability`` asks for, above 0.5.
+        The decision rule.
 
     Returns
     -------
@@ -145,18 +170,18 @@ def judge(
     Raises
     ------
     ValueError
-        As `conformance_probability`, or if `guard_factor` or `needed` is not possible.
+        As `conformance_probability`.
     """
-    if not 0.0 <= guard_factor < math.inf:
-        raise ValueError(f"a guard factor is a number from 0 on; got {guard_factor}")
-    if not 0.5 < needed < 1.0:
-        raise ValueError(f"the probability needed lies between 0.5 and 1; got {needed}")
     inside = conformance_probability(value, u, dof, low, high)
     outside = nonconformance_probability(value, u, dof, low, high)
-    guard_band = guard_factor * expanded_uncertainty(u, dof) if rule == "guarded" else 0.0
+    guard_band = 0.0
+    if rule.name == "guarded":
+        guard_band = rule.guard_factor * expanded_uncertainty(u, dof)
     verdict: Verdict
-    if rule == "probability":
-        verdict = "pass" if inside >= needed else "fail" if outside >= needed else "undecided"
+    if rule.name == "probability":
+        verdict = (
+            "pass" if inside >= rule.needed else "fail" if outside >= rule.needed else "undecided"
+        )
     elif _between(value, *acceptance_limits(low, high, guard_band)):
         verdict = "pass"
     elif not _between(value, *acceptance_limits(low, high, -guard_band)):

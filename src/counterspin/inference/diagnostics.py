@@ -23,6 +23,10 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+#: Two estimates agree where their difference is up to this many of its standard uncertainties; good
+#: campaigns exceed it in 0.3 %.
+AGREEMENT: Final = 3.0
+
 #: Below this probability a departure is called one. It is shared among all tests of a fit.
 SIGNIFICANCE: Final = 0.01
 

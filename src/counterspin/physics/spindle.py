@@ -128,7 +128,7 @@ class SpindleFit:
     ----------
     spindle
         The identified model; t = 0 is the time origin of the samples given.
-    u_rate, u_drift, u_start_angle
+    u_rate, u_drift
         Standard uncertainties, rad/s, 1/s, rad.
     u_ripples
         (amplitude rad/s, phase rad) standard uncertainties, one pair for each ripple.
@@ -146,7 +146,6 @@ class SpindleFit:
     spindle: Spindle
     u_rate: float
     u_drift: float
-    u_start_angle: float
     u_ripples: tuple[tuple[float, float], ...]
     rms: float
     dof: int
@@ -324,7 +323,6 @@ def _fit(
         ),
         u_rate=math.sqrt(covariance[1, 1]) / span,
         u_drift=2.0 * math.sqrt(covariance[2, 2]) / span**2 / abs(w0),
-        u_start_angle=math.sqrt(float(at_zero @ covariance @ at_zero)),
         u_ripples=u_ripples,
         rms=math.sqrt(variance),
         dof=dof,

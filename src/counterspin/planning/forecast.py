@@ -24,11 +24,11 @@ from counterspin.campaign.description import read_campaign
 from counterspin.campaign.resolved import Campaign, Run, sample_count
 from counterspin.errors import CampaignError
 from counterspin.inference.identifiability import Assessment, assess
-from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.fit import JointFit, Unknown
-from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.fit import JointFit, solve_joint
+from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint.series import Series, jitter_of
+from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.motion import Trajectory
@@ -120,8 +120,8 @@ def forecast(
     ]
     if expected is None:
         expected = expected_values(campaign, model.unknowns)
-    prepared = joint.prepare(series, model, scale_factors(campaign), expected)
-    fit = joint.solve_joint(prepared, model, noise)
+    prepared = prepare_columns(series, model, scale_factors(campaign), expected)
+    fit = solve_joint(prepared, model, noise)
     return Forecast(campaign, fit)
 
 
@@ -185,8 +185,8 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     block = block_size(step, run.rate)
     whole = max(1, sample_count(run.duration, sampling_rate) // block)
     time = np.asarray((np.arange(whole) * block + 0.5 * (block - 1)) * step, dtype=np.float64)
-    jitter = float(_noise(campaign).get("timing", 0.0))
-    slope = campaign.radius.value * abs(run.rate) ** (3 - ORDERS[accelerometer.observable])
+    timing = float(_noise(campaign).get("timing", 0.0))
+    order = ORDERS[accelerometer.observable]
     series = Series(
         accelerometer=name,
         run=run.name,
@@ -200,7 +200,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         spacing=step,
         error=np.zeros(whole),
         in_g=accelerometer.channel.unit.endswith("g"),
-        jitter=jitter * slope / math.sqrt(2.0),
+        jitter=jitter_of(timing, campaign.radius.value, run.rate, order),
     )
     if not series.in_g:
         return series

@@ -24,7 +24,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import ESTIMATE, OBSERVABLES
 from counterspin.campaign.toml_file import load_document
 from counterspin.errors import CampaignError
-from counterspin.inference.joint.fit import Unknown
+from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.accelerometer import term
 from counterspin.planning.design import Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument

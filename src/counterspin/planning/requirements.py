@@ -13,8 +13,8 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.campaign.resolved import Campaign, sample_count
-from counterspin.inference.joint.fit import INPUTS, ROTATION, TIMING, Considered
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.inputs import INPUTS, TIMING
+from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns
 from counterspin.planning.forecast import expected_values, forecast
 from counterspin.planning.result import Requirement
 

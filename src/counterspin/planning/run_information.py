@@ -28,10 +28,9 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from counterspin.arrays import Array
-from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.prepared import Prepared, prepare_columns
+from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.noise.model import NoiseModel, make_whitener
 from counterspin.physics.accelerometer import Term, term
 from counterspin.physics.motion import Trajectory
@@ -179,8 +178,8 @@ class RunInformation:
 
     def _variance(self, instrument: PlannedInstrument, rate: Any) -> Any:
         """Return the white variance of one sample, that of jitter included."""
-        slope = self.setup.radius * rate ** (3 - instrument.order) / math.sqrt(2.0)
-        return instrument.noise.sample_variance + (instrument.jitter * slope) ** 2
+        jitter = jitter_of(instrument.jitter, self.setup.radius, rate, instrument.order)
+        return instrument.noise.sample_variance + jitter**2
 
     def _used(self, order: int) -> list[int]:
         """Functions that are not start errors: for displacement all but 1 and th."""
@@ -227,7 +226,7 @@ class RunInformation:
 
     def _forces(
         self, instrument: PlannedInstrument, attitude: str, rate: float, times: Array
-    ) -> joint.Prepared:
+    ) -> Prepared:
         """Return the columns of the specific force, before any integration, times rate^-order."""
         setup = self.setup
         trajectory = Trajectory(Spindle(rate), setup.radius, setup.site)
@@ -245,7 +244,7 @@ class RunInformation:
             error=np.zeros_like(times),
         )
         factors = {name: setup.scale_factors[name] for name in [instrument.name]}
-        (prepared,) = joint.prepare([series], setup.model, factors, setup.estimate)
+        (prepared,) = prepare_columns([series], setup.model, factors, setup.estimate)
         scale = abs(rate) ** -instrument.order
         return replace(prepared, design=prepared.design * scale, fixed=prepared.fixed * scale)
 
@@ -278,12 +277,7 @@ def _factors(symbol: str) -> tuple[str, ...]:
 def _weights_of_priors(model: Unknowns, places: Sequence[int]) -> Array:
     """Return 1/u of what is known of some unknowns; of nothing, the solver's regularisation."""
     chosen = [model.unknowns[i] for i in places]
-    return np.array(
-        [
-            1.0 / (u.prior[1] if math.isfinite(u.prior[1]) else REGULARISATION * u.limit)
-            for u in chosen
-        ]
-    )
+    return np.array([1.0 / unknown.spread for unknown in chosen])
 
 
 def _whole_numbers(between: tuple[float, float]) -> npt.NDArray[np.int64]:

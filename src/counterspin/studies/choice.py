@@ -16,8 +16,9 @@ import numpy as np
 
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.fit import solve_joint
+from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
 from counterspin.physics.accelerometer import TERMS, term
@@ -234,7 +235,7 @@ def _reported_strobes(
     what = analysis.what
     assert isinstance(what, TwoStageRequest)
     unknowns = tuple(
-        joint.Unknown(analysis.owner, symbol, prior, term(symbol).limit)
+        Unknown(analysis.owner, symbol, prior, term(symbol).limit)
         for symbol, prior in what.unknowns.items()
         if symbol != RIPPLE
     )
@@ -278,7 +279,7 @@ def _joint_full(
     rows = [
         i
         for i, u in enumerate(what.model.unknowns)
-        if (u.symbol in TERMS or (not u.owner and u.symbol not in joint.ROTATION))
+        if (u.symbol in TERMS or (not u.owner and u.symbol not in ROTATION))
     ]
     kept = [i for i in rows if bounds.get(what.model.unknowns[i].name) is not None]
     lost = tuple(what.model.unknowns[i].name for i in rows if i not in kept)
@@ -313,8 +314,8 @@ def cramer_rao(world: Instrumented, truth: StudyTruth, model: Unknowns) -> dict[
         if name in names
     ]
     plain = Unknowns(model.unknowns)
-    prepared = joint.prepare(series, plain, scale_factors(series, plain, truth))
-    fit = joint.solve_joint(prepared, plain, dict.fromkeys(names, noise))
+    prepared = prepare_columns(series, plain, scale_factors(series, plain, truth))
+    fit = solve_joint(prepared, plain, dict.fromkeys(names, noise))
     determined = assess(fit.solution, [u.name for u in model.unknowns]).determined
     variance = np.diag(fit.solution.covariance_noise + fit.solution.covariance_prior)
     return {

@@ -18,7 +18,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.resolved import sample_count
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.two_stage.first_stage import first_stage
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage
@@ -77,7 +77,6 @@ class Instrumented:
     def series(self, run: int, name: str, spindle: Spindle, error: Array | None = None) -> Series:
         """Return a record, without errors where none are given."""
         times = self.times(run)
-        power = abs(self.spindles[run].rate)
         return Series(
             accelerometer=name,
             run=self.runs[run],
@@ -90,7 +89,7 @@ class Instrumented:
             count=np.ones_like(times),
             spacing=1.0 / self.sampling_rate,
             error=np.zeros_like(times) if error is None else error,
-            jitter=self.timing_noise * self.radius * power / math.sqrt(2.0),
+            jitter=jitter_of(self.timing_noise, self.radius, self.spindles[run].rate, 2),
         )
 
     def strobed(self, run: int, name: str) -> StrobedMotion:

@@ -23,13 +23,13 @@ from counterspin.arrays import Array
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.estimation import NoiseRequest
+from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.unknowns import ROTATION, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import NoiseModel
-from counterspin.physics.accelerometer import TERMS, term
+from counterspin.physics.accelerometer import TERMS
 from counterspin.studies.draws import RADIUS, Draws, StudyTruth, nominal
 from counterspin.studies.two_stage import Trials
 
@@ -127,7 +127,7 @@ class JointEngine:
         reported = [
             i
             for i, u in enumerate(model.unknowns)
-            if u.symbol in TERMS or (not u.owner and u.symbol not in joint.ROTATION)
+            if u.symbol in TERMS or (not u.owner and u.symbol not in ROTATION)
         ]
         rows = [i for i in reported if assessment.determined[model.unknowns[i].name]]
         lost = tuple(model.unknowns[i].name for i in reported if i not in rows)
@@ -231,7 +231,7 @@ def _block(
             for u in model.unknowns
         ]
     )
-    (prepared,) = joint.prepare([series], model, factors, expected)
+    (prepared,) = prepare_columns([series], model, factors, expected)
     mine = {
         key: index
         for index, key in enumerate(keys)
@@ -281,21 +281,11 @@ def _in_radius(
 
 def _solve(blocks: Sequence[Block], model: Unknowns, true: int) -> Solution:
     """Solve with the columns of what is true as considered terms without uncertainty."""
-    means = [*(_mean(c.prior, term(c.symbol).nominal) for c in model.considered)]
-    inputs = model.inputs or {}
     return least_squares.solve(
         blocks,
-        prior_mean=[_mean(u.prior, u.nominal) for u in model.unknowns],
+        prior_mean=[u.prior_mean for u in model.unknowns],
         prior_sd=[u.prior[1] for u in model.unknowns],
-        considered_mean=[*means, *(0.0 for _ in inputs), *(0.0 for _ in range(true))],
-        considered_sd=[
-            *(c.prior[1] for c in model.considered),
-            *inputs.values(),
-            *(0.0 for _ in range(true)),
-        ],
+        considered_mean=[*model.considered_means, *(0.0 for _ in range(true))],
+        considered_sd=[*model.considered_sizes, *(0.0 for _ in range(true))],
         limits=[u.limit for u in model.unknowns],
     )
-
-
-def _mean(prior: tuple[float, float], at: float) -> float:
-    return prior[0] - at if math.isfinite(prior[1]) else 0.0

@@ -7,19 +7,20 @@ import numpy as np
 import pytest
 from joint_campaign import ARCSEC, DEG_H, RATES, SITE, noisy, simulated, three_rates, unknowns
 
-from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.budget import NOISE, budget
-from counterspin.inference.joint.fit import Considered, Unknown
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.fit import solve_joint
+from counterspin.inference.joint.inputs import INPUTS, TIMING
+from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6), "K_OO": (1e-6, 2e-6)}
-INPUTS = {
+SIZES = {
     "centrifuge.radius": 1e-4,
     "site.gravity": 1e-4,
     "site.latitude": 1e-3,
-    joint.TIMING: 1e-5,
+    TIMING: 1e-5,
 }
 NOISES = {"Qx": NoiseModel(0.01), "Qy": NoiseModel(0.02, 3e-4)}
 SCALES = {"Qx": TRUTH["K_I"], "Qy": TRUTH["K_I"]}
@@ -46,15 +47,15 @@ def model():
         Considered("Qy", "K_IO", (1e-6, 3e-6), 1e-4),
         Considered("", "platform.g_sensitivity.zx", (0.0, 0.02 * DEG_H), 10 * DEG_H),
     )
-    return Unknowns((*own, *tilts, drift), considered, INPUTS)
+    return Unknowns((*own, *tilts, drift), considered, SIZES)
 
 
 @pytest.fixture(scope="module")
 def fit(series, model):
     plain = replace(model, inputs=None)
-    first = joint.solve_joint(joint.prepare(series, plain, SCALES), plain, NOISES)
-    return joint.solve_joint(
-        joint.prepare(series, model, SCALES, first.solution.estimate), model, NOISES
+    first = solve_joint(prepare_columns(series, plain, SCALES), plain, NOISES)
+    return solve_joint(
+        prepare_columns(series, model, SCALES, first.solution.estimate), model, NOISES
     )
 
 
@@ -113,7 +114,7 @@ def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
     plain = replace(model, inputs=None)
 
     def estimate(changed, chosen=series):
-        found = joint.solve_joint(joint.prepare(chosen, changed, SCALES), changed, NOISES)
+        found = solve_joint(prepare_columns(chosen, changed, SCALES), changed, NOISES)
         return found.solution.estimate[index]
 
     base = estimate(plain)
@@ -133,13 +134,13 @@ def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
             changed = estimate(replace(plain, unknowns=shifted(model.unknowns)))
         elif line.kind == "considered":
             changed = estimate(replace(plain, considered=shifted(model.considered)))
-        elif line.source == joint.TIMING:
+        elif line.source == TIMING:
             continue  # its own test goes through the records' angles
         else:
             step = line.u
             moved = []
             for one in series:
-                motion = joint.INPUTS[line.source](one.trajectory, step)
+                motion = INPUTS[line.source](one.trajectory, step)
                 error = one.error + one.reference() - one.reference(motion)
                 moved.append(replace(one, trajectory=motion, error=error))
             changed = estimate(plain, moved)
@@ -159,15 +160,15 @@ def test_a_record_in_g_depends_on_the_gravity_assumed():
     model = Unknowns(unknowns(TRUTH), inputs={"site.gravity": 1e-4})
     plain = replace(model, inputs=None)
     noise = {"Qx": NoiseModel(1e-3)}
-    first = joint.solve_joint(joint.prepare(one, plain, SCALES), plain, noise).solution
-    fit = joint.solve_joint(joint.prepare(one, model, SCALES, first.estimate), model, noise)
+    first = solve_joint(prepare_columns(one, plain, SCALES), plain, noise).solution
+    fit = solve_joint(prepare_columns(one, model, SCALES, first.estimate), model, noise)
     step = 1e-3
     moved = []
     for s in one:
-        motion = joint.INPUTS["site.gravity"](s.trajectory, step)
+        motion = INPUTS["site.gravity"](s.trajectory, step)
         output = (s.error + s.reference()) * (SITE.gravity + step) / SITE.gravity
         moved.append(replace(s, trajectory=motion, error=output - s.reference(motion)))
-    after = joint.solve_joint(joint.prepare(moved, plain, SCALES), plain, noise).solution
+    after = solve_joint(prepare_columns(moved, plain, SCALES), plain, noise).solution
     np.testing.assert_allclose(
         (after.estimate - first.estimate) / step,
         fit.solution.sensitivity_considered[:, 0],
@@ -178,8 +179,8 @@ def test_a_record_in_g_depends_on_the_gravity_assumed():
 
 def test_an_unknown_known_exactly_has_no_budget():
     model = Unknowns(unknowns(TRUTH, {"K_F": (5.03e-3, 0.0)}))
-    found = joint.solve_joint(
-        joint.prepare(three_rates(TRUTH), model, SCALES), model, {"Qx": NoiseModel(0.01)}
+    found = solve_joint(
+        prepare_columns(three_rates(TRUTH), model, SCALES), model, {"Qx": NoiseModel(0.01)}
     )
     assert budget(found, 0) == ()
     assert sum(line.share for line in budget(found, 2)) == pytest.approx(1.0, abs=1e-9)

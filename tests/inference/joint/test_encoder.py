@@ -10,10 +10,11 @@ from joint_campaign import LEVEL, RATES, noisy, simulated, unknowns
 from scipy.special import stdtrit
 
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.budget import ENCODER, budget
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.fit import solve_joint
+from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint.unknowns import Considered, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics import simulation
 from counterspin.physics.accelerometer import QX
@@ -165,13 +166,13 @@ def test_what_is_left_out_or_considered_is_as_small_as_stated(observable, encode
     series, model = chosen(observable, encoder_noise, noise)
     assert model.considered
     every = tuple(
-        joint.Considered(run.run, symbol, (0.0, 1.0), 10.0)
+        Considered(run.run, symbol, (0.0, 1.0), 10.0)
         for run in series
         for symbol in encoder._symbols(run.angle_error)
     )
     whole = replace(MODEL, considered=every)
-    prepared = joint.prepare(series, whole, {"Qx": TRUTH["K_I"]})
-    solution = joint.solve_joint(prepared, whole, {"Qx": noise}).solution
+    prepared = prepare_columns(series, whole, {"Qx": TRUTH["K_I"]})
+    solution = solve_joint(prepared, whole, {"Qx": noise}).solution
     names = [c.name for c in every]
     kept = {c.name for c in model.considered}
     taken = {u.name for u in model.unknowns}

@@ -19,10 +19,10 @@ from joint_campaign import (
 from scipy.special import stdtrit
 
 from counterspin.errors import ConvergenceError
-from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
-from counterspin.inference.joint.fit import ROTATION, Considered, Unknown
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.fit import solve_joint
+from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle
@@ -44,8 +44,8 @@ def clean():
 
 def bound(series, noise):
     """Standard uncertainties where the noise is known."""
-    prepared = joint.prepare(series, MODEL, {"Qx": TRUTH["K_I"]})
-    return joint.solve_joint(prepared, MODEL, {"Qx": noise}).solution.u
+    prepared = prepare_columns(series, MODEL, {"Qx": TRUTH["K_I"]})
+    return solve_joint(prepared, MODEL, {"Qx": noise}).solution.u
 
 
 @pytest.mark.slow

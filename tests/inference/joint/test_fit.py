@@ -21,9 +21,10 @@ from scipy.special import ndtri
 
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import Considered, Unknown
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.fit import solve_joint
+from counterspin.inference.joint.inputs import INPUTS, TIMING
+from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.spindle import Spindle
 
@@ -74,14 +75,14 @@ def dense_bound(prepared, model, noise):
 def paper():
     """The paper's four coefficients at its three rates, without noise."""
     model = Unknowns(unknowns(TRUTH, PRIORS))
-    return model, joint.prepare(three_rates(TRUTH), model, SCALES)
+    return model, prepare_columns(three_rates(TRUTH), model, SCALES)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("noise", [WHITE, MIXED], ids=["white", "mixed"])
 def test_the_cramer_rao_bound_is_reached_and_intervals_cover(paper, noise):
     model, prepared = paper
-    fit = joint.solve_joint(prepared, model, {"Qx": noise})
+    fit = solve_joint(prepared, model, {"Qx": noise})
     np.testing.assert_allclose(fit.solution.u, dense_bound(prepared, model, noise), rtol=1e-5)
 
     # Trials: noise is drawn and so are the priors' values, as in a campaign.
@@ -90,7 +91,7 @@ def test_the_cramer_rao_bound_is_reached_and_intervals_cover(paper, noise):
     for errors_of in errors:
         drawn = {s: (v + u * rng.standard_normal(), u) for s, (v, u) in PRIORS.items()}
         trial = replace(model, unknowns=unknowns(TRUTH, drawn))
-        fit = joint.solve_joint(redrawn(prepared, noise, rng), trial, {"Qx": noise})
+        fit = solve_joint(redrawn(prepared, noise, rng), trial, {"Qx": noise})
         errors_of[:] = fit.solution.estimate - offsets(model, TRUTH)
     z = errors / fit.solution.u
     # A standard deviation of n draws has one of 1/sqrt(2 n) of itself.
@@ -102,7 +103,7 @@ def test_the_cramer_rao_bound_is_reached_and_intervals_cover(paper, noise):
 
 def test_uncertainty_is_split_into_noise_and_priors(paper):
     model, prepared = paper
-    solution = joint.solve_joint(prepared, model, {"Qx": WHITE}).solution
+    solution = solve_joint(prepared, model, {"Qx": WHITE}).solution
     # K_I is known four times better beforehand than from such short records.
     k_i = [u.symbol for u in model.unknowns].index("K_I")
     assert solution.u[k_i] < PRIORS["K_I"][1]
@@ -110,7 +111,7 @@ def test_uncertainty_is_split_into_noise_and_priors(paper):
         (solution.u[k_i] / PRIORS["K_I"][1]) ** 2, rel=1e-9
     )
     shifted = replace(model, unknowns=unknowns(TRUTH, PRIORS | {"K_F": (5.03e-3 + 1e-6, 2e-6)}))
-    moved = joint.solve_joint(prepared, shifted, {"Qx": WHITE}).solution
+    moved = solve_joint(prepared, shifted, {"Qx": WHITE}).solution
     np.testing.assert_allclose(
         moved.estimate - solution.estimate, 1e-6 * solution.sensitivity_prior[:, 0], atol=1e-14
     )
@@ -125,7 +126,7 @@ def test_a_considered_term_drawn_from_its_prior_is_covered_by_u_and_not_by_u_noi
         Considered(f"run{i}", "platform.tilt.north", (0.0, 0.5 * ARCSEC), 1e-2) for i in (1, 2, 3)
     ]
     considering = replace(model, considered=(k_oo, *tilts))
-    prepared = joint.prepare(three_rates(TRUTH), considering, SCALES)
+    prepared = prepare_columns(three_rates(TRUTH), considering, SCALES)
     rng = np.random.default_rng(2)
     z = np.empty((TRIALS, 2))
     for row in z:
@@ -143,7 +144,7 @@ def test_a_considered_term_drawn_from_its_prior_is_covered_by_u_and_not_by_u_noi
             for rng_k_oo in (1e-6 + 2e-6 * rng.standard_normal(),)
             for one in drawn
         ]
-        solution = joint.solve_joint(drawn, considering, {"Qx": noise}).solution
+        solution = solve_joint(drawn, considering, {"Qx": noise}).solution
         error = solution.estimate[2] - TRUTH["K_II"]
         row[:] = error / solution.u[2], error / math.sqrt(solution.covariance_noise[2, 2])
     assert within_sampling_error(covers(z[:, 0], 0.95), 0.95)
@@ -171,7 +172,7 @@ def both(kind, owner_prior=(0.0, 2e-6), gyro_prior=(0.0, 0.05 * DEG_H)):
 
 
 def k_ii_of(series, model, noise=WHITE):
-    fit = joint.solve_joint(joint.prepare(series, model, SCALES), model, {"Qx": noise})
+    fit = solve_joint(prepare_columns(series, model, SCALES), model, {"Qx": noise})
     index = [u.name for u in model.unknowns].index("Qx.K_II")
     return fit.solution, index, fit.solution.estimate[index] - TRUTH["K_II"]
 
@@ -255,7 +256,7 @@ def test_two_accelerometers_share_the_platform():
     def drift_of(names):
         model = Unknowns((*(u for name in names for u in own[name]), *shared))
         chosen = [one for name in names for one in series[name]]
-        fit = joint.solve_joint(joint.prepare(chosen, model, SCALES), model, noise)
+        fit = solve_joint(prepare_columns(chosen, model, SCALES), model, noise)
         index = [u.symbol for u in model.unknowns].index("platform.drift.up")
         estimate, u = fit.solution.estimate[index], fit.solution.u[index]
         assert estimate == pytest.approx(2e-8, abs=0.2 * u)
@@ -294,7 +295,7 @@ def test_three_attitudes_separate_the_three_squares():
         for i, rate in enumerate(RATES)
     ]
     level, tipped = (
-        joint.solve_joint(joint.prepare(chosen, model, SCALES), model, {"Qx": WHITE}).solution
+        solve_joint(prepare_columns(chosen, model, SCALES), model, {"Qx": WHITE}).solution
         for chosen in (series[:3], series)
     )
     names = [u.name for u in model.unknowns]
@@ -328,21 +329,21 @@ def test_three_attitudes_separate_the_three_squares():
 )
 def test_every_observable_shows_the_same_truth(observable, noise):
     model = Unknowns(unknowns(TRUTH))
-    clean = joint.prepare(three_rates(TRUTH, observable=observable), model, SCALES)
-    solution = joint.solve_joint(clean, model, {"Qx": noise}).solution
+    clean = prepare_columns(three_rates(TRUTH, observable=observable), model, SCALES)
+    solution = solve_joint(clean, model, {"Qx": noise}).solution
     # The truth is linear in these coefficients: without noise nothing but rounding is left.
     assert (np.abs(solution.estimate - offsets(model, TRUTH)) < 1e-6 * solution.u).all()
     correlation = solution.covariance / np.outer(solution.u, solution.u)
     rng = np.random.default_rng(5)
     trials, distance, misfit = 40, 0.0, 0.0
     for _ in range(trials):
-        fit = joint.solve_joint(redrawn(clean, noise, rng), model, {"Qx": noise})
+        fit = solve_joint(redrawn(clean, noise, rng), model, {"Qx": noise})
         z = (fit.solution.estimate - offsets(model, TRUTH)) / solution.u
         distance += z @ np.linalg.solve(correlation, z)
         misfit += fit.solution.chi2
     for chi2, dof in ((distance, trials * len(TRUTH)), (misfit, trials * fit.solution.dof)):
         assert abs(chi2 - dof) < 4 * math.sqrt(2 * dof)
-    left, rows = joint.residuals(fit, 0)
+    left, rows = fit.residuals[0].plain, fit.residuals[0].whitened
     assert left.shape == clean[0].series.time.shape
     assert rows.std() == pytest.approx(1.0, abs=4 / math.sqrt(2 * rows.size))
 
@@ -356,8 +357,8 @@ def test_k_i_and_k_ip_are_named_and_only_their_difference_is_determined(name):
     model = Unknowns(unknowns(truth, owner=name))
     # As many samples and revolutions as the real campaign; u(K_IP) of Qy is then 1.7e-4.
     series = three_rates(truth, accelerometer=name, revolutions=100, per_revolution=64)
-    solution = joint.solve_joint(
-        joint.prepare(series, model, {name: 1.0}), model, {name: WHITE}
+    solution = solve_joint(
+        prepare_columns(series, model, {name: 1.0}), model, {name: WHITE}
     ).solution
     said = assess(
         solution,
@@ -378,8 +379,8 @@ def test_bias_and_its_likes_are_one_combination():
     tilt = Unknown("", "platform.tilt.north", NOTHING, 1e-2)
     model = Unknowns((*unknowns(symbols), tilt))
     truth = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_PP": 3e-6}
-    solution = joint.solve_joint(
-        joint.prepare(three_rates(truth), model, SCALES), model, {"Qx": WHITE}
+    solution = solve_joint(
+        prepare_columns(three_rates(truth), model, SCALES), model, {"Qx": WHITE}
     ).solution
     names = [u.symbol for u in model.unknowns]
     said = assess(solution, names, nominal=[u.nominal for u in model.unknowns])
@@ -400,23 +401,23 @@ def test_bias_and_its_likes_are_one_combination():
 def test_a_run_left_out_is_the_fit_without_its_records(paper):
     model, prepared = paper
     rng = np.random.default_rng(6)
-    fit = joint.solve_joint(redrawn(prepared, WHITE, rng), model, {"Qx": WHITE})
-    without = joint.leave_out(fit, "run2")
-    direct = joint.solve_joint([fit.prepared[0], fit.prepared[2]], model, {"Qx": WHITE}).solution
+    fit = solve_joint(redrawn(prepared, WHITE, rng), model, {"Qx": WHITE})
+    without = fit.without_run("run2")
+    direct = solve_joint([fit.prepared[0], fit.prepared[2]], model, {"Qx": WHITE}).solution
     np.testing.assert_allclose(without.estimate, direct.estimate, rtol=1e-12)
     np.testing.assert_allclose(without.covariance, direct.covariance, rtol=1e-12)
     alone = replace(fit, prepared=fit.prepared[:1], blocks=fit.blocks[:1])
-    assert joint.leave_out(alone, "run1") is None
+    assert alone.without_run("run1") is None
 
 
 def test_other_noise_of_one_accelerometer_is_the_fit_with_that_noise():
     model = Unknowns(tuple(u for name in SCALES for u in unknowns(("K_F", "K_I"), owner=name)))
     truth = {s: TRUTH[s] for s in ("K_F", "K_I")}
     series = [one for name in SCALES for one in three_rates(truth, accelerometer=name)]
-    prepared = joint.prepare(series, model, SCALES)
-    fit = joint.solve_joint(prepared, model, {"Qx": WHITE, "Qy": MIXED})
-    changed = joint.with_noise(fit, {"Qy": WHITE})
-    direct = joint.solve_joint(prepared, model, {"Qx": WHITE, "Qy": WHITE})
+    prepared = prepare_columns(series, model, SCALES)
+    fit = solve_joint(prepared, model, {"Qx": WHITE, "Qy": MIXED})
+    changed = fit.with_noise({"Qy": WHITE})
+    direct = solve_joint(prepared, model, {"Qx": WHITE, "Qy": WHITE})
     assert changed.noise == direct.noise
     np.testing.assert_array_equal(changed.solution.covariance, direct.solution.covariance)
     assert not np.allclose(fit.solution.u[2:], direct.solution.u[2:], rtol=0.1)
@@ -431,9 +432,9 @@ def test_another_level_of_white_noise_is_the_fit_with_that_noise(level):
     series = [
         replace(one, jitter=0.01 * (index + 1)) for index, one in enumerate(three_rates(TRUTH))
     ]
-    prepared = redrawn(joint.prepare(series, model, SCALES), WHITE, np.random.default_rng(8))
-    changed = joint.with_noise(joint.solve_joint(prepared, model, {"Qx": WHITE}), {"Qx": level})
-    direct = joint.solve_joint(prepared, model, {"Qx": level})
+    prepared = redrawn(prepare_columns(series, model, SCALES), WHITE, np.random.default_rng(8))
+    changed = solve_joint(prepared, model, {"Qx": WHITE}).with_noise({"Qx": level})
+    direct = solve_joint(prepared, model, {"Qx": level})
     np.testing.assert_allclose(changed.solution.covariance, direct.solution.covariance, rtol=1e-10)
     np.testing.assert_allclose(changed.solution.estimate, direct.solution.estimate, rtol=1e-10)
     for one, other in zip(changed.blocks, direct.blocks, strict=True):
@@ -445,8 +446,8 @@ def test_residuals_are_what_was_drawn_less_what_the_fit_can_explain(paper):
     model, prepared = paper
     rng = np.random.default_rng(7)
     for noise in (WHITE, MIXED):
-        fit = joint.solve_joint(redrawn(prepared, noise, rng), model, {"Qx": noise})
-        whitened = [joint.residuals(fit, i)[1] for i in range(3)]
+        fit = solve_joint(redrawn(prepared, noise, rng), model, {"Qx": noise})
+        whitened = [fit.residuals[i].whitened for i in range(3)]
         rss = sum(float(w @ w) for w in whitened)
         step = fit.solution.estimate - [
             u.prior[0] - u.nominal if math.isfinite(u.prior[1]) else 0.0 for u in model.unknowns
@@ -458,7 +459,7 @@ def test_residuals_are_what_was_drawn_less_what_the_fit_can_explain(paper):
         )
         # Block by block, the same sum of squares as the solution's own.
         assert rss + priors == pytest.approx(fit.solution.chi2, rel=1e-9)
-        plain, _ = joint.residuals(fit, 0)
+        plain = fit.residuals[0].plain
         own = np.column_stack([np.ones(plain.size), prepared[0].series.time])
         if noise is WHITE:
             assert np.abs(own.T @ plain).max() < 1e-8 * np.abs(own.T).max() * plain.size
@@ -485,7 +486,7 @@ def test_block_means_lose_nothing_of_k_ii():
     model = Unknowns(unknowns(TRUTH))
     for noise in (WHITE, MIXED):
         full, means = (
-            joint.solve_joint(joint.prepare(s, model, SCALES), model, {"Qx": noise}).solution
+            solve_joint(prepare_columns(s, model, SCALES), model, {"Qx": noise}).solution
             for s in (dense, blocks)
         )
         np.testing.assert_allclose(means.estimate, full.estimate, atol=2e-4 * full.u.min())
@@ -499,7 +500,7 @@ def test_a_record_too_short_for_its_own_start_is_refused():
     short = simulated("run1", 2.0, {}, revolutions=1, per_revolution=1)
     short = short.without(np.array([True, False]))
     with pytest.raises(NotIdentifiableError, match="too short"):
-        joint.solve_joint(joint.prepare([short], model, SCALES), model, {"Qx": WHITE})
+        solve_joint(prepare_columns([short], model, SCALES), model, {"Qx": WHITE})
 
 
 # Uncertain inputs ---------------------------------------------------------------------------------
@@ -512,10 +513,10 @@ def test_preparing_again_gives_what_preparing_anew_does():
     series = three_rates(TRUTH)
     before = Unknowns((*unknowns(TRUTH, PRIORS), tilt), (gyro,))
     after = replace(before, considered=(k_oo, gyro), inputs={"centrifuge.radius": 1e-4})
-    fit = joint.solve_joint(joint.prepare(series, before, SCALES), before, {"Qx": WHITE})
+    fit = solve_joint(prepare_columns(series, before, SCALES), before, {"Qx": WHITE})
     other = {"Qx": 1.5}
-    again = joint.prepare_again(fit, after, other)
-    anew = joint.prepare(series, after, other, fit.solution.estimate)
+    again = fit.prepared_for(after, other)
+    anew = prepare_columns(series, after, other, fit.solution.estimate)
     for one, two in zip(again, anew, strict=True):
         assert (one.scale_factor, one.unknowns, one.considered) == (
             two.scale_factor,
@@ -536,19 +537,19 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
         "centrifuge.radius": 1e-4,
         "site.gravity": 1e-4,
         "site.latitude": 1e-3,
-        joint.TIMING: 1e-6,
+        TIMING: 1e-6,
     }
     model = Unknowns(unknowns(TRUTH, PRIORS), inputs=sizes)
     plain = replace(model, inputs=None)
     noise = {"Qx": WHITE}
-    first = joint.solve_joint(joint.prepare(series, plain, SCALES), plain, noise).solution
-    fit = joint.solve_joint(joint.prepare(series, model, SCALES, first.estimate), model, noise)
+    first = solve_joint(prepare_columns(series, plain, SCALES), plain, noise).solution
+    fit = solve_joint(prepare_columns(series, model, SCALES, first.estimate), model, noise)
 
     def assumed(name, size):
         """The estimate from the same output when another value of the input is taken."""
         moved = []
         for one in series:
-            if name == joint.TIMING:
+            if name == TIMING:
                 # Angles taken later were reached later: the spindle was behind by that time.
                 behind = replace(
                     one.trajectory.spindle,
@@ -557,11 +558,11 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
                 )
                 motion = replace(one.trajectory, spindle=behind)
             else:
-                motion = joint.INPUTS[name](one.trajectory, size)
+                motion = INPUTS[name](one.trajectory, size)
             error = one.error + one.reference() - one.reference(motion)
             moved.append(replace(one, trajectory=motion, error=error))
-        prepared = joint.prepare(moved, plain, SCALES)
-        return joint.solve_joint(prepared, plain, noise).solution.estimate
+        prepared = prepare_columns(moved, plain, SCALES)
+        return solve_joint(prepared, plain, noise).solution.estimate
 
     for place, (name, size) in enumerate(sizes.items()):
         by_difference = (assumed(name, size) - assumed(name, -size)) / (2 * size)
@@ -586,7 +587,7 @@ def test_freedom_is_what_chi_square_comes_to_in_each_run():
         )
     )
     rng = np.random.default_rng(23)
-    clean = joint.prepare(three_rates(TRUTH, revolutions=2, per_revolution=6), model, SCALES)
+    clean = prepare_columns(three_rates(TRUTH, revolutions=2, per_revolution=6), model, SCALES)
     sd = np.array([u.prior[1] if np.isfinite(u.prior[1]) else 0.0 for u in model.unknowns])
     trials, sums = 1500, np.zeros(3)
     for _ in range(trials):
@@ -595,9 +596,9 @@ def test_freedom_is_what_chi_square_comes_to_in_each_run():
         for one in redrawn(clean, WHITE, rng):
             error = one.series.error + one.design @ off[list(one.unknowns)]
             drawn.append(replace(one, series=replace(one.series, error=error)))
-        fit = joint.solve_joint(drawn, model, {"Qx": WHITE})
-        sums += [np.sum(joint.residuals(fit, index)[1] ** 2) for index in range(3)]
-    expected = np.array(joint.freedom(fit))
+        fit = solve_joint(drawn, model, {"Qx": WHITE})
+        sums += [np.sum(fit.residuals[index].whitened ** 2) for index in range(3)]
+    expected = np.array(fit.degrees_of_freedom)
     np.testing.assert_allclose(
         sums / trials, expected, atol=4 * np.sqrt(2 * expected / trials).max()
     )

@@ -9,9 +9,9 @@ import pytest
 from joint_campaign import RATES, noisy, simulated, unknowns
 from scipy.special import ndtr, stdtr, stdtrit
 
-from counterspin.inference.joint import fit as joint
 from counterspin.inference.joint.budget import UNSEEN, budget
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
@@ -195,10 +195,26 @@ def test_what_a_walk_adds_is_what_it_does_to_these_weights(dropped):
             )
             for one in found.fit.prepared
         )
-        estimates.append(joint.solve_joint(walks, MODEL, found.fit.noise).solution.estimate)
+        estimates.append(solve_joint(walks, MODEL, found.fit.noise).solution.estimate)
     variance = np.var(estimates, axis=0)
     ratio = variance[[0, 2]] / np.diag(covariance)[[0, 2]]
     np.testing.assert_allclose(ratio, 1.0, atol=4 * math.sqrt(2 / trials))
+
+
+def test_an_unknown_that_is_known_exactly_stays_so(dropped):
+    """Its u is zero, by which nothing may be divided."""
+    drawn, found = dropped
+    exact = Unknowns(
+        tuple(
+            replace(unknown, prior=(TRUTH["K_I"], 0.0)) if unknown.symbol == "K_I" else unknown
+            for unknown in MODEL.unknowns
+        )
+    )
+    again = estimate(drawn, exact, BOTH, reject=False)
+    place = [unknown.symbol for unknown in exact.unknowns].index("K_I")
+    assert again.fit.solution.u[place] == 0.0
+    # K_F feels the walk as before.
+    assert again.fit.solution.u[0] == pytest.approx(found.fit.solution.u[0], rel=0.05)
 
 
 def test_the_budget_says_what_does_not_show(dropped):

@@ -113,7 +113,7 @@ def mixed():
     def covariance(level):
         whitener = make_whitener(times, 2, level)
         design = columns(times)
-        if whitener.keeps_polynomials:
+        if whitener.polynomials:
             design = np.column_stack([design, polynomials])
         return whitener, np.linalg.pinv(whitener.apply(design))
 

@@ -22,6 +22,7 @@ from counterspin.calibration.result_parts import (
     Jackknife,
     NoiseLine,
 )
+from counterspin.inference.diagnostics import AGREEMENT
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
@@ -34,9 +35,6 @@ from counterspin.reports.numbers import (
     format_uncertainty,
     round_to_uncertainty,
 )
-
-#: Up to this many standard uncertainties two methods agree; good campaigns exceed it in 0.3 %.
-AGREES: Final = 3.0
 
 #: Above this correlation, estimates are named as moving together.
 _STRONG: Final = 0.9
@@ -227,7 +225,7 @@ def _noise(noise: dict[str, NoiseLine], gravity: float) -> str:
 
 def _comparison(found: Comparison, coefficient: Coefficient | None) -> str:
     unit, factor = field_unit(coefficient.unit if coefficient else "")
-    agree = "they agree" if abs(found.z) <= AGREES else "they do not agree"
+    agree = "they agree" if abs(found.z) <= AGREEMENT else "they do not agree"
     value = format_estimate(found.value * factor, found.u * factor, unit)
     difference = format_estimate(found.difference * factor, found.u_difference * factor, unit)
     return (

@@ -15,7 +15,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.fit import JointFit, Unknown
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Combination
 
 #: Lines below this share of u^2 say nothing.
@@ -84,9 +85,8 @@ def budget(fit: JointFit, index: int) -> tuple[Line, ...]:
                 Line(unknown.name, "prior", unknown.prior[1], sensitivity, abs(parts.prior[j]), 0.0)
             )
     inputs = model.inputs or {}
-    sizes = [*(other.prior[1] for other in model.considered), *inputs.values()]
     encoded = {other.name for other in model.considered if other.symbol in encoder.SYMBOLS}
-    for k, (name, u) in enumerate(zip(model.considered_names, sizes, strict=True)):
+    for k, (name, u) in enumerate(zip(model.considered_names, model.considered_sizes, strict=True)):
         if name in encoded:
             continue
         kind = "input" if name in inputs else "considered"
@@ -112,7 +112,7 @@ def _encoder_lines(fit: JointFit, parts: Combination) -> list[Line]:
         if other.symbol in encoder.SYMBOLS:
             place = other.owner, encoder.part_of(other.symbol)
             signed.setdefault(place, []).append(float(contribution))
-    errors = {one.series.run: one.series.angle_error for one in fit.prepared}
+    errors = {prepared.run: prepared.series.angle_error for prepared in fit.prepared}
     lines = []
     for (run, part), contributions in signed.items():
         error = errors[run]
@@ -127,9 +127,9 @@ def _noise_by_accelerometer(fit: JointFit, rows: Array) -> dict[str, float]:
     """Sum the rows' contributions over the blocks of each accelerometer."""
     squares: dict[str, float] = {}
     start = 0
-    for block, one in zip(fit.blocks, fit.prepared, strict=True):
+    for block, prepared in zip(fit.blocks, fit.prepared, strict=True):
         end = start + block.factor.shape[0]
-        name = one.series.accelerometer
+        name = prepared.accelerometer
         squares[name] = squares.get(name, 0.0) + float(np.sum(rows[start:end] ** 2))
         start = end
     return {name: math.sqrt(square) for name, square in squares.items()}

@@ -38,7 +38,7 @@ SYMBOLS: Final = tuple(f"encoder.{part}" for part in SLOW) + tuple(
 _CONSIDERED: Final = 1e-5
 _ESTIMATED: Final = 1e-2
 
-#: In standard deviations of a term: farther off nobody would believe the encoder.
+#: Largest credible size of a term, in its standard deviations.
 _LIMIT: Final = 10.0
 
 
@@ -97,8 +97,8 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
     def force(t: Array) -> Array:
         # Only where the force itself is recorded, or squared, its Coriolis part is not lost.
         turning = 2.0 * np.cross(motion.site.earth_rotation, changed(t, 1))
-        found: Array = changed(t, 0) + turning
-        return found
+        total: Array = changed(t, 0) + turning
+        return total
 
     def of_products(t: Array) -> Array:
         slope = _slope(curved, matrix @ motion.specific_force(t).T / motion.site.gravity)
@@ -150,12 +150,14 @@ def with_encoder(
     """
     unknowns: list[Unknown] = []
     considered: list[Considered] = []
-    for run in dict.fromkeys(one.run for one in series):
-        own = [one for one in series if one.run == run]
+    for run in dict.fromkeys(record.run for record in series):
+        own = [record for record in series if record.run == run]
         error = own[0].angle_error
         if error is None:
             continue
-        norms = np.max([_norms(one, error, noise[one.accelerometer]) for one in own], axis=0)
+        norms = np.max(
+            [_norms(record, error, noise[record.accelerometer]) for record in own], axis=0
+        )
         values = error.standardised.tolist()
         for symbol, value, norm in zip(_symbols(error), values, norms.tolist(), strict=True):
             # What a harmonic left out is thought to be counts like its uncertainty.
@@ -176,12 +178,12 @@ def _norms(series: Series, error: AngleError, noise: NoiseModel) -> Array:
     """Return the squares of the terms' norms in a record, or bounds that are negligible, (m,)."""
     # In a record of specific force the accelerometer's noise is white too.
     walk = noise.random_walk**2 / series.block_spacing if series.order == 0 else 0.0
-    variance = noise.sample_variance + series.jitter**2 + walk
+    variance = series.total(noise).sample_variance + walk
     weight = series.count / np.maximum(variance, np.finfo(float).tiny)
     if series.order == 2:
         angle = error.largest @ np.abs(error.root)
         bound = np.sum(weight) * (series.trajectory.radius * angle) ** 2
         if np.all(bound * (1.0 + error.standardised**2) < _CONSIDERED):
             return np.asarray(bound)
-    found = columns(series, _symbols(error), {})
-    return np.asarray(weight @ found**2)
+    shown = columns(series, _symbols(error), {})
+    return np.asarray(weight @ shown**2)

@@ -17,13 +17,12 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import ROTATION, JointFit, Prepared
+from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.outliers import outlying
+from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.rotation import find_rotation
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.least_squares import REGULARISATION
+from counterspin.inference.joint.unknowns import ROTATION, Unknowns
 from counterspin.inference.noise import variance_components
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import lengthened
@@ -33,8 +32,12 @@ Rows = npt.NDArray[np.bool_]
 
 _ROUNDS: Final = 20  #: of outlier rejection
 
-#: Part of a walk that hardly shows, for the derivative at none.
-_LITTLE: Final = 1e-2
+#: Step of N^2 by which the covariance is differentiated at N = 0, as a part of the second level
+#: of the walk that the records allow.
+_DERIVATIVE_STEP: Final = 1e-2
+
+#: Least u of a prior in the likelihood, in units of the unknown's credible limit.
+_EXACT: Final = 1e-12
 
 #: A change of K_I by less than this changes no platform column noticeably.
 _SCALE_SETTLED: Final = 1e-4
@@ -76,12 +79,15 @@ class Estimate:
         Effective degrees of freedom of each unknown, shape (p,); infinite where noise is given.
     outliers
         For each series, which of its rows were left out, bool.
+    series
+        The data with these rows, about the rotation that was found where none was recorded.
     """
 
     fit: JointFit
     components: Mapping[str, VarianceComponents]
     dof: Array
-    outliers: tuple[Rows, ...]
+    outliers: tuple[Rows, ...] = ()
+    series: tuple[Series, ...] = ()
 
 
 def estimate(
@@ -120,38 +126,38 @@ def estimate(
     series = tuple(series)
     if any(unknown.symbol in ROTATION for unknown in model.unknowns):
         series = find_rotation(series, plain, _scale_factors(series, plain, None), rough)
-    prepared = joint.prepare(series, plain, _scale_factors(series, plain, None))
-    outliers = [np.zeros(one.time.size, dtype=bool) for one in series]
-    fit = joint.solve_joint(prepared, plain, rough)
+    prepared = prepare_columns(series, plain, _scale_factors(series, plain, None))
+    outliers = [np.zeros(record.time.size, dtype=bool) for record in series]
+    fit = solve_joint(prepared, plain, rough)
     if reject:
         fit = _reject(fit, requests, outliers)
     prepared = fit.prepared
     noise, components = _noise(prepared, plain, requests)
-    fit = joint.with_noise(fit, noise)
-    kept = [one.series for one in prepared]
+    fit = fit.with_noise(noise)
+    kept = [part.series for part in prepared]
     before = _scale_factors(series, plain, None)
     whole = encoder.with_encoder(plain, kept, noise)
     if whole is not plain:
         # What the encoder has not shown is in the residuals until then.
-        prepared = joint.prepare_again(fit, whole, before)
+        prepared = fit.prepared_for(whole, before)
         noise, components = _noise(prepared, whole, requests)
-        fit = joint.solve_joint(prepared, whole, noise)
+        fit = solve_joint(prepared, whole, noise)
     scale_factors = _scale_factors(series, plain, fit)
     moved = any(abs(scale_factors[a] - before[a]) > _SCALE_SETTLED for a in before)
     if model.inputs or moved:
         whole = replace(whole, inputs=model.inputs)
-        prepared = joint.prepare_again(fit, whole, scale_factors)
-        fit = joint.solve_joint(prepared, whole, noise)
+        prepared = fit.prepared_for(whole, scale_factors)
+        fit = solve_joint(prepared, whole, noise)
     dof = _effective_dof(fit, components)
     fit, dof = _with_unseen(fit, components, dof)
-    return Estimate(fit, components, dof, tuple(outliers))
+    return Estimate(fit, components, dof, tuple(outliers), series)
 
 
 def _scale_factors(
     series: Sequence[Series], model: Unknowns, fit: JointFit | None
 ) -> dict[str, float]:
     """Return K_I of each accelerometer: estimated, or known beforehand, or 1."""
-    factors = {one.accelerometer: 1.0 for one in series}
+    factors = {record.accelerometer: 1.0 for record in series}
     for index, unknown in enumerate(model.unknowns):
         if unknown.symbol == "K_I":
             if fit is not None and fit.solution.u[index] < unknown.limit:
@@ -164,43 +170,33 @@ def _scale_factors(
 
 def _reject(fit: JointFit, requests: Mapping[str, NoiseRequest], outliers: list[Rows]) -> JointFit:
     """Leave outliers out, refitting until there are none; marks them in `outliers`."""
-    places = [(one.series.time, np.sqrt(one.series.count)) for one in fit.prepared]
+    places = [(part.series.time, np.sqrt(part.series.count)) for part in fit.prepared]
     for _ in range(_ROUNDS):
-        found = []
-        for index, (one, mask) in enumerate(zip(fit.prepared, outliers, strict=True)):
+        further = []
+        for index, (part, mask) in enumerate(zip(fit.prepared, outliers, strict=True)):
             time, weight = places[index]
             left = np.full(time.size, np.nan)
-            left[~mask] = joint.residuals(fit, index)[0]
-            step = requests[one.series.accelerometer].quantisation
-            found.append(outlying(left, weight, step / math.sqrt(12.0), time))
-        if not any(mask.any() for mask in found):
+            left[~mask] = fit.residuals[index].plain
+            step = requests[part.accelerometer].quantisation
+            further.append(outlying(left, weight, step / math.sqrt(12.0), time))
+        if not any(mask.any() for mask in further):
             return fit
         prepared = tuple(
-            _without(one, new[~mask]) if new.any() else one
-            for one, new, mask in zip(fit.prepared, found, outliers, strict=True)
+            part.without(new[~mask]) if new.any() else part
+            for part, new, mask in zip(fit.prepared, further, outliers, strict=True)
         )
-        for mask, new in zip(outliers, found, strict=True):
+        for mask, new in zip(outliers, further, strict=True):
             mask[new] = True
-        fit = joint.solve_joint(prepared, fit.model, fit.noise)
+        fit = solve_joint(prepared, fit.model, fit.noise)
     where = " and ".join(
-        f"{one.series.run} ({one.series.accelerometer})"
-        for one, mask in zip(fit.prepared, found, strict=True)
+        f"{part.run} ({part.accelerometer})"
+        for part, mask in zip(fit.prepared, further, strict=True)
         if mask.any()
     )
     raise ConvergenceError(
         f"{where}: outliers were still found after {_ROUNDS} rounds of leaving them out: the "
         "residuals are not noise around a smooth curve; look at the record, for a clock or a "
         "displacement that jumps, or add the missing terms to the model"
-    )
-
-
-def _without(prepared: Prepared, drop: Rows) -> Prepared:
-    keep = np.logical_not(drop)
-    return replace(
-        prepared,
-        series=prepared.series.without(drop),
-        design=prepared.design[keep],
-        fixed=prepared.fixed[keep],
     )
 
 
@@ -214,7 +210,7 @@ def _noise(
         if request.given is not None:
             noise[name] = request.given
             continue
-        own = [one for one in prepared if one.series.accelerometer == name]
+        own = [part for part in prepared if part.accelerometer == name]
         components[name] = _components(own, model, request)
         noise[name] = components[name].noise
     return noise, components
@@ -223,44 +219,36 @@ def _noise(
 def _components(
     prepared: Sequence[Prepared], model: Unknowns, request: NoiseRequest
 ) -> VarianceComponents:
-    used = sorted({index for one in prepared for index in one.unknowns})
-    records = []
-    for one in prepared:
-        series = one.series
-        records.append(
-            RecordData(
-                series.time,
-                series.order,
-                one.design,
-                joint.unexplained(one, model),
-                series.count,
-                series.block_spacing,
-                [used.index(index) for index in one.unknowns],
-            )
+    used = sorted({index for part in prepared for index in part.unknowns})
+    records = [
+        RecordData(
+            part.series.time,
+            part.series.order,
+            part.design,
+            part.unexplained(model),
+            part.series.count,
+            part.series.block_spacing,
+            [used.index(index) for index in part.unknowns],
         )
+        for part in prepared
+    ]
     # Priors are data too; what has none is held as loosely as in the solution.
     chosen = [model.unknowns[index] for index in used]
-    spread = np.array(
-        [u.prior[1] if math.isfinite(u.prior[1]) else REGULARISATION * u.limit for u in chosen]
-    )
-    spread = np.maximum(spread, 1e-12 * np.array([unknown.limit for unknown in chosen]))
-    means = [
-        unknown.prior[0] - unknown.nominal if math.isfinite(unknown.prior[1]) else 0.0
-        for unknown in chosen
-    ]
+    spread = np.array([max(unknown.spread, _EXACT * unknown.limit) for unknown in chosen])
+    means = np.array([unknown.prior_mean for unknown in chosen])
     # Like quantisation, noise of the time stamps is white noise of a known size; its mean square
     # over the runs serves here, while the fit gives each run its own.
-    rows = sum(one.series.time.size for one in prepared)
-    jitter = sum(one.series.time.size * one.series.jitter**2 for one in prepared) / rows
-    found = variance_components.estimate(
+    sizes = np.array([part.series.time.size for part in prepared])
+    jitter = np.average([part.series.jitter**2 for part in prepared], weights=sizes)
+    components = variance_components.estimate(
         records,
         white=request.white,
         random_walk=request.random_walk,
         quantisation=math.sqrt(request.quantisation**2 + 12.0 * jitter),
         prior_rows=np.diag(1.0 / spread),
-        prior_values=np.array(means) / spread,
+        prior_values=means / spread,
     )
-    return replace(found, quantisation=request.quantisation)
+    return replace(components, quantisation=request.quantisation)
 
 
 def _effective_dof(fit: JointFit, components: Mapping[str, VarianceComponents]) -> Array:
@@ -269,7 +257,7 @@ def _effective_dof(fit: JointFit, components: Mapping[str, VarianceComponents]) 
     for name, component in components.items():
 
         def variances(noise: NoiseModel, name: str = name) -> Array:
-            return np.diag(joint.with_noise(fit, {name: noise}).solution.covariance)
+            return np.diag(fit.with_noise({name: noise}).solution.covariance)
 
         inverse += 1.0 / variance_components.effective_dof_of(variances, component)
     with np.errstate(divide="ignore"):
@@ -282,20 +270,22 @@ def _with_unseen(
     """Return the fit with what dropped walks may add to its uncertainty, and the new dof.
 
     At the optimum of the weights, what a little walk adds to the least variance is what it adds to
-    that of the weights without it. Unknowns that are not determined are left as they are.
+    that of the weights without it. Unknowns that are not determined, or known exactly, are left as
+    they are.
     """
     solution = fit.solution
     before = solution.covariance
-    known = np.array([unknown.limit for unknown in fit.model.unknowns]) > solution.u
+    limits = np.array([unknown.limit for unknown in fit.model.unknowns])
+    known = (solution.u > 0.0) & (solution.u < limits)
     unseen: dict[str, tuple[float, Array]] = {}
     inverse = 1.0 / dof
     for name, component in components.items():
         if component.unseen is None or not known.any():
             continue
-        little = _LITTLE * float(component.unseen.levels[1])
-        walking = replace(fit.noise[name], random_walk=math.sqrt(little))
-        after = joint.with_noise(fit, {name: walking}).solution.covariance
-        slope = np.where(np.outer(known, known), (after - before) / little, 0.0)
+        step = _DERIVATIVE_STEP * float(component.unseen.levels[1])
+        walking = replace(fit.noise[name], random_walk=math.sqrt(step))
+        after = fit.with_noise({name: walking}).solution.covariance
+        slope = np.where(np.outer(known, known), (after - before) / step, 0.0)
         # Rounding may leave a coefficient that feels nothing slightly below zero.
         diagonal = np.maximum(np.diag(slope), 0.0)
         if not diagonal.any():
@@ -309,6 +299,6 @@ def _with_unseen(
     if not unseen:
         return fit, dof
     total: Array = sum((covariance for _, covariance in unseen.values()), np.zeros_like(before))
-    found = replace(fit, solution=replace(solution, covariance_unseen=total), unseen=unseen)
+    wider = replace(fit, solution=replace(solution, covariance_unseen=total), unseen=unseen)
     with np.errstate(divide="ignore"):
-        return found, 1.0 / inverse
+        return wider, 1.0 / inverse

@@ -6,12 +6,11 @@ are solved together with the priors and the considered terms. Whatever is asked 
 noise level, a run left out, one more considered input) starts from the prepared columns or the
 blocks, not from the records.
 
-The problem is an `Unknowns` (`counterspin.inference.joint.unknowns`) beside the series
-(`counterspin.inference.joint.series`).
+The problem is an `Unknowns` (`counterspin.inference.joint.unknowns`) beside the prepared series
+(`counterspin.inference.joint.prepared`).
 
-- `prepare`, `prepare_again`: the columns, each computed once
-- `solve_joint`, `with_noise`, `JointFit`: the answer
-- `residuals`, `freedom`, `unexplained`, `leave_out`: checks of it
+- `solve_joint`: the answer
+- `JointFit`: the answer for other noise or without a run, its residuals, its degrees of freedom
 """
 
 from __future__ import annotations
@@ -27,158 +26,26 @@ from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block, reduce_block
-from counterspin.inference.joint import encoder
-from counterspin.inference.joint.inputs import INPUTS, TIMING, input_column, rotation_column
-from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
+from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import NoiseModel
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
-
-__all__ = [
-    "INPUTS",
-    "ROTATION",
-    "TIMING",
-    "Considered",
-    "JointFit",
-    "Prepared",
-    "Unknown",
-    "freedom",
-    "leave_out",
-    "prepare",
-    "prepare_again",
-    "residuals",
-    "solve_joint",
-    "unexplained",
-    "with_noise",
-]
 
 
 @dataclass(frozen=True)
-class Prepared:
-    """A series and its columns, ready to be weighted with any noise.
+class Residuals:
+    """What a fit leaves of one series.
 
     Attributes
     ----------
-    series
-        The series.
-    scale_factor
-        K_I with which it sees the platform's errors.
-    unknowns, considered
-        Which of the model's unknowns and considered columns the columns below belong to.
-    design, fixed
-        Their columns, shapes (n, m) and (n, c).
+    plain
+        In the series' own unit, shape (n,).
+    whitened
+        In rows of unit variance, shape (m,), m <= n: differences belong to the later rows.
     """
 
-    series: Series
-    scale_factor: float
-    unknowns: tuple[int, ...]
-    design: Array
-    considered: tuple[int, ...]
-    fixed: Array
-
-
-def prepare(
-    series: Sequence[Series],
-    model: Unknowns,
-    scale_factors: Mapping[str, float],
-    estimate: Array | None = None,
-) -> tuple[Prepared, ...]:
-    """Compute every column of a problem.
-
-    Parameters
-    ----------
-    series
-        The data.
-    model
-        What is estimated and considered.
-    scale_factors
-        K_I of each accelerometer, with which it sees the platform's errors.
-    estimate
-        Values of the unknowns, less nominal, shape (p,), at which the uncertain inputs'
-        derivatives are taken; None: those of a perfect system.
-    """
-    values = np.zeros(len(model.unknowns)) if estimate is None else estimate
-    return tuple(
-        _prepare(one, model, scale_factors[one.accelerometer], values, {}) for one in series
-    )
-
-
-def prepare_again(
-    fit: JointFit, model: Unknowns, scale_factors: Mapping[str, float]
-) -> tuple[Prepared, ...]:
-    """Return the columns of a solved problem for another model or for other scale factors.
-
-    A record shows of a term what it did, but for the scale factor with which it shows the
-    platform's: only what is new is computed. Derivatives that depend on the unknowns are taken at
-    the fit's estimate; unknowns that it did not have count as nominal.
-
-    Parameters
-    ----------
-    fit
-        The solved problem.
-    model, scale_factors
-        As for `prepare`.
-    """
-    found = dict(zip(fit.model.unknowns, fit.solution.estimate.tolist(), strict=True))
-    values = np.array([found.get(unknown, 0.0) for unknown in model.unknowns])
-    return tuple(
-        _prepare(one.series, model, factor, values, _terms_shown(one, fit.model, factor))
-        for one in fit.prepared
-        for factor in (scale_factors[one.series.accelerometer],)
-    )
-
-
-def _terms_shown(prepared: Prepared, model: Unknowns, scale_factor: float) -> dict[str, Array]:
-    """Return term -> its column, of those that stay as they are whatever the estimate is."""
-    columns = [*prepared.design.T, *prepared.fixed.T]
-    terms = [model.unknowns[i].symbol for i in prepared.unknowns]
-    terms += [model.considered[i].symbol for i in prepared.considered if i < len(model.considered)]
-    ratio = scale_factor / prepared.scale_factor
-    return {
-        symbol: ratio * column if symbol in PLATFORM_TERMS else column
-        for symbol, column in zip(terms, columns, strict=False)
-        if symbol not in encoder.SYMBOLS
-    }
-
-
-def _prepare(
-    series: Series,
-    model: Unknowns,
-    scale_factor: float,
-    estimate: Array,
-    shown: Mapping[str, Array],
-) -> Prepared:
-    """Compute the columns of one series, but for those that are known already."""
-    unknowns = tuple(i for i, unknown in enumerate(model.unknowns) if unknown.concerns(series))
-    considered = tuple(i for i, other in enumerate(model.considered) if other.concerns(series))
-    symbols = [model.unknowns[i].symbol for i in unknowns]
-    ignored = [model.considered[i].symbol for i in considered]
-    turned = [symbol for symbol in (*symbols, *ignored) if symbol in ROTATION]
-    encoded = [symbol for symbol in (*symbols, *ignored) if symbol in encoder.SYMBOLS]
-    terms = [symbol for symbol in (*symbols, *ignored) if symbol not in (*turned, *encoded)]
-    new = [symbol for symbol in terms if symbol not in shown]
-    table = dict(shown)
-    table |= dict(zip(new, series.columns(new, scale_factor).T, strict=True))
-    table |= {s: rotation_column(series, s) for s in turned if s not in shown}
-    known = {s: v for s, v in zip(symbols, estimate[list(unknowns)], strict=True) if s in terms}
-    own = {"K_I": scale_factor - 1.0} | {s: v for s, v in known.items() if s in TERMS}
-    table |= dict(zip(encoded, encoder.columns(series, encoded, own).T, strict=True))
-    n = series.time.size
-    design = np.column_stack([table[s] for s in symbols] or [np.empty((n, 0))])
-    fixed = [table[symbol] for symbol in ignored]
-    first_input = len(model.considered)
-    for name in model.inputs or ():
-        fixed.append(input_column(series, name, scale_factor, known, table))
-    inputs = tuple(range(first_input, first_input + len(model.inputs or ())))
-    return Prepared(
-        series,
-        scale_factor,
-        unknowns,
-        design,
-        considered + inputs,
-        np.column_stack(fixed or [np.empty((n, 0))]),
-    )
+    plain: Array
+    whitened: Array
 
 
 @dataclass(frozen=True)
@@ -207,10 +74,84 @@ class JointFit:
     noise: Mapping[str, NoiseModel]
     unseen: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
 
+    def with_noise(self, noise: Mapping[str, NoiseModel]) -> JointFit:
+        """Return the fit with other noise; records whose noise stays remain as they are reduced.
+
+        Parameters
+        ----------
+        noise
+            By accelerometer, of those whose noise is another.
+        """
+        blocks = tuple(
+            _block_again(block, prepared, self.model, self.noise[name], noise[name])
+            if (name := prepared.accelerometer) in noise
+            else block
+            for block, prepared in zip(self.blocks, self.prepared, strict=True)
+        )
+        solution = _solve(blocks, self.model)
+        return JointFit(self.model, solution, self.prepared, blocks, {**self.noise, **noise})
+
+    def without_run(self, run: str) -> Solution | None:
+        """Return the solution without one run; None if nothing is left."""
+        kept = [
+            block
+            for block, prepared in zip(self.blocks, self.prepared, strict=True)
+            if prepared.run != run
+        ]
+        return _solve(kept, self.model) if kept else None
+
+    def prepared_for(
+        self, model: Unknowns, scale_factors: Mapping[str, float]
+    ) -> tuple[Prepared, ...]:
+        """Return the columns for another model or for other scale factors.
+
+        Only what is new is computed. Derivatives that depend on the unknowns are taken at this
+        fit's estimate; unknowns that it does not have count as nominal.
+
+        Parameters
+        ----------
+        model, scale_factors
+            As for `counterspin.inference.joint.prepared.prepare_columns`.
+        """
+        known = dict(zip(self.model.unknowns, self.solution.estimate.tolist(), strict=True))
+        values = np.array([known.get(unknown, 0.0) for unknown in model.unknowns])
+        return tuple(
+            prepared.again(self.model, model, scale_factors[prepared.accelerometer], values)
+            for prepared in self.prepared
+        )
+
     @cached_property
-    def known_residuals(self) -> dict[int, tuple[Array, Array]]:
-        """What `residuals` has worked out already, for several checks ask for the same."""
-        return {}
+    def residuals(self) -> tuple[Residuals, ...]:
+        """What is left of each series."""
+        return tuple(self._residuals_of(prepared) for prepared in self.prepared)
+
+    def _residuals_of(self, prepared: Prepared) -> Residuals:
+        series = prepared.series
+        left = prepared.unexplained(self.model)
+        left = left - prepared.design @ self.solution.estimate[list(prepared.unknowns)]
+        whiten = series.whitener(self.noise[series.accelerometer])
+        if whiten.polynomials == 0:
+            # The differences have removed the start errors; the plain residuals need them back.
+            own = series.polynomials(series.order)
+            start = np.linalg.lstsq(own, left, rcond=None)[0]
+            return Residuals(left - own @ start, whiten.apply(left))
+        own = series.polynomials(whiten.polynomials)
+        rows = whiten.apply(np.column_stack([own, left]))
+        start = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)[0]
+        return Residuals(left - own @ start, rows[:, -1] - rows[:, :-1] @ start)
+
+    @cached_property
+    def degrees_of_freedom(self) -> tuple[float, ...]:
+        """Degrees of freedom of each series' residuals.
+
+        Rows less the series' own unknowns, less what the fit of all series and priors follows.
+        """
+        ends = np.cumsum([block.factor.shape[0] for block in self.blocks])
+        followed = np.add.reduceat(self.solution.leverages, np.append(0, ends[:-1]))
+        return tuple(
+            block.rows - block.nuisance - float(part)
+            for block, part in zip(self.blocks, followed, strict=True)
+        )
 
 
 def solve_joint(
@@ -221,7 +162,7 @@ def solve_joint(
     Parameters
     ----------
     prepared
-        From `prepare`, for the same model.
+        From `counterspin.inference.joint.prepared.prepare_columns`, for the same model.
     model
         What is estimated and considered.
     noise
@@ -236,28 +177,8 @@ def solve_joint(
     NotIdentifiableError
         If a record is too short for its own start offset and velocity.
     """
-    blocks = tuple(_block(one, model, noise[one.series.accelerometer]) for one in prepared)
+    blocks = tuple(_block(part, model, noise[part.accelerometer]) for part in prepared)
     return JointFit(model, _solve(blocks, model), tuple(prepared), blocks, noise)
-
-
-def with_noise(fit: JointFit, noise: Mapping[str, NoiseModel]) -> JointFit:
-    """Return the fit with other noise; records whose noise stays remain as they are reduced.
-
-    Parameters
-    ----------
-    fit
-        A solved problem.
-    noise
-        By accelerometer, of those whose noise is another.
-    """
-    blocks = list(fit.blocks)
-    for index, one in enumerate(fit.prepared):
-        name = one.series.accelerometer
-        if name in noise:
-            before = fit.noise[name]
-            blocks[index] = _block_again(blocks[index], one, fit.model, before, noise[name])
-    solution = _solve(blocks, fit.model)
-    return JointFit(fit.model, solution, fit.prepared, tuple(blocks), {**fit.noise, **noise})
 
 
 def _block_again(
@@ -298,80 +219,11 @@ def _block(prepared: Prepared, model: Unknowns, noise: NoiseModel) -> Block:
 
 
 def _solve(blocks: Sequence[Block], model: Unknowns) -> Solution:
-    inputs = model.inputs or {}
     return least_squares.solve(
         blocks,
-        prior_mean=_prior_means(model.unknowns),
+        prior_mean=[unknown.prior_mean for unknown in model.unknowns],
         prior_sd=[unknown.prior[1] for unknown in model.unknowns],
-        considered_mean=[*_prior_means(model.considered), *(0.0 for _ in inputs)],
-        considered_sd=[*(other.prior[1] for other in model.considered), *inputs.values()],
+        considered_mean=model.considered_means,
+        considered_sd=model.considered_sizes,
         limits=[unknown.limit for unknown in model.unknowns],
     )
-
-
-def _prior_means(unknowns: Sequence[Unknown]) -> list[float]:
-    """Return prior values less nominal; where nothing is known, nominal itself."""
-    return [
-        unknown.prior[0] - unknown.nominal if np.isfinite(unknown.prior[1]) else 0.0
-        for unknown in unknowns
-    ]
-
-
-def unexplained(prepared: Prepared, model: Unknowns) -> Array:
-    """Return a series' error less what the considered terms' assumed values put into it, (n,)."""
-    means = np.array(_prior_means(model.considered) + [0.0] * len(model.inputs or ()))
-    left: Array = prepared.series.error - prepared.fixed @ means[list(prepared.considered)]
-    return left
-
-
-def leave_out(fit: JointFit, run: str) -> Solution | None:
-    """Return the solution without one run; None if nothing is left."""
-    kept = [
-        block for block, one in zip(fit.blocks, fit.prepared, strict=True) if one.series.run != run
-    ]
-    return _solve(kept, fit.model) if kept else None
-
-
-def freedom(fit: JointFit) -> list[float]:
-    """Return the degrees of freedom of each series' residuals.
-
-    Rows less the series' own unknowns, less what the fit of all series and priors follows of it.
-    """
-    ends = np.cumsum([block.factor.shape[0] for block in fit.blocks])
-    followed = np.add.reduceat(fit.solution.leverages, np.append(0, ends[:-1]))
-    return [
-        block.rows - block.nuisance - float(part)
-        for block, part in zip(fit.blocks, followed, strict=True)
-    ]
-
-
-def residuals(fit: JointFit, index: int) -> tuple[Array, Array]:
-    """Return the residuals of one series: in its own unit (n,), and whitened (m,).
-
-    Parameters
-    ----------
-    fit
-        The solved problem.
-    index
-        Which series.
-    """
-    if index not in fit.known_residuals:
-        fit.known_residuals[index] = _residuals(fit, index)
-    return fit.known_residuals[index]
-
-
-def _residuals(fit: JointFit, index: int) -> tuple[Array, Array]:
-    prepared = fit.prepared[index]
-    series = prepared.series
-    left = unexplained(prepared, fit.model)
-    left = left - prepared.design @ fit.solution.estimate[list(prepared.unknowns)]
-    whiten = series.whitener(fit.noise[series.accelerometer])
-    if whiten.polynomials == 0:
-        # The differences have removed the start errors; the plain residuals need them back.
-        own = series.polynomials(series.order)
-        start = np.linalg.lstsq(own, left, rcond=None)[0]
-        return left - own @ start, whiten.apply(left)
-    own = series.polynomials(whiten.polynomials)
-    rows = whiten.apply(np.column_stack([own, left]))
-    start = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)[0]
-    return left - own @ start, rows[:, -1] - rows[:, :-1] @ start

@@ -17,10 +17,10 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import Considered, JointFit
+from counterspin.inference.joint.fit import JointFit, solve_joint
+from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.unknowns import Considered, Unknowns
 
 #: Rows that are enough: sensitivities depend on the columns' shapes, not on the sampling.
 _ROWS: Final = 3072
@@ -45,20 +45,20 @@ def sensitivities(fit: JointFit, terms: Sequence[Considered]) -> Array:
     Array
         Shape (p, q), in the unknown's unit per unit of the term.
     """
-    series = [one.series for one in fit.prepared]
-    step = max(1, math.ceil(sum(one.time.size for one in series) / _ROWS))
+    series = [prepared.series for prepared in fit.prepared]
+    step = max(1, math.ceil(sum(record.time.size for record in series) / _ROWS))
     model = Unknowns(fit.model.unknowns, tuple(terms))
-    scale_factors = {one.accelerometer: 1.0 for one in series}
-    prepared = joint.prepare([_thinned(one, step) for one in series], model, scale_factors)
+    scale_factors = {record.accelerometer: 1.0 for record in series}
+    thinned = prepare_columns([_thinned(record, step) for record in series], model, scale_factors)
     noise = {
         name: replace(
             level,
-            white=math.hypot(level.white, level.quantisation / math.sqrt(12.0)) / math.sqrt(step),
+            white=math.sqrt(level.sample_variance / step),
             quantisation=0.0,
         )
         for name, level in fit.noise.items()
     }
-    moved: Array = -joint.solve_joint(prepared, model, noise).solution.sensitivity_considered
+    moved: Array = -solve_joint(thinned, model, noise).solution.sensitivity_considered
     return moved
 
 

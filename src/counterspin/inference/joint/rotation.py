@@ -13,10 +13,10 @@ from typing import Final
 import numpy as np
 
 from counterspin.errors import ConvergenceError
-from counterspin.inference.joint import fit as joint
-from counterspin.inference.joint.fit import ROTATION
+from counterspin.inference.joint.fit import solve_joint
+from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.unknowns import ROTATION, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 
 _ROUNDS: Final = 20  #: of Gauss and Newton's iteration
@@ -50,7 +50,7 @@ def find_rotation(
     model
         With the unknowns `ROTATION` of each run.
     scale_factors
-        K_I of each accelerometer, as for `joint.prepare`.
+        K_I of each accelerometer, as for `prepare_columns`.
     rough
         Weights: noise of each accelerometer.
 
@@ -59,19 +59,20 @@ def find_rotation(
     ConvergenceError
         If the iteration does not settle.
     """
-    found = _guessed(series)
+    turned = _guessed(series)
     for _ in range(_ROUNDS):
-        prepared = joint.prepare(found, model, scale_factors)
-        solution = joint.solve_joint(prepared, model, rough).solution
+        prepared = prepare_columns(turned, model, scale_factors)
+        solution = solve_joint(prepared, model, rough).solution
         change: dict[str, dict[str, float]] = {}
         for unknown, value in zip(model.unknowns, solution.estimate, strict=True):
             if unknown.symbol in ROTATION:
                 change.setdefault(unknown.owner, {})[unknown.symbol] = float(value)
-        found = tuple(
-            _turned(one, *(change[one.run][symbol] for symbol in ROTATION)) for one in found
+        turned = tuple(
+            _turned(record, *(change[record.run][symbol] for symbol in ROTATION))
+            for record in turned
         )
-        if all(_end_angle(one, change[one.run]) < _SETTLED for one in found):
-            return found
+        if all(_end_angle(record, change[record.run]) < _SETTLED for record in turned):
+            return turned
     raise ConvergenceError(
         "the rotation could not be found from the displacement: the nominal rate is too far off; "
         "record the spindle's angle, or state the rate more closely"
@@ -81,14 +82,15 @@ def find_rotation(
 def _guessed(series: Sequence[Series]) -> tuple[Series, ...]:
     """Return the series about a first guess of each run's rotation."""
     guesses = {}
-    for run in dict.fromkeys(one.run for one in series):
-        own = [one for one in series if one.run == run]
+    for run in dict.fromkeys(record.run for record in series):
+        own = [record for record in series if record.run == run]
         horizontal = [
-            float(np.linalg.norm(one.mounting.turned(one.attitude).input_axis[:2])) for one in own
+            float(np.linalg.norm(record.mounting.turned(record.attitude).input_axis[:2]))
+            for record in own
         ]
         best = int(np.argmax(horizontal))
         guesses[run] = _guess(own[best]) if horizontal[best] > _HORIZONTAL else (0.0, 0.0, 0.0)
-    return tuple(_turned(one, *guesses[one.run]) for one in series)
+    return tuple(_turned(record, *guesses[record.run]) for record in series)
 
 
 def _guess(series: Series) -> tuple[float, float, float]:

@@ -1,6 +1,7 @@
 """One accelerometer's output in one run, as the joint fit takes it.
 
 - `Series`: samples or block means, with the columns and the whitening that belong to them
+- `jitter_of`: white noise of a sample that comes from noise of its time stamp
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +20,8 @@ from counterspin.physics import observation
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.angle_error import AngleError
 from counterspin.physics.motion import Trajectory
+
+Rate = TypeVar("Rate", float, Array)
 
 
 @dataclass(frozen=True)
@@ -131,3 +135,20 @@ class Series:
         return make_whitener(
             self.time, self.order, self.total(noise), self.count, self.block_spacing
         )
+
+
+def jitter_of(timing: float, radius: float, rate: Rate, order: int) -> Rate:
+    """Return what noise of the time stamps adds to each sample: its slope's rms times the noise.
+
+    Parameters
+    ----------
+    timing
+        Standard deviation of a time stamp, s.
+    radius
+        Of the centrifuge, m.
+    rate
+        Of the spindle, rad/s: a number or an array.
+    order
+        How often the observable integrates the specific force.
+    """
+    return timing * radius * abs(rate) ** (3 - order) / math.sqrt(2.0)

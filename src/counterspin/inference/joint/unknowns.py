@@ -6,11 +6,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 from counterspin.inference.joint.series import Series
+from counterspin.inference.least_squares import REGULARISATION
 from counterspin.physics.accelerometer import TERMS
 
 #: Rotation of a run as unknowns, where no angle is recorded: rad, rad/s, 1/s.
@@ -42,6 +44,16 @@ class Unknown:
     def nominal(self) -> float:
         """What the coefficient is in a perfect system."""
         return TERMS[self.symbol].nominal if self.symbol in TERMS else 0.0
+
+    @property
+    def prior_mean(self) -> float:
+        """The prior's value less nominal; where nothing is known, nominal itself, which is 0."""
+        return self.prior[0] - self.nominal if math.isfinite(self.prior[1]) else 0.0
+
+    @property
+    def spread(self) -> float:
+        """The prior's u; where nothing is known, that of the solver's numerical regularisation."""
+        return self.prior[1] if math.isfinite(self.prior[1]) else REGULARISATION * self.limit
 
     @property
     def name(self) -> str:
@@ -81,3 +93,13 @@ class Unknowns:
     def considered_names(self) -> tuple[str, ...]:
         """Names of the solution's considered columns."""
         return (*(c.name for c in self.considered), *(self.inputs or ()))
+
+    @property
+    def considered_means(self) -> list[float]:
+        """Assumed values of the solution's considered columns, less nominal."""
+        return [*(c.prior_mean for c in self.considered), *(0.0 for _ in self.inputs or ())]
+
+    @property
+    def considered_sizes(self) -> list[float]:
+        """Standard uncertainties of the solution's considered columns."""
+        return [*(c.prior[1] for c in self.considered), *(self.inputs or {}).values()]

@@ -224,11 +224,6 @@ class Whitener:
     polynomials: int
 
     @property
-    def keeps_polynomials(self) -> bool:
-        """Whether start offset (and velocity) are still in the whitened rows."""
-        return self.polynomials > 0
-
-    @property
     def rows(self) -> int:
         """How many rows come out."""
         return self.differences.rows

@@ -34,14 +34,14 @@ POWER: Final = 1.0 / 3.0
 _STEP: Final = 1.0
 
 #: Change of the log-likelihood by which a walk shows, and by which it is out of the question.
-_SHOWS: Final = 0.05
-_EXCLUDED: Final = 8.0
+_VISIBLE_CHANGE: Final = 0.05
+_EXCLUDING_CHANGE: Final = 8.0
 
-_MOST: Final = 60  #: steps
+_MOST_STEPS: Final = 60
 
 #: Levels at which the mixture and Student's distribution are made to agree: one u, and 95 %.
-_ONE: Final = float(ndtr(1.0))
-_INTERVAL: Final = 0.975
+_ONE_U: Final = float(ndtr(1.0))
+_HALF_INTERVAL: Final = 0.975
 
 
 @dataclass(frozen=True)
@@ -69,20 +69,20 @@ def unseen_walk(at: Callable[[float], tuple[float, float]], first: float, withou
         Log of a ratio of walk to white noise -> (log-likelihood at the best level of the white
         noise, log N^2).
     first
-        Log of a ratio at which a walk hardly shows.
+        Log of a ratio at which a walk only just begins to show.
     without
         Log-likelihood without a walk.
     """
-    for _ in range(_MOST):
-        if abs(at(first)[0] - without) < _SHOWS:
+    for _ in range(_MOST_STEPS):
+        if abs(at(first)[0] - without) < _VISIBLE_CHANGE:
             break
         first -= 2.0 * _STEP
     values, levels = [], []
-    for step in range(_MOST):
+    for step in range(_MOST_STEPS):
         value, log_level = at(first + step * _STEP)
         values.append(value)
         levels.append(log_level)
-        if value < max(without, *values) - _EXCLUDED:
+        if value < max(without, *values) - _EXCLUDING_CHANGE:
             break
     log_density = np.array(values) + POWER * np.array(levels)
     weights = _STEP * np.exp(log_density - log_density.max())
@@ -117,9 +117,9 @@ def lengthened(unseen: Unseen, variance: Array, slope: Array) -> tuple[float, Ar
     """
     spread = np.sqrt(variance[:, None] + slope[:, None] * unseen.levels)
     most = int(np.argmax(slope / variance))
-    one, wide = (_quantile(spread, unseen.weights, level) for level in (_ONE, _INTERVAL))
-    dof = _dof_of(float(wide[most] / one[most]))
-    u = float(one[most] / stdtrit(dof, _ONE))
+    narrow, wide = (_quantile(spread, unseen.weights, level) for level in (_ONE_U, _HALF_INTERVAL))
+    dof = _dof_of(float(wide[most] / narrow[most]))
+    u = float(narrow[most] / stdtrit(dof, _ONE_U))
     level = max(u**2 - variance[most], 0.0) / slope[most]
     needed = wide / np.sqrt(variance + slope * level)
     return level, np.array([_dof_for(float(size)) for size in needed])
@@ -137,12 +137,12 @@ def _quantile(spread: Array, weights: Array, level: float) -> Array:
 
 def _dof_of(ratio: float) -> float:
     """Return the degrees of freedom at which Student's two quantiles have this ratio."""
-    return _root(lambda dof: float(stdtrit(dof, _INTERVAL) / stdtrit(dof, _ONE)), ratio)
+    return _root(lambda dof: float(stdtrit(dof, _HALF_INTERVAL) / stdtrit(dof, _ONE_U)), ratio)
 
 
 def _dof_for(quantile: float) -> float:
     """Return the degrees of freedom of a given 97.5 % quantile."""
-    return _root(lambda dof: float(stdtrit(dof, _INTERVAL)), quantile)
+    return _root(lambda dof: float(stdtrit(dof, _HALF_INTERVAL)), quantile)
 
 
 def _root(function: Callable[[float], float], value: float) -> float:

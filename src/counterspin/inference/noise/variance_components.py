@@ -42,8 +42,8 @@ Array = NDArray[np.float64]
 #: Least gain in 2 log L that keeps a component: the upper 5 % point of its law at zero.
 KEEP: Final = 2.705543454095404
 
-#: Above the least ratio of a search, in logarithms, where a walk begins to show.
-_HARDLY: Final = 4.0
+#: Distance above the least ratio of a search, in logarithms, at which a walk begins to show.
+_DETECTION_LOG_RATIO: Final = 4.0
 
 _WHITE: Final = "white"
 _WALK: Final = "random_walk"
@@ -166,7 +166,7 @@ def _unseen(likelihood: RestrictedLikelihood, best: _Maximum, rules: _Rules) -> 
         log_scale = rules.log_scale(likelihood, ratio)
         return likelihood.value(log_scale, ratio), log_scale + log_ratio
 
-    return unseen_walk(at, float(likelihood.log_ratios[0]) + _HARDLY, best.value)
+    return unseen_walk(at, float(likelihood.log_ratios[0]) + _DETECTION_LOG_RATIO, best.value)
 
 
 def effective_dof(variance: ArrayLike, gradient: ArrayLike, covariance: ArrayLike) -> Array:

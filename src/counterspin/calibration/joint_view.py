@@ -1,0 +1,86 @@
+"""What a joint fit holds of one accelerometer.
+
+- `AccelerometerView`: its records, its unknowns, the tests of its residuals
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.inference.diagnostics import Diagnostics, diagnose
+from counterspin.inference.identifiability import Assessment
+from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.fit import JointFit, Residuals
+from counterspin.inference.joint.prepared import Prepared
+
+#: Degrees of freedom of a very short record, whose every row the fit may follow.
+_LEAST_FREEDOM: Final = 0.5
+
+
+@dataclass(frozen=True)
+class AccelerometerView:
+    """A joint fit as one accelerometer sees it.
+
+    Attributes
+    ----------
+    campaign
+        The description.
+    estimate
+        Of all accelerometers together.
+    assessment
+        Which unknowns the records determine.
+    name
+        The accelerometer's.
+    """
+
+    campaign: Campaign
+    estimate: Estimate
+    assessment: Assessment
+    name: str
+
+    @property
+    def fit(self) -> JointFit:
+        """The solved problem."""
+        return self.estimate.fit
+
+    @property
+    def accelerometer(self) -> Accelerometer:
+        """Its description."""
+        return self.campaign.accelerometers[self.name]
+
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """Its unknowns: symbol -> place among those of the fit."""
+        return {
+            unknown.symbol: index
+            for index, unknown in enumerate(self.fit.model.unknowns)
+            if unknown.owner == self.name
+        }
+
+    @property
+    def k_ii(self) -> int | None:
+        """Place of its K_II; None where the model has none."""
+        return self.places.get("K_II")
+
+    def records(self) -> Iterator[tuple[int, Prepared, Residuals]]:
+        """Yield its records: place among those of the fit, columns, residuals."""
+        for index, prepared in enumerate(self.fit.prepared):
+            if prepared.accelerometer == self.name:
+                yield index, prepared, self.fit.residuals[index]
+
+    @cached_property
+    def diagnostics(self) -> Diagnostics:
+        """Tests of its whitened residuals, run by run."""
+        rows, times, freedom = {}, {}, {}
+        for index, prepared, residuals in self.records():
+            whitened = residuals.whitened
+            rows[prepared.run] = whitened
+            # Differences belong to the later of the rows they are made from.
+            times[prepared.run] = prepared.series.time[-whitened.size :]
+            freedom[prepared.run] = max(self.fit.degrees_of_freedom[index], _LEAST_FREEDOM)
+        noise_given = self.name not in self.estimate.components
+        return diagnose(rows, freedom, noise_given=noise_given, times=times)

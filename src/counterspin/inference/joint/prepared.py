@@ -1,0 +1,167 @@
+"""The columns of each record, computed once and then weighted with any noise.
+
+- `Prepared`: a record and its columns
+- `prepare_columns`: the columns of every record of a problem
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.inference.joint import encoder
+from counterspin.inference.joint.inputs import input_column, rotation_column
+from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.unknowns import ROTATION, Unknowns
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A series and its columns, ready to be weighted with any noise.
+
+    Attributes
+    ----------
+    series
+        The series.
+    scale_factor
+        K_I with which it sees the platform's errors.
+    unknowns, considered
+        Which of the model's unknowns and considered columns the columns below belong to.
+    design, fixed
+        Their columns, shapes (n, m) and (n, c).
+    """
+
+    series: Series
+    scale_factor: float
+    unknowns: tuple[int, ...]
+    design: Array
+    considered: tuple[int, ...]
+    fixed: Array
+
+    @property
+    def accelerometer(self) -> str:
+        """Whose record it is."""
+        return self.series.accelerometer
+
+    @property
+    def run(self) -> str:
+        """The run in which it was taken."""
+        return self.series.run
+
+    def without(self, drop: npt.NDArray[np.bool_]) -> Prepared:
+        """Return the series and its columns without the rows where `drop` is true."""
+        keep = np.logical_not(drop)
+        return replace(
+            self,
+            series=self.series.without(drop),
+            design=self.design[keep],
+            fixed=self.fixed[keep],
+        )
+
+    def unexplained(self, model: Unknowns) -> Array:
+        """Return the error less what the considered terms' assumed values put into it, (n,)."""
+        means = np.array(model.considered_means)
+        left: Array = self.series.error - self.fixed @ means[list(self.considered)]
+        return left
+
+    def again(
+        self, before: Unknowns, after: Unknowns, scale_factor: float, estimate: Array
+    ) -> Prepared:
+        """Return the columns for another model or another scale factor; only new ones are computed.
+
+        A record shows of a term what it did, but for the scale factor with which it shows the
+        platform's.
+
+        Parameters
+        ----------
+        before, after
+            The model of these columns, and the one that is wanted.
+        scale_factor
+            The one that is wanted.
+        estimate
+            As for `prepare_columns`, of the unknowns of `after`.
+        """
+        columns = [*self.design.T, *self.fixed.T]
+        terms = [before.unknowns[i].symbol for i in self.unknowns]
+        terms += [
+            before.considered[i].symbol for i in self.considered if i < len(before.considered)
+        ]
+        ratio = scale_factor / self.scale_factor
+        shown = {
+            symbol: ratio * column if symbol in PLATFORM_TERMS else column
+            for symbol, column in zip(terms, columns, strict=False)
+            # What the encoder leaves open depends on the estimate.
+            if symbol not in encoder.SYMBOLS
+        }
+        return _prepare(self.series, after, scale_factor, estimate, shown)
+
+
+def prepare_columns(
+    series: Sequence[Series],
+    model: Unknowns,
+    scale_factors: Mapping[str, float],
+    estimate: Array | None = None,
+) -> tuple[Prepared, ...]:
+    """Compute every column of a problem.
+
+    Parameters
+    ----------
+    series
+        The data.
+    model
+        What is estimated and considered.
+    scale_factors
+        K_I of each accelerometer, with which it sees the platform's errors.
+    estimate
+        Values of the unknowns, less nominal, shape (p,), at which the uncertain inputs'
+        derivatives are taken; None: those of a perfect system.
+    """
+    values = np.zeros(len(model.unknowns)) if estimate is None else estimate
+    return tuple(
+        _prepare(record, model, scale_factors[record.accelerometer], values, {})
+        for record in series
+    )
+
+
+def _prepare(
+    series: Series,
+    model: Unknowns,
+    scale_factor: float,
+    estimate: Array,
+    shown: Mapping[str, Array],
+) -> Prepared:
+    """Compute the columns of one series, except those that are known already."""
+    unknowns = tuple(i for i, unknown in enumerate(model.unknowns) if unknown.concerns(series))
+    considered = tuple(i for i, other in enumerate(model.considered) if other.concerns(series))
+    symbols = [model.unknowns[i].symbol for i in unknowns]
+    ignored = [model.considered[i].symbol for i in considered]
+    turned = [symbol for symbol in (*symbols, *ignored) if symbol in ROTATION]
+    encoded = [symbol for symbol in (*symbols, *ignored) if symbol in encoder.SYMBOLS]
+    terms = [symbol for symbol in (*symbols, *ignored) if symbol not in (*turned, *encoded)]
+    new = [symbol for symbol in terms if symbol not in shown]
+    table = dict(shown)
+    table |= dict(zip(new, series.columns(new, scale_factor).T, strict=True))
+    table |= {s: rotation_column(series, s) for s in turned if s not in shown}
+    known = {s: v for s, v in zip(symbols, estimate[list(unknowns)], strict=True) if s in terms}
+    own = {"K_I": scale_factor - 1.0} | {s: v for s, v in known.items() if s in TERMS}
+    table |= dict(zip(encoded, encoder.columns(series, encoded, own).T, strict=True))
+    n = series.time.size
+    design = np.column_stack([table[s] for s in symbols] or [np.empty((n, 0))])
+    fixed = [table[symbol] for symbol in ignored]
+    first_input = len(model.considered)
+    for name in model.inputs or ():
+        fixed.append(input_column(series, name, scale_factor, known, table))
+    inputs = tuple(range(first_input, first_input + len(model.inputs or ())))
+    return Prepared(
+        series,
+        scale_factor,
+        unknowns,
+        design,
+        considered + inputs,
+        np.column_stack(fixed or [np.empty((n, 0))]),
+    )
