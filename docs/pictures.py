@@ -36,6 +36,14 @@ def draw_the_demonstration() -> None:
         shutil.copy(Path(folder) / "displacement.svg", IMAGES)
 
 
+def draw_the_plan() -> None:
+    """Draw the figures of the example plan."""
+    with tempfile.TemporaryDirectory() as folder:
+        example = Path(folder) / "PLAN.toml"
+        run("plan", "--init", example)
+        run("plan", example, "--figures", IMAGES)
+
+
 def write_the_examples() -> None:
     """Write report and certificate of the example result."""
     result, lab = EXAMPLES / "result.json", EXAMPLES / "LAB.toml"
@@ -68,5 +76,6 @@ if __name__ == "__main__":
     os.environ["SOURCE_DATE_EPOCH"] = "1772323200"  # DATE, for the certificate
     IMAGES.mkdir(exist_ok=True)
     draw_the_demonstration()
+    draw_the_plan()
     write_the_examples()
     photograph_the_report()

@@ -15,11 +15,11 @@ from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.histories import result as history_result
 from counterspin.histories.history import history
-from counterspin.histories.page import control_plot, history_blocks, history_figure
+from counterspin.histories.page import control_plot, history_blocks, history_plots
 from counterspin.histories.result import History
 from counterspin.physics.accelerometer import TERMS
 from counterspin.reports.blocks import Plot
-from counterspin.reports.figure import save
+from counterspin.reports.charts import save
 
 ROOT = Path(__file__).parents[2]
 FROZEN = ROOT / "tests" / "frozen"
@@ -321,11 +321,16 @@ def test_a_date_with_a_zone_is_brought_to_utc(tmp_path):
 
 def test_control_plot_shows_results_mean_and_drift(tmp_path):
     found = history([series(tmp_path, [2.70e-5 + 1e-7 * i for i in range(5)])])
-    mean, drift, results = control_plot(found, only(found)).series
+    mean, upper, lower, drift, results = control_plot(found, only(found)).series
+    # Three standard uncertainties of a result less the mean of five, of which it is one.
+    limit = 3e6 * U * math.sqrt(1 - 1 / 5)
+    assert upper.y == pytest.approx([27.2 + limit] * 5)
+    assert lower.y == pytest.approx([27.2 - limit] * 5)
     assert results.kind == "points"
     assert results.y == pytest.approx([27.0, 27.1, 27.2, 27.3, 27.4])
     assert results.high[0] - results.low[0] == pytest.approx(2 * 1.959963984540054 * U * 1e6)
-    assert results.x == pytest.approx([2022.16, 2023.16, 2024.16, 2025.16, 2026.16], abs=0.01)
+    dates = np.array([point.date for point in only(found).points], dtype="datetime64[D]")
+    assert results.x == tuple(dates.astype(float))
     assert mean.y == pytest.approx((27.2, 27.2))
     assert drift.y == pytest.approx((27.0, 27.4), abs=1e-3)
     assert drift.stands_out
@@ -337,7 +342,7 @@ def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):
     series(tmp_path / "b", [3.1e-5], serial="B")
     found = history([tmp_path])
     for name in ("one.svg", "two.svg"):
-        save(history_figure(found), tmp_path / name)
+        save(history_plots(found), tmp_path / name)
     drawn = (tmp_path / "one.svg").read_text("utf-8")
     assert drawn == (tmp_path / "two.svg").read_text("utf-8")
     assert "K_II of A" in drawn
@@ -347,7 +352,7 @@ def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):
 
 def test_the_axis_of_the_figure_has_whole_numbers(tmp_path):
     series(tmp_path, [2.7e-5, 2.70001e-5], u=1e-11)
-    save(history_figure(history([tmp_path])), tmp_path / "one.svg")
+    save(history_plots(history([tmp_path])), tmp_path / "one.svg")
     # Not 0.0001, with 27 above the axis.
     assert ">27.0001" in (tmp_path / "one.svg").read_text("utf-8")
 
@@ -355,7 +360,7 @@ def test_the_axis_of_the_figure_has_whole_numbers(tmp_path):
 def test_names_in_the_figure_are_letters_and_no_formulas(tmp_path):
     serial = r"A$\frac$ 日<b>"
     series(tmp_path / "a", [2.7e-5, 2.71e-5], serial=serial)
-    save(history_figure(history([tmp_path / "a"])), tmp_path / "one.svg")
+    save(history_plots(history([tmp_path / "a"])), tmp_path / "one.svg")
     assert r"K_II of A$\frac$ 日&lt;b&gt;" in (tmp_path / "one.svg").read_text("utf-8")
 
 

@@ -1,6 +1,7 @@
 """Pictures as SVG: what is drawn where, and that pages can take it as it is."""
 
 import math
+import os
 import re
 import subprocess
 import sys
@@ -9,9 +10,11 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
+from counterspin.errors import CounterspinError
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
-from counterspin.reports.chart_layout import shortened, text_width, thinned
-from counterspin.reports.charts import COLOURS_OF_PAPER, svg
+from counterspin.reports.chart_layout import date_ticks, shortened, text_width, thinned
+from counterspin.reports.charts import save, svg
+from counterspin.reports.drawing import COLOURS_OF_PAPER
 
 LINE = Plot(
     "Drift <&> $x$",
@@ -85,7 +88,7 @@ for picture in {PICTURES!r}:
     run = subprocess.run(
         [sys.executable, "-c", code],
         stdout=subprocess.PIPE,
-        env={"PYTHONHASHSEED": "7"},
+        env={**os.environ, "PYTHONHASHSEED": "7"},
         check=True,
     )
     assert [svg(picture, theme=theme) for picture in PICTURES] == first
@@ -236,6 +239,124 @@ def test_many_names_stand_upright():
     )
     upright = re.findall(r'rotate\(-90\)"[^>]*>([^<]*)<', text)
     assert set(names) <= set(upright)
+
+
+def test_columns_touch_and_are_as_high_as_their_values():
+    plot = Plot("", "z", "n", (PlotSeries("", (0.5, 1.5, 2.5), (1.0, 3.0, 2.0), kind="columns"),))
+    columns = paths(svg(plot), "series-1", kind="fill")
+    heights = [max(y for _, y in column) - min(y for _, y in column) for column in columns]
+    assert heights[1] / heights[0] == pytest.approx(3.0, rel=1e-3)
+    assert heights[2] / heights[0] == pytest.approx(2.0, rel=1e-3)
+    ends = [(min(x for x, _ in column), max(x for x, _ in column)) for column in columns]
+    assert ends[0][1] == pytest.approx(ends[1][0], abs=1e-3)
+    assert ends[1][1] == pytest.approx(ends[2][0], abs=1e-3)
+
+
+def test_series_of_one_colour_share_it_and_take_no_other_s():
+    both = (
+        PlotSeries("", (0.0, 1.0), (0.0, 1.0), colour=2),
+        PlotSeries("", (0.0, 1.0), (1.0, 1.0)),
+        PlotSeries("", (0.0, 1.0), (1.0, 0.0), colour=2),
+    )
+    text = svg(Plot("", "x", "y", both))
+    assert len(paths(text, "series-3")) == 2
+    assert len(paths(text, "series-1")) == 1
+
+
+def test_axes_end_where_they_are_told_to():
+    line = PlotSeries("", (0.0, 1.0), (0.0, 1.0))
+    wide, narrow = (
+        svg(Plot("", "x", "y", (line,), x_range=(0.0, end), y_range=(0.0, 1.0)))
+        for end in (2.0, 1.0)
+    )
+    ((a0, _), (a1, _)), ((b0, _), (b1, _)) = (paths(text, "series-1")[0] for text in (wide, narrow))
+    assert b1 - b0 == pytest.approx(2.0 * (a1 - a0), rel=1e-4)
+
+
+def days(*dates):
+    return tuple(np.array(dates, dtype="datetime64[D]").astype(float))
+
+
+def months(first, count):
+    return [str(month) for month in np.datetime64(first, "M") + np.arange(count)]
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "names"),
+    [
+        ("2018-02-03", "2026-07-01", [str(year) for year in range(2019, 2027)]),
+        ("2004-12-31", "2026-07-01", [str(year) for year in range(2006, 2027, 2)]),
+        ("2025-08-30", "2026-03-02", months("2025-09", 7)),
+        ("2024-03-04", "2024-03-07", [f"2024-03-0{day}" for day in (4, 5, 6, 7)]),
+    ],
+)
+def test_dates_stand_where_they_begin(low, high, names):
+    places, shown = date_ticks(*days(low, high))
+    assert shown == names
+    assert places == np.array(shown, dtype="datetime64[D]").astype(float).tolist()
+
+
+@pytest.mark.parametrize("years", [0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 14.0, 40.0, 300.0])
+def test_dates_fill_an_axis_of_any_length(years):
+    low = days("2019-05-06")[0]
+    places, _ = date_ticks(low, low + 365.25 * years)
+    assert 2 <= len(places) <= 15
+    assert low <= min(places) < max(places) <= low + 365.25 * years
+
+
+# Files
+
+
+@pytest.mark.parametrize("ending", ["svg", "png", "pdf"])
+def test_same_pictures_give_the_same_file(ending, tmp_path):
+    files = [tmp_path / f"{name}.{ending}" for name in "ab"]
+    for file in files:
+        save(PICTURES, file)
+    assert files[0].read_bytes() == files[1].read_bytes()
+    assert sorted(tmp_path.iterdir()) == files
+
+
+def test_file_has_titles_and_one_axis_for_those_that_share_it(tmp_path):
+    line = PlotSeries("", (0.0, 1.0), (0.0, 1.0))
+    plots = [Plot(f"part {n}, ug/g", "time, s", "y", (line,), x_range=(0.0, 1.0)) for n in "ab"]
+    save(plots, tmp_path / "file.svg")
+    text = (tmp_path / "file.svg").read_text("utf-8")
+    said = words(text)
+    assert [word for word in said if word.startswith("part")] == ["part a, µg/g", "part b, µg/g"]
+    assert said.count("time, s") == 1
+    assert said.count("0.2") == 3  # twice along y, once along x
+    assert "<dc:date>" not in text
+    assert "var(" not in text
+
+
+def test_other_endings_are_refused(tmp_path):
+    with pytest.raises(CounterspinError, match=r"figure\.gif: a figure is written as \.svg, \.png"):
+        save(PICTURES, tmp_path / "figure.gif")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_failure_leaves_nothing_behind(tmp_path, monkeypatch):
+    def full(_, part, **__):
+        part.write_text("half of it")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("matplotlib.figure.Figure.savefig", full)
+    with pytest.raises(CounterspinError, match="No space left on device"):
+        save(PICTURES, tmp_path / "figure.svg")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_settings_of_the_user_s_own_figures_are_left_alone(tmp_path):
+    import matplotlib as mpl
+
+    before = dict(mpl.rcParams)
+    save(PICTURES, tmp_path / "figure.png")
+    assert dict(mpl.rcParams) == before
+
+
+def test_matplotlib_is_loaded_only_when_something_is_drawn():
+    code = "import sys, counterspin.reports.charts; sys.exit('matplotlib' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
 # Many points

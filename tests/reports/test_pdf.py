@@ -1,6 +1,7 @@
 """The PDF: what a reader finds on its pages, and what an archive and a machine find in it."""
 
 import io
+import os
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta, timezone
@@ -303,7 +304,7 @@ sys.stdout.buffer.write(data)
         run = subprocess.run(
             [sys.executable, "-c", code],
             stdout=subprocess.PIPE,
-            env={"PYTHONHASHSEED": seed, "TZ": "Asia/Tokyo"},
+            env={**os.environ, "PYTHONHASHSEED": seed, "TZ": "Asia/Tokyo"},
             check=True,
         )
         assert run.stdout == first

@@ -9,7 +9,7 @@ from counterspin import cli
 from counterspin.errors import CounterspinError
 from counterspin.reproduction import plan
 from counterspin.reproduction.demo import demo
-from counterspin.reproduction.demo_page import demonstration_figure, strobe_panels
+from counterspin.reproduction.demo_page import demonstration_plots
 
 
 @pytest.fixture(scope="module")
@@ -49,16 +49,30 @@ def test_joint_fit_is_worth_its_trouble(shown):
     assert u[1] > 4 * u[0]
 
 
-def test_panels_are_the_first_stage(shown):
-    for panel, run in zip(strobe_panels(shown.two_stage.runs), shown.two_stage.runs, strict=True):
-        b0, b1, b2 = run.parabola.coefficients
-        expected = b0 + b1 * panel.time + b2 * panel.time**2
-        assert panel.fitted == pytest.approx(expected, abs=1e-9)
-        assert panel.error - panel.fitted == pytest.approx(panel.residual, abs=1e-9)
-        # 100 strobes: the band of one standard deviation is right within a quarter.
-        assert panel.sigma == pytest.approx(math.sqrt((panel.residual**2).mean()), rel=0.25)
-    figure = demonstration_figure(shown)
-    assert figure.axes[0].get_title(loc="left") == "The paper's plan: Qx"
+def test_figure_is_the_first_stage_less_the_bias(shown):
+    upper, *lower = demonstration_plots(shown)
+    assert upper.title.startswith("The paper's plan: Qx")
+    half_bias = 0.5 * shown.two_stage.result.coefficients["K_F"].value * plan.GRAVITY
+    curves, strobes = upper.series[::2], upper.series[1::2]
+    for run, curve, points, panel in zip(shown.two_stage.runs, curves, strobes, lower, strict=True):
+        _, residuals = panel.series
+        assert residuals.x == tuple(run.parabola.strobes.time)
+        assert residuals.y == pytest.approx(1e3 * run.parabola.residuals)
+        # What is left grows with the fourth power of the rate: K_II R^2 w^4 / (4 g) t^2.
+        rate = run.trajectory.spindle.rate
+        k_ii = plan.TABLE_1["K_II"] * plan.RADIUS**2 * rate**4 / (4 * plan.GRAVITY)
+        fitted = run.parabola.b2 - half_bias
+        assert fitted == pytest.approx(k_ii, rel=0.05)
+        assert curve.y == pytest.approx([fitted * t**2 for t in curve.x], abs=1e-9)
+        every = dict(zip(run.parabola.strobes.time, run.parabola.residuals, strict=True))
+        for t, y in zip(points.x, points.y, strict=True):
+            assert y == pytest.approx(fitted * t**2 + every[t], abs=1e-9)
+        # 100 strobes: the band of two standard deviations is right within a quarter.
+        spread = math.sqrt((run.parabola.residuals**2).mean())
+        assert panel.series[0].high[0] == pytest.approx(2e3 * spread, rel=0.25)
+        assert panel.y_range[1] > 1e3 * abs(run.parabola.residuals).max()
+        assert (panel.y_range, panel.x_range) == (lower[0].y_range, upper.x_range)
+        assert curve.colour == points.colour == residuals.colour
 
 
 def test_command_writes_what_it_says_and_may_be_repeated(tmp_path, monkeypatch, capsys):

@@ -22,14 +22,14 @@ def demo(
     figure
         Format of the figure.
     """
-    from counterspin.reports.figure import save
+    from counterspin.reports.charts import save
     from counterspin.reports.text import report_console
     from counterspin.reproduction.demo import demo as run
-    from counterspin.reproduction.demo_page import demonstration_figure, render_demonstration
+    from counterspin.reproduction.demo_page import demonstration_plots, render_demonstration
 
     shown = run(output)
     drawn = output / f"displacement.{figure}"
-    save(demonstration_figure(shown), drawn)
+    save(demonstration_plots(shown), drawn)
     report_console().print(render_demonstration(shown))
     print(
         f"\nWrote campaign.toml, {len(shown.records)} records and {drawn.name} to {output}. Next:\n"

@@ -31,8 +31,8 @@ def history(
         Draw a control chart of one instrument: .svg, .png or .pdf.
     """
     from counterspin.histories.history import history as run
-    from counterspin.histories.page import history_figure, render_history
-    from counterspin.reports.figure import check_format, save
+    from counterspin.histories.page import history_plots, render_history
+    from counterspin.reports.charts import check_format, save
     from counterspin.reports.text import report_console
 
     if not paths:
@@ -44,7 +44,7 @@ def history(
     if json is not None:
         found.write(json)
     if figure is not None:
-        save(history_figure(found), figure)
+        save(history_plots(found), figure)
     if found.damaged:
         raise CounterspinError(
             f"{len(found.damaged)} of the files are results that cannot be read; the history is "

@@ -68,7 +68,7 @@ def study(
     if json is not None:
         result.write(json)
     if output is not None:
-        from counterspin.studies.figures import write_figures
+        from counterspin.studies.page import write_figures
 
         write_figures(result, output)
     report_console().print(render_study(result))

@@ -1,20 +1,19 @@
 """A history as a page: a sentence, a table and a control chart for each instrument.
 
 - `render_history`: as something that rich prints; `history_blocks`: the same as blocks
-- `control_plot`: one instrument's control chart as a block
-- `history_figure`: the control charts of all, drawn by matplotlib
+- `control_plot`: one instrument's control chart; `history_plots`: those of all
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from datetime import datetime, timedelta
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final
 
 from counterspin.histories.result import History, InstrumentHistory, Point, Scatter
 from counterspin.inference.conformity import expanded_uncertainty
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
-from counterspin.reports.figure import COLOURS, SETTINGS, as_words
 from counterspin.reports.numbers import (
     field_unit,
     format_estimate,
@@ -22,12 +21,11 @@ from counterspin.reports.numbers import (
     round_to_uncertainty,
 )
 from counterspin.reports.text import Report
-from counterspin.reports.typography import typeset
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+_YEAR: Final = 365.25  #: days
 
-_YEAR: Final = timedelta(days=365.25)
+#: z beyond which a result asks for action (ISO 13528:2015, 9.4.2).
+_LIMIT: Final = 3.0
 
 
 def render_history(history: History) -> Report:
@@ -100,9 +98,9 @@ def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
 
 
 def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
-    """Return the results with their 95 % intervals over time, their mean and the drift."""
+    """Return the results with their 95 % intervals over time, mean, control limits and drift."""
     unit, factor = field_unit(history.unit)
-    x = tuple(_years(point.date) for point in instrument.points)
+    x = tuple(_days(point.date) for point in instrument.points)
     y = tuple(point.value * factor for point in instrument.points)
     half = tuple(expanded_uncertainty(point.u, point.dof) * factor for point in instrument.points)
     ends = (min(x), max(x))
@@ -114,18 +112,29 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
             (mean, mean),
             low=(mean - u, mean - u),
             high=(mean + u, mean + u),
-            kind="band",
         )
     ]
+    if len(x) > 1:
+        # The standard uncertainty of a result less the mean, of which it is a part.
+        away = [
+            _LIMIT * math.sqrt(max(point.u**2 - instrument.u_mean**2, 0.0)) * factor
+            for point in instrument.points
+        ]
+        words = f"control limits, z = ± {_LIMIT:g}"
+        for label, sign in ((words, 1.0), ("", -1.0)):
+            limit = tuple(mean + sign * distance for distance in away)
+            series.append(PlotSeries(label, x, limit, colour=1))
     if (line := instrument.drift) is not None and len(x) > 2:
         series.append(
             PlotSeries(
                 "drift",
                 ends,
                 tuple(
-                    factor * (line.level + line.value * (end - _years(line.date))) for end in ends
+                    factor * (line.level + line.value * (end - _days(line.date)) / _YEAR)
+                    for end in ends
                 ),
                 stands_out=instrument.verdict == "drifts",
+                colour=3,
             )
         )
     series.append(
@@ -136,80 +145,21 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
             low=tuple(a - b for a, b in zip(y, half, strict=True)),
             high=tuple(a + b for a, b in zip(y, half, strict=True)),
             kind="points",
+            colour=2,
         )
     )
     return Plot(
         title=f"{history.term} of {_name(instrument)}",
-        x_label="year",
+        x_label="date",
         y_label=f"{history.term}, {unit}",
         series=tuple(series),
+        dates=True,
     )
 
 
-def history_figure(history: History) -> Figure:
-    """Draw the control chart of every instrument, one below the other.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not bound to any window; `counterspin.reports.figure.save` writes it.
-    """
-    import matplotlib as mpl
-    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
-    from matplotlib.figure import Figure
-
-    count = len(history.instruments)
-    with mpl.rc_context(SETTINGS):
-        figure = Figure(figsize=(7.0, 0.6 + 2.8 * count), layout="constrained")
-        for axes, instrument in zip(
-            figure.subplots(count, 1, squeeze=False)[:, 0], history.instruments, strict=True
-        ):
-            plot = control_plot(history, instrument)
-            axes.set_title(as_words(plot.title), loc="left", fontweight="bold")
-            axes.set_ylabel(typeset(plot.y_label))
-            # Digits that all values share belong to each of them, not above the axis.
-            axes.ticklabel_format(axis="y", useOffset=False)
-            for series in plot.series:
-                _draw(axes, series)
-            locator = AutoDateLocator()  # type: ignore[no-untyped-call]
-            axes.xaxis.set_major_locator(locator)
-            form = ConciseDateFormatter(locator)  # type: ignore[no-untyped-call]
-            axes.xaxis.set_major_formatter(form)
-            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=3, fontsize="small")
-            axes.margins(x=0.05)
-        return figure
-
-
-def _draw(axes: Any, series: PlotSeries) -> None:
-    x = [_date(year) for year in series.x]
-    if series.kind == "points":
-        assert series.low is not None
-        half = [y - low for y, low in zip(series.y, series.low, strict=True)]  # type: ignore[operator]
-        axes.errorbar(
-            x,
-            series.y,
-            half,
-            fmt="o",
-            color=COLOURS[0],
-            markersize=4.5,
-            markerfacecolor="white",
-            capsize=3.0,
-            linewidth=1.0,
-            label=series.label,
-        )
-        return
-    if series.kind == "band":
-        axes.fill_between(x, series.low, series.high, color="0.5", alpha=0.2, linewidth=0)
-        axes.plot(x, series.y, color="0.4", linewidth=1.0, label=series.label)
-        return
-    axes.plot(
-        x,
-        series.y,
-        color=COLOURS[1],
-        linewidth=1.2,
-        linestyle="-" if series.stands_out else "--",
-        label=series.label,
-    )
+def history_plots(history: History) -> list[Plot]:
+    """Return the control chart of every instrument."""
+    return [control_plot(history, instrument) for instrument in history.instruments]
 
 
 def _name(instrument: InstrumentHistory) -> str:
@@ -274,10 +224,6 @@ def _not_among_them(history: History) -> Iterator[Block]:
         yield Paragraph(f"JSON files that are not results, ignored: {count}.", "quiet")
 
 
-def _years(date: str) -> float:
-    """Return a date as a year with decimals, years being equally long."""
-    return 2000.0 + (datetime.fromisoformat(date) - datetime(2000, 1, 1)) / _YEAR
-
-
-def _date(year: float) -> datetime:
-    return datetime(2000, 1, 1) + (year - 2000.0) * _YEAR
+def _days(date: str) -> float:
+    """Return a date as days since 1970-01-01."""
+    return (datetime.fromisoformat(date) - datetime(1970, 1, 1)) / timedelta(days=1)

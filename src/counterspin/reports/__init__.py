@@ -16,8 +16,7 @@ What stands in this room:
 - `typography`: powers of ten and micro signs as in print
 - `html`, `zoomable`: blocks as a page that needs nothing else; its parts are in the folder "assets"
 - `text`: blocks in the terminal
-- `charts`, `chart_layout`: the pictures of a report as SVG
+- `charts`: pictures as SVG in a page, or in a file; `drawing`, `chart_layout`: how they are drawn
 - `pdf`, `markdown`: blocks as a file on paper and as plain text with marks
-- `figure`: figures for files
 - `progress`: a sign of life while work goes on
 """

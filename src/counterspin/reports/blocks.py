@@ -53,7 +53,7 @@ class Table:
 
 @dataclass(frozen=True)
 class PlotSeries:
-    """One line, row of points or band of a plot.
+    """One line, row of points, band or histogram of a plot.
 
     Attributes
     ----------
@@ -64,9 +64,12 @@ class PlotSeries:
     low, high
         A band about a line, or error bars at points; both or neither.
     kind
-        How it is drawn.
+        How it is drawn; "columns" stand on zero about equally spaced x, and touch.
     stands_out
         Drawn in the colour of warnings.
+    colour
+        Place in the row of colours and markers; None: the next one. Series of the same thing, such
+        as points and the curve through them, or a run in several plots, share a colour.
     """
 
     label: str
@@ -74,8 +77,9 @@ class PlotSeries:
     y: tuple[float | None, ...]
     low: tuple[float | None, ...] | None = None
     high: tuple[float | None, ...] | None = None
-    kind: Literal["line", "points", "band"] = "line"
+    kind: Literal["line", "points", "band", "columns"] = "line"
     stands_out: bool = False
+    colour: int | None = None
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,12 @@ class Plot:
         Logarithmic axes.
     zoom
         Worth a closer look: many points over a long axis.
+    dates
+        x is a time in days since 1970-01-01, and the axis shows dates.
+    x_range, y_range
+        Ends of the axes, such as those that plots have in common; None: what holds the series.
+    height
+        In heights of a usual plot.
     """
 
     title: str
@@ -109,6 +119,10 @@ class Plot:
     log_x: bool = False
     log_y: bool = False
     zoom: bool = False
+    dates: bool = False
+    x_range: tuple[float, float] | None = None
+    y_range: tuple[float, float] | None = None
+    height: float = 1.0
 
 
 @dataclass(frozen=True)

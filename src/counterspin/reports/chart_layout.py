@@ -3,7 +3,9 @@
 Margins come from the widths of words instead of matplotlib's layout engines, which draw twice.
 
 - `text_width`, `shortened`: of words, in matplotlib's own font, which is wider than most
-- `set_margins`, `legend_columns`, `decades`: room and ticks
+- `margins`, `Margins`, `legend_columns`: the room about one drawing
+- `place`: drawings below each other
+- `decades`, `date_ticks`: ticks
 - `thinned`: a series with the lowest and the highest of each column of the drawing
 - `whole_numbers`, `spread`: points at the same few places, beside each other
 - `dots`: a row of points as one line
@@ -12,9 +14,10 @@ Margins come from the widths of words instead of matplotlib's layout engines, wh
 from __future__ import annotations
 
 import itertools
+import math
 from bisect import bisect
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Final
 
@@ -37,6 +40,10 @@ _COLUMNS: Final = 360
 #: How many more points are kept of what has more: with the extremes alone there would be a hole
 #: in the middle.
 _BETWEEN: Final = 1200
+
+#: Dates that have room on an axis, and years.
+_MOST_DATES: Final = 10
+_MOST_YEARS: Final = 15
 
 _SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -67,47 +74,100 @@ def legend_columns(labels: Sequence[str]) -> int:
     return max(1, min(len(labels), int(room / widest)))
 
 
-def set_margins(
+@dataclass(frozen=True)
+class Margins:
+    """Room about axes, and the height of all of it, in points."""
+
+    left: float
+    right: float
+    top: float
+    bottom: float
+    height: float
+
+
+def margins(
     axes: Any, height: float, *, legend_rows: int = 0, top: float = 4.0, right: float = 6.0
-) -> None:
-    """Give the figure its size and the axes the room that its tick labels leave, in points.
+) -> Margins:
+    """Return the room that tick labels, names, legend and title leave to axes.
 
     Parameters
     ----------
     axes
-        With ticks, labels and limits as they will be drawn.
+        With ticks, labels, title and limits as they will be drawn.
     height
-        Of the figure; a legend and upright names come on top.
+        Of the drawing, points; a title, a legend and upright names come on top.
     legend_rows
         Rows of the legend above the axes.
     top, right
-        Margins.
+        Margins without them, points.
     """
-    left = _widest(axes.yaxis) + (20.0 if axes.get_ylabel() else 7.0)
+    left = _widest(axes.yaxis) + (22.0 if axes.get_ylabel() else 7.0)
+    ticks = axes.xaxis.get_tick_params()
     bottom = 2.0 if not axes.get_xlabel() and not len(axes.get_xticks()) else 18.0
     bottom += 12.0 if axes.get_xlabel() else 0.0
-    if axes.xaxis.get_tick_params().get("labeltop"):
+    if ticks.get("labeltop"):
         bottom = 2.0
+    elif not ticks.get("labelbottom", True):
+        bottom = 6.0
+        height -= 24.0
     elif (names := _labels(axes.xaxis)) and _crowded(axes, names, WIDTH - left - right):
         axes.tick_params(axis="x", labelrotation=90.0)
         bottom += _widest(axes.xaxis) - 9.0
         height += _widest(axes.xaxis) - 9.0
-    top += 14.0 * legend_rows
+    above = 14.0 * legend_rows
     # The common power of ten stands above the axis.
-    offset = axes.yaxis.get_major_formatter().get_offset()
+    offset = bool(axes.yaxis.get_major_formatter().get_offset())
     top += 11.0 if offset and not legend_rows else 0.0
-    height += 14.0 * legend_rows
-    axes.figure.set_size_inches(WIDTH / 72.0, height / 72.0)
-    axes.set_position(
-        (
-            left / WIDTH,
-            bottom / height,
-            max(WIDTH - left - right, 20.0) / WIDTH,
-            max(height - top - bottom, 10.0) / height,
+    if axes.get_title(loc="left"):
+        axes.set_title(axes.get_title(loc="left"), pad=above + (16.0 if offset else 5.0))
+        above += 18.0
+    return Margins(left, right, top + above, bottom, height + above)
+
+
+def place(figure: Any, panels: Sequence[tuple[Any, Margins]]) -> None:
+    """Give a figure its size and put its axes below each other, their left ends in one line."""
+    total = sum(room.height for _, room in panels)
+    figure.set_size_inches(WIDTH / 72.0, total / 72.0)
+    left = max(room.left for _, room in panels)
+    below = total
+    for axes, room in panels:
+        below -= room.height
+        width = max(WIDTH - left - room.right, 20.0)
+        height = max(room.height - room.top - room.bottom, 10.0)
+        axes.set_position(
+            (left / WIDTH, (below + room.bottom) / total, width / WIDTH, height / total)
         )
+        if axes.get_ylabel():
+            axes.yaxis.set_label_coords((11.0 - left) / width, 0.5)
+
+
+def date_ticks(low: float, high: float) -> tuple[list[float], list[str]]:
+    """Return places and names of up to a dozen dates on an axis: whole years, months or days.
+
+    Parameters
+    ----------
+    low, high
+        Ends of the axis, days since 1970-01-01.
+    """
+    for unit, step in (*(("D", n) for n in (1, 2, 5, 10)), *(("M", n) for n in (1, 2, 3, 6))):
+        if (ticks := _dates(low, high, unit, step)).size <= _MOST_DATES:
+            break
+    else:
+        step = 1
+        while (ticks := _dates(low, high, "Y", step)).size > _MOST_YEARS:
+            step += 1
+    days = ticks.astype("datetime64[D]").astype(float)
+    return days.tolist(), [str(tick) for tick in ticks]
+
+
+def _dates(low: float, high: float, unit: str, step: int) -> NDArray[np.datetime64]:
+    first, last = (
+        int(np.datetime64(math.floor(end), "D").astype(f"datetime64[{unit}]").astype(int))
+        for end in (low, high)
     )
-    if axes.get_ylabel():
-        axes.yaxis.set_label_coords((9.0 - left) / max(WIDTH - left - right, 20.0), 0.5)
+    every = np.arange(first - first % step, last + 1, step).astype(f"datetime64[{unit}]")
+    days = every.astype("datetime64[D]").astype(float)
+    return every[(days >= low) & (days <= high)]
 
 
 def decades(axis: Any) -> None:
@@ -141,14 +201,18 @@ def _widest(axis: Any) -> float:
 
 
 def _crowded(axes: Any, names: Sequence[str], room: float) -> bool:
-    """Return whether names of things, which are neighbours at a distance of 1, would touch."""
+    """Return whether names of things, such as runs, would touch."""
     from matplotlib.ticker import FixedLocator
 
     if not isinstance(axes.xaxis.get_major_locator(), FixedLocator):
         return False
     low, high = axes.get_xlim()
+    distances = np.diff(axes.get_xticks()) * room / (high - low)
     pairs = itertools.pairwise(map(text_width, names))
-    return any(0.5 * (one + other) + 6.0 > room / (high - low) for one, other in pairs)
+    return any(
+        0.5 * (left + right) + 6.0 > distance
+        for (left, right), distance in zip(pairs, distances, strict=True)
+    )
 
 
 def thinned(
@@ -222,14 +286,14 @@ def whole_numbers(plot: Plot) -> range:
 
 def spread(series: Sequence[PlotSeries]) -> list[PlotSeries]:
     """Move rows of points that share their places to the side, so that none hides another."""
-    rows = [one for one in series if one.kind == "points"]
+    rows = [row for row in series if row.kind == "points"]
     step = min(0.12, 0.7 / max(len(rows), 1))
     moves = iter(step * (place - 0.5 * (len(rows) - 1)) for place in range(len(rows)))
     return [
-        replace(one, x=tuple(x + move for x in one.x))
-        if one.kind == "points" and (move := next(moves))
-        else one
-        for one in series
+        replace(row, x=tuple(x + move for x in row.x))
+        if row.kind == "points" and (move := next(moves))
+        else row
+        for row in series
     ]
 
 

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 from counterspin.reports.blocks import Plot
-from counterspin.reports.figure import COLOURS
+from counterspin.reports.drawing import colours_in_row
 
 #: Steps that an axis is divided into at least.
 _STEPS: Final = 2e4
@@ -22,49 +22,51 @@ _STEPS: Final = 2e4
 
 def can_zoom(plot: Plot) -> bool:
     """Tell whether a plot is worth a closer look and has an axis of numbers to look along."""
-    return plot.zoom and not plot.x_names and len({x for one in plot.series for x in one.x}) > 1
+    return (
+        plot.zoom and not plot.x_names and len({x for series in plot.series for x in series.x}) > 1
+    )
 
 
 def plot_data(plot: Plot) -> str:
     """Return a plot as JSON that can stand in a page's script element."""
-    series = []
-    for one, colour in zip(plot.series, _colours(plot), strict=True):
-        series.append(
+    rows = []
+    for series, colour in zip(plot.series, _colours(plot), strict=True):
+        low, high = (
+            None if ends is None else _packed(ends, plot.log_y)
+            for ends in (series.low, series.high)
+        )
+        rows.append(
             {
-                "label": one.label,
-                "kind": one.kind,
-                "stands_out": one.stands_out,
+                "label": series.label,
+                "kind": series.kind,
+                "stands_out": series.stands_out,
                 "colour": colour,
-                "x": _packed(one.x, plot.log_x),
-                "y": None if one.kind == "band" else _packed(one.y, plot.log_y),
-                "low": None if one.low is None else _packed(one.low, plot.log_y),
-                "high": None if one.high is None else _packed(one.high, plot.log_y),
+                "x": _packed(series.x, plot.log_x),
+                "y": None if series.kind == "band" else _packed(series.y, plot.log_y),
+                "low": low,
+                "high": high,
             }
         )
-    made = {
+    data = {
         "x_label": plot.x_label,
         "y_label": plot.y_label,
         "log_x": plot.log_x,
         "log_y": plot.log_y,
         "levels": plot.levels,
-        "series": series,
+        "series": rows,
     }
-    text = json.dumps(made, separators=(",", ":"), allow_nan=False)
+    text = json.dumps(data, separators=(",", ":"), allow_nan=False)
     # Neither </script> nor <!-- may stand there; to JSON it is the same.
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def _colours(plot: Plot) -> Iterator[str]:
     """Yield the CSS property that holds each series' colour, the same as in the still picture."""
-    taken = 0
-    for series in plot.series:
-        if series.stands_out:
-            yield "--warning"
-        elif series.kind == "band" and not series.label:
-            yield "--muted"
+    for series, place in zip(plot.series, colours_in_row(plot.series), strict=True):
+        if place is None:
+            yield "--warning" if series.stands_out else "--muted"
         else:
-            yield f"--series-{taken % len(COLOURS) + 1}"
-            taken += 1
+            yield f"--series-{place + 1}"
 
 
 def _packed(values: Sequence[float | None], log: bool) -> dict[str, Any]:

@@ -1,29 +1,23 @@
 """The demonstration as a person sees it: truth beside every method, and the figure.
 
 - `render_demonstration`: the table, as something that rich prints
-- `demonstration_figure`: displacement error with its parabolas, residuals below
-- `strobe_panels`: runs of the two-stage method as the figure draws them
+- `demonstration_plots`: the figure: displacement error with its parabolas, residuals below
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result_parts import AccelerometerResult
+from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.second_stage import StrobedRun
 from counterspin.physics.accelerometer import term
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
-from counterspin.reports.figure import StrobePanel, displacement_figure
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 from counterspin.reports.text import Report
 from counterspin.reproduction.demo import Demonstration
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def render_demonstration(shown: Demonstration) -> Report:
@@ -78,37 +72,87 @@ def _is_estimated(method: AccelerometerResult, symbol: str) -> bool:
 def _cell(method: AccelerometerResult, symbol: str, considered: bool) -> str:
     if symbol not in method.coefficients:
         return "considered" if considered else "-"
-    found = method.coefficients[symbol]
-    if not found.estimated:
-        return "known beforehand" if found.value is not None else "not determined"
-    value, u, _ = in_field_units(found)
+    coefficient = method.coefficients[symbol]
+    if not coefficient.estimated:
+        return "known beforehand" if coefficient.value is not None else "not determined"
+    value, u, _ = in_field_units(coefficient)
     return format_estimate(value, u)
 
 
-def strobe_panels(runs: Iterable[StrobedRun]) -> list[StrobePanel]:
-    """Return what the figure draws of each run's first stage."""
-    panels = []
-    for run in runs:
-        parabola = run.parabola
-        strobes = parabola.strobes
-        panels.append(
-            StrobePanel(
-                run_name=run.name,
-                rate=run.trajectory.spindle.rate,
-                time=strobes.time,
-                error=strobes.error,
-                fitted=strobes.error - parabola.residuals,
-                residual=parabola.residuals,
-                # Strobes between two samples are means of both, and so a little quieter.
-                sigma=parabola.sigma * float(np.mean(strobes.noise_factor)),
-            )
-        )
-    return panels
+def demonstration_plots(shown: Demonstration) -> list[Plot]:
+    """Return what the two-stage method sees: K_II's parabola of each run, and the residuals.
 
-
-def demonstration_figure(shown: Demonstration) -> Figure:
-    """Return the figure of the exact two-stage method."""
+    The parabola of K_F, which is the same at every rate and much larger, is subtracted from the
+    displacement error, and so are the initial offset and velocity.
+    """
     (name,) = shown.campaign.accelerometers
-    return displacement_figure(
-        strobe_panels(shown.two_stage.runs), title=f"{shown.campaign.title}: {name}"
+    bias = shown.two_stage.result.coefficients["K_F"].value
+    assert bias is not None
+    half = 0.5 * bias * shown.campaign.gravity.value
+    upper: list[PlotSeries] = []
+    lower: list[Plot] = []
+    runs = shown.two_stage.runs
+    end = 1.01 * max(float(run.parabola.strobes.time[-1]) for run in runs)
+    reach = 1.15e3 * max(_largest(run.parabola) for run in runs)
+    for index, run in enumerate(runs):
+        time, error = run.parabola.strobes.time, run.parabola.strobes.error
+        b0, b1, b2 = run.parabola.coefficients
+        fine = np.linspace(0.0, time[-1], 100)
+        upper.append(PlotSeries("", _tuple(fine), _tuple((b2 - half) * fine**2), colour=index))
+        # Every strobe would hide the curve; the residuals below show them all.
+        some = slice(None, None, max(1, time.size // 25))
+        left = (error - b0 - b1 * time - half * time**2)[some]
+        words = f"{run.name}, {run.trajectory.spindle.rate:.4f} rad/s"
+        upper.append(
+            PlotSeries(words, _tuple(time[some]), _tuple(left), None, None, "points", colour=index)
+        )
+        lower.append(_residuals(run, index, (0.0, end), reach))
+    return [
+        Plot(
+            title=f"{shown.campaign.title}: {name}, displacement error less the parabola of K_F",
+            x_label="time, s",
+            y_label="displacement error, m",
+            series=tuple(upper),
+            levels=(0.0,),
+            x_range=(0.0, end),
+            height=1.3,
+        ),
+        *lower,
+    ]
+
+
+def _residuals(run: StrobedRun, index: int, x_range: tuple[float, float], reach: float) -> Plot:
+    parabola = run.parabola
+    time = _tuple(parabola.strobes.time)
+    band = 2e3 * _sigma(parabola)
+    ends = (time[0], time[-1])
+    return Plot(
+        title=f"{run.name}: strobes less fitted parabola; band: ± 2 standard deviations",
+        x_label="time, s",
+        y_label="mm",
+        series=(
+            PlotSeries("", ends, (0.0, 0.0), (-band, -band), (band, band), "band", colour=index),
+            PlotSeries(
+                "", time, _tuple(1e3 * parabola.residuals), None, None, "points", colour=index
+            ),
+        ),
+        levels=(0.0,),
+        x_range=x_range,
+        y_range=(-reach, reach),
+        height=0.55,
     )
+
+
+def _sigma(parabola: Parabola) -> float:
+    """Return the standard deviation of a strobe, m."""
+    # Strobes between two samples are means of both, and so a little quieter.
+    return parabola.sigma * float(np.mean(parabola.strobes.noise_factor))
+
+
+def _largest(parabola: Parabola) -> float:
+    """Return the height that holds residuals and band, m."""
+    return max(2.0 * _sigma(parabola), float(np.max(np.abs(parabola.residuals))))
+
+
+def _tuple(values: Array) -> tuple[float, ...]:
+    return tuple(values.tolist())

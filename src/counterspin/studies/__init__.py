@@ -9,5 +9,5 @@
 - `validity`, `choice`, `engine`: where shortcuts hold, which is taken, batches
 - `work`: the trials shared out, on one core, on many or on a cluster
 - `result`: what a study found, its JSON
-- `page`, `figures`: a study as a person reads it
+- `page`: a study as a person reads it, with its figures
 """

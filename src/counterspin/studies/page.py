@@ -1,15 +1,29 @@
-"""A study as a person reads it: a table for each analysis, and the verdict.
+"""A study as a person reads it: a table for each analysis, the verdict, and figures.
 
 - `render_study`: as something that rich prints
+- `z_plots`, `coverage_plots`, `bias_plots`: how errors are distributed, whether intervals hold the
+  truth, and bias against what varied
+- `write_figures`: all of these, to a folder
 """
 
 from __future__ import annotations
 
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
+from counterspin.reports.charts import save
 from counterspin.reports.numbers import field_unit, format_number
 from counterspin.reports.text import Report
 from counterspin.studies.result import CoefficientResult, StudyResult
-from counterspin.studies.tally import LEVELS
+from counterspin.studies.tally import LEVELS, Z_BINS, Z_EDGE
+
+#: Height of one of many panels, of that of a plot by itself.
+_PANEL: Final = 0.7
 
 _COLUMNS = (
     Column("Coefficient"),
@@ -52,18 +66,118 @@ def render_study(result: StudyResult) -> Report:
     return Report(blocks)
 
 
-def _row(name: str, found: CoefficientResult) -> tuple[str, ...]:
-    unit, factor = field_unit(found.unit)
-    bias, error = (format_number(factor * x, 2) for x in (found.bias, found.se_bias))
+def _row(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
+    unit, factor = field_unit(coefficient.unit)
+    bias, error = (format_number(factor * x, 2) for x in (coefficient.bias, coefficient.se_bias))
     return (
         name,
         unit,
         f"{bias}\n± {error}",
-        format_number(found.sd * factor),
-        format_number(found.u * factor),
+        format_number(coefficient.sd * factor),
+        format_number(coefficient.u * factor),
         *(
             f"{100 * share:.2f}\n[{100 * low:.2f}, {100 * high:.2f}]"
-            for share, (low, high) in zip(found.covered, found.intervals, strict=True)
+            for share, (low, high) in zip(coefficient.covered, coefficient.intervals, strict=True)
         ),
-        "-" if found.efficiency is None else format_number(found.efficiency, 2),
+        "-" if coefficient.efficiency is None else format_number(coefficient.efficiency, 2),
     )
+
+
+def z_plots(result: StudyResult) -> Iterator[Plot]:
+    """Yield how each coefficient's error over claimed u is distributed, and the normal curve."""
+    edges = np.linspace(-Z_EDGE, Z_EDGE, Z_BINS + 1)
+    centres = tuple((0.5 * (edges[1:] + edges[:-1])).tolist())
+    fine = tuple(np.linspace(-Z_EDGE, Z_EDGE, 241).tolist())
+    normal = tuple(math.exp(-0.5 * z**2) / math.sqrt(2.0 * math.pi) for z in fine)
+    for name, coefficient in _coefficients(result):
+        counts = np.array(coefficient.histogram)
+        density = counts[1:-1] / (counts.sum() * (edges[1] - edges[0]))
+        beyond = 100.0 * (counts[0] + counts[-1]) / counts.sum()
+        yield Plot(
+            title=f"{name}: {beyond:.3g} % beyond ± {Z_EDGE:g}",
+            x_label="error over claimed standard uncertainty",
+            y_label="density",
+            series=(
+                PlotSeries("", centres, tuple(density.tolist()), kind="columns", colour=0),
+                PlotSeries("", fine, normal, colour=1),
+            ),
+            x_range=(-Z_EDGE, Z_EDGE),
+            height=_PANEL,
+        )
+
+
+def coverage_plots(result: StudyResult) -> Iterator[Plot]:
+    """Yield for each level how often the intervals held the truth; bars: binomial, 95 %."""
+    names, coefficients = zip(*_coefficients(result), strict=True)
+    for index, level in enumerate(LEVELS):
+        low, high = zip(*(c.intervals[index] for c in coefficients), strict=True)
+        share = tuple(c.covered[index] for c in coefficients)
+        yield Plot(
+            title=f"Trials whose {100 * level:.0f} % interval held the truth; bars: 95 %",
+            x_label="",
+            y_label="share, %",
+            series=(
+                PlotSeries(
+                    "",
+                    tuple(map(float, range(len(names)))),
+                    _percent(share),
+                    _percent(low),
+                    _percent(high),
+                    "points",
+                    colour=index,
+                ),
+            ),
+            levels=(100.0 * level,),
+            x_names=names,
+            height=_PANEL,
+        )
+
+
+def bias_plots(result: StudyResult, driver: str) -> Iterator[Plot]:
+    """Yield each coefficient's bias against one of the quantities that varied."""
+    for name, coefficient in _coefficients(result):
+        against = coefficient.against[driver]
+        columns = (against.value, against.trials, against.bias, against.se_bias)
+        value, trials, bias, spread = (np.array(column, dtype=float) for column in columns)
+        half_bin = 0.5 * (value[1] - value[0])
+        seen = trials > 1
+        unit, factor = field_unit(coefficient.unit)
+        middle, half = factor * bias[seen], 2.0 * factor * spread[seen]
+        yield Plot(
+            title=f"Bias of {name}; bars: two standard errors",
+            x_label=driver,
+            y_label=f"bias, {unit}" if unit else "bias",
+            series=(
+                PlotSeries(
+                    "",
+                    tuple(value[seen].tolist()),
+                    tuple(middle.tolist()),
+                    tuple((middle - half).tolist()),
+                    tuple((middle + half).tolist()),
+                    "points",
+                ),
+            ),
+            levels=(0.0,),
+            x_range=(float(value[0] - half_bin), float(value[-1] + half_bin)),
+            height=_PANEL,
+        )
+
+
+def write_figures(result: StudyResult, folder: Path) -> None:
+    """Write all figures of a study to a folder, as SVG."""
+    save(list(z_plots(result)), folder / "z.svg")
+    save(list(coverage_plots(result)), folder / "coverage.svg")
+    for driver in dict.fromkeys(driver for _, c in _coefficients(result) for driver in c.against):
+        save(list(bias_plots(result, driver)), folder / f"bias-{driver}.svg")
+
+
+def _coefficients(result: StudyResult) -> list[tuple[str, CoefficientResult]]:
+    return [
+        (f"{analysis}: {name}", coefficient)
+        for analysis, found in result.analyses.items()
+        for name, coefficient in found.coefficients.items()
+    ]
+
+
+def _percent(shares: Iterable[float]) -> tuple[float, ...]:
+    return tuple(100.0 * share for share in shares)
