@@ -1,7 +1,7 @@
-"""Who does work that is shared out: processes here, or the workers of a Dask cluster.
+"""Work shared out: to processes of this machine, or to the workers of a Dask cluster.
 
-- `Crew`: hands tasks to them
-- `crew_of`: starts processes, or reaches a cluster
+- `WorkerPool`: takes tasks
+- `worker_pool`: starts processes, or reaches a cluster
 """
 
 from __future__ import annotations
@@ -20,30 +20,31 @@ from typing import Any, Final
 
 from counterspin.errors import CounterspinError
 
+#: What BLAS libraries read the number of their threads from.
 _THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
-#: Seconds that a scheduler may take to answer.
-_ANSWER: Final = 10.0
+#: How long a scheduler may take to answer, s.
+_SCHEDULER_TIMEOUT: Final = 10.0
 
-#: Seconds that a cluster's first worker may take to join, as where a queue starts it.
-_PATIENCE: Final = 600.0
+#: How long a cluster's first worker may take to join, as where a queue starts it, s.
+_FIRST_WORKER_TIMEOUT: Final = 600.0
 
-#: Seconds between two looks at how many workers a cluster has.
-_LOOK: Final = 2.0
+#: Time between two counts of a cluster's workers, s.
+_COUNT_INTERVAL: Final = 2.0
 
 
 @dataclass
-class Crew:
-    """Those who do the work.
+class WorkerPool:
+    """Workers that take tasks.
 
     Attributes
     ----------
     executor
         Takes tasks.
     died
-        What a task raises whose worker died.
+        What a task whose worker died raises.
     count
-        Tells how many there are now; those of a cluster come and go.
+        Returns how many workers there are now; those of a cluster come and go.
     """
 
     executor: Executor
@@ -53,26 +54,26 @@ class Crew:
 
     @property
     def size(self) -> int:
-        """How many there are, or were a moment ago; at least 1."""
+        """How many workers there are, or were a moment ago; at least 1."""
         when, size = self._seen
-        if time.monotonic() - when > _LOOK:
+        if time.monotonic() - when > _COUNT_INTERVAL:
             size = max(1, self.count())
             self._seen = (time.monotonic(), size)
         return size
 
 
 @contextmanager
-def crew_of(workers: int, cluster: str | None, module: str) -> Iterator[Crew]:
-    """Yield those who do the work.
+def worker_pool(workers: int, cluster: str | None, module: str) -> Iterator[WorkerPool]:
+    """Yield workers, which end with the context.
 
     Parameters
     ----------
     workers
-        Processes here.
+        Number of processes here.
     cluster
-        Address of a Dask scheduler, whose workers do the work instead; None: processes.
+        Address of a Dask scheduler, whose workers are used instead; None: processes.
     module
-        Holds the tasks. Processes load it at once, while the caller goes on.
+        Module of the tasks. Processes load it at once, while the caller goes on.
 
     Raises
     ------
@@ -80,21 +81,21 @@ def crew_of(workers: int, cluster: str | None, module: str) -> Iterator[Crew]:
         If the cluster cannot be reached or is lost, or its workers cannot load the tasks.
     """
     if cluster is not None:
-        with _on_cluster(cluster) as crew:
-            yield crew
+        with _on_cluster(cluster) as pool:
+            yield pool
         return
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as executor:
         try:
-            with _as_workers_are_born():
+            with _environment_of_workers():
                 # The first task starts all processes.
                 for _ in range(workers):
-                    pool.submit(_load, module)
-            yield Crew(pool, (BrokenProcessPool,), lambda: workers)
+                    executor.submit(_load, module)
+            yield WorkerPool(executor, (BrokenProcessPool,), lambda: workers)
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
+            executor.shutdown(wait=False, cancel_futures=True)
             raise
 
 
@@ -103,12 +104,12 @@ def _load(module: str) -> None:
 
 
 @contextmanager
-def _as_workers_are_born() -> Iterator[None]:
-    """Set what a process takes over from the one that starts it.
+def _environment_of_workers() -> Iterator[None]:
+    """Set for a while what processes that are started inherit.
 
-    One thread a worker: the matrices are small, and workers with more would crowd each other out;
-    libraries look at that when they are loaded. And Ctrl-C, which a terminal sends to all, is for
-    the process that hands out the work to see to.
+    One thread a worker: the matrices are small, and more threads would compete for the cores.
+    Libraries read that when they are loaded. And workers ignore Ctrl-C, which a terminal sends to
+    all processes: the one that hands out the work handles it.
     """
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
@@ -129,13 +130,13 @@ def _as_workers_are_born() -> Iterator[None]:
 class _DaskExecutor(Executor):
     """Hands tasks to a Dask client.
 
-    Dask's own executor (`Client.get_executor`) fails where a worker leaves whose results have not
-    been fetched yet; here Dask computes them again.
+    Dask's own executor (`Client.get_executor`) fails if a worker leaves before its results have
+    been fetched; here Dask computes them again.
     """
 
     def __init__(self, client: Any) -> None:
         self._client = client
-        self._tasks: set[Any] = set()  # Dask drops a task that nobody holds
+        self._tasks: set[Any] = set()  # Dask drops a task that nobody refers to
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Hand over a task; its future raises CancelledError if the scheduler is lost."""
@@ -156,7 +157,7 @@ class _DaskExecutor(Executor):
 
 
 @contextmanager
-def _on_cluster(address: str) -> Iterator[Crew]:
+def _on_cluster(address: str) -> Iterator[WorkerPool]:
     try:
         from distributed import Client, KilledWorker
     except ImportError as error:
@@ -165,16 +166,16 @@ def _on_cluster(address: str) -> Iterator[Crew]:
         ) from error
     silent = f"{address}: no Dask scheduler answers there; start one with `dask scheduler`"
     try:
-        client: Any = Client(address, timeout=_ANSWER, set_as_default=False)
+        client: Any = Client(address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
         raise CounterspinError(silent) from error
     with client:
         try:
-            client.wait_for_workers(1, timeout=_PATIENCE)
+            client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT)
         except TimeoutError as error:
             raise CounterspinError(
-                f"{address}: no worker has joined that scheduler in {_PATIENCE:.0f} s; start some "
-                f"with `dask worker {address}`"
+                f"{address}: no worker has joined that scheduler in {_FIRST_WORKER_TIMEOUT:.0f} s; "
+                f"start some with `dask worker {address}`"
             ) from error
         except OSError as error:
             raise CounterspinError(silent) from error
@@ -187,7 +188,7 @@ def _on_cluster(address: str) -> Iterator[Crew]:
 
         try:
             # Dask hands a dead worker's tasks to others by itself, until it gives a task up.
-            yield Crew(_DaskExecutor(client), (KilledWorker,), count)
+            yield WorkerPool(_DaskExecutor(client), (KilledWorker,), count)
         except CancelledError as error:
             raise CounterspinError(
                 f"{address}: the connection with the Dask scheduler was lost; see to it and run "

@@ -12,7 +12,7 @@ import pytest
 from clusters import dask_cluster
 from scipy import stats
 
-from counterspin import workers as crew
+from counterspin import workers
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.studies import work as study_work
@@ -264,7 +264,7 @@ def test_dask_s_workers_give_the_same(varying):
 
 
 def test_cluster_that_does_not_answer_is_told(varying, monkeypatch):
-    monkeypatch.setattr(crew, "_ANSWER", 0.5)
+    monkeypatch.setattr(workers, "_SCHEDULER_TIMEOUT", 0.5)
     pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
     with pytest.raises(CounterspinError, match="no Dask scheduler answers"):
         study(varying, cluster="tcp://127.0.0.1:9")

@@ -17,7 +17,7 @@ from counterspin.calibration.options import Method, TwoStageOptions
 from counterspin.calibration.result import Result
 from counterspin.errors import CounterspinError
 from counterspin.results import ResultFile, ResultPart
-from counterspin.workers import crew_of
+from counterspin.workers import worker_pool
 
 
 class FailedCampaign(ResultPart):
@@ -126,12 +126,12 @@ def _together(
     while left:
         pending: dict[Future[Result | FailedCampaign], int] = {}
         try:
-            with crew_of(min(workers, len(left)), cluster, __name__) as crew:
-                died = crew.died
+            with worker_pool(min(workers, len(left)), cluster, __name__) as pool:
+                died = pool.died
                 while left or pending:
                     # No more than there are workers, so that few are suspects when one dies.
-                    while left and len(pending) < crew.size:
-                        pending[crew.executor.submit(attempt, *jobs[left[0]])] = left[0]
+                    while left and len(pending) < pool.size:
+                        pending[pool.executor.submit(attempt, *jobs[left[0]])] = left[0]
                         del left[0]
                     finished, _ = wait(pending, return_when=FIRST_COMPLETED)
                     for future in finished:

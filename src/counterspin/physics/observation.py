@@ -28,6 +28,7 @@ from counterspin.physics.motion import Motion, Trajectory
 ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}
 
 LEVEL: Final[Array] = np.eye(3)  #: attitude with x, y, z pointing east, north, up
+LEVEL.flags.writeable = False  # a default that calls share
 
 
 def reference(

@@ -31,7 +31,7 @@ from counterspin.studies.result import (
 )
 from counterspin.studies.tally import summarise
 from counterspin.studies.work import Ledger, run_batches, work
-from counterspin.workers import crew_of
+from counterspin.workers import worker_pool
 
 
 def study(
@@ -97,7 +97,7 @@ def study(
         raise CounterspinError("`trials` must be at least 2")
     alone = workers == 1 and cluster is None
     # Workers start while the engine is prepared.
-    with nullcontext() if alone else crew_of(workers, cluster, work.__module__) as crew:
+    with nullcontext() if alone else worker_pool(workers, cluster, work.__module__) as pool:
         prepared = prepare(
             world_of(description.campaign),
             truth_of(description),
@@ -112,7 +112,7 @@ def study(
         if resume:
             ledger.resume()
         complete = run_batches(
-            prepared, ledger, workers=workers, cluster=cluster, crew=crew, progress=progress
+            prepared, ledger, workers=workers, cluster=cluster, pool=pool, progress=progress
         )
     result = _result(description, prepared, ledger, complete)
     if folder is not None:

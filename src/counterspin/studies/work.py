@@ -26,20 +26,20 @@ from counterspin.arrays import Array
 from counterspin.errors import CounterspinError
 from counterspin.output import write_whole
 from counterspin.studies.engine import StudyEngine
-from counterspin.workers import Crew, crew_of
+from counterspin.workers import WorkerPool, worker_pool
 
-#: Seconds of work that a task is meant to be, and tasks on their way for each worker.
-_TASK: Final = 0.3
-_AHEAD: Final = 3
+#: Length of a task, s, and how many are handed out ahead for each worker.
+_TASK_DURATION: Final = 0.3
+_TASKS_AHEAD: Final = 3
 
-#: Seconds between two copies of the ledger on disk.
-_KEEP: Final = 10.0
+#: Time between two copies of the ledger on disk, s.
+_SAVE_INTERVAL: Final = 10.0
 
-#: Losses of all workers one after another, with nothing done between, until it is given up.
-_LOSSES: Final = 5
+#: How often all workers may die in a row with nothing done between.
+_MOST_LOSSES: Final = 5
 
-#: What a trial of each kind takes or so, s, to begin with.
-_COSTS: Final = {
+#: What a trial of each kind takes, roughly, s.
+_TRIAL_DURATIONS: Final = {
     "constant": 1e-7,
     "sampled": 3e-7,
     "surrogate": 1.5e-6,
@@ -193,7 +193,7 @@ def run_batches(
     *,
     workers: int = 1,
     cluster: str | None = None,
-    crew: Crew | None = None,
+    pool: WorkerPool | None = None,
     progress: Callable[[int, int], None] | None = None,
     batches_per_task: int | None = None,
 ) -> bool:
@@ -209,9 +209,9 @@ def run_batches(
         Processes; 1 works in this one.
     cluster
         Address of a Dask scheduler; its workers do the work then.
-    crew
-        Those who do the work, already at their places; None: they are called. Should they die,
-        others take over.
+    pool
+        Workers that are there already; None: they are started. Should they die, others are
+        started in their place.
     progress
         Called with (trials done, trials in all).
     batches_per_task
@@ -227,14 +227,14 @@ def run_batches(
     CounterspinError
         If workers die again and again, or the cluster cannot be reached or is lost.
     """
-    cost = sum(_COSTS[part.kind] for part in engine.parts) * engine.batch_size
-    size = batches_per_task or max(1, min(64, round(_TASK / cost)))
+    cost = sum(_TRIAL_DURATIONS[part.kind] for part in engine.parts) * engine.batch_size
+    size = batches_per_task or max(1, min(64, round(_TASK_DURATION / cost)))
     packed = pickle.dumps(engine)
     try:
         if workers == 1 and cluster is None:
             _alone(packed, ledger, size, progress)
         else:
-            _together(packed, ledger, size, crew, workers, cluster, progress)
+            _together(packed, ledger, size, pool, workers, cluster, progress)
     except KeyboardInterrupt:
         return False
     finally:
@@ -276,7 +276,7 @@ class _Notes:
         self.reached += trials
         if self.progress is not None:
             self.progress(self.reached, self.ledger.trials)
-        if time.monotonic() - self.kept > _KEEP:
+        if time.monotonic() - self.kept > _SAVE_INTERVAL:
             self.ledger.save()
             self.kept = time.monotonic()
 
@@ -285,7 +285,7 @@ def _together(
     packed: bytes,
     ledger: Ledger,
     size: int,
-    crew: Crew | None,
+    pool: WorkerPool | None,
     workers: int,
     cluster: str | None,
     progress: Callable[[int, int], None] | None,
@@ -296,29 +296,29 @@ def _together(
     while not ledger.done.all():
         before = int(ledger.done.sum())
         try:
-            with nullcontext(crew) if crew else crew_of(workers, cluster, __name__) as found:
-                died = found.died
-                _hand_out(found, packed, ledger, size, note)
+            with nullcontext(pool) if pool else worker_pool(workers, cluster, __name__) as current:
+                died = current.died
+                _hand_out(current, packed, ledger, size, note)
         except died as error:
             # A worker was killed, or ran out of memory. What it had in hand is handed out again.
-            crew = None
+            pool = None
             losses = 0 if int(ledger.done.sum()) > before else losses + 1
-            if losses >= _LOSSES:
+            if losses >= _MOST_LOSSES:
                 raise CounterspinError(
                     "the workers die before they have done anything; try fewer (`workers`), or "
                     "see whether memory runs out"
                 ) from error
 
 
-def _hand_out(crew: Crew, packed: bytes, ledger: Ledger, size: int, note: _Notes) -> None:
+def _hand_out(pool: WorkerPool, packed: bytes, ledger: Ledger, size: int, note: _Notes) -> None:
     # A snapshot: what is entered meanwhile must not change what is left to hand out.
     waiting = iter(list(_tasks(ledger, size)))
     pending: dict[Future[tuple[Array, Any]], tuple[int, tuple[int, ...]]] = {}
     try:
         while True:
-            ahead = _AHEAD * crew.size
+            ahead = _TASKS_AHEAD * pool.size
             while len(pending) < ahead and (task := next(waiting, None)) is not None:
-                pending[crew.executor.submit(work, packed, *task, ledger.keep)] = task
+                pending[pool.executor.submit(work, packed, *task, ledger.keep)] = task
             if not pending:
                 return
             finished, _ = wait(pending, return_when=FIRST_COMPLETED)
