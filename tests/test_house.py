@@ -82,6 +82,7 @@ def lists_of_terms(source):
 # A choice of terms is no list of terms; each is named here, so that a new one is thought about.
 CHOICES = {
     "campaign/terms.py": [["K_F", "K_I", "K_II", "K_III"]],  # estimated where none are named
+    "physics/machine.py": [["K_F", "K_I", "K_II"]],  # those with a slope with temperature
     "reproduction/equations.py": [["K_II", "K_III", "K_IP"]],  # the integrals printed under Eq. 13
 }
 TABLE = "physics/accelerometer.py"

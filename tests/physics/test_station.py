@@ -11,13 +11,17 @@ import pytest
 from counterspin.physics.accelerometer import QX, TERMS, Mounting, direction
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
-from counterspin.physics.station import FRAMES, Station
+from counterspin.physics.station import FRAMES, Station, mean_products
 
 REFERENCE = json.loads(
     (Path(__file__).parents[1] / "reference" / "arm_forces.json").read_text(encoding="utf-8")
 )
 SITE = Site(9.80665, 0.8)
 SYMBOLS = list(TERMS)
+
+
+def means_at(station, site, symbols):
+    return mean_products([station], site, symbols)[0]
 
 
 def arm(inputs, pendulous, **more):
@@ -60,7 +64,7 @@ def test_means_on_the_arm_in_closed_form(rate):
     g, omega = site.gravity, site.earth_rate
     a_i = (rate**2 + 2.0 * rate * omega * math.sin(0.7)) / g
     lift = 2.0 * rate * omega * math.cos(0.7) / g
-    means = dict(zip(SYMBOLS, station.mean_products(site, SYMBOLS), strict=True))
+    means = dict(zip(SYMBOLS, means_at(station, site, SYMBOLS), strict=True))
     expected = {"K_F": 1.0, "K_I": a_i, "K_II": a_i**2, "K_III": a_i**3, "K_IP": a_i, "K_IO": 0.0}
     expected |= {"K_PP": 1.0 + lift**2 / 2.0, "K_OO": 0.0, "K_OQ": a_i**2, "delta_O": 1.0}
     for symbol, value in expected.items():
@@ -71,7 +75,7 @@ def test_the_cross_term_of_the_earth_s_rate_has_the_size_of_the_literature():
     """3.28e-5 of a at pi rad/s and 45 deg; it changes its sign with the sense."""
     site = Site(9.8, math.pi / 4.0)
     ahead, back = (
-        arm("inward", "up", rate=rate, radius=1.0).mean_products(site, ["K_I"])[0]
+        means_at(arm("inward", "up", rate=rate, radius=1.0), site, ["K_I"])[0]
         for rate in (math.pi, -math.pi)
     )
     assert (ahead - back) / (ahead + back) == pytest.approx(3.28e-5, rel=2e-3)
@@ -79,7 +83,7 @@ def test_the_cross_term_of_the_earth_s_rate_has_the_size_of_the_literature():
 
 def test_means_on_a_double_turntable_in_closed_form():
     rate, radius, site = 3.0, 2.5, Site(9.8, 0.7, earth_rate=0.0)
-    means = Station("counter-rotating", QX, rate=rate, radius=radius).mean_products(site, SYMBOLS)
+    means = means_at(Station("counter-rotating", QX, rate=rate, radius=radius), site, SYMBOLS)
     size = radius * rate**2 / site.gravity
     found = dict(zip(SYMBOLS, means, strict=True))
     assert found["K_II"] == pytest.approx(size**2 / 2.0, rel=1e-14)
@@ -93,7 +97,7 @@ def test_stretch_lengthens_the_radius_by_the_acceleration():
     site = Site(9.80665, 0.0, earth_rate=0.0)
     rate, stretch = 9.9, 4.6e-9
     plain, longer = (
-        arm("inward", "up", rate=rate, radius=1.0, stretch=s).mean_products(site, ["K_I"])[0]
+        means_at(arm("inward", "up", rate=rate, radius=1.0, stretch=s), site, ["K_I"])[0]
         for s in (0.0, stretch)
     )
     assert longer / plain - 1.0 == pytest.approx(stretch * rate**2, rel=1e-6)
@@ -104,7 +108,7 @@ def test_droop_lets_gravity_into_an_input_axis_along_the_arm(inputs, sign):
     site = Site(9.8, 0.0, earth_rate=0.0)
     rate, droop = 9.9, 1e-8
     plain, drooped = (
-        arm(inputs, "forward", rate=rate, radius=1.0, droop=d).mean_products(site, ["K_I"])[0]
+        means_at(arm(inputs, "forward", rate=rate, radius=1.0, droop=d), site, ["K_I"])[0]
         for d in (0.0, droop)
     )
     # The outer end goes down, so an axis that points inwards looks up and feels gravity.
@@ -116,7 +120,7 @@ def test_a_turn_is_right_handed_about_the_frame_s_axes():
     mounting = Mounting.from_axes("north", "west")
     turned = Station("static", mounting, turn=(1e-3, 0.0, 0.0))
     # About east, north turns up.
-    assert turned.mean_products(site, ["K_I"])[0] == pytest.approx(math.sin(1e-3), rel=1e-12)
+    assert means_at(turned, site, ["K_I"])[0] == pytest.approx(math.sin(1e-3), rel=1e-12)
 
 
 def test_at_rest_no_position_tells_k_f_from_the_squares():
@@ -128,9 +132,7 @@ def test_at_rest_no_position_tells_k_f_from_the_squares():
         first, second = rng.normal(size=(2, 3))
         i = direction(list(first))
         p = direction(list(second - (second @ i) * i))
-        rows.append(
-            Station("static", Mounting.from_axes(list(i), list(p))).mean_products(SITE, terms)
-        )
+        rows.append(means_at(Station("static", Mounting.from_axes(list(i), list(p))), SITE, terms))
     _, sizes, directions = np.linalg.svd(np.array(rows))
     assert sizes[-2] > 0.1
     assert sizes[-1] < 1e-13
@@ -162,7 +164,7 @@ def test_equal_angle_tumble_has_the_textbook_s_uncertainties(positions, terms, e
         i = [-up_along_p, 0.0, up_along_i]
         p = [up_along_i, 0.0, up_along_p]
         station = Station("static", Mounting.from_axes(i, p))
-        rows.append(station.mean_products(SITE, [symbols[t] for t in terms]))
+        rows.append(means_at(station, SITE, [symbols[t] for t in terms]))
     covariance = np.linalg.inv(np.array(rows).T @ np.array(rows))
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), expected, rtol=0, atol=6e-7)
 
@@ -205,7 +207,7 @@ def test_the_cubic_of_an_arm_that_stretches(inputs, expected):
         side = "inward" if a > 0 else "outward"
         rate = math.sqrt(abs(a) * site.gravity)
         station = arm(side, "up", rate=rate, radius=1.0, stretch=stretch)
-        actual.append(station.mean_products(site, ["K_I"])[0])
+        actual.append(means_at(station, site, ["K_I"])[0])
     for found, printed in zip(cubic(inputs, np.array(actual)), expected, strict=True):
         half_a_digit = 0.5 * float(Decimal((0, (1,), Decimal(printed).as_tuple().exponent)))
         assert abs(found - float(printed)) <= half_a_digit

@@ -7,6 +7,7 @@ Modules, lowest first:
 - `accelerometer`: mountings, the error model (Eq. 7) and the one table of error terms
 - `motion`: exact position, velocity and specific force of the platform; harmful acceleration
 - `station`: where one reading is taken, at rest, on an arm or on a double turntable
+- `machine`: what centrifuge, fixture, dividing head, temperature and time do to it
 - `quadrature`: single and double time integrals along a trajectory, to rounding
 - `observation`: columns, the displacement per unit of each coefficient
 - `inversion`: the error model's inverse, from an indication to the specific force

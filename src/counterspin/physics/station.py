@@ -10,6 +10,7 @@ the arm, forward (the way that the arm moves at a positive rate) and up on an ar
 right-handed.
 
 - `Station`: motion, axes and machine
+- `mean_products`: what each coefficient counts with at each of several stations
 - `FRAMES`: the names of directions in each motion's frame
 """
 
@@ -44,7 +45,7 @@ FRAMES: Final[Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
 }
 
 #: Angles of a revolution at which the mean is taken: exact for products of degree below this.
-_ANGLES: Final = 64
+_ANGLES: Final = 16
 
 _FORWARD: Final = np.array([0.0, 1.0, 0.0])
 
@@ -109,38 +110,13 @@ class Station:
         along = -inward - coriolis
         return np.stack([along * cos, along * sin, lifted], axis=-1)
 
-    def mean_products(self, site: Site, symbols: Sequence[str]) -> Array:
-        """Return the signed products of specific forces, each the mean over a revolution.
-
-        Parameters
-        ----------
-        site
-            As for `force`.
-        symbols
-            Accelerometer terms, m of them.
-
-        Returns
-        -------
-        Array
-            In g to the power of each product's degree, shape (m,).
-
-        Raises
-        ------
-        KeyError
-            If a symbol is no term of an accelerometer.
-        """
-        count = _ANGLES if self.rate else 1
-        angles = np.linspace(0.0, 2.0 * np.pi, count, endpoint=False, dtype=np.float64)
-        a_ipo = self._axes() @ (self.force(site, angles) / site.gravity).T
-        return np.array([TERMS[symbol].evaluate(a_ipo).mean() for symbol in symbols])
-
     def indicated(self, site: Site, coefficients: Mapping[str, float]) -> float:
         """Return the mean indication in g; coefficients that are not named are nominal."""
         values = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
-        return float(self.mean_products(site, list(TERMS)) @ values)
+        return float(mean_products([self], site, list(TERMS))[0] @ values)
 
-    def _axes(self) -> Array:
-        """Return the axes I, P, O as they stand under load, rows, shape (3, 3)."""
+    def axes_under_load(self) -> Array:
+        """Return the axes I, P, O with droop and turn, rows, shape (3, 3)."""
         turn = np.array(self.turn) + self.droop * self.rate**2 * _FORWARD
         size = float(np.linalg.norm(turn))
         axes = self.mounting.matrix
@@ -154,3 +130,33 @@ class Station:
             + (1.0 - np.cos(size)) * (axes @ about)[:, None] * about
         )
         return turned
+
+
+def mean_products(stations: Sequence[Station], site: Site, symbols: Sequence[str]) -> Array:
+    """Return the signed products of specific forces, each the mean over a revolution.
+
+    Parameters
+    ----------
+    stations
+        n of them.
+    site
+        As for `Station.force`.
+    symbols
+        Accelerometer terms, m of them.
+
+    Returns
+    -------
+    Array
+        In g to the power of each product's degree, shape (n, m).
+
+    Raises
+    ------
+    KeyError
+        If a symbol is no term of an accelerometer.
+    """
+    angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False, dtype=np.float64)
+    a_ipo = np.empty((3, len(stations), _ANGLES))
+    for index, station in enumerate(stations):
+        a_ipo[:, index] = station.axes_under_load() @ station.force(site, angles).T
+    a_ipo /= site.gravity
+    return np.stack([TERMS[symbol].evaluate(a_ipo).mean(axis=-1) for symbol in symbols], axis=-1)

@@ -9,7 +9,7 @@ blocks, not from the records.
 The problem is an `Unknowns` (`counterspin.inference.joint.unknowns`) beside the prepared series
 (`counterspin.inference.joint.prepared`).
 
-- `solve_joint`: the answer
+- `solve_joint`, `solve_blocks`: the answer, from columns or from blocks
 - `JointFit`: the answer for other noise or without a run, its residuals, its degrees of freedom
 """
 
@@ -88,7 +88,7 @@ class JointFit:
             else block
             for block, prepared in zip(self.blocks, self.prepared, strict=True)
         )
-        solution = _solve(blocks, self.model)
+        solution = solve_blocks(blocks, self.model)
         return JointFit(self.model, solution, self.prepared, blocks, {**self.noise, **noise})
 
     def without_run(self, run: str) -> Solution | None:
@@ -98,7 +98,7 @@ class JointFit:
             for block, prepared in zip(self.blocks, self.prepared, strict=True)
             if prepared.run != run
         ]
-        return _solve(kept, self.model) if kept else None
+        return solve_blocks(kept, self.model) if kept else None
 
     def prepared_for(
         self, model: Unknowns, scale_factors: Mapping[str, float]
@@ -178,7 +178,7 @@ def solve_joint(
         If a record is too short for its own start offset and velocity.
     """
     blocks = tuple(_block(part, model, noise[part.accelerometer]) for part in prepared)
-    return JointFit(model, _solve(blocks, model), tuple(prepared), blocks, noise)
+    return JointFit(model, solve_blocks(blocks, model), tuple(prepared), blocks, noise)
 
 
 def _block_again(
@@ -218,7 +218,8 @@ def _block(prepared: Prepared, model: Unknowns, noise: NoiseModel) -> Block:
     return replace(block, factor=factor, considered=fixed)
 
 
-def _solve(blocks: Sequence[Block], model: Unknowns) -> Solution:
+def solve_blocks(blocks: Sequence[Block], model: Unknowns) -> Solution:
+    """Solve blocks with the priors and considered terms of a model."""
     return least_squares.solve(
         blocks,
         prior_mean=[unknown.prior_mean for unknown in model.unknowns],

@@ -1,0 +1,390 @@
+"""Readings: single values at rest, on an arm or on a turntable, as data of the joint fit.
+
+A reading is linear in the coefficients and nearly so in what the machine does; the derivatives are
+taken at the estimate, and taken again there until it settles (Gauss-Newton). The readings become
+blocks of square-root information, which are solved together with the blocks of records.
+
+- `Readings`: what was read, and where
+- `solve_readings`, `ReadingsFit`: readings alone, or together with records
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.errors import ConvergenceError, NotIdentifiableError
+from counterspin.inference.blocks import Block, reduce_block
+from counterspin.inference.joint.fit import solve_blocks
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.least_squares import Solution
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.machine import machine_term, moved
+from counterspin.physics.motion import Site
+from counterspin.physics.station import Station, mean_products
+
+#: Rounds in which derivatives and noise must settle; two or three are usual.
+_ROUNDS: Final = 50
+
+#: The same for the noise alone, which may approach zero slowly.
+_NOISE_ROUNDS: Final = 200
+
+#: Estimated noise of readings is no smaller than this part of what the dividing head's angle adds
+#: (rms): below it, few positions where the head adds nothing would be taken for exact.
+_LEAST_BESIDE_HEAD: Final = 0.3
+
+#: Settled: nothing moves by more than this part of its uncertainty, no noise by this part.
+_SETTLED: Final = 1e-6
+
+#: Step of a machine term's derivative, relative to its largest credible size.
+_STEP: Final = 1e-4
+
+#: Uncertain inputs that readings feel, and the step of each derivative: m, m/s^2, rad.
+_INPUT_STEPS: Final = {"centrifuge.radius": 1e-4, "site.gravity": 1e-3, "site.latitude": 1e-3}
+
+#: Step of the derivative by the dividing head's angle, rad.
+_HEAD_STEP: Final = 1e-5
+
+_SYMBOLS: Final = tuple(TERMS)
+
+
+@dataclass(frozen=True)
+class Readings:
+    """Readings of one accelerometer in one motion, n of them, with noise of one kind.
+
+    Attributes
+    ----------
+    accelerometer, motion
+        Its name, and the motion of every station.
+    names
+        Of the readings.
+    site
+        Where they were taken.
+    stations
+        Axes and machine of each.
+    mountings
+        Name of each reading's mounting; empty where it has none.
+    head
+        Axis about which the dividing head turned, in the station's frame, shape (n, 3); zero
+        without one.
+    u_head
+        Random standard uncertainty of the head's angle at each position, rad, shape (n,).
+    value
+        Indication in g by the nominal sensitivity, shape (n,).
+    u
+        Its standard uncertainty, g, shape (n,); None: one for all, estimated from the residuals.
+    temperature
+        K from the reference temperature, shape (n,).
+    time
+        s from the first reading, shape (n,).
+    """
+
+    accelerometer: str
+    motion: str
+    names: tuple[str, ...]
+    site: Site
+    stations: tuple[Station, ...]
+    mountings: tuple[str, ...]
+    head: Array
+    u_head: Array
+    value: Array
+    u: Array | None
+    temperature: Array
+    time: Array
+
+    def products(self, machine: Mapping[str, float]) -> Array:
+        """Return every term's mean product at each reading, shape (n, number of `TERMS`).
+
+        Parameters
+        ----------
+        machine
+            The machine's terms that move stations, less nominal, by symbol.
+        """
+        stations = [self.station(index, machine) for index in range(self.size)]
+        return mean_products(stations, self.site, _SYMBOLS)
+
+    @property
+    def size(self) -> int:
+        """The number of readings."""
+        return len(self.stations)
+
+    def acting(self, symbol: str) -> Array:
+        """Return 1 for each reading on which a term of the machine acts, else 0, shape (n,)."""
+        row, mounting = machine_term(symbol) or (None, "")
+        if row is None or self.motion not in row.motions:
+            return np.zeros(self.size)
+        if not row.per_mounting:
+            return np.ones(self.size)
+        return np.array([float(own == mounting) for own in self.mountings])
+
+    def lever(self, symbol: str) -> Array:
+        """Return what a slope of a coefficient is multiplied with: K or s, shape (n,)."""
+        row, _ = machine_term(symbol) or (None, "")
+        assert row is not None
+        return self.temperature if row.recorded == "temperature" else self.time
+
+    def station(self, index: int, machine: Mapping[str, float]) -> Station:
+        """Return where a reading is taken, with the machine's terms as given."""
+        station = self.stations[index]
+        for symbol, size in machine.items():
+            if size != 0.0 and self.acting(symbol)[index]:
+                station = moved(station, symbol, size, self.head[index])
+        return station
+
+
+@dataclass(frozen=True)
+class ReadingsFit:
+    """A solved problem with readings; lists are in the order of the `Readings`.
+
+    Attributes
+    ----------
+    solution
+        Estimates less nominal.
+    blocks
+        The readings' square-root information.
+    sigma
+        Standard uncertainty of each reading, the head's part included, g, shape (n,).
+    dof
+        Degrees of freedom of an estimated noise; infinite where it was stated.
+    residuals
+        Reading less model at the estimate, g, shape (n,).
+    standardised
+        Residuals over their own standard deviation, with leverages and considered terms counted,
+        shape (n,); NaN where the fit follows a reading wholly.
+    """
+
+    solution: Solution
+    blocks: tuple[Block, ...]
+    sigma: tuple[Array, ...]
+    dof: tuple[float, ...]
+    residuals: tuple[Array, ...]
+    standardised: tuple[Array, ...]
+
+
+def solve_readings(
+    readings: Sequence[Readings], model: Unknowns, beside: Sequence[Block] = ()
+) -> ReadingsFit:
+    """Estimate a model from readings, together with what records say.
+
+    Parameters
+    ----------
+    readings
+        At least one group.
+    model
+        What is estimated, considered and uncertain. Of the uncertain inputs radius, gravity and
+        latitude count here.
+    beside
+        Blocks of records, of the same model.
+
+    Returns
+    -------
+    ReadingsFit
+
+    Raises
+    ------
+    NotIdentifiableError
+        If noise must be estimated from no more readings than unknowns.
+    ConvergenceError
+        If derivatives or noise do not settle.
+    """
+    estimate = np.array([unknown.prior_mean for unknown in model.unknowns])
+    noise = [_first_noise(one) for one in readings]
+    for _ in range(_ROUNDS):
+        parts = [_Part.of(one, model, estimate) for one in readings]
+        # The columns hold while only the noise is another.
+        for _ in range(_NOISE_ROUNDS):
+            weighted = [part.with_noise(size) for part, size in zip(parts, noise, strict=True)]
+            blocks = [part.block() for part in weighted]
+            solution = solve_blocks([*beside, *blocks], model)
+            before = noise
+            noise = [
+                _noise_again(one, part, solution, model, own)
+                for one, part, own in zip(readings, weighted, before, strict=True)
+            ]
+            changes = (abs(new / old - 1.0) for new, old in zip(noise, before, strict=True))
+            if max(changes) < _SETTLED:
+                break
+        moves = np.abs(solution.estimate - estimate) / np.where(solution.u > 0, solution.u, 1.0)
+        estimate = solution.estimate
+        if moves.max(initial=0.0) < _SETTLED:
+            break
+    else:
+        raise ConvergenceError(
+            f"the fit of the readings did not settle in {_ROUNDS} rounds; give the terms of the "
+            "machine priors, or state the standard uncertainties of the readings"
+        )
+    return ReadingsFit(
+        solution,
+        tuple(blocks),
+        tuple(part.sigma for part in weighted),
+        tuple(
+            part.freedom(solution) if one.u is None else math.inf
+            for one, part in zip(readings, weighted, strict=True)
+        ),
+        tuple(part.left(solution, model) for part in weighted),
+        tuple(part.standardised(solution, model) for part in weighted),
+    )
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Readings linearised at an estimate: target = design @ unknowns + fixed @ considered."""
+
+    design: Array  # (n, p)
+    fixed: Array  # (n, q)
+    target: Array  # (n,), g, less what a perfect system indicates
+    stated: Array | None  # (n,), g, without the head's part
+    head: Array  # (n,), the head's random part, g
+    sigma: Array  # (n,), g, both together
+
+    @classmethod
+    def of(cls, one: Readings, model: Unknowns, estimate: Array) -> _Part:
+        """Return the columns at an estimate."""
+        everything = [*model.unknowns, *model.considered]
+        at = np.append(estimate, [term.prior_mean for term in model.considered])
+        own = {
+            index: unknown.symbol
+            for index, unknown in enumerate(everything)
+            if unknown.owner in ("", one.accelerometer)
+        }
+        machine = {
+            symbol: float(at[index])
+            for index, symbol in own.items()
+            if not everything[index].owner and one.acting(symbol).any()
+        }
+        products = one.products(machine)
+        effective = np.tile([row.nominal for row in TERMS.values()], (one.size, 1))
+        columns = np.zeros((one.size, len(everything)))
+        for index, symbol in own.items():
+            if symbol in TERMS:
+                place, lever = _SYMBOLS.index(symbol), np.ones(one.size)
+            elif everything[index].owner:
+                row, _ = machine_term(symbol) or (None, "")
+                assert row is not None
+                place, lever = _SYMBOLS.index(row.multiplies), one.lever(symbol)
+            else:
+                continue
+            columns[:, index] = products[:, place] * lever
+            effective[:, place] += at[index] * lever
+
+        def slope(ahead: Readings, behind: Readings, step: float, change: str = "") -> Array:
+            by = machine.get(change, 0.0)
+            moves = ({**machine, change: by + s} if change else machine for s in (step, -step))
+            more, less = (r.products(m) for r, m in zip((ahead, behind), moves, strict=True))
+            found: Array = np.sum((more - less) * effective, axis=1) / (2.0 * step)
+            return found
+
+        for index, symbol in own.items():
+            if symbol in machine:
+                columns[:, index] = slope(one, one, _STEP * everything[index].limit, symbol)
+        fixed = [*columns[:, len(model.unknowns) :].T]
+        for name in model.inputs or ():
+            if name not in _INPUT_STEPS:
+                fixed.append(np.zeros(one.size))
+                continue
+            step = _INPUT_STEPS[name]
+            ahead, behind = (_with_input(one, name, s, machine) for s in (step, -step))
+            fixed.append(slope(ahead, behind, step))
+        perfect = np.sum(products * effective, axis=1) - columns @ at
+        head = np.zeros(one.size)
+        if one.u_head.any():
+            head = np.abs(slope(one, one, _HEAD_STEP, "head.zero")) * one.u_head
+        return cls(
+            columns[:, : len(model.unknowns)],
+            np.column_stack(fixed or [np.empty((one.size, 0))]),
+            one.value - perfect,
+            one.u,
+            head,
+            head,
+        )
+
+    def with_noise(self, noise: float) -> _Part:
+        """Return the same with a noise for readings that state none."""
+        own = np.full(self.target.size, noise) if self.stated is None else self.stated
+        return replace(self, sigma=np.hypot(own, self.head))
+
+    def block(self) -> Block:
+        weight = 1.0 / self.sigma[:, None]
+        return reduce_block(
+            self.design * weight, self.target / self.sigma, None, self.fixed * weight
+        )
+
+    def left(self, solution: Solution, model: Unknowns) -> Array:
+        """Return the residuals, the considered terms at their assumed values."""
+        means = np.array([term.prior_mean for term in model.considered])
+        left: Array = (
+            self.target - self.design @ solution.estimate - self.fixed[:, : means.size] @ means
+        )
+        return left
+
+    def leverages(self, solution: Solution) -> Array:
+        """Return how far the fit follows each reading: 0 not at all, 1 wholly."""
+        rows = self.design / self.sigma[:, None]
+        covariance = solution.covariance_noise + solution.covariance_prior
+        covariance = covariance + solution.covariance_unresolved
+        followed: Array = np.clip(np.sum((rows @ covariance) * rows, axis=1), 0.0, 1.0)
+        return followed
+
+    def freedom(self, solution: Solution) -> float:
+        """Return the readings less what the fit follows of them."""
+        return float(np.sum(1.0 - self.leverages(solution)))
+
+    def standardised(self, solution: Solution, model: Unknowns) -> Array:
+        """Return the residuals over their own standard deviations."""
+        spread = np.append(
+            [term.prior[1] for term in model.considered], list((model.inputs or {}).values())
+        )
+        shifted = (self.fixed + self.design @ solution.sensitivity_considered) * spread
+        variance = 1.0 - self.leverages(solution)
+        variance = variance + np.sum((shifted / self.sigma[:, None]) ** 2, axis=1)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            z = self.left(solution, model) / (self.sigma * np.sqrt(variance))
+        return np.where(variance > 1e-9, z, np.nan)
+
+
+def _with_input(one: Readings, name: str, change: float, machine: Mapping[str, float]) -> Readings:
+    """Return readings with an input changed; a mounting whose radius is a term keeps its own."""
+    if name == "site.gravity":
+        return replace(one, site=replace(one.site, gravity=one.site.gravity + change))
+    if name == "site.latitude":
+        return replace(one, site=replace(one.site, latitude=one.site.latitude + change))
+    return replace(
+        one,
+        stations=tuple(
+            station
+            if f"centrifuge.radius.{mounting}" in machine
+            else replace(station, radius=station.radius + change)
+            for station, mounting in zip(one.stations, one.mountings, strict=True)
+        ),
+    )
+
+
+def _first_noise(one: Readings) -> float:
+    """Return a noise to begin with: a millionth of the largest indication."""
+    return 1e-6 * float(np.max(np.abs(one.value), initial=1e-3))
+
+
+def _noise_again(
+    one: Readings, part: _Part, solution: Solution, model: Unknowns, own: float
+) -> float:
+    """Return the noise that the residuals show; its fixed point is the REML estimate."""
+    if one.u is not None:
+        return 1.0
+    left_over = 1.0 - part.leverages(solution)
+    if left_over.sum() < 0.5:
+        raise NotIdentifiableError(
+            f"{one.accelerometer}: {one.size} readings ({one.motion}) without a stated uncertainty "
+            "cannot tell their noise beside the unknowns; state it, or take more readings than "
+            "there are unknowns"
+        )
+    # Where the head's part is known, the score of the rest: each reading by the share that it has.
+    share = (own / part.sigma) ** 2
+    left = part.left(solution, model) / part.sigma
+    size = own * math.sqrt(float(share @ left**2) / float(share @ left_over))
+    # Readings without any noise, such as simulated ones, must not end in a division by zero.
+    return max(size, _LEAST_BESIDE_HEAD * float(np.sqrt(np.mean(part.head**2))), 1e-15)

@@ -1,0 +1,84 @@
+"""Readings of a tumble and of an arm centrifuge, with a machine drawn from its priors."""
+
+import math
+
+import numpy as np
+
+from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
+from counterspin.inference.readings import Readings
+from counterspin.physics.accelerometer import TERMS, Mounting
+from counterspin.physics.machine import machine_term
+from counterspin.physics.motion import Site
+from counterspin.physics.station import FRAMES, Station
+
+SITE = Site(9.80665, 0.8)
+TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6, "K_III": 2e-6}
+ARM = FRAMES["arm"]
+
+
+def unknown(symbol, prior=(0.0, math.inf), owner="A", kind=Unknown):
+    row = TERMS.get(symbol) or machine_term(symbol)[0]
+    return kind(owner, symbol, prior, row.limit)
+
+
+def considered(symbol, u, owner=""):
+    return unknown(symbol, (0.0, u), owner, Considered)
+
+
+def tumble(count=12):
+    """Return stations of an equal-angle tumble about north from input axis up, and the axis."""
+    stations = []
+    for angle in np.arange(count) * 2.0 * np.pi / count:
+        cos, sin = math.cos(angle), math.sin(angle)
+        stations.append(Station("static", Mounting.from_axes([sin, 0.0, cos], [-cos, 0.0, sin])))
+    return stations, [""] * count, np.tile([0.0, 1.0, 0.0], (count, 1))
+
+
+def arm(sizes=(1.0, 2.0, 5.0, 10.0, 15.0, 20.0), radius=1.0):
+    """Stations on an arm, both ways round, in two mountings."""
+    stations, mountings = [], []
+    for side in ("inward", "outward"):
+        mounting = Mounting.from_axes(ARM[side], ARM["forward"])
+        for size in sizes:
+            for sense in (1.0, -1.0):
+                rate = sense * math.sqrt(size * SITE.gravity / radius)
+                stations.append(Station("arm", mounting, rate=rate, radius=radius))
+                mountings.append(side)
+    return stations, mountings, np.zeros((len(stations), 3))
+
+
+def readings(test, value, u, u_head=0.0, temperature=None):
+    """Return one group of readings; u None: to be estimated."""
+    stations, mountings, head = test
+    n = len(stations)
+    return Readings(
+        accelerometer="A",
+        motion=stations[0].motion,
+        names=tuple(f"position {i}" for i in range(n)),
+        site=SITE,
+        stations=tuple(stations),
+        mountings=tuple(mountings),
+        head=np.asarray(head, dtype=float),
+        u_head=np.full(n, u_head),
+        value=np.asarray(value, dtype=float),
+        u=None if u is None else np.full(n, u),
+        temperature=np.zeros(n) if temperature is None else temperature,
+        time=np.arange(n) * 60.0,
+    )
+
+
+def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH):
+    """Return what is read: the exact model with the machine as it truly is."""
+    count = len(test[0])
+    blank = readings(test, np.zeros(count), 1.0)
+    values = []
+    for index in range(count):
+        turn = {} if not u_head else {"head.zero": rng.normal(0.0, u_head)}
+        actual = blank.station(index, {**dict(machine), **turn})
+        values.append(actual.indicated(SITE, truth))
+    return np.array(values) + rng.normal(0.0, sigma, count)
+
+
+def model(terms=tuple(TRUTH), others=(), considered=(), inputs=None):
+    """Return what is estimated and considered."""
+    return Unknowns((*map(unknown, terms), *others), tuple(considered), inputs)
