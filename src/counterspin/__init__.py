@@ -11,7 +11,8 @@ The commands, as functions:
 - `init`: a commented campaign description to start from
 - `simulate`: records of a campaign whose coefficients are known
 - `calibrate`: from a campaign's folder to a `Result`; `TwoStageOptions` for the paper's method
-- `apply`: indicated specific force corrected for a `Result` (`Correction`); `apply_file`: of a file
+- `apply`: indicated specific force corrected for a `Result` (`Correction`); `apply_file`: of a
+  file; `ApplyOptions`: unit, and forces along the other axes
 - `plan`: which runs to make for a goal (`Planned`)
 - `forecast`: what the calibration of a campaign will say (`Forecast`)
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
@@ -79,6 +80,7 @@ if TYPE_CHECKING:
     from counterspin.campaign.resolved import Campaign as Campaign
     from counterspin.campaign.simulation import simulate as simulate
     from counterspin.campaign.starter import init as init
+    from counterspin.correction.apply import ApplyOptions as ApplyOptions
     from counterspin.correction.apply import Correction as Correction
     from counterspin.correction.apply import apply as apply
     from counterspin.correction.apply_file import apply_file as apply_file
@@ -129,7 +131,7 @@ _OFFERED = {
     "planning.forecast": ("Forecast", "forecast"),
     "campaign.resolved": ("Campaign",),
     "calibration.result": ("Result", "read_result", "write_result"),
-    "correction.apply": ("Correction", "apply"),
+    "correction.apply": ("ApplyOptions", "Correction", "apply"),
     "correction.apply_file": ("apply_file",),
     "calibration.calibrate": ("calibrate",),
     "reproduction.demo": ("Demonstration", "demo"),

@@ -25,7 +25,7 @@ from counterspin.calibration.result_parts import (
     Residual,
     RunResult,
 )
-from counterspin.correction.apply import apply, instrument_of
+from counterspin.correction.apply import ApplyOptions, apply, instrument_of
 from counterspin.correction.apply_file import apply_file
 from counterspin.errors import CampaignError, ConvergenceError
 from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, indicated
@@ -211,7 +211,7 @@ def test_other_axes_from_columns_constants_and_other_accelerometers(folder, caps
     assert run(*words) == 2
     said = capsys.readouterr().err
     assert "K_IP, K_PP, delta_O of Qx need the specific force along its pendulous axis" in said
-    assert 'give --pendulous, a column or a constant such as "-1 g"' in said
+    assert "give --pendulous: a column, or a constant such as --pendulous '-1 g'" in said
     assert "K_OO, delta_P of Qx need the specific force along its output axis" in said
     assert run(*words, "--others", "Qz=qz") == 2
     assert "along its output axis" in capsys.readouterr().err
@@ -351,7 +351,10 @@ def test_errors_that_cancel_are_seen_to_cancel():
         known={"K_PP": coefficient("K_PP", 0.0, 2e-6, estimated=False)},
         budget={"K_F": [line]},
     )
-    level, side = (apply(result({"Qx": found}), "Qx", [0.5], pendulous=p).u[0] for p in (-1.0, 0.0))
+    level, side = (
+        apply(result({"Qx": found}), "Qx", [0.5], ApplyOptions(pendulous=p)).u[0]
+        for p in (-1.0, 0.0)
+    )
     assert level == pytest.approx(1e-8, rel=1e-6)
     assert side == pytest.approx(2e-6, rel=1e-4)
 
@@ -400,9 +403,10 @@ def test_results_of_earlier_versions_have_no_axes():
     found, _ = three()
     old = {n: one.model_copy(update={"axes": None}) for n, one in found.accelerometers.items()}
     found = found.model_copy(update={"accelerometers": old})
-    assert apply(found, "Qx", [1.0], pendulous="-1 g", output_axis=0.0).corrected.shape == (1,)
+    level = ApplyOptions(pendulous="-1 g", output_axis=0.0)
+    assert apply(found, "Qx", [1.0], level).corrected.shape == (1,)
     with pytest.raises(CampaignError, match="where the axes of Qx point"):
-        apply(found, "Qx", [1.0], others={"Qy": [0.0], "Qz": [1.0]})
+        apply(found, "Qx", [1.0], ApplyOptions(others={"Qy": [0.0], "Qz": [1.0]}))
 
 
 def test_python_names_the_sample(tmp_path):

@@ -2,13 +2,43 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import OutputFolder
+from counterspin.cli.words import OutputFolder, group
 from counterspin.errors import CampaignError
+
+
+@group
+@dataclass(frozen=True)
+class Forces:
+    """What the file's numbers are, and what is known of the other axes.
+
+    Parameters
+    ----------
+    unit
+        Unit of the table's forces: g, m/s^2, mg.
+    pendulous
+        Specific force along the pendulous axis: a column, or a constant such as "-1 g".
+    output_axis
+        Specific force along the output axis, likewise.
+    others
+        Accelerometers beside it, from which both follow: Qy=COLUMN,Qz=COLUMN.
+    force
+        Apply even a result of the equations as printed, whose K_II is half the true one.
+    """
+
+    unit: str = "g"
+    pendulous: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    output_axis: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
+    others: str | None = None
+    force: bool = False
+
+
+_ALONE = Forces()
 
 
 def apply(
@@ -19,11 +49,7 @@ def apply(
     accelerometer: str,
     output: OutputFolder,
     column: Annotated[str | None, Parameter(name="--input")] = None,
-    unit: str = "g",
-    pendulous: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    output_axis: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None,
-    others: str | None = None,
-    force: bool = False,
+    forces: Forces = _ALONE,
 ) -> None:
     """Correct indicated specific force for a calibrated accelerometer.
 
@@ -39,18 +65,9 @@ def apply(
         File to write: the table and two more columns, corrected force and its uncertainty.
     column
         The column to correct; may be left out where only one is possible.
-    unit
-        Unit of the table's forces: g, m/s^2, mg.
-    pendulous
-        Specific force along the pendulous axis: a column, or a constant such as "-1 g".
-    output_axis
-        Specific force along the output axis, likewise.
-    others
-        Accelerometers beside it, from which both follow: Qy=COLUMN,Qz=COLUMN.
-    force
-        Apply even a result of the equations as printed, whose K_II is half the true one.
     """
     from counterspin.calibration.result import Result
+    from counterspin.correction.apply import ApplyOptions
     from counterspin.correction.apply_file import apply_file
     from counterspin.correction.page import render_application
     from counterspin.reports.text import report_console
@@ -61,11 +78,13 @@ def apply(
         file,
         output,
         column=column,
-        unit=unit,
-        pendulous=pendulous,
-        output_axis=output_axis,
-        others=parse_others(others),
-        force=force,
+        options=ApplyOptions(
+            unit=forces.unit,
+            pendulous=forces.pendulous,
+            output_axis=forces.output_axis,
+            others=parse_others(forces.others),
+            force=forces.force,
+        ),
     )
     report_console().print(render_application(done))
 

@@ -2,14 +2,78 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from counterspin.cli.words import JsonFile
+from counterspin.cli.words import JsonFile, group
 from counterspin.errors import CounterspinError
 
 if TYPE_CHECKING:
     from counterspin.calibration.options import TwoStageOptions
+
+
+@group
+@dataclass(frozen=True)
+class TwoStage:
+    """How the two-stage method is applied.
+
+    Parameters
+    ----------
+    model
+        Observation model of the two-stage method: the exact one, or the paper's as printed.
+    weighted
+        Two-stage: weight the runs by sigma(b2); the paper does not.
+    ripple
+        Two-stage, as printed: what is common to all rates, the ripple's amplitude or its ratio.
+    fit_bias
+        Two-stage: estimate K_F with its prior, or take it as known.
+    sigma
+        Two-stage: the displacement noise that the campaign gives, or that of the residuals.
+    """
+
+    model: Literal["exact", "as-printed"] = "exact"
+    weighted: bool = True
+    ripple: Literal["amplitude", "ratio"] = "amplitude"
+    fit_bias: bool = True
+    sigma: Literal["given", "residuals"] = "given"
+
+
+@group
+@dataclass(frozen=True)
+class Printed:
+    """What is printed beside the coefficients.
+
+    Parameters
+    ----------
+    budget
+        Joint: print where the uncertainty of each coefficient comes from, line by line.
+    details
+        Print all that was found: tests of each run, samples left out, correlations.
+    """
+
+    budget: bool = False
+    details: bool = False
+
+
+@group
+@dataclass(frozen=True)
+class BatchWorkers:
+    """Who calibrates several campaigns.
+
+    Parameters
+    ----------
+    workers
+        Several campaigns: processes.
+    cluster
+        Several campaigns: address of a Dask scheduler, whose workers see the same folders.
+    """
+
+    workers: int = 1
+    cluster: str | None = None
+
+
+_USUAL, _BRIEF, _ALONE = TwoStage(), Printed(), BatchWorkers()
 
 
 def calibrate(
@@ -17,16 +81,10 @@ def calibrate(
     /,
     *more: Path,
     method: Literal["joint", "two-stage"] = "joint",
-    model: Literal["exact", "as-printed"] = "exact",
     json: JsonFile = None,
-    weighted: bool = True,
-    ripple: Literal["amplitude", "ratio"] = "amplitude",
-    fit_bias: bool = True,
-    sigma: Literal["given", "residuals"] = "given",
-    budget: bool = False,
-    details: bool = False,
-    workers: int = 1,
-    cluster: str | None = None,
+    two_stage: TwoStage = _USUAL,
+    printed: Printed = _BRIEF,
+    crew: BatchWorkers = _ALONE,
 ) -> None:
     """Determine the accelerometers' coefficients from a campaign's records.
 
@@ -38,40 +96,22 @@ def calibrate(
         Further campaigns: a summary of all is printed, and a failing one stops no other.
     method
         All samples in one weighted fit, or the paper's two stages.
-    model
-        Observation model of the two-stage method: the exact one, or the paper's as printed.
     json
         Write the result to this file too.
-    weighted
-        Two-stage: weight the runs by sigma(b2); the paper does not.
-    ripple
-        Two-stage, as printed: what is common to all rates, the ripple's amplitude or its ratio.
-    fit_bias
-        Two-stage: estimate K_F with its prior, or take it as known.
-    sigma
-        Two-stage: the displacement noise that the campaign gives, or that of the residuals.
-    budget
-        Joint: print where the uncertainty of each coefficient comes from, line by line.
-    details
-        Print all that was found: tests of each run, samples left out, correlations.
-    workers
-        Several campaigns: processes.
-    cluster
-        Several campaigns: address of a Dask scheduler, whose workers see the same folders.
     """
     from counterspin.calibration.calibrate import calibrate as run
     from counterspin.calibration.options import TwoStageOptions
     from counterspin.reports.progress import progress
 
     options = TwoStageOptions(
-        model=model,
-        weighted=weighted,
-        ripple=ripple,
-        fit_bias=fit_bias,
-        from_residuals=sigma == "residuals",
+        model=two_stage.model,
+        weighted=two_stage.weighted,
+        ripple=two_stage.ripple,
+        fit_bias=two_stage.fit_bias,
+        from_residuals=two_stage.sigma == "residuals",
     )
     if more:
-        calibrate_several((directory, *more), json, method, options, workers, cluster)
+        calibrate_several((directory, *more), json, method, options, crew)
         return
     with progress() as advance:
         result = run(directory, method=method, options=options, progress=advance)
@@ -79,7 +119,7 @@ def calibrate(
     from counterspin.calibration.pages.terminal import print_result
     from counterspin.reports.text import report_console
 
-    print_result(result, report_console(), budget=budget, details=details)
+    print_result(result, report_console(), budget=printed.budget, details=printed.details)
     if json is not None:
         # Last: a file that cannot be written must not cost the report as well.
         result.write(json)
@@ -90,8 +130,7 @@ def calibrate_several(
     json: Path | None,
     method: Literal["joint", "two-stage"],
     options: TwoStageOptions,
-    workers: int,
-    cluster: str | None,
+    crew: BatchWorkers,
 ) -> None:
     """Calibrate campaigns one by one, print a summary, and raise if any failed."""
     from counterspin.calibration.batch import calibrate_many
@@ -104,8 +143,8 @@ def calibrate_several(
             directories,
             method=method,
             options=options,
-            workers=workers,
-            cluster=cluster,
+            workers=crew.workers,
+            cluster=crew.cluster,
             progress=advance,
         )
     if json is not None:

@@ -2,10 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
-from counterspin.cli.words import OutputFile
+from counterspin.cli.words import OutputFile, group
 from counterspin.errors import CampaignError
+
+
+@group
+@dataclass(frozen=True)
+class Signature:
+    """What a certificate is signed with, or must have been signed with.
+
+    Parameters
+    ----------
+    key
+        Private key (PEM) to sign with, not encrypted.
+    cert
+        X.509 certificate (PEM): of the key, or with --verify of who must have signed.
+    """
+
+    key: Path | None = None
+    cert: Path | None = None
+
+
+_UNSIGNED = Signature()
 
 
 def certificate(
@@ -15,8 +36,7 @@ def certificate(
     *,
     output: OutputFile = None,
     schema: Path | None = None,
-    key: Path | None = None,
-    cert: Path | None = None,
+    signature: Signature = _UNSIGNED,
     init: Path | None = None,
     verify: Path | None = None,
 ) -> None:
@@ -32,10 +52,6 @@ def certificate(
         The certificate: .xml, or .pdf with the XML attached (PDF/A-3).
     schema
         Folder or file of the schema of DCC, to validate against.
-    key
-        Private key (PEM) to sign with, not encrypted.
-    cert
-        X.509 certificate (PEM): of the key, or with --verify of who must have signed.
     init
         In place of all else: write a commented example of LAB.toml to this file.
     verify
@@ -57,13 +73,19 @@ def certificate(
         print(f"Wrote {write_example(init)}. Fill it in; all of it is an example.")
         return
     if verify is not None:
-        found = check_certificate(verify, schema=schema, cert=cert)
-        report_console().print(Report(list(certificate_blocks(found))))
-        print("\nThe signature is valid." if cert is not None else "\nNo signature was checked.")
+        checked = check_certificate(verify, schema=schema, cert=signature.cert)
+        report_console().print(Report(list(certificate_blocks(checked))))
+        print(
+            "\nThe signature is valid."
+            if signature.cert is not None
+            else "\nNo signature was checked."
+        )
         return
     if result is None or lab is None or output is None:
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
-    done = issue_certificate(result, lab, output, schema=schema, key=key, cert=cert)
+    done = issue_certificate(
+        result, lab, output, schema=schema, key=signature.key, cert=signature.cert
+    )
     print(f"Wrote {output}: certificate {done.identifier} of {', '.join(done.accelerometers)}.")
     for note in done.notes:
         print(note)

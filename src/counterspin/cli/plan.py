@@ -2,10 +2,31 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
-from counterspin.cli.words import JsonFile, OutputFile
+from counterspin.cli.words import JsonFile, OutputFile, group
 from counterspin.errors import CampaignError
+
+
+@group
+@dataclass(frozen=True)
+class Unsaid:
+    """What a campaign that is checked does not say itself.
+
+    Parameters
+    ----------
+    sampling_rate
+        With --check: of the records, such as "50 Hz", where the campaign does not say it.
+    revolutions
+        With --check: of each run for which the campaign says no length.
+    """
+
+    sampling_rate: str | None = None
+    revolutions: float | None = None
+
+
+_NOTHING = Unsaid()
 
 
 def plan(
@@ -16,8 +37,7 @@ def plan(
     output: OutputFile = None,
     json: JsonFile = None,
     figures: Path | None = None,
-    sampling_rate: str | None = None,
-    revolutions: float | None = None,
+    unsaid: Unsaid = _NOTHING,
 ) -> None:
     """Choose rates, lengths, senses and attitudes of the runs, and predict what they will tell.
 
@@ -35,10 +55,6 @@ def plan(
         Write the result to this file too.
     figures
         Folder for figures: u against time, against the highest rate, and its sources.
-    sampling_rate
-        With --check: of the records, such as "50 Hz", where the campaign does not say it.
-    revolutions
-        With --check: of each run for which the campaign says no length.
     """
     from counterspin.campaign.settings import exact
     from counterspin.planning.figures import save_figures
@@ -57,10 +73,11 @@ def plan(
         if output is not None or figures is not None:
             raise CampaignError("plan", ["--output and --figures need a plan, not --check"])
         try:
-            rate = None if sampling_rate is None else exact(sampling_rate, "Hz")
+            typed = unsaid.sampling_rate
+            rate = None if typed is None else exact(typed, "Hz")
         except ValueError as error:
             raise CampaignError("--sampling-rate", [str(error)]) from error
-        result = forecast(check, sampling_rate=rate, revolutions=revolutions)
+        result = forecast(check, sampling_rate=rate, revolutions=unsaid.revolutions)
     else:
         assert file is not None  # one of the three is
         planned = search(file, curves=figures is not None)

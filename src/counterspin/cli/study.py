@@ -3,20 +3,58 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.words import JsonFile, OutputFile
+from counterspin.cli.words import JsonFile, OutputFile, group
+
+
+@group
+@dataclass(frozen=True)
+class TrialSettings:
+    """How many trials, and how they are made.
+
+    Parameters
+    ----------
+    trials
+        How many, in place of the study's own number.
+    seed
+        Of the random numbers, in place of the study's own.
+    engine
+        How trials are made; auto takes the fastest that is valid.
+    """
+
+    trials: int | None = None
+    seed: int | None = None
+    engine: Literal["auto", "surrogate", "exact", "full"] = "auto"
+
+
+@group
+@dataclass(frozen=True)
+class StudyWorkers:
+    """Who makes them.
+
+    Parameters
+    ----------
+    workers
+        Processes; the result is the same for any number.
+    cluster
+        Address of a Dask scheduler, such as tcp://HOST:8786.
+    """
+
+    workers: int = 1
+    cluster: str | None = None
+
+
+_OWN, _ALONE = TrialSettings(), StudyWorkers()
 
 
 def study(
     campaign: Path,
     *,
-    trials: int | None = None,
-    seed: int | None = None,
-    engine: Literal["auto", "surrogate", "exact", "full"] = "auto",
-    workers: int = 1,
-    cluster: str | None = None,
+    trials: TrialSettings = _OWN,
+    crew: StudyWorkers = _ALONE,
     output: OutputFile = None,
     keep_trials: bool = False,
     resume: bool = False,
@@ -28,16 +66,6 @@ def study(
     ----------
     campaign
         Campaign with [truth] and perhaps [study], its folder, or a study's own file.
-    trials
-        How many, in place of the study's own number.
-    seed
-        Of the random numbers, in place of the study's own.
-    engine
-        How trials are made; auto takes the fastest that is valid.
-    workers
-        Processes; the result is the same for any number.
-    cluster
-        Address of a Dask scheduler, such as tcp://HOST:8786.
     output
         Folder for study.json, figures, and what --resume needs.
     keep_trials
@@ -55,11 +83,11 @@ def study(
     with work_progress("Trials") as advance:
         result = run(
             campaign,
-            trials=trials,
-            seed=seed,
-            engine=engine,
-            workers=workers,
-            cluster=cluster,
+            trials=trials.trials,
+            seed=trials.seed,
+            engine=trials.engine,
+            workers=crew.workers,
+            cluster=crew.cluster,
             output=output,
             keep_trials=keep_trials,
             resume=resume,

@@ -1,6 +1,7 @@
 """Words that several commands share, and what is said below them in the words of a command line.
 
 - `OutputFolder`, `OutputFile`, `JsonFile`: options of the same name and meaning
+- `group`: decorates a class whose fields are options of a command
 - `shell_word`: a path as it may be typed into a shell
 - `spoken`: a message with its Python arguments as the options of a command
 """
@@ -18,6 +19,9 @@ from cyclopts import App, Parameter
 OutputFolder = Annotated[Path, Parameter(name=["--output", "-o"])]
 OutputFile = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 JsonFile = Annotated[Path | None, Parameter(name="--json")]
+
+#: Makes each field of a class an option of the command that has it as a parameter.
+group = Parameter(name="*")
 
 #: Function named in a message -> what the command line has in its place.
 _COMMANDS: Final = {

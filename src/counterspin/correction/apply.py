@@ -1,6 +1,7 @@
 """Corrects indicated specific force for a calibrated error model, in memory.
 
 - `apply`: indications to specific force, with its standard uncertainty (`Correction`)
+- `ApplyOptions`: their unit, and what is known of the force along the other axes
 - `instrument_of`: a calibrated accelerometer as its result describes it
 """
 
@@ -8,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -28,7 +29,7 @@ _SOURCE: Final = "apply"  #: what the command's own refusals begin with
 _ALONE: Final = Mounting.from_axes("east", "north")
 
 #: Axis -> its name, and the argument that gives the specific force along it.
-_AXES: Final = {"P": ("pendulous", "`pendulous`"), "O": ("output", "`output_axis`")}
+_AXES: Final = {"P": ("pendulous", "pendulous"), "O": ("output", "output_axis")}
 
 #: How far beyond the calibration's largest specific force an indication may go unremarked; bias
 #: and scale factor alone bring it there.
@@ -68,16 +69,37 @@ class Correction:
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class ApplyOptions:
+    """How a result is applied.
+
+    Attributes
+    ----------
+    unit
+        Unit of the indication: g (that of the calibration's site), m/s^2, mg, ... Also that of
+        every other array, and of what is returned.
+    pendulous, output_axis
+        Specific force along the pendulous and the output axis: shape (n,), one number, or text
+        such as ``"-1 g"`` or ``"-1 ± 1e-4 g"``; in a file, a column or such a text.
+    others
+        Indications of other accelerometers of the result on the same platform, shape (n,), or
+        their columns, by name; a_P and a_O then follow from all of them, corrected as well.
+    force
+        Whether a result of the equations as printed, with half the K_II, may be applied.
+    """
+
+    unit: str = "g"
+    pendulous: Force | None = None
+    output_axis: Force | None = None
+    others: Mapping[str, npt.ArrayLike] = field(default_factory=dict)
+    force: bool = False
+
+
 def apply(
     result: Result,
     accelerometer: str,
     indicated: npt.ArrayLike,
-    *,
-    unit: str = "g",
-    pendulous: Force | None = None,
-    output_axis: Force | None = None,
-    others: Mapping[str, npt.ArrayLike] | None = None,
-    force: bool = False,
+    options: ApplyOptions | None = None,
 ) -> Correction:
     """Correct indicated specific force for the calibrated model: the inverse of Eq. 7.
 
@@ -89,17 +111,8 @@ def apply(
         Its name there.
     indicated
         Indicated specific force, shape (n,).
-    unit
-        Its unit: g (that of the calibration's site), m/s^2, mg, ... Also that of every other
-        array, and of what is returned.
-    pendulous, output_axis
-        Specific force along the pendulous and the output axis: shape (n,), one number, or text
-        such as ``"-1 g"`` or ``"-1 ± 1e-4 g"``.
-    others
-        Indications of other accelerometers of the result on the same platform, shape (n,), by
-        name; a_P and a_O then follow from all of them, corrected as well.
-    force
-        Whether a result of the equations as printed, with half the K_II, may be applied.
+    options
+        Its unit, and what is known of the force along the other axes.
 
     Returns
     -------
@@ -113,7 +126,8 @@ def apply(
     ConvergenceError
         If a sample lies outside of what the model can indicate.
     """
-    if result.model == "as-printed" and not force:
+    options = options or ApplyOptions()
+    if result.model == "as-printed" and not options.force:
         raise CampaignError(
             _SOURCE,
             [
@@ -121,16 +135,16 @@ def apply(
                 "the accelerometer has; calibrate again with the exact model, or give `force=True`"
             ],
         )
-    indications = {accelerometer: indicated, **(others or {})}
-    if accelerometer in (others or {}):
+    indications = {accelerometer: indicated, **options.others}
+    if accelerometer in options.others:
         raise CampaignError(_SOURCE, [f"`others`: {accelerometer} is the one to be corrected"])
-    factor = _factor(unit, result.inputs.gravity)
-    instruments = [instrument_of(result, name, placed=bool(others)) for name in indications]
+    factor = _factor(options.unit, result.inputs.gravity)
+    instruments = [instrument_of(result, name, placed=bool(options.others)) for name in indications]
     mounting = instruments[0].mounting
     known = [
         _known(given, mounting.matrix[row], factor, result.inputs.gravity, option)
         for row, (given, (_, option)) in enumerate(
-            zip((pendulous, output_axis), _AXES.values(), strict=True), start=1
+            zip((options.pendulous, options.output_axis), _AXES.values(), strict=True), start=1
         )
         if given is not None
     ]
@@ -146,7 +160,7 @@ def apply(
     return Correction(
         corrected=found.force[:, 0] / factor,
         u=found.u[:, 0] / factor,
-        unit=unit,
+        unit=options.unit,
         dof=min(
             (c.dof for one in applied for c in _terms(one).values() if c.dof is not None),
             default=math.inf,
@@ -237,7 +251,7 @@ def _known(given: Any, direction: Array, factor: float, gravity: float, option: 
         try:
             quantity = parse(given, "g", gravity=gravity)
         except ValueError as error:
-            raise CampaignError(_SOURCE, [f"{option}: {error}"]) from error
+            raise CampaignError(_SOURCE, [f"`{option}`: {error}"]) from error
         return Known(direction, quantity.value, quantity.u)
     return Known(direction, np.asarray(given, dtype=np.float64) * factor)
 
@@ -250,7 +264,7 @@ def _needed(
         words, option = _AXES[axis]
         verb = "needs" if len(symbols) == 1 else "need"
         if one.name == accelerometer:
-            ways = f'give {option}, a column or a constant such as "-1 g"'
+            ways = f'give `{option}`: a column, or a constant such as `{option}="-1 g"`'
         else:
             ways = "give `pendulous` or `output_axis` of the accelerometer to be corrected"
         problems.append(

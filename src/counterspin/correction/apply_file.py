@@ -7,9 +7,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import polars as pl
@@ -17,7 +17,7 @@ import polars as pl
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.campaign.quantity import unit_factor
-from counterspin.correction.apply import Correction, apply, instrument_of
+from counterspin.correction.apply import ApplyOptions, Correction, apply, instrument_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.output import write_whole
 from counterspin.physics.inversion import NotInvertibleError
@@ -86,17 +86,13 @@ def apply_file(
     output: Path | str,
     *,
     column: str | None = None,
-    unit: str = "g",
-    pendulous: str | None = None,
-    output_axis: str | None = None,
-    others: Mapping[str, str] | None = None,
-    force: bool = False,
+    options: ApplyOptions | None = None,
 ) -> CorrectedFile:
     """Correct a column of a file and write the file's columns and two more.
 
     Parameters
     ----------
-    result, accelerometer, unit, force
+    result, accelerometer
         As `apply`.
     source
         A record file of any format.
@@ -105,10 +101,8 @@ def apply_file(
     column
         The column with the indication. None: the one that is named as the accelerometer, or the
         only one that is named nowhere else.
-    pendulous, output_axis
-        A column, or a constant with its unit.
-    others
-        Accelerometer -> column.
+    options
+        As `apply`, with columns in the place of arrays.
 
     Returns
     -------
@@ -131,36 +125,35 @@ def apply_file(
         raise CampaignError(str(output), [f"must end in one of {', '.join(_SEPARATORS)}"])
     if output.exists() and source.exists() and output.samefile(source):
         raise CampaignError(str(output), ["is the input; a record is not overwritten"])
-    for name in (accelerometer, *(others or {})):
+    options = options or ApplyOptions()
+    others: dict[str, Any] = dict(options.others)
+    for name in (accelerometer, *others):
         instrument_of(result, name)  # a wrong name is refused before the file is searched for it
     file = open_columns(source)
     with refusals(source):
         table = file.table()
-    along = {"pendulous": pendulous, "output_axis": output_axis}
-    used = [text for text in (*along.values(), *(others or {}).values()) if text in table.columns]
+    given: dict[str, Any] = {
+        name: text
+        for name in ("pendulous", "output_axis")
+        if (text := getattr(options, name)) is not None
+    }
+    used = [text for text in (*given.values(), *others.values()) if text in table.columns]
     column = column or _guessed(source, table, accelerometer, used)
-    names = {column, *used, *(others or {}).values()}
+    names = {column, *used, *others.values()}
     with refusals(source):
         values = _values(file, sorted(names))
     new = (f"{column}_corrected", f"{column}_corrected_u")
     for name in new:
         if name in table.columns:
             raise CampaignError(str(source), [f"has a column '{name}' already; was it corrected?"])
-    given = {
-        option: values[text] if text in values else _constant(option, text, table.columns)
-        for option, text in along.items()
-        if text is not None
+    forces: dict[str, Any] = {
+        name: values[text] if text in values else _constant(name, text, table.columns)
+        for name, text in given.items()
     }
+    columns = {name: values[text] for name, text in others.items()}
     try:
         correction = apply(
-            result,
-            accelerometer,
-            values[column],
-            unit=unit,
-            pendulous=given.get("pendulous"),
-            output_axis=given.get("output_axis"),
-            others={name: values[text] for name, text in (others or {}).items()},
-            force=force,
+            result, accelerometer, values[column], replace(options, others=columns, **forces)
         )
     except NotInvertibleError as error:
         where = file.locate(error.row)
@@ -198,13 +191,13 @@ def _values(file: ColumnFile, names: list[str]) -> Mapping[str, Array]:
     return joined(batches)
 
 
-def _constant(option: str, text: str, columns: list[str]) -> str:
+def _constant(name: str, text: str, columns: list[str]) -> str:
     """Return a text that is to be a quantity, if it looks like one."""
     if not any(mark.isdigit() for mark in text):
         raise CampaignError(
             "apply",
             [
-                f"{option}: {text!r} is neither a column of the file ({', '.join(columns)}) nor a "
+                f"`{name}`: {text!r} is neither a column of the file ({', '.join(columns)}) nor a "
                 'constant with its unit such as "-1 g"'
             ],
         )
