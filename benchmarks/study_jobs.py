@@ -31,11 +31,11 @@ from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import columns
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import read_study
-from counterspin.studies.draws import Draws, stream
+from counterspin.studies.draws import Draws
 from counterspin.studies.engine import StudyEngine
-from counterspin.studies.preparation import analyses_of, truth_of, world_of
+from counterspin.studies.noise import stream
 from counterspin.studies.tally import summarise
-from counterspin.studies.two_stage import TwoStageEngine
+from counterspin.studies.two_stage_engine import TwoStageEngine
 from counterspin.studies.work import Ledger, run_batches
 from study_campaigns import GIVEN, RESIDUALS, VARYING, campaign_of
 
@@ -49,7 +49,7 @@ def engine_of(text: str, engine: EngineName = "auto") -> StudyEngine:
         file = Path(name) / "campaign.toml"
         file.write_text(campaign_of(text), encoding="utf-8")
         study = read_study(file)
-    return prepare(world_of(study.campaign), truth_of(study), analyses_of(study), 1, engine)
+    return prepare(study, 1, engine)
 
 
 def trials(engine: StudyEngine, count: int) -> np.ndarray:

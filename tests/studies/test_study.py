@@ -16,13 +16,15 @@ from counterspin import workers
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.studies import work as study_work
+from counterspin.studies.analyses import analyses_of
 from counterspin.studies.choice import choose_engine, prepare
 from counterspin.studies.description import read_study
-from counterspin.studies.draws import stream
+from counterspin.studies.draws import StudyTruth
 from counterspin.studies.engine import StudyEngine
-from counterspin.studies.preparation import analyses_of, truth_of, world_of
+from counterspin.studies.noise import stream
 from counterspin.studies.result import StudyResult
 from counterspin.studies.study import study
+from counterspin.studies.world import world_of
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 
@@ -93,9 +95,14 @@ def test_paper_s_plan_exact_unbiased_and_as_printed_half_the_truth(paper):
 # Each shortcut against the slower one
 
 
+def world_and_truth(description):
+    campaign = description.campaign
+    return world_of(campaign), StudyTruth.of(campaign, description.varying)
+
+
 def engines(folder, *names):
     description = read_study(folder)
-    world, truth = world_of(description.campaign), truth_of(description)
+    world, truth = world_and_truth(description)
     analyses = analyses_of(description)
     return truth, [
         [choose_engine(world, truth, one, name).engine for one in analyses] for name in names
@@ -162,7 +169,7 @@ def test_sufficient_statistics_are_distributed_as_whole_records(tmp_path):
 def test_shortcut_refuses_outside_its_validity(tmp_path, change, reason):
     folder = write(tmp_path / "a", change[1].join(PAPER.rsplit(change[0], 1)))
     description = read_study(folder)
-    world, truth = world_of(description.campaign), truth_of(description)
+    world, truth = world_and_truth(description)
     two_stage = next(one for one in analyses_of(description) if one.name == "two-stage")
     with pytest.raises(NotIdentifiableError, match=reason):
         choose_engine(world, truth, two_stage, "surrogate")
@@ -197,7 +204,7 @@ method = "two-stage"
 sigma = "residuals"
 """
     description = read_study(write(tmp_path / "a", SHORT + levels))
-    world, truth = world_of(description.campaign), truth_of(description)
+    world, truth = world_and_truth(description)
     (analysis,) = analyses_of(description)
     part = choose_engine(world, truth, analysis, "auto")
     assert "noise.angle, noise.quantisation, noise.acceleration, noise.timing varies" in part.words
@@ -215,7 +222,7 @@ def test_joint_fit_of_a_varying_rotation_needs_whole_records(tmp_path):
     text = SHORT + VARYING[: VARYING.index("[study.analyses")]
     description = read_study(write(tmp_path / "a", text))
     joint = next(one for one in analyses_of(description) if one.name == "joint")
-    part = choose_engine(world_of(description.campaign), truth_of(description), joint, "auto")
+    part = choose_engine(*world_and_truth(description), joint, "auto")
     assert part.kind == "full"
     assert "rotation varies" in part.words
 
@@ -229,10 +236,7 @@ def varying(tmp_path):
 
 
 def prepared(folder):
-    description = read_study(folder)
-    return prepare(
-        world_of(description.campaign), truth_of(description), analyses_of(description), 3
-    )
+    return prepare(read_study(folder), 3)
 
 
 def test_result_is_the_same_for_any_number_of_workers(varying):

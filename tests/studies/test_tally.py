@@ -5,7 +5,8 @@ import pytest
 from scipy import stats
 
 from counterspin.physics.spindle import Spindle
-from counterspin.studies.draws import DRIFT, StudyTruth, Varying, stream
+from counterspin.studies.draws import DRIFT, StudyTruth, Varying
+from counterspin.studies.noise import stream
 from counterspin.studies.tally import (
     LEVELS,
     Driver,
@@ -79,7 +80,7 @@ def test_distributions_are_what_they_say():
     )
     draws = truth(*varying).draw(stream(1, 0, 0), 4000)
     assert draws.drift.shape == (2, 4000)
-    assert stats.kstest(draws.of("Qx", "K_II"), "norm", (1e-5, 1e-6)).pvalue > 1e-3
+    assert stats.kstest(draws.mean("Qx", "K_II"), "norm", (1e-5, 1e-6)).pvalue > 1e-3
     for row in draws.drift:
         assert stats.kstest(row, "uniform", (-1e-7, 4e-7)).pvalue > 1e-3
     # Independent from run to run: 4 / sqrt(4000)

@@ -2,11 +2,14 @@
 
 - `study`: the whole way, from a study's file to its result
 - `description`: what may stand in ``[study]``
-- `preparation`: from the description to what the engine needs
-- `draws`, `tally`: what varies from trial to trial; what the trials amount to
-- `strobes`, `surrogate`: what errors add to a strobed run, by quadrature and as a polynomial
-- `two_stage`, `joint`, `full`: trials by sufficient statistics, by whole records
-- `validity`, `choice`, `engine`: where shortcuts hold, which is taken, batches
+- `world`: what is simulated; `draws`: what is true in each trial; `noise`: how noise is drawn
+- `analyses`: what competes; `bound`: the least uncertainty that the records allow
+- `strobed_effects`, `surrogate`: what errors add to a strobed run, by quadrature and as a
+  polynomial
+- `two_stage_engine`, `joint_engine`: trials by sufficient statistics
+- `full_engine`: trials by whole records
+- `validity`, `choice`: where the fast engines hold; which engine an analysis gets
+- `engine`, `tally`: all analyses of a batch of trials; what trials amount to
 - `work`: the trials shared out, on one core, on many or on a cluster
 - `result`: what a study found, its JSON
 - `page`: a study as a person reads it, with its figures

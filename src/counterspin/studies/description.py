@@ -32,13 +32,14 @@ from counterspin.campaign.toml_file import description_file, load_document
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
-from counterspin.studies.draws import OTHER_NOISE, OTHERS, RADIUS, WHITE, Varying
+from counterspin.studies.draws import OTHERS, RADIUS, Varying
+from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
 #: Kinds of distribution, as they are written.
 _KINDS: Final = ("normal", "uniform", "fixed")
 
 
-def _once(analysis: str) -> str:
+def _analysis_name(analysis: str) -> str:
     if not analysis.replace("-", "").replace("_", "").isalnum():
         raise ValueError("an analysis is named with letters, digits, - and _")
     return analysis
@@ -50,7 +51,9 @@ class StudySettings(SettingsSection):
     trials: Annotated[int, Field(ge=2)] = 10_000
     seed: Annotated[int, Field(ge=0)] = 1
     vary: dict[str, Any] = Field(default_factory=dict)
-    analyses: dict[Annotated[str, AfterValidator(_once)], Any] = Field(default_factory=dict)
+    analyses: dict[Annotated[str, AfterValidator(_analysis_name)], Any] = Field(
+        default_factory=dict
+    )
 
 
 class AnalysisSettings(SettingsSection):
@@ -154,15 +157,14 @@ def read_study(path: Path | str) -> StudyDescription:
     varying: list[Varying] = []
     for key, path_, entry in _entries(settings.vary, ("study", "vary")):
         varying += _varying(key, path_, entry, campaign, problems, gravity)
-    for index, one in enumerate(varying):
-        earlier = [other for other in varying[:index] if _same(one, other)]
-        if earlier:
-            problems.add(("study", "vary"), f"{one.symbol} is there twice")
+    for index, quantity in enumerate(varying):
+        if any(_same(quantity, earlier) for earlier in varying[:index]):
+            problems.add(("study", "vary"), f"{quantity.symbol} is there twice")
     analyses = []
     for name, table in (settings.analyses or _DEFAULT).items():
-        found = _analysis(name, table, document, where, problems)
-        if found is not None:
-            analyses.append(found)
+        analysis = _analysis(name, table, document, where, problems)
+        if analysis is not None:
+            analyses.append(analysis)
     if problems.lines:
         raise CampaignError(str(file), problems.lines)
     return StudyDescription(
@@ -237,18 +239,18 @@ def _varying(
     unit = OTHERS.get(symbol) or term(symbol).unit
     read = problems.attempt(path, _read, kind, getattr(settings, kind), unit, gravity)
     per_run = settings.per == "run"
-    if per_run and symbol in (RADIUS, WHITE, *OTHER_NOISE):
+    if per_run and symbol in (RADIUS, *NOISE_LEVELS):
         problems.add(path, "is common to the runs of a campaign")
     if read is None:
         return []
     first, second = read
     if symbol in (RADIUS, WHITE) and first <= 0.0:
         problems.add(path, "must be greater than zero")
-    if symbol in OTHER_NOISE and first < 0.0:
+    if symbol in NOISE_LEVELS and first < 0.0:
         problems.add(path, "must not be less than zero")
     return [
-        Varying(owner, one, kind, first, second, per_run)  # type: ignore[arg-type]
-        for owner, one in names
+        Varying(owner, name, kind, first, second, per_run)  # type: ignore[arg-type]
+        for owner, name in names
     ]
 
 

@@ -1,13 +1,13 @@
-"""What varies from trial to trial of a study, and random numbers that nobody can mix up.
+"""What is true in each trial of a study, fixed or drawn.
 
-Trials are drawn in batches of a fixed size. Each batch has random streams of its own, derived from
-the study's seed and the batch's number alone, so that a trial is the same whoever computes it, in
-whatever order and however many others there are.
+Trials are drawn in batches of a fixed size. Each batch has random streams of its own
+(`counterspin.studies.noise.stream`), derived from the study's seed and the batch's number alone,
+so that a trial is the same whoever computes it, in whatever order and however many others there
+are.
 
 - `Varying`: one quantity and its distribution
 - `StudyTruth`: what is true in one study, fixed and varying
 - `Draws`: the truth of a batch of trials
-- `stream`: the random numbers of one batch
 """
 
 from __future__ import annotations
@@ -19,23 +19,16 @@ from typing import Final, Literal
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.campaign.resolved import Campaign
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
 DRIFT: Final = "spindle.drift"  #: C, 1/s
 RIPPLE_RATIO: Final = "spindle.ripple.ratio"  #: w_1/w0 of the first harmonic
 RIPPLE_AMPLITUDE: Final = "spindle.ripple.amplitude"  #: or its w_1, rad/s
 RIPPLE_PHASE: Final = "spindle.ripple.phase"  #: its phase, rad
 RADIUS: Final = "centrifuge.radius"  #: m
-WHITE: Final = "noise.displacement"  #: of a sample, m
-
-#: Noise that only whole records have: its name, and its field of `study_full.Instrumented`.
-OTHER_NOISE: Final[Mapping[str, str]] = {
-    "noise.acceleration": "random_walk",  # m/s^2/Hz^0.5
-    "noise.quantisation": "quantisation",  # m
-    "noise.angle": "angle_noise",  # rad
-    "noise.timing": "timing_noise",  # s
-}
 
 #: What may vary beside the terms of the tables, with the unit.
 OTHERS: Final[Mapping[str, str]] = {
@@ -44,19 +37,11 @@ OTHERS: Final[Mapping[str, str]] = {
     RIPPLE_AMPLITUDE: "rad/s",
     RIPPLE_PHASE: "rad",
     RADIUS: "m",
-    WHITE: "m",
-    "noise.acceleration": "m/s^2/Hz^0.5",
-    "noise.quantisation": "m",
-    "noise.angle": "rad",
-    "noise.timing": "s",
+    **{symbol: unit for symbol, (unit, _) in NOISE_LEVELS.items()},
 }
 
 #: How many standard deviations of a normal distribution a study must be valid for.
 _REACH: Final = 4.5
-
-#: Streams of a batch: the truth and the noise are drawn apart.
-TRUTH_STREAM: Final = 0
-NOISE_STREAM: Final = 1
 
 
 @dataclass(frozen=True)
@@ -127,7 +112,7 @@ class Draws:
     radius, white
         m, shape (n,) or (1,).
     noise
-        Those of `OTHER_NOISE` that vary, shape (n,) or (1,).
+        Other noise levels that vary, shape (n,) or (1,).
     """
 
     trials: int
@@ -160,22 +145,25 @@ class Draws:
             {key: some(value) for key, value in self.noise.items()},
         )
 
-    def of(self, owner: str, symbol: str) -> Array:
-        """Return a coefficient as one number a trial, shape (n,): the mean over the runs."""
+    def small(self, run: int) -> list[Array]:
+        """Return drift, ripple's cosine and sine parts and radius of a run, (n,) or (1,) each."""
+        parts = (self.drift, self.ripple_cos, self.ripple_sin)
+        return [*(of_run(part, run) for part in parts), self.radius]
+
+    def mean(self, owner: str, symbol: str) -> Array:
+        """Return a coefficient's mean over the runs in each trial, shape (n,)."""
+        if (owner, symbol) not in self.values:
+            return np.full(self.trials, nominal(owner, symbol))
         value = self.values[owner, symbol]
-        mean: Array = value[0] if value.shape[0] == 1 else value.mean(axis=0)
-        return np.broadcast_to(mean, self.trials)
+        return np.broadcast_to(value.mean(axis=0), self.trials)
 
     def spindle(self, base: Spindle, run: int) -> Spindle:
         """Return the true motion of one run in the first of the trials."""
-
-        def pick(values: Array) -> float:
-            return float(values[min(run, values.shape[0] - 1), 0])
-
-        cos, sin = pick(self.ripple_cos), pick(self.ripple_sin)
+        cos, sin = (float(of_run(part, run)[0]) for part in (self.ripple_cos, self.ripple_sin))
         others = tuple(ripple for ripple in base.ripples if ripple.harmonic != 1)
         first = Ripple(1, base.rate * float(np.hypot(cos, sin)), float(np.arctan2(sin, cos)))
-        return Spindle(base.rate, pick(self.drift), (first, *others), base.start_angle)
+        drift = float(of_run(self.drift, run)[0])
+        return Spindle(base.rate, drift, (first, *others), base.start_angle)
 
 
 @dataclass(frozen=True)
@@ -200,6 +188,28 @@ class StudyTruth:
     white: float
     varying: tuple[Varying, ...]
 
+    @classmethod
+    def of(cls, campaign: Campaign, varying: tuple[Varying, ...]) -> StudyTruth:
+        """Return what is true: a campaign's [truth], and what varies in its stead."""
+        assert campaign.simulation is not None
+        fixed: dict[tuple[str, str], Array] = {
+            (name, symbol): np.array([value])
+            for name, coefficients in campaign.simulation.truth.coefficients.items()
+            for symbol, value in coefficients.items()
+        }
+        platforms = [run.truth.platform for run in campaign.runs if run.truth]
+        for symbol in dict.fromkeys(symbol for platform in platforms for symbol in platform):
+            fixed["", symbol] = np.array([platform.get(symbol, 0.0) for platform in platforms])
+        for quantity in varying:
+            fixed.pop((quantity.owner, quantity.symbol), None)
+        return cls(
+            fixed=fixed,
+            spindles=tuple(run.truth.spindle for run in campaign.runs if run.truth),
+            radius=campaign.radius.value,
+            white=float(campaign.simulation.truth.noise.displacement),
+            varying=varying,
+        )
+
     def draw(self, generator: np.random.Generator, trials: int) -> Draws:
         """Draw the truth of some trials, quantity after quantity in the study's order."""
         runs = len(self.spindles)
@@ -222,12 +232,30 @@ class StudyTruth:
                 radius = drawn[0]
             elif one.symbol == WHITE:
                 white = np.abs(drawn[0])
-            elif one.symbol in OTHER_NOISE:
+            elif one.symbol in NOISE_LEVELS:
                 noise[one.symbol] = np.abs(drawn[0])
             else:
                 values[one.owner, one.symbol] = drawn
         cos, sin = ratio * np.cos(phase), ratio * np.sin(phase)
         return Draws(trials, values, drift, cos, sin, radius, white, noise)
+
+    def small_bounds(self, run: int) -> Array:
+        """Return least and greatest drift, ripple's cosine and sine parts and radius, (4, 2)."""
+        ratio, phase = self.bounds(RIPPLE_RATIO, run), self.bounds(RIPPLE_PHASE, run)[0]
+        if self.varies(RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
+            largest = max(map(abs, ratio))
+            cos, sin = (-largest, largest), (-largest, largest)
+        else:
+            cos, sin = ((ratio[0] * part(phase),) * 2 for part in (np.cos, np.sin))
+        return np.array([self.bounds(DRIFT, run), cos, sin, self.bounds(RADIUS, run)])
+
+    def mean(self, owner: str, symbol: str) -> float:
+        """Return what is true of a coefficient on average."""
+        for one in self.varying:
+            if (one.owner, one.symbol) == (owner, symbol):
+                return 0.5 * sum(one.reach)
+        value = self.fixed.get((owner, symbol))
+        return nominal(owner, symbol) if value is None else float(value.mean())
 
     def _first(self) -> tuple[list[float], list[float]]:
         """Return ratio and phase of every run's first harmonic."""
@@ -253,7 +281,7 @@ class StudyTruth:
             for owner in owners
         }
 
-    def largest(self, symbol: str, run: int) -> tuple[float, float]:
+    def bounds(self, symbol: str, run: int) -> tuple[float, float]:
         """Return the least and greatest value of a spindle quantity or the radius in a run."""
         for one in self.varying:
             if symbol == RIPPLE_RATIO and one.symbol == RIPPLE_AMPLITUDE:
@@ -272,20 +300,10 @@ class StudyTruth:
         return value, value
 
 
-def stream(seed: int, batch: int, which: int) -> np.random.Generator:
-    """Return the random numbers of one batch, for its truth or for its noise.
-
-    Parameters
-    ----------
-    seed
-        Of the study.
-    batch
-        Number of the batch, from 0.
-    which
-        `TRUTH_STREAM`, `NOISE_STREAM`, or any further whole number.
-    """
-    sequence = np.random.SeedSequence(seed, spawn_key=(batch, which))
-    return np.random.Generator(np.random.SFC64(sequence))
+def of_run(values: Array, run: int) -> Array:
+    """Return one run's row of values that the runs may have in common, shape (n,) or (1,)."""
+    row: Array = values[min(run, values.shape[0] - 1)]
+    return row
 
 
 def nominal(owner: str, symbol: str) -> float:

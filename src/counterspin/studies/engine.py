@@ -13,19 +13,12 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.studies.draws import (
-    DRIFT,
-    NOISE_STREAM,
-    TRUTH_STREAM,
-    Draws,
-    StudyTruth,
-    nominal,
-    stream,
-)
-from counterspin.studies.full import FullEngine
-from counterspin.studies.joint import JointEngine
+from counterspin.studies.draws import DRIFT, Draws, StudyTruth
+from counterspin.studies.full_engine import FullEngine
+from counterspin.studies.joint_engine import JointEngine
+from counterspin.studies.noise import NOISE_STREAM, TRUTH_STREAM, stream
 from counterspin.studies.tally import Driver, Tally
-from counterspin.studies.two_stage import TwoStageEngine
+from counterspin.studies.two_stage_engine import TwoStageEngine
 
 #: Trials of a batch: what fits a cache, and for slow engines what takes a fraction of a second.
 _BATCH: Final = {"constant": 16384, "sampled": 8192, "surrogate": 4096, "exact": 128, "full": 8}
@@ -147,21 +140,15 @@ class StudyEngine:
             noise = stream(self.seed, number, NOISE_STREAM + part.noise)
             # Whole records are slow: no more trials of them than count.
             few = draws.part(0, trials) if part.kind == "full" else draws
-            found = part.engine.trials(few, noise)
+            said = part.engine.trials(few, noise)
             for row, one in zip(part.rows, part.reported, strict=True):
-                truth = _truth(draws, one)[:trials]
-                estimate = found.estimate[row, :trials]
-                u, dof = found.u[row, :trials], found.dof[row, :trials]
+                truth = draws.mean(one.owner, one.symbol)[:trials]
+                estimate = said.estimate[row, :trials]
+                u, dof = said.u[row, :trials], said.dof[row, :trials]
                 sums.append(self.tally.count(estimate, truth, u, dof, driven))
                 if keep:
                     values.append(np.stack([truth, estimate, np.broadcast_to(u, truth.shape)]))
         return Batch(np.array(sums), np.array(values) if keep else None)
-
-
-def _truth(draws: Draws, one: Reported) -> Array:
-    if (one.owner, one.symbol) in draws.values:
-        return draws.of(one.owner, one.symbol)
-    return np.full(draws.trials, nominal(one.owner, one.symbol))
 
 
 def _driven(draws: Draws, driver: Driver) -> Array:

@@ -21,7 +21,6 @@ from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import StudyDescription, read_study
 from counterspin.studies.draws import OTHERS, Varying
 from counterspin.studies.engine import Reported, StudyEngine
-from counterspin.studies.preparation import analyses_of, truth_of, world_of
 from counterspin.studies.result import (
     AnalysisResult,
     CoefficientResult,
@@ -98,13 +97,8 @@ def study(
     alone = workers == 1 and cluster is None
     # Workers start while the engine is prepared.
     with nullcontext() if alone else worker_pool(workers, cluster, work.__module__) as pool:
-        prepared = prepare(
-            world_of(description.campaign),
-            truth_of(description),
-            analyses_of(description),
-            description.seed if seed is None else seed,
-            engine,
-        )
+        seed = description.seed if seed is None else seed
+        prepared = prepare(description, seed, engine)
         folder = _folder(output)
         ledger = Ledger(
             prepared, trials, keep=keep_trials, folder=folder, fingerprint=_fingerprint(prepared)

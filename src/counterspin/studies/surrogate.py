@@ -1,6 +1,6 @@
 """Strobed effects as a polynomial of the spindle's small errors, checked inside a box.
 
-What each error adds to a run's b2 (`counterspin.studies.strobes`) is a smooth function of
+What each error adds to a run's b2 (`counterspin.studies.strobed_effects`) is a smooth function of
 the drift, of the first harmonic's cosine and sine parts, and of the radius. A polynomial of the
 fourth degree through points computed by quadrature stands for it inside a box, whose corners and
 inside are checked when it is made. Quantities that do not vary take no part; where none varies
@@ -25,7 +25,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
 from counterspin.physics.accelerometer import term
-from counterspin.studies.strobes import StrobedMotion, effects
+from counterspin.studies.strobed_effects import StrobedMotion, effects
 
 DEGREE: Final = 4
 
@@ -37,12 +37,12 @@ _RADIUS: Final = 1e-3
 #: The largest error that the polynomial may have, in parts of the largest value in the box.
 _TOLERANCE: Final = 1e-9
 
-#: Effects below this part of the largest, at credible sizes of both, hardly matter.
-_HARDLY: Final = 1e-4
+#: Smallest effect held to the tolerance, in parts of the largest, both at credible sizes.
+_SMALLEST_EFFECT: Final = 1e-4
 
 #: Points of the fit for each coefficient of the polynomial, and points of the check.
-_OVERSAMPLED: Final = 3
-_CHECKED: Final = 60
+_POINTS_PER_COEFFICIENT: Final = 3
+_CHECK_POINTS: Final = 60
 
 
 @dataclass(frozen=True)
@@ -58,21 +58,15 @@ class Box:
         return np.flatnonzero(self.half > 0.0)
 
 
-def box_of(
-    motion: StrobedMotion,
-    drift: tuple[float, float],
-    ripple_cos: tuple[float, float],
-    ripple_sin: tuple[float, float],
-    radius: tuple[float, float],
-) -> Box:
+def box_of(motion: StrobedMotion, bounds: Array) -> Box:
     """Return the box that holds what a study draws, or as much of it as a surrogate may hold.
 
     Parameters
     ----------
     motion
         The run.
-    drift, ripple_cos, ripple_sin, radius
-        Least and greatest values of the study.
+    bounds
+        Least and greatest drift, ripple's cosine and sine parts and radius, shape (4, 2).
     """
     turned = float(np.max(np.abs(motion.angles - motion.spindle.start_angle)))
     duration = turned / abs(motion.spindle.rate)
@@ -81,10 +75,10 @@ def box_of(
             2.0 * _DRIFT_ANGLE / (turned * duration),
             _RIPPLE,
             _RIPPLE,
-            _RADIUS * 0.5 * (radius[0] + radius[1]),
+            _RADIUS * float(bounds[3].mean()),
         ]
     )
-    low, high = np.array([drift, ripple_cos, ripple_sin, radius]).T
+    low, high = bounds.T
     centre = 0.5 * (low + high)
     # Small errors are small about zero; the radius is near its own value.
     reference = np.array([0.0, 0.0, 0.0, centre[3]])
@@ -135,10 +129,10 @@ class Surrogate:
         powers = sorted(_powers(places.size), key=lambda p: (bool(has_radius and p[-1]), sum(p)))
         count = sum(1 for p in powers if not (has_radius and p[-1]))
         generator = np.random.default_rng(4)
-        points = _OVERSAMPLED * len(powers) if places.size else 1
+        points = _POINTS_PER_COEFFICIENT * len(powers) if places.size else 1
         # Points that crowd towards the faces, as Chebyshev's do, keep the error even.
         scaled = np.cos(math.pi * generator.random((places.size, points)))
-        checked = generator.uniform(-1.0, 1.0, (places.size, _CHECKED if places.size else 1))
+        checked = generator.uniform(-1.0, 1.0, (places.size, _CHECK_POINTS if places.size else 1))
         corners = np.array(list(itertools.product((-1.0, 1.0), repeat=places.size))).T
         if places.size:
             checked = np.hstack([checked, corners])
@@ -148,9 +142,9 @@ class Surrogate:
         basis, basis_check = _monomials(scaled, powers), _monomials(checked, powers)
         with_radius = _fitted(basis, true / size[:-1]) * size[:-1]
         without = _fitted(basis[:count], assumed / size) * size
-        # A term that hardly acts at all is held against what a credible size of others does.
+        # A term that acts very little is compared with the effect of others at credible sizes.
         limits = np.array([term(symbol).limit for symbol in symbols])[:, None]
-        floor = _HARDLY * np.max(size[:-1] * limits) / limits
+        floor = _SMALLEST_EFFECT * np.max(size[:-1] * limits) / limits
         scale = np.vstack([np.maximum(size[:-1], floor), size[-1:]])
         error = max(
             float(np.max(np.abs(with_radius @ basis_check - true_check) / scale[:-1])),

@@ -16,42 +16,42 @@ from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import PLATFORM_TERMS
 from counterspin.physics.motion import Trajectory
+from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import (
     DRIFT,
-    OTHER_NOISE,
     RIPPLE_AMPLITUDE,
     RIPPLE_PHASE,
     RIPPLE_RATIO,
-    WHITE,
     StudyTruth,
     nominal,
+    of_run,
 )
-from counterspin.studies.full import Instrumented
-from counterspin.studies.joint import JointAnalysis, mean_of
-from counterspin.studies.strobes import kinked
+from counterspin.studies.noise import NOISE_LEVELS, WHITE
+from counterspin.studies.strobed_effects import kinked
+from counterspin.studies.world import World
 
-#: Other noise may add this part of the displacement noise, in standard deviations.
-_SMALL: Final = 0.01
+#: Largest noise of angle and time that is neglected, in parts of the displacement noise.
+_LARGEST_OTHER_NOISE: Final = 0.01
 
-#: What the first order leaves out, and what a parabola leaves in the residuals, in parts of it.
-_NEGLIGIBLE: Final = 0.1
+#: Largest error of second order, and largest one left in the residuals of a parabola, likewise.
+_LARGEST_ERROR: Final = 0.1
 
 
 def against_strobes(
-    world: Instrumented, truth: StudyTruth, analysis: TwoStageRequest, owner: str
+    world: World, truth: StudyTruth, request: TwoStageRequest, owner: str
 ) -> list[str]:
     """Return why the two-stage method's sufficient statistics do not serve; empty if they do."""
     reasons = _against(world, truth)
-    if world.random_walk > 0.0:
+    if world.noise.random_walk > 0.0:
         reasons.append("the accelerometer's noise is not white in displacement")
-    asked = [s for s in (*analysis.unknowns, *analysis.considered) if s != RIPPLE]
+    asked = [s for s in (*request.unknowns, *request.considered) if s != RIPPLE]
     symbols = [s for o, many in truth.symbols.items() if o in ("", owner) for s in many]
     kinks = sorted({symbol for symbol in (*symbols, *asked) if kinked(symbol)})
     if kinks:
         reasons.append(f"{', '.join(kinks)} has a kink")
-    if analysis.sigma is None and not reasons:
+    if request.sigma is None and not reasons:
         left = _left_by_the_parabola(world, truth, owner)
-        if left > _NEGLIGIBLE * _white(truth):
+        if left > _LARGEST_ERROR * _white(truth):
             reasons.append(
                 "sigma is taken from residuals in which errors that are no parabola reach "
                 f"{left:.1e} m"
@@ -59,12 +59,12 @@ def against_strobes(
     return reasons
 
 
-def against_joint(world: Instrumented, truth: StudyTruth, analysis: JointAnalysis) -> list[str]:
+def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> list[str]:
     """Return why the joint fit's sufficient statistics do not serve; empty if they do."""
     reasons = _against(world, truth)
     if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
         reasons.append("the rotation varies, and with it the weights of every sample")
-    given = [request.given for request in analysis.requests.values()]
+    given = [known.given for known in request.noise.values()]
     if any(one is None for one in given):
         reasons.append("the noise is estimated, so that the estimate is not linear")
         return reasons
@@ -72,33 +72,35 @@ def against_joint(world: Instrumented, truth: StudyTruth, analysis: JointAnalysi
     if len(assumed) > 1 and (truth.varies(WHITE) or {w for w, _ in assumed} != {truth.white}):
         reasons.append("the accelerometers' assumed noises differ from the true one")
     walks = {walk for _, walk in assumed}
-    right = not truth.varies(WHITE) and assumed == {(truth.white, world.random_walk)}
-    if not right and (walks != {0.0} or world.random_walk > 0.0):
+    right = not truth.varies(WHITE) and assumed == {(truth.white, world.noise.random_walk)}
+    if not right and (walks != {0.0} or world.noise.random_walk > 0.0):
         reasons.append("the true noise is neither white nor what the analysis assumes")
     return reasons
 
 
-def _against(world: Instrumented, truth: StudyTruth) -> list[str]:
+def _against(world: World, truth: StudyTruth) -> list[str]:
     reasons = []
     white = _white(truth)
     if not world.angle_recorded:
         reasons.append("no angle is recorded, and the rotation has to be found")
-    other = [one.symbol for one in truth.varying if one.symbol in OTHER_NOISE]
+    other = [
+        one.symbol for one in truth.varying if one.symbol in NOISE_LEVELS and one.symbol != WHITE
+    ]
     if other:
         reasons.append(f"{', '.join(other)} varies, and only whole records have it")
-    if world.quantisation > 0.0:
+    if world.noise.quantisation > 0.0:
         reasons.append("quantisation is not Gaussian")
     if white <= 0.0:
         reasons.append("there is no white noise")
     speed = world.radius * max(abs(spindle.rate) for spindle in world.spindles)
     for size, words in (
-        (world.radius * world.angle_noise, "angle"),
-        (speed * world.timing_noise, "time"),
+        (world.radius * world.noise.angle, "angle"),
+        (speed * world.noise.timing, "time"),
     ):
-        if size > _SMALL * white:
+        if size > _LARGEST_OTHER_NOISE * white:
             reasons.append(f"the noise of the recorded {words} is not negligible")
     second = _second_order(world, truth)
-    if second > _NEGLIGIBLE * white:
+    if second > _LARGEST_ERROR * white:
         reasons.append(f"the platform turns so far that second-order effects reach {second:.1e} m")
     return reasons
 
@@ -112,14 +114,14 @@ def _white(truth: StudyTruth) -> float:
     return float(draws.white.min())
 
 
-def _second_order(world: Instrumented, truth: StudyTruth) -> float:
+def _second_order(world: World, truth: StudyTruth) -> float:
     """Return what the square of the platform's attitude error adds to the displacement, m."""
     worst = 0.0
     for run, duration in enumerate(world.durations):
         turned = 0.0
         speed = 2.0 * world.radius * abs(world.spindles[run].rate)
         for symbol, row in PLATFORM_TERMS.items():
-            reach = [abs(mean_of(truth, "", symbol))]
+            reach = [abs(truth.mean("", symbol))]
             reach += [max(map(abs, one.reach)) for one in truth.varying if one.symbol == symbol]
             vertical = (
                 row.force_axis is not None and abs(world.attitudes[run][row.force_axis][2]) > 1e-9
@@ -134,7 +136,7 @@ def _second_order(world: Instrumented, truth: StudyTruth) -> float:
     return worst
 
 
-def _left_by_the_parabola(world: Instrumented, truth: StudyTruth, owner: str) -> float:
+def _left_by_the_parabola(world: World, truth: StudyTruth, owner: str) -> float:
     """Return the rms of what true errors leave in the strobes' residuals at most, m."""
     draws = truth.draw(np.random.default_rng(2), 8)
     worst = 0.0
@@ -159,7 +161,7 @@ def _left_by_the_parabola(world: Instrumented, truth: StudyTruth, owner: str) ->
 
 
 def _size(values: Array, key: tuple[str, str], run: int) -> float:
-    return float(values[min(run, values.shape[0] - 1), 0]) - nominal(*key)
+    return float(of_run(values, run)[0]) - nominal(*key)
 
 
 def _rms_beside_parabola(times: Array, error: Array) -> float:

@@ -6,7 +6,6 @@ columns of what is true carried along as considered terms; a trial then costs as
 there are unknowns. A radius that varies enters every column as a polynomial of the third degree,
 exactly, because no term has more than three factors.
 
-- `JointAnalysis`: what the analysis believes
 - `JointEngine`: the trials
 """
 
@@ -23,34 +22,19 @@ from counterspin.arrays import Array
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint.estimation import NoiseRequest
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import ROTATION, Unknowns
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import TERMS
-from counterspin.studies.draws import RADIUS, Draws, StudyTruth, nominal
-from counterspin.studies.two_stage import Trials
+from counterspin.studies.analyses import JointRequest
+from counterspin.studies.draws import RADIUS, Draws, StudyTruth, nominal, of_run
+from counterspin.studies.noise import estimate_noise
+from counterspin.studies.two_stage_engine import Trials
 
 #: Nodes in the radius: no product of the table has more than three factors.
 _RADIUS_POWERS: Final = 4
-
-
-@dataclass(frozen=True)
-class JointAnalysis:
-    """A joint analysis: its model and what it knows of the noise.
-
-    Attributes
-    ----------
-    model
-        Unknowns, considered terms, uncertain inputs.
-    requests
-        Accelerometer -> its noise, given or to be estimated.
-    """
-
-    model: Unknowns
-    requests: Mapping[str, NoiseRequest]
 
 
 @dataclass(frozen=True)
@@ -90,7 +74,7 @@ class JointEngine:
 
     @classmethod
     def prepare(
-        cls, series: Sequence[Series], analysis: JointAnalysis, truth: StudyTruth
+        cls, series: Sequence[Series], request: JointRequest, truth: StudyTruth
     ) -> tuple[JointEngine, tuple[str, ...]]:
         """Reduce all series and solve once.
 
@@ -99,7 +83,7 @@ class JointEngine:
         series
             Times, rotation and axes of every record; the errors are not looked at. Their order is
             by run.
-        analysis
+        request
             With all noise given.
         truth
             What is true; its spindles do not vary.
@@ -109,12 +93,12 @@ class JointEngine:
         tuple
             The engine, and the names of the unknowns that the records do not determine.
         """
-        noise = {name: request.given for name, request in analysis.requests.items()}
+        noise = {name: known.given for name, known in request.noise.items()}
         radius = series[0].trajectory.radius
-        # So small a step would do; the one of the study conditions the powers well.
-        low, high = truth.largest(RADIUS, 0)
+        # The range of the study conditions the powers of the radius well.
+        low, high = truth.bounds(RADIUS, 0)
         scale = max(abs(low - radius), abs(high - radius), 1e-6 * radius)
-        model = analysis.model
+        model = request.model
         names = list(dict.fromkeys(one.run for one in series))
         keys = _truth_keys(series, truth, names, varies=truth.varies(RADIUS) or low != radius)
         blocks = []
@@ -124,13 +108,8 @@ class JointEngine:
             blocks.append(_block(one, model, given, keys, names, scale, truth))
         solution = _solve(blocks, model, len(keys) + 1)
         assessment = assess(solution, [u.name for u in model.unknowns])
-        reported = [
-            i
-            for i, u in enumerate(model.unknowns)
-            if u.symbol in TERMS or (not u.owner and u.symbol not in ROTATION)
-        ]
-        rows = [i for i in reported if assessment.determined[model.unknowns[i].name]]
-        lost = tuple(model.unknowns[i].name for i in reported if i not in rows)
+        rows = [i for i in request.reported if assessment.determined[model.unknowns[i].name]]
+        lost = tuple(model.unknowns[i].name for i in request.reported if i not in rows)
         c = len(model.considered_names)
         moved = -solution.sensitivity_considered[:, c:][rows]
         values, vectors = np.linalg.eigh(solution.covariance_noise[np.ix_(rows, rows)])
@@ -155,16 +134,13 @@ class JointEngine:
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
         """Return what the analysis says of n trials; see `TwoStageEngine.trials`."""
         n = draws.trials
-        drawn = generator.standard_normal((self.spread.shape[1], n))
-        estimate = self.spread @ drawn
-        if self.white > 0.0:
-            estimate *= draws.white / self.white
+        scale = draws.white / self.white if self.white > 0.0 else 1.0
+        estimate = estimate_noise(generator, self.spread, scale, n)
         estimate += self.constant[:, None]
         away = draws.radius - self.radius
         estimate += np.outer(self.radius_response, away)
         for (owner, symbol, run, power), response in self.response.items():
-            value = draws.values[owner, symbol]
-            size = value[min(run or 0, value.shape[0] - 1)] - nominal(owner, symbol)
+            size = of_run(draws.values[owner, symbol], run or 0) - nominal(owner, symbol)
             if power:
                 size = size * (away / self.scale) ** power
             estimate += np.outer(response, size)
@@ -180,17 +156,8 @@ def scale_factors(series: Sequence[Series], model: Unknowns, truth: StudyTruth) 
     factors = {}
     for name in dict.fromkeys(one.accelerometer for one in series):
         known = [c.prior[0] for c in model.considered if c.owner == name and c.symbol == "K_I"]
-        factors[name] = known[0] if known else mean_of(truth, name, "K_I")
+        factors[name] = known[0] if known else truth.mean(name, "K_I")
     return factors
-
-
-def mean_of(truth: StudyTruth, owner: str, symbol: str) -> float:
-    """Return what is true of a coefficient on average."""
-    for one in truth.varying:
-        if (one.owner, one.symbol) == (owner, symbol):
-            return 0.5 * sum(one.reach)
-    value = truth.fixed.get((owner, symbol))
-    return nominal(owner, symbol) if value is None else float(value.mean())
 
 
 def _truth_keys(
@@ -227,7 +194,7 @@ def _block(
     factors = scale_factors([series], model, truth)
     expected = np.array(
         [
-            mean_of(truth, u.owner if u.symbol in TERMS else "", u.symbol) - u.nominal
+            truth.mean(u.owner if u.symbol in TERMS else "", u.symbol) - u.nominal
             for u in model.unknowns
         ]
     )
@@ -240,7 +207,7 @@ def _block(
     true = np.zeros((series.time.size, len(keys) + 1))
     symbols = list(dict.fromkeys(symbol for _, symbol, _, _ in mine))
     powers = max((power for *_, power in mine), default=0) + 1
-    k_i = mean_of(truth, series.accelerometer, "K_I")
+    k_i = truth.mean(series.accelerometer, "K_I")
     columns = _in_radius(series, symbols, k_i, powers, scale)
     for (_, symbol, _, power), index in mine.items():
         true[:, index] = columns[power][:, symbols.index(symbol)]

@@ -22,8 +22,9 @@ from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest, credible_limit
 from counterspin.physics import as_printed
 from counterspin.physics.accelerometer import PlatformTerm, term
-from counterspin.studies.draws import Draws
-from counterspin.studies.strobes import StrobedMotion, effects
+from counterspin.studies.draws import Draws, of_run
+from counterspin.studies.noise import curvature_noise, residual_variances
+from counterspin.studies.strobed_effects import StrobedMotion, effects
 from counterspin.studies.surrogate import Surrogate
 
 
@@ -88,15 +89,11 @@ class TwoStageEngine:
         seen = [self._effects(draws, run) for run in range(runs)]
         assumed = _stacked([part for _, part, _ in seen], 1)  # (q, runs, n or 1)
         sizes = _stacked([size for _, _, size in seen], 0)  # sigma/u(b2)
-        b2 = generator.standard_normal((runs, n))
-        b2 *= draws.white / sizes
+        b2 = curvature_noise(generator, draws.white, sizes, n)
         b2 += _stacked([self._shift(draws, run, true) for run, (true, _, _) in enumerate(seen)], 0)
         variance = np.ones((1, 1))
         if self.request.sigma is None:
-            # The residuals of each run in one number.
-            dof = self._residual_dof
-            variance = np.stack([generator.standard_gamma(0.5 * freedom, n) for freedom in dof])
-            variance *= 2.0 * draws.white**2 / dof[:, None]
+            variance = residual_variances(generator, draws.white, self._residual_dof, n)
         return self._analyse(b2, assumed, sizes, variance)
 
     @property
@@ -105,11 +102,7 @@ class TwoStageEngine:
 
     def _effects(self, draws: Draws, run: int) -> tuple[Array, Array, Array]:
         """Return the run's effects at the true and at the assumed radius, and sigma/u(b2)."""
-        small = [
-            values[min(run, values.shape[0] - 1)]
-            for values in (draws.drift, draws.ripple_cos, draws.ripple_sin)
-        ]
-        small.append(draws.radius)
+        small = draws.small(run)
         if self.surrogates is None:
             return self._by_quadrature(run, small)
         surrogate = self.surrogates[run]
@@ -138,11 +131,10 @@ class TwoStageEngine:
     def _shift(self, draws: Draws, run: int, effect: Array) -> Array:
         """Return what the true errors add to a run's b2, shape (n or 1,)."""
         scale = draws.values.get((self.owner, "K_I"), np.ones((1, 1)))
-        k_i = scale[min(run, scale.shape[0] - 1)]
+        k_i = of_run(scale, run)
         total = np.zeros(1)
         for owner, symbol in self.true:
-            value = draws.values[owner, symbol]
-            size = value[min(run, value.shape[0] - 1)]
+            size = of_run(draws.values[owner, symbol], run)
             row = term(symbol)
             size = size * k_i if isinstance(row, PlatformTerm) else size - row.nominal
             total = total + size * effect[self.symbols.index(symbol)]

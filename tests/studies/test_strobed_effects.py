@@ -12,7 +12,7 @@ from counterspin.physics import observation
 from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, TERMS, term
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.studies.strobes import StrobedMotion, effects, kinked
+from counterspin.studies.strobed_effects import StrobedMotion, effects, kinked
 from counterspin.studies.surrogate import Surrogate, box_of
 
 SITE = Site(9.8, 0.8)
@@ -65,7 +65,10 @@ def test_ripple_that_stops_the_spindle_is_refused():
 
 def test_surrogate_is_exact_in_its_box_and_knows_where_it_ends():
     motion = run(QX, 2.0, revolutions=60)
-    box = box_of(motion, (-3e-7, 3e-7), (-5e-4, 5e-4), (-5e-4, 5e-4), (2.4999, 2.5001))
+    box = box_of(
+        motion,
+        np.array([[-3e-7, 3e-7], [-5e-4, 5e-4], [-5e-4, 5e-4], [2.4999, 2.5001]]),
+    )
     surrogate = Surrogate.fit(motion, ("K_II", "K_III", "K_F"), box, 2.5)
     rng = np.random.default_rng(3)
     small = [c + h * rng.uniform(-1, 1, 40) for c, h in zip(box.centre, box.half, strict=True)]
@@ -83,7 +86,7 @@ def test_surrogate_is_exact_in_its_box_and_knows_where_it_ends():
 
 
 def test_box_is_cut_to_what_a_surrogate_may_hold():
-    box = box_of(run(QX, 2.0), (-1.0, 1.0), (-0.1, 0.1), (0.0, 0.0), (2.5, 2.5))
+    box = box_of(run(QX, 2.0), np.array([[-1.0, 1.0], [-0.1, 0.1], [0.0, 0.0], [2.5, 2.5]]))
     assert box.half[1] == pytest.approx(6e-4)
     assert box.half[0] < 1e-4
     assert box.varies.tolist() == [0, 1]

@@ -1,0 +1,90 @@
+"""What competes in a study: the joint fit of all accelerometers, the two-stage method of one.
+
+- `Analysis`, `JointRequest`
+- `analyses_of`: from a study's description
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from counterspin.calibration.joint_problem import model_of, noise_of
+from counterspin.calibration.two_stage_request import request_of
+from counterspin.errors import NotIdentifiableError
+from counterspin.inference.joint.estimation import NoiseRequest
+from counterspin.inference.joint.unknowns import ROTATION, Unknowns
+from counterspin.inference.two_stage.request import TwoStageRequest
+from counterspin.physics.accelerometer import TERMS
+from counterspin.studies.description import StudyDescription
+
+
+@dataclass(frozen=True)
+class JointRequest:
+    """What is asked of the joint fit.
+
+    Attributes
+    ----------
+    model
+        Unknowns, considered terms, uncertain inputs.
+    noise
+        Accelerometer -> its noise, given or to be estimated.
+    """
+
+    model: Unknowns
+    noise: Mapping[str, NoiseRequest]
+
+    @property
+    def reported(self) -> list[int]:
+        """Places of the unknowns that a study reports: those that the runs have in common."""
+        return [
+            place
+            for place, unknown in enumerate(self.model.unknowns)
+            if unknown.symbol in TERMS or (not unknown.owner and unknown.symbol not in ROTATION)
+        ]
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """One competitor.
+
+    Attributes
+    ----------
+    name
+        As the study calls it.
+    owner
+        The accelerometer of a two-stage analysis; empty for the joint fit of all.
+    request
+        What is asked of the method.
+    """
+
+    name: str
+    owner: str
+    request: TwoStageRequest | JointRequest
+
+
+def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
+    """Return what competes: a two-stage analysis is one for each accelerometer.
+
+    Raises
+    ------
+    NotIdentifiableError
+        If a two-stage analysis has an accelerometer whose input axis is not horizontal, or no
+        angle is recorded.
+    """
+    analyses = []
+    for described in study.analyses:
+        name, options, campaign = described.name, described.two_stage, described.campaign
+        if options is None:
+            joint = JointRequest(model_of(campaign), noise_of(campaign))
+            analyses.append(Analysis(name, "", joint))
+            continue
+        if campaign.angle is None:
+            raise NotIdentifiableError(
+                f"{name}: a study of the two-stage method needs a recorded angle ([records] "
+                "angle); without it study the joint fit alone ([study.analyses])"
+            )
+        for owner, accelerometer in campaign.accelerometers.items():
+            request = request_of(campaign, accelerometer, options)
+            analyses.append(Analysis(name, owner, request))
+    return tuple(analyses)

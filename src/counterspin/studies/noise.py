@@ -1,0 +1,147 @@
+"""How a study draws noise: that of whole records, or of the numbers that sum them up.
+
+- `stream`: the random numbers of one batch of trials
+- `NOISE_LEVELS`: the levels that may vary
+- `RecordNoise`: noise of recorded time, angle and displacement
+- `curvature_noise`, `residual_variances`, `estimate_noise`: what it amounts to in the first stage
+  of the two-stage method and in the joint fit
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.physics import simulation
+
+WHITE: Final = "noise.displacement"  #: of a sample, m
+
+#: Level that may vary -> its unit and its field of `RecordNoise`.
+NOISE_LEVELS: Final[Mapping[str, tuple[str, str]]] = {
+    WHITE: ("m", "white"),
+    "noise.acceleration": ("m/s^2/Hz^0.5", "random_walk"),
+    "noise.quantisation": ("m", "quantisation"),
+    "noise.angle": ("rad", "angle"),
+    "noise.timing": ("s", "timing"),
+}
+
+#: Streams of a batch: the truth and the noise are drawn apart.
+TRUTH_STREAM: Final = 0
+NOISE_STREAM: Final = 1
+
+
+def stream(seed: int, batch: int, which: int) -> np.random.Generator:
+    """Return the random numbers of one batch, for its truth or for its noise.
+
+    Parameters
+    ----------
+    seed
+        Of the study.
+    batch
+        Number of the batch, from 0.
+    which
+        `TRUTH_STREAM`, `NOISE_STREAM`, or any further whole number.
+    """
+    sequence = np.random.SeedSequence(seed, spawn_key=(batch, which))
+    return np.random.Generator(np.random.SFC64(sequence))
+
+
+@dataclass(frozen=True)
+class RecordNoise:
+    """Noise of whole records.
+
+    Attributes
+    ----------
+    white
+        Standard deviation of a sample's displacement, m.
+    random_walk
+        Coefficient N of the accelerometer's white noise, m/s^2/Hz^0.5.
+    quantisation
+        Step of the recorded displacement, m.
+    angle, timing
+        Standard deviations of a recorded angle and of a time stamp, rad and s.
+    """
+
+    white: float = 0.0
+    random_walk: float = 0.0
+    quantisation: float = 0.0
+    angle: float = 0.0
+    timing: float = 0.0
+
+    def stamps(self, generator: np.random.Generator, times: Array) -> Array:
+        """Return the time stamps of samples taken at these times, s."""
+        return np.asarray(times + self.timing * generator.standard_normal(times.size))
+
+    def angles(self, generator: np.random.Generator, angles: Array) -> Array:
+        """Return these angles as they are recorded, rad."""
+        return np.asarray(angles + self.angle * generator.standard_normal(angles.size))
+
+    def displacements(
+        self, generator: np.random.Generator, times: Array, displacements: Array
+    ) -> Array:
+        """Return these displacements as they are recorded, m."""
+        walk = simulation.accelerometer_walk(generator, times, self.random_walk, 2)
+        recorded = displacements + walk + self.white * generator.standard_normal(times.size)
+        step = self.quantisation
+        return np.asarray(np.round(recorded / step) * step if step > 0.0 else recorded)
+
+
+def curvature_noise(
+    generator: np.random.Generator, white: Array, sizes: Array, trials: int
+) -> Array:
+    """Return what white noise adds to b2, m/s^2, shape (runs, trials).
+
+    Parameters
+    ----------
+    generator
+        Random numbers.
+    white
+        Standard deviation of a strobe in each trial, m, shape (trials,) or (1,).
+    sizes
+        sigma/u(b2) of each run, s^2, shape (runs, trials) or (runs, 1).
+    trials
+        How many.
+    """
+    noise = generator.standard_normal((sizes.shape[0], trials))
+    noise *= white / sizes
+    return noise
+
+
+def residual_variances(
+    generator: np.random.Generator, white: Array, dof: Array, trials: int
+) -> Array:
+    """Return the variance that the residuals of each run show, m^2, shape (runs, trials).
+
+    Parameters
+    ----------
+    generator, white, trials
+        As for `curvature_noise`.
+    dof
+        Degrees of freedom of each run's residuals, shape (runs,).
+    """
+    variances = np.stack([generator.standard_gamma(0.5 * freedom, trials) for freedom in dof])
+    variances *= 2.0 * white**2 / dof[:, None]
+    return variances
+
+
+def estimate_noise(
+    generator: np.random.Generator, spread: Array, scale: Array | float, trials: int
+) -> Array:
+    """Return what noise adds to the estimates of a joint fit, shape (c, trials).
+
+    Parameters
+    ----------
+    generator, trials
+        As for `curvature_noise`.
+    spread
+        A square root of the estimates' covariance, shape (c, c).
+    scale
+        True over assumed noise, shape (trials,) or one number.
+    """
+    noise: Array = spread @ generator.standard_normal((spread.shape[1], trials))
+    noise *= scale
+    return noise

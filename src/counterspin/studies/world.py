@@ -1,0 +1,131 @@
+"""What a study simulates: runs, accelerometers, site, noise.
+
+- `World`: a campaign as it is simulated
+- `world_of`: from a study's description
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.campaign.resolved import Campaign, sample_count
+from counterspin.errors import CampaignError
+from counterspin.inference.joint.series import Series
+from counterspin.inference.two_stage.strobes import strobe_angle
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.spindle import Spindle
+from counterspin.studies.noise import RecordNoise
+from counterspin.studies.strobed_effects import StrobedMotion
+
+
+@dataclass(frozen=True)
+class World:
+    """A campaign as it is simulated.
+
+    Attributes
+    ----------
+    runs
+        Names.
+    spindles, attitudes, durations
+        Of each run; the spindles with what does not vary.
+    mountings
+        Accelerometer -> its axes; all record displacement.
+    site, radius
+        As the analyses assume them.
+    sampling_rate
+        Hz.
+    angle_recorded
+        Whether the records have an angle.
+    noise
+        Of the records, where it does not vary.
+    """
+
+    runs: tuple[str, ...]
+    spindles: tuple[Spindle, ...]
+    attitudes: tuple[Array, ...]
+    durations: tuple[float, ...]
+    mountings: Mapping[str, Mounting]
+    site: Site
+    radius: float
+    sampling_rate: float
+    angle_recorded: bool
+    noise: RecordNoise
+
+    def times(self, run: int) -> Array:
+        """Return the times of a run's samples, s."""
+        count = sample_count(self.durations[run], self.sampling_rate)
+        return np.arange(count) / self.sampling_rate
+
+    def series(self, run: int, name: str, spindle: Spindle, error: Array | None = None) -> Series:
+        """Return a record, without errors where none are given."""
+        times = self.times(run)
+        power = abs(self.spindles[run].rate)
+        return Series(
+            accelerometer=name,
+            run=self.runs[run],
+            trajectory=Trajectory(spindle, self.radius, self.site),
+            mounting=self.mountings[name],
+            observable="displacement",
+            attitude=self.attitudes[run],
+            time=times,
+            spread=np.zeros_like(times),
+            count=np.ones_like(times),
+            spacing=1.0 / self.sampling_rate,
+            error=np.zeros_like(times) if error is None else error,
+            jitter=self.noise.timing * self.radius * power / math.sqrt(2.0),
+        )
+
+    def strobed(self, run: int, name: str) -> StrobedMotion:
+        """Return a run as the strobes of an accelerometer see it."""
+        mounting, attitude = self.mountings[name], self.attitudes[run]
+        phase = strobe_angle(mounting.turned(attitude).input_axis)
+        return StrobedMotion.of(
+            self.spindles[run], self.durations[run], phase, mounting, attitude, self.site
+        )
+
+
+def world_of(campaign: Campaign) -> World:
+    """Return what is simulated.
+
+    Raises
+    ------
+    CampaignError
+        If an accelerometer's record is no displacement.
+    """
+    others = [a.name for a in campaign.accelerometers.values() if a.observable != "displacement"]
+    if others:
+        raise CampaignError(
+            str(campaign.path),
+            [
+                f"accelerometers.{name}: a study needs records of displacement; for velocity or "
+                "force, `forecast` predicts u, and `simulate` with `calibrate` "
+                "makes one trial"
+                for name in others
+            ],
+        )
+    assert campaign.simulation is not None
+    noise = campaign.simulation.truth.noise
+    return World(
+        runs=tuple(run.name for run in campaign.runs),
+        spindles=tuple(run.truth.spindle for run in campaign.runs if run.truth),
+        attitudes=tuple(run.attitude for run in campaign.runs),
+        durations=tuple(run.duration for run in campaign.runs if run.duration),
+        mountings={name: a.mounting for name, a in campaign.accelerometers.items()},
+        site=campaign.site,
+        radius=campaign.radius.value,
+        sampling_rate=campaign.simulation.sampling_rate,
+        angle_recorded=campaign.angle is not None,
+        noise=RecordNoise(
+            white=float(noise.displacement),
+            random_walk=float(noise.acceleration),
+            quantisation=float(noise.quantisation),
+            angle=float(noise.angle),
+            timing=float(noise.timing),
+        ),
+    )
