@@ -149,6 +149,26 @@ def test_a_second_list_of_coefficients_would_be_found():
     assert not lists_of_terms("x = ('K_F', 'K_II')")
 
 
+# Tests
+
+
+TESTS = [path.relative_to(ROOT / "tests") for path in sorted((ROOT / "tests").rglob("test_*.py"))]
+
+#: Tests of what is no module: the documentation, the house, the interface, published sources.
+OF_NO_MODULE = re.compile(r"test_(docs\w*|house|python)\.py|published/test_\w+\.py")
+
+
+@pytest.mark.parametrize("test", TESTS, ids=lambda path: path.as_posix())
+def test_tests_mirror_the_package(test):
+    """tests/ROOM/test_MODULE.py or test_MODULE_ASPECT.py; test_ROOM.py is of the whole room."""
+    if OF_NO_MODULE.fullmatch(test.as_posix()):
+        return
+    room = PACKAGE / test.parent
+    subject = test.stem.removeprefix("test_")
+    modules = {path.stem for path in room.glob("[a-z]*.py")} | {room.name}
+    assert any(subject == module or subject.startswith(f"{module}_") for module in modules)
+
+
 # Words
 
 
