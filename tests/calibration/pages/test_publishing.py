@@ -56,7 +56,7 @@ def test_the_date_of_reproducible_builds(monkeypatch):
     assert issue_date() == datetime(1970, 1, 2, tzinfo=UTC)
     assert issue_date("2026-03-01").year == 2026
     monkeypatch.setenv("SOURCE_DATE_EPOCH", "soon")
-    with pytest.raises(CampaignError, match="SOURCE_DATE_EPOCH 'soon' is no date"):
+    with pytest.raises(CampaignError, match="SOURCE_DATE_EPOCH: 'soon' is no date"):
         issue_date()
 
 
@@ -114,7 +114,7 @@ def test_a_description_is_calibrated_first(tmp_path, capsys):
     [
         (["-o", "{}/report.doc"], 2, "report.doc: name the file .html, .pdf or .md"),
         (["-o", "{}/none/report.md"], 1, "report.md: cannot be written"),
-        (["--date", "yesterday"], 2, "--date 'yesterday' is no date"),
+        (["--date", "yesterday"], 2, "--date: 'yesterday' is no date"),
         (["--date", "9999-12-31T23:59:00-05:00"], 2, "is no date"),
     ],
 )
