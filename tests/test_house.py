@@ -11,7 +11,8 @@ import pytest
 from packaging.requirements import Requirement
 
 from counterspin._version import __version__
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "counterspin"

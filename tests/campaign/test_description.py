@@ -11,8 +11,9 @@ from counterspin.campaign.description import DEFAULT_TERMS, read_campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
-from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, TERMS, term
+from counterspin.physics.accelerometer import QX, QY, TERMS
 from counterspin.physics.motion import Site
+from counterspin.physics.shared_terms import PLATFORM_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
 
 BASE = (

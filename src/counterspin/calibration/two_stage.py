@@ -36,7 +36,8 @@ from counterspin.inference.two_stage import strobes as strobing
 from counterspin.inference.two_stage.first_stage import Parabola, first_stage
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
-from counterspin.physics.accelerometer import TERMS, term
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import term
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,8 @@ from counterspin.calibration.result_parts import Coefficient, ConfoundedTerms, O
 from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.inference.identifiability import assess
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
-from counterspin.physics.accelerometer import TERMS, term
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import term
 
 #: Below this probability a misfit is no accident.
 _SUSPICIOUS: Final = 0.001
