@@ -36,6 +36,17 @@ def test_units_that_are_fixed_are_those_of_the_code(name):
             assert f"| `{key}` | text | `{field.default}` |" in TABLES[name]
 
 
+def test_every_code_of_a_finding_is_explained():
+    package = Path(result.__file__).parents[1]
+    sources = (path.read_text(encoding="utf-8") for path in package.rglob("*.py"))
+    codes = {code for source in sources for code in re.findall(r'\bcode="([\w-]+)"', source)}
+    section = PAGE[PAGE.index("### Findings") : PAGE.index("### Coefficients")]
+    rows = re.findall(r"^\| (`[a-z-]+`(?:, `[a-z-]+`)*) \|", section, re.MULTILINE)
+    explained = {code for row in rows for code in re.findall(r"`([\w-]+)`", row)}
+    fields = set(PARTS["Finding"].model_fields)
+    assert explained - fields == codes
+
+
 def test_links_inside_the_page_lead_to_headings():
     headings = re.findall(r"^#+ (.*)$", PAGE, re.MULTILINE)
     anchors = {re.sub(r"[^\w -]", "", heading).lower().replace(" ", "-") for heading in headings}

@@ -5,12 +5,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from counterspin.calibration.joint import shared_warnings
+from counterspin.calibration.joint import shared_findings
 from counterspin.calibration.joint_checks import hidden_walk, unseen_ripple
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.inference.joint.unknowns import Unknown
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR
+from counterspin.physics.accelerometer import DEGREE_PER_HOUR
 
 
 def view(fit: SimpleNamespace, campaign: SimpleNamespace | None = None) -> AccelerometerView:
@@ -30,9 +30,10 @@ def walking(share: float, name: str = "Qx") -> AccelerometerView:
 
 
 def test_noise_that_is_most_of_k_ii_without_showing_is_a_warning():
-    (warning,) = hidden_walk(walking(0.8))
-    assert "80% of u^2 of K_II" in warning
-    assert "acceleration in [noise]" in warning
+    (finding,) = hidden_walk(walking(0.8))
+    assert (finding.code, finding.subject) == ("hidden-noise", "Qx.K_II")
+    assert "80% of u^2 of K_II" in finding.text
+    assert "acceleration in [noise]" in finding.text
 
 
 def test_a_smaller_part_or_another_s_noise_is_no_warning():
@@ -57,9 +58,9 @@ def seen(observable: str, angle: object | None) -> AccelerometerView:
 
 
 def test_a_ripple_that_nobody_recorded_is_a_warning():
-    (warning,) = unseen_ripple(seen("specific_force", None))
+    (finding,) = unseen_ripple(seen("specific_force", None))
     # At 10 g a ripple of 1e-8 of the rate is 1e-9 g/g^2.
-    assert "a ripple of 1e-08 of the rate" in warning
+    assert "a ripple of 1e-08 of the rate" in finding.text
 
 
 @pytest.mark.parametrize(
@@ -85,6 +86,7 @@ def test_a_drift_is_large_for_the_length_of_the_runs(drift, u, longest, words):
     unknown = Unknown("", "platform.drift.north", (0.0, np.inf), 1e-4)
     value, u = -drift * DEGREE_PER_HOUR, u * DEGREE_PER_HOUR
     fitted = Coefficient(value=value, u=u, unit="rad/s", estimated=True)
-    warnings = shared_warnings({unknown: fitted}, longest)
-    assert len(warnings) == bool(words)
-    assert all(words in warning for warning in warnings)
+    findings = shared_findings({unknown: fitted}, longest)
+    assert len(findings) == bool(words)
+    assert all(words in finding.text for finding in findings)
+    assert all(finding.subject == "platform.drift.north" for finding in findings)

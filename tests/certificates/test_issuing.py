@@ -10,6 +10,7 @@ from signing_keys import write_pair
 
 from certificates import LAB, find, write_lab
 from counterspin import cli
+from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.full_report import identifier_of
 from counterspin.certificates.reading import read_certificate
 
@@ -107,6 +108,26 @@ def test_the_example_certifies_and_is_told_to_be_one(desk, capsys):
     status, out, _ = command(capsys, "r.json", "mine.toml", "-o", "c.xml")
     assert status == 0
     assert "Still the example's: certificate.traceability, laboratory.name" in out
+
+
+CONTRADICTED = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p": 0.0}
+
+
+def test_a_contradicted_result_is_certified_for_a_reason_only(desk, capsys):
+    for reason, status in ((None, 1), ("known play of the arm", 0)):
+        found = judge_result(result(residual=CONTRADICTED), reason)
+        found.write(desk / "r.json")
+        got, _, err = command(capsys, "r.json", "LAB.toml", "-o", "c.pdf")
+        assert got == status
+        assert ("r.json: Qx is contradicted by its records: The residuals are 8" in err) == bool(
+            status
+        )
+        assert (desk / "c.pdf").exists() == (status == 0)
+    assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml")[0] == 0
+    comment = find((desk / "c.xml").read_bytes(), "/*/dcc:comment")[0]
+    assert "The misfit was accepted: known play of the arm" in "".join(comment.itertext())
+    text = "".join(page.extract_text() for page in pypdf.PdfReader(desk / "c.pdf").pages)
+    assert " ".join(text.split()).count("The misfit was accepted: known play of the arm") == 2
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,7 @@ from scipy.io import savemat
 
 import counterspin as cs
 from counterspin import cli
+from counterspin.calibration.findings import judge_result
 from counterspin.calibration.result import Result, described
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -21,6 +22,7 @@ from counterspin.calibration.result_parts import (
     Coefficient,
     Correlation,
     Inputs,
+    Jackknife,
     Provenance,
     Residual,
     RunResult,
@@ -293,6 +295,22 @@ def test_as_printed_is_refused_unless_forced(folder, capsys):
     assert run(*words) == 2
     assert "K_II is half of what the accelerometer has" in capsys.readouterr().err
     assert run(*words, "--force") == 0
+
+
+def test_a_contradicted_result_is_applied_for_a_reason_only(folder, capsys):
+    drives = [Jackknife(run="run1", value=1e-5, shift=1e-6, z=-8.0)]
+    found = result({"Qx": accelerometer({"K_I": 1.0}, jackknife=drives)})
+    written("Qx\n1.0\n")
+    words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
+    judge_result(found).write(folder / "result.json")
+    assert run(*words, "--force") == 1
+    said = " ".join(capsys.readouterr().err.split())
+    assert "Qx is contradicted by its records: Without run1 K_II moves" in said
+    assert not Path("out.csv").exists()
+    judge_result(found, "run1 was on the old motor").write(folder / "result.json")
+    assert run(*words) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "The misfit was accepted: run1 was on the old motor" in said
 
 
 # --- what is applied, and how sure it is ----------------------------------------------------

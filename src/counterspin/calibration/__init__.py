@@ -12,6 +12,6 @@
   outcome; what its result must say beside
 - `conformity`: whether coefficients meet their specifications
 - `result`, `result_parts`: what a calibration found, its JSON; what it is made of
-- `verdict`: whether a result is good
+- `findings`: what speaks against a result, and its state
 - `pages`: the result as a person reads it
 """

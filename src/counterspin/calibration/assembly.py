@@ -1,7 +1,7 @@
 """From observed runs to a `Result`, by either method.
 
 - `calibration`: estimates, and brings together what the result says
-- `run_result`, `campaign_warnings`: what single runs showed; what a user should know
+- `run_result`: what a single run showed
 """
 
 from __future__ import annotations
@@ -11,12 +11,14 @@ from typing import Any, Final
 
 from counterspin._version import __version__
 from counterspin.calibration.conformity import with_conformity
+from counterspin.calibration.findings import judge_result
 from counterspin.calibration.joint import joint
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import Method, TwoStageOptions, command_words
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import (
     Coefficient,
+    Finding,
     Inputs,
     ParabolaResult,
     Provenance,
@@ -30,6 +32,9 @@ from counterspin.inference.joint.unknowns import ROTATION
 #: More outliers than this part of a run's samples are worth a warning.
 _MANY_OUTLIERS: Final = 0.05
 
+#: A rate that differs by more than this part from the nominal one is another rate.
+_OTHER_RATE: Final = 1e-3
+
 
 def calibration(
     campaign: Campaign,
@@ -37,6 +42,7 @@ def calibration(
     method: Method,
     options: TwoStageOptions,
     checksums: Callable[[], Mapping[str, str]],
+    accepted_misfit: str | None = None,
 ) -> Result:
     """Estimate every coefficient, and bring together what the result says.
 
@@ -48,6 +54,8 @@ def calibration(
         As of `counterspin.calibration.calibrate.calibrate`.
     checksums
         Returns file name -> checksum; called at the end, as they may take longest.
+    accepted_misfit
+        The reason for which the result is to be used though the records contradict it.
 
     Returns
     -------
@@ -63,7 +71,10 @@ def calibration(
         if method == "joint"
         else _in_two_stages(campaign, observed, options)
     )
-    estimated["warnings"] += _many_outliers(estimated["runs"], len(campaign.accelerometers))
+    estimated["findings"] += [
+        *_other_rates(observed),
+        *_many_outliers(estimated["runs"], len(campaign.accelerometers)),
+    ]
     result = Result(
         method=method,
         title=campaign.title,
@@ -73,6 +84,7 @@ def calibration(
             radius=campaign.radius.value,
         ),
         details=dict(campaign.details),
+        warnings=_remarks(campaign),
         provenance=Provenance(
             version=__version__,
             inputs=dict(checksums()),
@@ -80,6 +92,7 @@ def calibration(
         ),
         **estimated,
     )
+    result = judge_result(result, accepted_misfit)
     if campaign.specifications is None:
         return result
     return with_conformity(result, campaign.specifications)
@@ -101,7 +114,7 @@ def _jointly(campaign: Campaign, observed: Sequence[ObservedRun]) -> dict[str, A
             )
             for run in observed
         },
-        "warnings": [*campaign_warnings(campaign, observed), *outcome.warnings],
+        "findings": [*outcome.findings],
     }
 
 
@@ -124,7 +137,7 @@ def _in_two_stages(
             )
             for run in observed
         },
-        "warnings": campaign_warnings(campaign, observed),
+        "findings": [],
     }
 
 
@@ -194,31 +207,42 @@ def run_result(
     )
 
 
-def _many_outliers(runs: Mapping[str, RunResult], accelerometers: int) -> list[str]:
-    return [
-        f"{name}: {run.counts['outliers']} samples of {run.counts['rows'] * accelerometers} were "
-        "left out as outliers; what remains is only as good as the reason for it. Look at the "
-        "record."
-        for name, run in runs.items()
-        if run.counts["outliers"] > _MANY_OUTLIERS * run.counts["rows"] * accelerometers
-    ]
+def _many_outliers(runs: Mapping[str, RunResult], accelerometers: int) -> list[Finding]:
+    findings = []
+    for name, run in runs.items():
+        samples = run.counts["rows"] * accelerometers
+        share = run.counts["outliers"] / samples
+        if share > _MANY_OUTLIERS:
+            text = (
+                f"{name}: {run.counts['outliers']} samples of {samples} were left out as outliers; "
+                "what remains is only as good as the reason for it. Look at the record."
+            )
+            findings.append(Finding(code="many-outliers", subject=name, text=text, size=share))
+    return findings
 
 
-def campaign_warnings(campaign: Campaign, observed: Sequence[ObservedRun]) -> list[str]:
-    """Return what a user should know of the campaign as a whole."""
-    warnings = []
-    if campaign.angle is None:
-        warnings.append(
-            "The records have no angle: the nominal rates are taken for the rotation, and the "
-            "drift of the rate is an unknown."
-        )
+def _other_rates(observed: Sequence[ObservedRun]) -> list[Finding]:
+    """Return the runs whose spindle turned at another rate than the description says."""
+    findings = []
     for run in observed:
         if run.rotation is None:
             continue
-        rate = run.rotation.spindle.rate
-        if abs(rate / run.run.rate - 1.0) > 1e-3:
-            warnings.append(
-                f"{run.run.name}: the spindle turned at {rate:.6f} rad/s, not at the nominal "
+        name, rate = run.run.name, run.rotation.spindle.rate
+        off = abs(rate / run.run.rate - 1.0)
+        if off > _OTHER_RATE:
+            text = (
+                f"{name}: the spindle turned at {rate:.6f} rad/s, not at the nominal "
                 f"{run.run.rate:.6f} rad/s; the recorded angle is what counts."
             )
-    return warnings
+            findings.append(Finding(code="other-rate", subject=name, text=text, size=off))
+    return findings
+
+
+def _remarks(campaign: Campaign) -> list[str]:
+    """Return what a user should know of the campaign though it is nothing against the result."""
+    if campaign.angle is not None:
+        return []
+    return [
+        "The records have no angle: the nominal rates are taken for the rotation, and the "
+        "drift of the rate is an unknown."
+    ]

@@ -42,12 +42,24 @@ class BatchResult(ResultFile):
             if isinstance(outcome, FailedCampaign)
         }
 
+    @property
+    def contradicted(self) -> list[str]:
+        """The folders of results that their records contradict, no reason being given."""
+        return [
+            folder
+            for folder, outcome in self.campaigns.items()
+            if isinstance(outcome, Result)
+            and outcome.state == "contradicted"
+            and outcome.accepted_misfit is None
+        ]
+
 
 def calibrate_many(
     directories: Sequence[Path],
     *,
     method: Method = "joint",
     options: TwoStageOptions | None = None,
+    accept_misfit: str | None = None,
     workers: int = 1,
     cluster: str | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -58,7 +70,7 @@ def calibrate_many(
     ----------
     directories
         Their folders; on a cluster every worker must see them under these names.
-    method, options
+    method, options, accept_misfit
         As for `counterspin.calibration.calibrate.calibrate`.
     workers, cluster
         As for `counterspin.studies.study.study`.
@@ -75,7 +87,7 @@ def calibrate_many(
     CounterspinError
         If the cluster cannot be reached or is lost.
     """
-    options = options or TwoStageOptions()
+    how = (method, options or TwoStageOptions(), accept_misfit)
     directories = list(dict.fromkeys(directories))
     done: dict[int, Result | FailedCampaign] = {}
 
@@ -89,11 +101,11 @@ def calibrate_many(
     places = range(len(directories))
     if workers == 1 and cluster is None:
         for index in places:
-            enter(index, attempt(directories[index], method, options))
+            enter(index, attempt(directories[index], *how))
     else:
 
         def together(some: Sequence[int], count: int) -> list[int]:
-            jobs = {index: (directories[index], method, options) for index in some}
+            jobs = {index: (directories[index], *how) for index in some}
             return _together(jobs, count, cluster, enter)
 
         try:
@@ -114,7 +126,7 @@ def calibrate_many(
 
 
 def _together(
-    jobs: Mapping[int, tuple[Path, Method, TwoStageOptions]],
+    jobs: Mapping[int, tuple[Path, Method, TwoStageOptions, str | None]],
     workers: int,
     cluster: str | None,
     enter: Callable[[int, Result | FailedCampaign], None],
@@ -146,10 +158,12 @@ def _together(
     return suspects
 
 
-def attempt(directory: Path, method: Method, options: TwoStageOptions) -> Result | FailedCampaign:
+def attempt(
+    directory: Path, method: Method, options: TwoStageOptions, accept_misfit: str | None
+) -> Result | FailedCampaign:
     """Calibrate one campaign; whatever goes wrong is told and not raised."""
     try:
-        return calibrate(directory, method=method, options=options)
+        return calibrate(directory, method=method, options=options, accept_misfit=accept_misfit)
     except CounterspinError as error:
         return FailedCampaign(error=str(error))
     except Exception as error:

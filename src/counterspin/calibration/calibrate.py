@@ -26,6 +26,7 @@ def calibrate(
     *,
     method: Method = "joint",
     options: TwoStageOptions | None = None,
+    accept_misfit: str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Result:
     """Calibrate every accelerometer of a campaign.
@@ -39,6 +40,9 @@ def calibrate(
         method, on one sample a revolution.
     options
         Of the two-stage method.
+    accept_misfit
+        The reason for which the result may be certified and applied even if the records
+        contradict it; it is kept in the result then.
     progress
         Called with (runs read, runs in all).
 
@@ -58,6 +62,8 @@ def calibrate(
         If the records cannot determine the unknowns.
     """
     _refuse_mixed(method, options)
+    if accept_misfit is not None and not accept_misfit.strip():
+        raise CampaignError("calibrate", ["accept_misfit: give the reason in words"])
     with Checksums() as checksums, ThreadPoolExecutor(1) as beside:
         if isinstance(where, Path | str):
             checksums.expect(where)
@@ -75,6 +81,7 @@ def calibrate(
             method,
             options or TwoStageOptions(),
             lambda: _by_name(campaign, checksums),
+            accept_misfit,
         )
 
 

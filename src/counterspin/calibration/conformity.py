@@ -17,6 +17,7 @@ from counterspin.inference.conformity import DecisionRule, Judgement, judge
 _AS_PRINTED: Final = (
     "the equations as printed return half the true K_II, and no verdict rests on them"
 )
+_REJECTED: Final = "the records contradict the result, and no verdict rests on it"
 
 
 def with_conformity(result: Result, specifications: Specifications) -> Result:
@@ -37,6 +38,8 @@ def with_conformity(result: Result, specifications: Specifications) -> Result:
                     specifications.terms.get(name, {}),
                     specifications.rule,
                     model=result.model,
+                    rejected=accelerometer.state == "contradicted"
+                    and result.accepted_misfit is None,
                 )
             }
         )
@@ -51,6 +54,7 @@ def conformity(
     rule: DecisionRule,
     *,
     model: str,
+    rejected: bool = False,
 ) -> dict[str, Conformity]:
     """Return the verdicts by term; undecided, with the reason, where there is no estimate.
 
@@ -64,9 +68,12 @@ def conformity(
         The decision rule.
     model
         The result's observation model, ``exact`` or ``as-printed``.
+    rejected
+        Whether the records contradict the result and nobody has accepted that.
     """
+    general = _AS_PRINTED if model == "as-printed" else _REJECTED if rejected else None
     return {
-        symbol: _verdict(accelerometer, symbol, specification, rule, model)
+        symbol: _verdict(accelerometer, symbol, specification, rule, general)
         for symbol, specification in specifications.items()
     }
 
@@ -76,15 +83,16 @@ def _verdict(
     symbol: str,
     specification: Specification,
     rule: DecisionRule,
-    model: str,
+    general: str | None,
 ) -> Conformity:
+    """Return one verdict; `general` is why none rests on any number of this result."""
     coefficient = accelerometer.coefficients.get(symbol)
     if coefficient is None:
         reason = f"{symbol} is not among the terms of the model"
     elif not coefficient.estimated or coefficient.value is None or coefficient.u is None:
         reason = f"the records do not determine {symbol}"
-    elif model == "as-printed":
-        reason = _AS_PRINTED
+    elif general is not None:
+        reason = general
     else:
         judged = judge(
             coefficient.value,

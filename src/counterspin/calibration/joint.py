@@ -8,10 +8,10 @@ from typing import Final
 
 from counterspin.calibration.joint_checks import (
     compare,
-    driving_runs,
     hidden_walk,
     jackknife,
     left_out,
+    residual_findings,
     run_fits,
     unseen_ripple,
 )
@@ -33,14 +33,14 @@ from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
     ConfoundedTerms,
+    Finding,
     OmittedTerm,
 )
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR
+from counterspin.physics.accelerometer import DEGREE_PER_HOUR, TERMS
 
 #: Drift (deg/h) times time squared (s^2) at which first order in the attitude errs by 0.01 m.
 _FIRST_ORDER_LIMIT: Final = 0.2 * 400.0**2
@@ -56,7 +56,7 @@ class JointOutcome:
     fits: Mapping[str, Mapping[str, dict[str, float | str | None]]]
     outliers: Mapping[str, int]
     confounded: tuple[ConfoundedTerms, ...]
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     estimate: Estimate
 
 
@@ -111,7 +111,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         fits={run.run.name: run_fits(views, run.run.name) for run in observed},
         outliers=outliers,
         confounded=tuple(confounded_platform(assessment)),
-        warnings=tuple(shared_warnings(shared, longest)),
+        findings=tuple(shared_findings(shared, longest)),
         estimate=estimated,
     )
 
@@ -136,7 +136,6 @@ def _accelerometer(
         symbol: coefficient(estimated, view.assessment, index)
         for symbol, index in view.places.items()
     }
-    runs_left_out = jackknife(view)
     return AccelerometerResult(
         # The campaign's order is the user's; the table of terms has its own.
         coefficients={symbol: own[symbol] for symbol in view.campaign.model.terms if symbol in own},
@@ -149,51 +148,58 @@ def _accelerometer(
             for symbol, index in view.places.items()
             if own[symbol].estimated
         },
-        jackknife=runs_left_out,
+        jackknife=jackknife(view),
         two_stage=compare(view, observed),
         left_out=omitted,
         traces=traces(view, observed),
-        warnings=[f"{name}: {finding}" for finding in view.diagnostics.findings]
-        + driving_runs(runs_left_out, name)
-        + hidden_walk(view)
-        + unseen_ripple(view)
-        + _undetermined(own, name),
+        findings=[
+            *residual_findings(view),
+            *hidden_walk(view),
+            *unseen_ripple(view),
+            *_undetermined(own, name),
+        ],
         **described(view.accelerometer, own),
     )
 
 
-def _large_drift(symbol: str, drift: Coefficient, longest: float) -> list[str]:
-    """Return a warning where a drift is, or with its uncertainty may be, too large."""
+def _large_drift(symbol: str, drift: Coefficient, longest: float) -> list[Finding]:
+    """Return a finding where a drift is, or with its uncertainty may be, too large."""
     rate, u = (abs(x or 0.0) / DEGREE_PER_HOUR for x in (drift.value, drift.u))
     limit = _FIRST_ORDER_LIMIT / longest**2
     if rate + 2.0 * u <= limit:
         return []
     is_ = f"is {rate:.2g} deg/h" if rate > limit else f"may reach {rate + 2.0 * u:.2g} deg/h"
-    return [
+    text = (
         f"{symbol} {is_} (u {u:.1g} deg/h): in runs of {longest:.0f} s the platform's attitude is "
         f"a first-order matter up to about {limit:.2g} deg/h only."
-    ]
+    )
+    return [Finding(code="large-drift", subject=symbol, text=text, size=(rate + 2.0 * u) / limit)]
 
 
-def _undetermined(own: Mapping[str, Coefficient], name: str) -> list[str]:
+def _undetermined(own: Mapping[str, Coefficient], name: str) -> list[Finding]:
     return [
-        f"{name}: the records do not determine {symbol}, and nothing is known of it beforehand."
+        Finding(
+            code="not-determined",
+            subject=f"{name}.{symbol}",
+            text=f"The records do not determine {symbol}, and nothing is known of it beforehand.",
+        )
         for symbol, c in own.items()
         if c.value is None
     ]
 
 
-def shared_warnings(coefficients: Mapping[Unknown, Coefficient], longest: float) -> list[str]:
-    """Return what is to be said of the unknowns that all share; `longest` run in s."""
-    warnings = []
+def shared_findings(coefficients: Mapping[Unknown, Coefficient], longest: float) -> list[Finding]:
+    """Return what speaks against the unknowns that all share; `longest` run in s."""
+    findings = []
     for unknown, c in coefficients.items():
         if unknown.symbol in TERMS:
             continue
         if c.value is None:
-            warnings.append(
+            text = (
                 f"The records do not determine {unknown.name}, and nothing is known of it "
                 "beforehand."
             )
+            findings.append(Finding(code="not-determined", subject=unknown.name, text=text))
         if unknown.symbol.startswith("platform.drift") and c.value is not None:
-            warnings += _large_drift(unknown.symbol, c, longest)
-    return warnings
+            findings += _large_drift(unknown.symbol, c, longest)
+    return findings

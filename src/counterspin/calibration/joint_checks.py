@@ -1,7 +1,7 @@
 """Checks of a joint result: runs left out, the two-stage method beside it, what does not show.
 
-- `run_fits`
-- `jackknife`, `driving_runs`
+- `run_fits`, `residual_findings`
+- `jackknife`
 - `compare`
 - `left_out`
 - `hidden_walk`, `unseen_ripple`
@@ -14,16 +14,17 @@ from collections.abc import Sequence
 from typing import Final
 
 from counterspin.calibration import two_stage
+from counterspin.calibration.findings import lack_of_fit
+from counterspin.calibration.joint_parts import residual
 from counterspin.calibration.joint_problem import left_out_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.result_parts import Comparison, Jackknife, OmittedTerm
+from counterspin.calibration.result_parts import Comparison, Finding, Jackknife, OmittedTerm
 from counterspin.errors import NotIdentifiableError, RecordError
-from counterspin.inference.diagnostics import AGREEMENT
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.omitted_terms import sensitivities
-from counterspin.physics.shared_terms import term
+from counterspin.physics.accelerometer import term
 
 #: Share of u^2 from which noise that the records do not show is spoken of.
 _HIDDEN_SHARE: Final = 0.5
@@ -62,14 +63,10 @@ def jackknife(view: AccelerometerView) -> list[Jackknife]:
     return lines
 
 
-def driving_runs(lines: Sequence[Jackknife], name: str) -> list[str]:
-    """Return a warning for each run without which K_II is another, from its `jackknife`."""
-    return [
-        f"{name}: without {line.run} K_II moves by {line.shift:.2g} g/g^2, {abs(line.z):.1f} times "
-        "what its uncertainty explains: this run disagrees with the others."
-        for line in lines
-        if line.z is not None and line.shift is not None and abs(line.z) > AGREEMENT
-    ]
+def residual_findings(view: AccelerometerView) -> list[Finding]:
+    """Return what the tests of an accelerometer's residuals found, as one finding."""
+    tests = view.diagnostics
+    return [lack_of_fit(view.name, tests.findings, residual(view))] if tests.findings else []
 
 
 def run_fits(
@@ -181,8 +178,8 @@ def _considered(view: AccelerometerView, index: int) -> dict[str, float]:
     }
 
 
-def hidden_walk(view: AccelerometerView) -> list[str]:
-    """Return a warning where most of K_II's variance is noise that the records do not show."""
+def hidden_walk(view: AccelerometerView) -> list[Finding]:
+    """Return a finding where most of K_II's variance is noise that the records do not show."""
     index, name = view.k_ii, view.name
     if index is None or name not in view.fit.unseen:
         return []
@@ -190,15 +187,16 @@ def hidden_walk(view: AccelerometerView) -> list[str]:
     share = variance / float(view.fit.solution.u[index]) ** 2
     if share < _HIDDEN_SHARE:
         return []
-    return [
-        f"{name}: {share:.0%} of u^2 of K_II is white noise of the accelerometer that the records "
-        "do not show and cannot exclude. If it is known, or known to be none, state it as "
-        "acceleration in [noise]; else record longer runs."
-    ]
+    text = (
+        f"{share:.0%} of u^2 of K_II is white noise of the accelerometer that the records do not "
+        "show and cannot exclude. If it is known, or known to be none, state it as acceleration "
+        "in [noise]; else record longer runs."
+    )
+    return [Finding(code="hidden-noise", subject=f"{name}.K_II", text=text, size=share)]
 
 
-def unseen_ripple(view: AccelerometerView) -> list[str]:
-    """Return a warning where a ripple would move K_II and no angle was recorded to show it.
+def unseen_ripple(view: AccelerometerView) -> list[Finding]:
+    """Return a finding where a ripple would move K_II and no angle was recorded to show it.
 
     A ripple shakes the platform along the tangent with R w^2 times its ratio. In displacement
     that leaves nothing behind; in velocity or specific force it stands where K_II does. Where the
@@ -212,8 +210,9 @@ def unseen_ripple(view: AccelerometerView) -> list[str]:
     fastest = max(abs(run.rate) for run in campaign.runs)
     force = campaign.radius.value * fastest**2 / campaign.gravity.value
     u = float(view.fit.solution.u[index])
-    return [
-        f"{view.name}: without a recorded angle no ripple of the rate is known, and in this "
-        f"observable a ripple of {0.5 * u * force:.1g} of the rate moves K_II by about half of its "
-        "uncertainty, which does not hold it. Record the angle, or calibrate with displacement."
-    ]
+    text = (
+        "Without a recorded angle no ripple of the rate is known, and in this observable a ripple "
+        f"of {0.5 * u * force:.1g} of the rate moves K_II by about half of its uncertainty, which "
+        "does not hold it. Record the angle, or calibrate with displacement."
+    )
+    return [Finding(code="unseen-ripple", subject=f"{view.name}.K_II", text=text)]

@@ -19,13 +19,13 @@ from counterspin.calibration.result_parts import (
     NoiseLine,
     Residual,
 )
+from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment, Confounded
 from counterspin.inference.joint.budget import ENCODER, NOISE, UNSEEN, Line, budget
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.unknowns import ROTATION
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import term
+from counterspin.physics.accelerometer import TERMS, term
 
 _UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True)) | {
     "centrifuge.radius": "m",
@@ -35,7 +35,6 @@ _UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True)) | {
 }
 WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of a random-walk coefficient
 _ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}  # a ripple: rad/s
-_OBSERVED_UNITS: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
 
 
 def unit_of(symbol: str) -> str:
@@ -175,7 +174,7 @@ def residual(view: AccelerometerView) -> Residual:
         samples += residuals.plain.size
     return Residual(
         rms=math.sqrt(squares / samples),
-        unit=_OBSERVED_UNITS[view.accelerometer.observable],
+        unit=OBSERVABLES[view.accelerometer.observable],
         dof=diagnostics.dof,
         chi2=diagnostics.chi2 if diagnostics.noise_given else None,
         lack_of_fit_p=diagnostics.lack_of_fit_p,
@@ -187,7 +186,7 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     noise = view.fit.noise[view.name]
     components = view.estimate.components.get(view.name)
     observable = view.accelerometer.observable
-    unit = _OBSERVED_UNITS[observable]
+    unit = OBSERVABLES[observable]
     lines = {}
     for place, (part, label, its_unit) in enumerate(
         (("white", observable, unit), ("random_walk", "acceleration", WALK_UNIT))

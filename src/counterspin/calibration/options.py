@@ -41,6 +41,11 @@ class TwoStageOptions:
     from_residuals: bool = False
 
 
+def acceptance_words(accepted_misfit: str | None) -> list[str]:
+    """Return the words by which a command line accepts a misfit, if it was accepted."""
+    return [] if accepted_misfit is None else [f"--accept-misfit={accepted_misfit}"]
+
+
 def command_words(method: str, options: TwoStageOptions) -> list[str]:
     """Return the words of a command line that asks for a calibration, where it is not the usual.
 

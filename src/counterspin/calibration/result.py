@@ -19,9 +19,11 @@ from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
     ConfoundedTerms,
+    Finding,
     Inputs,
     Provenance,
     RunResult,
+    State,
     Trace,
 )
 from counterspin.campaign.resolved import Accelerometer
@@ -30,10 +32,18 @@ from counterspin.results import ResultFile
 
 
 class Result(ResultFile):
-    """A calibration's result; see the parts."""
+    """A calibration's result; see the parts.
+
+    `state` is the worst of the accelerometers' and of the campaign's own; `findings` are those of
+    all of them. `accepted_misfit` is the reason for which a contradicted result is used all the
+    same.
+    """
 
     method: str
     model: str
+    state: State | None = None
+    findings: list[Finding] = []
+    accepted_misfit: str | None = None
     title: str = ""
     accelerometers: dict[str, AccelerometerResult]
     platform: dict[str, Coefficient] = {}

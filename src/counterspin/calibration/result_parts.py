@@ -5,15 +5,23 @@ beside it.
 
 - `Coefficient`, `Correlation`, `ConfoundedTerms`, `Residual`, `NoiseLine`: what was estimated
 - `BudgetLine`, `Jackknife`, `Comparison`, `OmittedTerm`, `Conformity`: what it rests on
+- `State`, `Finding`: whether it may be relied on, and what speaks against it
 - `Trace` and its parts: the residuals of a run, thinned for pictures
 - `AccelerometerResult`, `RunResult`, `Inputs`, `Provenance`: what holds these
 """
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Final, Literal
 
 from counterspin.results import ResultPart
+
+#: Whether what a calibration says may be relied on: fully, with what its findings say in mind, or
+#: not, for its records contradict it.
+State = Literal["good", "reservations", "contradicted"]
+
+#: Above this correlation two terms are called inseparable.
+_INSEPARABLE: Final = 0.999
 
 
 class Coefficient(ResultPart):
@@ -63,6 +71,11 @@ class ConfoundedTerms(ResultPart):
     determined: str
     value: float | None = None
     u: float | None = None
+
+    @property
+    def inseparable(self) -> bool:
+        """Whether the records cannot tell the terms apart at all; else they hardly can."""
+        return abs(self.correlation) > _INSEPARABLE
 
 
 class Residual(ResultPart):
@@ -169,6 +182,32 @@ class Conformity(ResultPart):
     reason: str | None = None
 
 
+class Finding(ResultPart):
+    """One thing that speaks against a result, whatever its checks saw of it.
+
+    Attributes
+    ----------
+    code
+        What kind of thing, such as ``lack-of-fit``; stays the same.
+    subject
+        What it concerns: an accelerometer, one of its coefficients (``Qx.K_II``), a run, a
+        platform term, or empty: the campaign.
+    text
+        In sentences: what was found, and what to do.
+    size
+        How strong it is, in standard uncertainties or in units of what would be expected; None
+        where it has no size.
+    contradicts
+        Whether the records contradict the result, so that it must not be used.
+    """
+
+    code: str
+    subject: str
+    text: str
+    size: float | None = None
+    contradicts: bool = False
+
+
 class Fold(ResultPart):
     """Residuals against the spindle's angle: equal parts of a revolution from angle 0 on.
 
@@ -225,6 +264,9 @@ class AccelerometerResult(ResultPart):
 
     Attributes
     ----------
+    state, findings
+        Whether it may be relied on, and what speaks against it, the gravest first; None in
+        results of versions that did not say.
     serial_number
         As the campaign states it.
     coefficients
@@ -243,6 +285,8 @@ class AccelerometerResult(ResultPart):
         By run: residuals for pictures.
     """
 
+    state: State | None = None
+    findings: list[Finding] = []
     serial_number: str | None = None
     coefficients: dict[str, Coefficient]
     known: dict[str, Coefficient] = {}

@@ -26,9 +26,9 @@ from counterspin.calibration.result_parts import (
 from counterspin.calibration.two_stage_findings import (
     asked_only,
     confounded,
+    findings,
     left_out,
     unmodelled,
-    warnings,
 )
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.campaign.resolved import Accelerometer, Campaign
@@ -36,8 +36,7 @@ from counterspin.inference.two_stage import strobes as strobing
 from counterspin.inference.two_stage.first_stage import Parabola, first_stage
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import term
+from counterspin.physics.accelerometer import TERMS, term
 
 
 @dataclass(frozen=True)
@@ -94,7 +93,7 @@ def two_stage(
         residual=_residual(parabolas, walk),
         noise=_noise_lines(parabolas, walk),
         left_out=left_out(second) if options.model == "exact" else {},
-        warnings=warnings(campaign, accelerometer, runs, second, coefficients, options.model),
+        findings=findings(campaign, accelerometer.name, runs, second, coefficients, options.model),
         **described(accelerometer, coefficients),
     )
     return TwoStageOutcome(

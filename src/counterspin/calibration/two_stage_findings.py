@@ -2,7 +2,7 @@
 
 - `unmodelled`, `asked_only`: terms of which nothing is known
 - `confounded`, `left_out`: what these would do
-- `warnings`
+- `findings`: what speaks against it
 """
 
 from __future__ import annotations
@@ -12,13 +12,18 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.calibration.findings import CONTRADICTS, equivalent_deviations
 from counterspin.calibration.joint_problem import left_out_of
-from counterspin.calibration.result_parts import Coefficient, ConfoundedTerms, OmittedTerm
+from counterspin.calibration.result_parts import (
+    Coefficient,
+    ConfoundedTerms,
+    Finding,
+    OmittedTerm,
+)
 from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.inference.identifiability import assess
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import term
+from counterspin.physics.accelerometer import TERMS, term
 
 #: Below this probability a misfit is no accident.
 _SUSPICIOUS: Final = 0.001
@@ -89,20 +94,20 @@ def _sum(weights: Mapping[str, float]) -> str:
     return text.removeprefix(" + ")
 
 
-def warnings(
+def findings(
     campaign: Campaign,
-    accelerometer: Accelerometer,
+    name: str,
     runs: Sequence[StrobedRun],
     second: SecondStage,
     coefficients: Mapping[str, Coefficient],
     model: str,
-) -> list[str]:
-    """Return what the user should know before using the numbers.
+) -> list[Finding]:
+    """Return what speaks against the result of one accelerometer.
 
     Parameters
     ----------
-    campaign, accelerometer, runs, second
-        What was asked and what was found.
+    campaign, name, runs, second
+        What was asked, of which accelerometer, and what was found.
     coefficients
         As the result shows them.
     model
@@ -110,33 +115,41 @@ def warnings(
     """
     found = []
     if model == "as-printed":
-        found.append(
+        text = (
             "The equations are used as printed: their K_II term is twice the exact one, so K_II "
             "is half of what the accelerometer has. Use the exact model for a calibration."
         )
+        found.append(Finding(code="as-printed", subject=name, text=text))
     else:
-        found += _undetermined(second, coefficients)
-        found += _unknown(campaign, second)
-    found += [
-        f"The columns of {a} and {b} are nearly collinear at these rates (correlation {r:.4f})."
-        for a, b, r in second.near_collinear
-    ]
-    found += _misfit(runs, second)
+        found += _undetermined(name, second, coefficients)
+        found += _unknown(campaign, name, second)
+    for a, b, r in second.near_collinear:
+        text = f"The columns of {a} and {b} are nearly collinear at these rates"
+        text += f" (correlation {r:.4f})."
+        found.append(Finding(code="collinear", subject=f"{name}.{a}", text=text, size=abs(r)))
+    found += _misfit(name, runs, second)
     lost = sum(run.parabola.strobes.lost for run in runs)
     if lost:
-        found.append(f"{lost} strobes fell into gaps of the record and were left out.")
-    return [f"{accelerometer.name}: {warning}" for warning in found]
+        text = f"{lost} strobes fell into gaps of the record and were left out."
+        found.append(Finding(code="strobes-lost", subject=name, text=text))
+    return found
 
 
-def _undetermined(second: SecondStage, coefficients: Mapping[str, Coefficient]) -> list[str]:
+def _undetermined(
+    name: str, second: SecondStage, coefficients: Mapping[str, Coefficient]
+) -> list[Finding]:
     return [
-        f"The runs do not determine {symbol}, and nothing is known of it beforehand."
+        Finding(
+            code="not-determined",
+            subject=f"{name}.{symbol}",
+            text=f"The runs do not determine {symbol}, and nothing is known of it beforehand.",
+        )
         for symbol in second.symbols
         if coefficients[symbol].value is None
     ]
 
 
-def _unknown(campaign: Campaign, second: SecondStage) -> list[str]:
+def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding]:
     """Name the accelerometer's terms, and what else was asked for, that could spoil K_II."""
     alike = {other for symbol in second.symbols for other in second.alike(symbol)}
     _, u = second.estimate("K_II")
@@ -147,15 +160,17 @@ def _unknown(campaign: Campaign, second: SecondStage) -> list[str]:
         limit = campaign.model.limits[symbol]
         shift = abs(float(second.shift(symbol)[0])) * limit
         if shift > u:
-            found.append(
+            text = (
                 f"{symbol} is neither estimated nor known beforehand; at its largest credible "
                 f"size, {limit:.3g} {term(symbol).unit}, it would move K_II by {shift:.2g} g/g^2, "
                 "more than its uncertainty. Give it a prior, or use the joint method."
             )
+            subject = f"{name}.{symbol}"
+            found.append(Finding(code="term-unknown", subject=subject, text=text, size=shift / u))
     return found
 
 
-def _misfit(runs: Sequence[StrobedRun], second: SecondStage) -> list[str]:
+def _misfit(name: str, runs: Sequence[StrobedRun], second: SecondStage) -> list[Finding]:
     from scipy.special import chdtrc
 
     solution = second.solution
@@ -167,8 +182,18 @@ def _misfit(runs: Sequence[StrobedRun], second: SecondStage) -> list[str]:
     if probability > _SUSPICIOUS:
         return []
     worst = runs[int(np.argmax(np.abs(second.misfit)))].name
-    return [
+    size = equivalent_deviations(probability)
+    text = (
         f"The runs do not agree with the model (chi-square {solution.chi2:.1f} with {dof} "
         f"degrees of freedom, p = {probability:.1g}; {worst} is farthest off): a term is missing, "
         "a prior is wrong, or the noise is larger than stated."
+    )
+    return [
+        Finding(
+            code="lack-of-fit",
+            subject=name,
+            text=text,
+            size=size,
+            contradicts=size > CONTRADICTS,
+        )
     ]

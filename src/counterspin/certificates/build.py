@@ -11,6 +11,7 @@ from typing import Final
 
 from lxml import etree
 
+from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
 from counterspin.certificates import wording
 from counterspin.certificates.administrative import Issue, administrative_data
@@ -30,6 +31,8 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
             "this result was computed by the paper's equations as printed, whose K_II is half of "
             "the true one; calibrate again with the exact model"
         )
+    if (refused := refusal(judge_result(result), names)) is not None:
+        raise RecordError(refused)
     by_accelerometer = (result.accelerometers[name].coefficients.values() for name in names)
     if not any(wording.is_determined(c) for coefficients in by_accelerometer for c in coefficients):
         raise RecordError(
@@ -85,6 +88,8 @@ def to_bytes(root: Element) -> bytes:
 def _comment(lab: Lab, result: Result) -> Element | None:
     """Return all warnings of the calibration, which the certificate must state."""
     lines = list(result.warnings)
+    if result.accepted_misfit is not None:
+        lines.append(f"The misfit was accepted: {result.accepted_misfit}")
     for name in lab.certified(result):
         lines += [
             warning if warning.startswith(name) else f"{name}: {warning}"

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from counterspin.calibration.pages.accelerometer import rests_on
+from counterspin.calibration.pages.verdict import misfit_blocks
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates import wording
@@ -37,6 +38,7 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
     yield Heading("Calibrated item")
     yield _two_columns(_item(lab, result))
     yield Heading("Results")
+    yield from misfit_blocks(result)
     for name in lab.certified(result):
         coefficients = result.accelerometers[name].coefficients
         yield typeset_block(results_table(name, coefficients, result.inputs.gravity))

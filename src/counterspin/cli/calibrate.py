@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from counterspin.cli.words import JsonFile, group
 from counterspin.errors import CounterspinError
@@ -12,14 +12,22 @@ from counterspin.errors import CounterspinError
 if TYPE_CHECKING:
     from counterspin.calibration.options import TwoStageOptions
 
+_CONTRADICTED: Final = "the records contradict the result"
+_WHAT_TO_DO: Final = (
+    "Find the cause and calibrate again; or, if the result is to be used all the same, say why: "
+    "--accept-misfit REASON"
+)
+
 
 @group
 @dataclass(frozen=True)
-class TwoStage:
-    """How the two-stage method is applied.
+class Estimation:
+    """How the coefficients are estimated.
 
     Parameters
     ----------
+    method
+        All samples in one weighted fit, or the paper's two stages.
     model
         Observation model of the two-stage method: the exact one, or the paper's as printed.
     weighted
@@ -32,6 +40,7 @@ class TwoStage:
         Two-stage: the displacement noise that the campaign gives, or that of the residuals.
     """
 
+    method: Literal["joint", "two-stage"] = "joint"
     model: Literal["exact", "as-printed"] = "exact"
     weighted: bool = True
     ripple: Literal["amplitude", "ratio"] = "amplitude"
@@ -73,17 +82,17 @@ class BatchWorkers:
     cluster: str | None = None
 
 
-_USUAL, _BRIEF, _ALONE = TwoStage(), Printed(), BatchWorkers()
+_USUAL, _BRIEF, _ALONE = Estimation(), Printed(), BatchWorkers()
 
 
 def calibrate(
     directory: Path,
     /,
     *more: Path,
-    method: Literal["joint", "two-stage"] = "joint",
     json: JsonFile = None,
-    two_stage: TwoStage = _USUAL,
+    estimation: Estimation = _USUAL,
     printed: Printed = _BRIEF,
+    accept_misfit: str | None = None,
     crew: BatchWorkers = _ALONE,
 ) -> None:
     """Determine the accelerometers' coefficients from a campaign's records.
@@ -94,27 +103,33 @@ def calibrate(
         The campaign's folder, or its campaign.toml.
     more
         Further campaigns: a summary of all is printed, and a failing one stops no other.
-    method
-        All samples in one weighted fit, or the paper's two stages.
     json
         Write the result to this file too.
+    accept_misfit
+        The reason for which the result is to be used even if the records contradict it.
     """
     from counterspin.calibration.calibrate import calibrate as run
     from counterspin.calibration.options import TwoStageOptions
     from counterspin.reports.progress import progress
 
     options = TwoStageOptions(
-        model=two_stage.model,
-        weighted=two_stage.weighted,
-        ripple=two_stage.ripple,
-        fit_bias=two_stage.fit_bias,
-        from_residuals=two_stage.sigma == "residuals",
+        model=estimation.model,
+        weighted=estimation.weighted,
+        ripple=estimation.ripple,
+        fit_bias=estimation.fit_bias,
+        from_residuals=estimation.sigma == "residuals",
     )
     if more:
-        calibrate_several((directory, *more), json, method, options, crew)
+        calibrate_several((directory, *more), json, estimation.method, options, accept_misfit, crew)
         return
     with progress() as advance:
-        result = run(directory, method=method, options=options, progress=advance)
+        result = run(
+            directory,
+            method=estimation.method,
+            options=options,
+            accept_misfit=accept_misfit,
+            progress=advance,
+        )
     # Loaded last, so that reading begins as early as can be.
     from counterspin.calibration.pages.terminal import print_result
     from counterspin.reports.text import report_console
@@ -123,6 +138,8 @@ def calibrate(
     if json is not None:
         # Last: a file that cannot be written must not cost the report as well.
         result.write(json)
+    if result.state == "contradicted" and result.accepted_misfit is None:
+        raise CounterspinError(f"{_CONTRADICTED}: {result.findings[0].text} {_WHAT_TO_DO}")
 
 
 def calibrate_several(
@@ -130,6 +147,7 @@ def calibrate_several(
     json: Path | None,
     method: Literal["joint", "two-stage"],
     options: TwoStageOptions,
+    accept_misfit: str | None,
     crew: BatchWorkers,
 ) -> None:
     """Calibrate campaigns one by one, print a summary, and raise if any failed."""
@@ -143,6 +161,7 @@ def calibrate_several(
             directories,
             method=method,
             options=options,
+            accept_misfit=accept_misfit,
             workers=crew.workers,
             cluster=crew.cluster,
             progress=advance,
@@ -154,3 +173,5 @@ def calibrate_several(
         raise CounterspinError(
             f"{len(batch.failed)} of {len(batch.campaigns)} campaigns could not be calibrated"
         )
+    if batch.contradicted:
+        raise CounterspinError(f"{_CONTRADICTED} of {len(batch.contradicted)}. {_WHAT_TO_DO}")

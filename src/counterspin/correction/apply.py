@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
+from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.campaign.quantity import parse, unit_factor
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, RecordError
 from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
 
@@ -125,6 +126,8 @@ def apply(
         model needs and that is not known or given twice, equations as printed.
     ConvergenceError
         If a sample lies outside of what the model can indicate.
+    RecordError
+        If the records contradict the result, and no reason is stated for accepting that.
     """
     options = options or ApplyOptions()
     if result.model == "as-printed" and not options.force:
@@ -140,6 +143,9 @@ def apply(
         raise CampaignError(_SOURCE, [f"`others`: {accelerometer} is the one to be corrected"])
     factor = _factor(options.unit, result.inputs.gravity)
     instruments = [instrument_of(result, name, placed=bool(options.others)) for name in indications]
+    judged = judge_result(result)
+    if (refused := refusal(judged, indications)) is not None:
+        raise RecordError(refused)
     mounting = instruments[0].mounting
     known = [
         _known(given, mounting.matrix[row], factor, result.inputs.gravity, option)
@@ -166,12 +172,24 @@ def apply(
             default=math.inf,
         ),
         notes=tuple(_note(name, one) for name, one in zip(indications, applied, strict=True)),
-        warnings=tuple(
-            warning
-            for name, one, column in zip(indications, applied, columns, strict=True)
-            for warning in (*_left_out(name, one), *_stretched(result, name, column))
+        warnings=(
+            *_accepted(judged),
+            *(
+                warning
+                for name, one, column in zip(indications, applied, columns, strict=True)
+                for warning in (*_left_out(name, one), *_stretched(result, name, column))
+            ),
         ),
     )
+
+
+def _accepted(result: Result) -> list[str]:
+    if result.accepted_misfit is None:
+        return []
+    return [
+        f"The records contradict this result: {result.findings[0].text} The misfit was accepted: "
+        f"{result.accepted_misfit}"
+    ]
 
 
 def instrument_of(result: Result, name: str, *, placed: bool = False) -> CalibratedAccelerometer:

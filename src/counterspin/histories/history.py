@@ -26,8 +26,7 @@ from counterspin.histories.result import (
     Verdict,
 )
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 
 _YEAR: Final = timedelta(days=365.25)
 

@@ -11,8 +11,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from counterspin.calibration.result_parts import BudgetLine
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 from counterspin.planning.result import (
     GoalResult,
     PlannedAccelerometer,
@@ -133,7 +132,7 @@ def _accelerometer(result: PlanResult, name: str, found: PlannedAccelerometer) -
     )
     for item in found.confounded:
         names = ", ".join(item.terms[:-1]) + " and " + item.terms[-1]
-        how = "cannot be told apart" if abs(item.correlation) > 0.999 else "are hardly told apart"
+        how = "cannot be told apart" if item.inseparable else "are hardly told apart"
         yield Paragraph(
             f"{names} {how} in this plan; determined: {item.determined}. "
             f"{_advice(result, item.terms)}"

@@ -24,9 +24,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
-from counterspin.physics.accelerometer import Mounting, Term
+from counterspin.physics.accelerometer import Mounting, PlatformTerm, Term, term
 from counterspin.physics.motion import Site
-from counterspin.physics.shared_terms import PlatformTerm, term
 from counterspin.physics.spindle import TURN, Spindle
 
 _PANELS: Final = 2

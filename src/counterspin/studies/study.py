@@ -16,7 +16,7 @@ import polars as pl
 from counterspin._version import __version__
 from counterspin.errors import CounterspinError
 from counterspin.output import make_folder, write_whole
-from counterspin.physics.shared_terms import term
+from counterspin.physics.accelerometer import term
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import StudyDescription, read_study
 from counterspin.studies.draws import OTHERS, Varying

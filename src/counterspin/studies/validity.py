@@ -14,8 +14,8 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
 from counterspin.physics import observation
+from counterspin.physics.accelerometer import PLATFORM_TERMS
 from counterspin.physics.motion import Trajectory
-from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import (
     DRIFT,

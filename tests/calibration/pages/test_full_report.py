@@ -3,6 +3,7 @@
 import pytest
 from results import coefficient, result, trace
 
+from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.full_report import document, identifier_of
 from counterspin.calibration.pages.pictures import (
     budget_bars,
@@ -11,7 +12,6 @@ from counterspin.calibration.pages.pictures import (
     residual_plots,
     ripple_plot,
 )
-from counterspin.calibration.verdict import verdict
 from counterspin.reports.blocks import (
     Bars,
     Heading,
@@ -22,6 +22,9 @@ from counterspin.reports.blocks import (
     Table,
     without_pictures,
 )
+
+#: Residuals eight times as large as the stated noise.
+MISFIT = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p": 0.0}
 
 
 def texts(blocks):
@@ -52,6 +55,36 @@ def test_warnings_stand_once_and_before_everything_else():
     assert len(places) == 1
     assert blocks[places[0]].style == "warning"
     assert places[0] < next(i for i, b in enumerate(blocks) if isinstance(b, Table | Picture))
+
+
+def test_what_speaks_against_a_result_is_said_once_and_before_everything_else():
+    lost = {"code": "strobes-lost", "subject": "Qx", "text": "3 strobes were left out."}
+    drives = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -4.0}]
+    blocks = document(result(findings=[lost], jackknife=drives))
+    for words in ("3 strobes were", "Without slow K_II moves"):
+        (place,) = (i for i, b in enumerate(blocks) if words in getattr(b, "text", ""))
+        assert blocks[place].style == "warning"
+        assert place < next(i for i, b in enumerate(blocks) if isinstance(b, Table | Picture))
+
+
+def test_a_contradicted_result_says_so_first_and_has_neither_interval_nor_colour():
+    blocks = document(result(residual=MISFIT))
+    assert blocks[0] == Heading("By hand", 1)
+    assert blocks[1].style == "warning"
+    assert blocks[1].text.startswith("The records contradict this result (Qx): The residuals are 8")
+    assert blocks[2] == Paragraph(
+        "K_II of Qx = 27.0000 ± 0.0010 µg/g² = (2.70000 ± 0.00010) × 10⁻⁵ g/g²"
+    )
+    assert not [b for b in blocks if getattr(b, "style", "") == "answer"]
+    assert not [text for text in texts(blocks) if "95 %: " in text]
+
+
+def test_an_accepted_misfit_is_printed_with_its_reason_and_done_again_with_it():
+    accepted = judge_result(result(residual=MISFIT), "the arm's play is known")
+    written = texts(document(accepted))
+    assert "The misfit was accepted: the arm's play is known" in written[2]
+    command = """counterspin calibrate . '--accept-misfit=the arm'"'"'s play is known'"""
+    assert command in written
 
 
 def test_every_picture_of_a_full_result_is_there():
@@ -168,73 +201,3 @@ def test_ripple_is_relative_to_the_rate_whichever_way_it_turns():
     assert series.label == "slow"
     assert series.y == pytest.approx((1.0,))
     assert series.low == pytest.approx((1.0 - 0.196,))
-
-
-# Verdict
-
-
-def test_a_good_result():
-    judged = verdict(result().accelerometers["Qx"], "exact")
-    assert judged.grade == "good"
-    assert judged.sentence("Qx") == (
-        "Qx is good: the residuals look like the stated noise (p = 0.5); no run drives the "
-        "result; the two-stage method agrees."
-    )
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"warnings": ["one", "two"]}, "2 warnings"),
-        (
-            {"residual": {"rms": 1.0, "unit": "m", "dof": 9.0, "lack_of_fit_p": 0.009}},
-            "the residuals do not look like independent noise",
-        ),
-        (
-            {"jackknife": [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -3.1}]},
-            "K_II without slow disagrees with that of all runs",
-        ),
-        (
-            {
-                "two_stage": {
-                    "value": 1e-5,
-                    "u": 1e-9,
-                    "difference": 1e-8,
-                    "u_difference": 1e-9,
-                    "z": 10.0,
-                }
-            },
-            "the two-stage method does not agree",
-        ),
-    ],
-)
-def test_what_speaks_against_it_is_said(change, words):
-    judged = verdict(result(**change).accelerometers["Qx"], "exact")
-    assert judged.grade == "with reservations"
-    assert words in judged.sentence("Qx")
-    assert "For it speaks" in judged.sentence("Qx")
-
-
-def test_half_the_true_value_is_never_good():
-    judged = verdict(result().accelerometers["Qx"], "as-printed")
-    assert judged.grade == "with reservations"
-    assert "half the true K_II" in judged.sentence("Qx")
-
-
-def test_no_value_no_grade():
-    nothing = {"K_II": {"value": None, "u": None, "unit": "g/g^2", "estimated": False}}
-    judged = verdict(result(coefficients=nothing).accelerometers["Qx"], "exact")
-    assert judged.grade == "not determined"
-    assert judged.sentence("Qx").startswith("Qx: these records do not determine K_II")
-
-
-def test_what_is_taken_as_zero_is_named_where_it_would_be_noticed():
-    # 1 ug/g^2 of K_OO moves K_II by 1 ug/g^2, a thousand times its u; 1 ug/g^3 of K_III does not.
-    left_out = {
-        "K_OO": {"sensitivity": -1.0, "unit": "g/g^2"},
-        "K_III": {"sensitivity": 1e-4, "unit": "g/g^3"},
-    }
-    judged = verdict(result(left_out=left_out).accelerometers["Qx"], "exact")
-    assert judged.grade == "good"
-    assert judged.taken_as_zero == ("K_OO",)
-    assert judged.sentence("Qx").endswith("which the model leaves out: K_OO.")

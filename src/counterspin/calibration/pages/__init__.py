@@ -2,6 +2,6 @@
 
 - `terminal`: a result in the terminal; `sections`: its blocks
 - `full_report`: the whole report for paper and screen; `publishing`: as a file
-- `accelerometer`, `conformity`, `pictures`, `basis`: its chapters
+- `verdict`, `accelerometer`, `conformity`, `pictures`, `basis`: its chapters
 - `batch`: many campaigns in one table
 """

@@ -4,7 +4,6 @@
 - `budget_blocks`: where the uncertainty of its coefficients comes from
 - `coefficient_table`, `in_field_units`: coefficients of any kind
 - `rests_on`: what cannot be told apart, and what is taken to be zero
-- `noticed_if_left_out`: terms outside the model that would matter
 """
 
 from __future__ import annotations
@@ -13,6 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+from counterspin.calibration.findings import noticed_if_left_out
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     BudgetLine,
@@ -23,8 +23,7 @@ from counterspin.calibration.result_parts import (
     NoiseLine,
 )
 from counterspin.inference.diagnostics import AGREEMENT
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
@@ -54,8 +53,8 @@ def accelerometer_blocks(
     """Yield what was found; gravity in m/s^2 is for noise in micro-g, `details` as in a report."""
     yield Heading(f"Accelerometer {name}")
     yield coefficient_table({**found.coefficients, **found.second_unknown})
-    for warning in found.warnings:
-        yield Paragraph(f"Warning: {warning.removeprefix(f'{name}: ')}", "warning")
+    for finding in found.findings:
+        yield Paragraph(f"Warning: {finding.text}", "warning")
     for sentence in rests_on(found):
         yield Paragraph(sentence)
     yield Paragraph(_residual(found))
@@ -137,7 +136,7 @@ def _origin(coefficient: Coefficient) -> str:
 
 def _confounded(found: ConfoundedTerms) -> str:
     names = ", ".join(found.terms[:-1]) + " and " + found.terms[-1]
-    apart = "cannot be told apart" if abs(found.correlation) > 0.999 else "are hardly told apart"
+    apart = "cannot be told apart" if found.inseparable else "are hardly told apart"
     text = (
         f"{names} {apart} by these records (correlation {_correlation(found.correlation)}); "
         f"determined: {found.determined}"
@@ -157,31 +156,17 @@ def rests_on(found: AccelerometerResult) -> Iterator[str]:
         yield sentence
 
 
-def noticed_if_left_out(found: AccelerometerResult) -> dict[str, str]:
-    """Return the terms that the model leaves out and whose one unit K_II would show.
-
-    By symbol, in words what that unit would do; one unit is 1 ug/g^2, 1 arcsec, 1 deg/h and so on.
-    """
-    k_ii = found.coefficients.get("K_II")
-    if k_ii is None or k_ii.u is None:
-        return {}
-    noticed = {}
-    for symbol, term_left_out in found.left_out.items():
-        unit, factor = field_unit(term_left_out.unit)
-        shift = abs(term_left_out.sensitivity) / factor
-        if shift > 0.5 * k_ii.u:
-            shown, to_shown = field_unit(k_ii.unit)
-            words = f"1 {unit} of {symbol} by {format_number(shift * to_shown, 2)} {shown}"
-            noticed[symbol] = words
-    return noticed
-
-
 def _left_out(found: AccelerometerResult) -> str:
     noticed = noticed_if_left_out(found)
     if not noticed:
         return ""
-    terms = "; ".join(noticed.values())
-    return f"Not in the model, and so not in u: K_II would move with {terms}."
+    unit, factor = field_unit(found.coefficients["K_II"].unit)
+    terms = []
+    for symbol, omitted in noticed.items():
+        its_unit, its_factor = field_unit(omitted.unit)
+        shift = format_number(abs(omitted.sensitivity) / its_factor * factor, 2)
+        terms.append(f"1 {its_unit} of {symbol} by {shift} {unit}")
+    return f"Not in the model, and so not in u: K_II would move with {'; '.join(terms)}."
 
 
 def _correlation(r: float) -> str:

@@ -11,10 +11,9 @@ import shlex
 from collections.abc import Iterable, Iterator
 from typing import Final
 
-from counterspin.calibration.options import TwoStageOptions, command_words
+from counterspin.calibration.options import TwoStageOptions, acceptance_words, command_words
 from counterspin.calibration.result import Result
-from counterspin.physics.accelerometer import TERMS, Term
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, Term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import format_number
 
@@ -114,4 +113,5 @@ def origin_blocks(result: Result) -> Iterator[Block]:
     asked = command_words(result.method, TwoStageOptions())
     # Once the two-stage method was the default, and did not have to be asked for.
     options = [*(word for word in asked if word not in options), *options]
+    options += acceptance_words(result.accepted_misfit)
     yield Paragraph(shlex.join(("counterspin", "calibrate", ".", *options)), "command")

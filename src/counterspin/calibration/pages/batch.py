@@ -19,7 +19,7 @@ _COLUMNS = (
     Column("Accelerometer"),
     Column("K_II", align="right"),
     Column("Unit"),
-    Column("Warnings", align="right"),
+    Column("State"),
 )
 
 
@@ -33,6 +33,10 @@ def render_batch(batch: BatchResult) -> Report:
     )
     blocks: list[Block] = [Table(_COLUMNS, rows)] if rows else []
     blocks += [Paragraph(f"{folder}: {error}", "warning") for folder, error in batch.failed.items()]
+    blocks += [
+        Paragraph(f"{folder}: the records contradict the result; it must not be used.", "warning")
+        for folder in batch.contradicted
+    ]
     failed = len(batch.failed)
     calibrated = len(batch.campaigns) - failed
     blocks.append(Paragraph(f"{calibrated} campaigns calibrated, {failed} failed.", "quiet"))
@@ -43,5 +47,4 @@ def _rows(folder: str, result: Result) -> Iterator[tuple[str, ...]]:
     for name, accelerometer in result.accelerometers.items():
         coefficient = accelerometer.coefficients.get("K_II")
         value, u, unit = (None, None, "") if coefficient is None else in_field_units(coefficient)
-        warnings = str(len(accelerometer.warnings) + len(result.warnings))
-        yield folder, name, format_estimate(value, u), unit, warnings
+        yield folder, name, format_estimate(value, u), unit, accelerometer.state or ""

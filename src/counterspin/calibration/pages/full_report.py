@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator
 
+from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.accelerometer import accelerometer_blocks, budget_blocks
 from counterspin.calibration.pages.basis import model_blocks, origin_blocks
 from counterspin.calibration.pages.conformity import conformity_blocks
@@ -20,9 +21,9 @@ from counterspin.calibration.pages.pictures import (
     ripple_plot,
 )
 from counterspin.calibration.pages.sections import answer_blocks, platform_blocks, run_blocks
+from counterspin.calibration.pages.verdict import verdict_sentence
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
-from counterspin.calibration.verdict import verdict
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture
 from counterspin.reports.typography import typeset_block
 
@@ -35,6 +36,7 @@ def document(result: Result) -> list[Block]:
     result
         What `calibrate` returned, or what was read from its JSON.
     """
+    result = judge_result(result)
     found = (
         *answer_blocks(result, in_g=True),
         *_verdicts(result),
@@ -58,11 +60,12 @@ def identifier_of(result: Result) -> str:
 def _verdicts(result: Result) -> Iterator[Block]:
     yield Heading("Is it good?")
     for name, found in result.accelerometers.items():
-        judged = verdict(found, result.model)
-        style = "plain" if judged.grade == "good" else "warning"
-        yield Paragraph(judged.sentence(name), style)  # type: ignore[arg-type]
-        for warning in found.warnings:
-            yield Paragraph(f"Warning: {name}: {warning.removeprefix(f'{name}: ')}", "warning")
+        yield Paragraph(
+            verdict_sentence(name, found), "plain" if found.state == "good" else "warning"
+        )
+        # The first of them stands in the sentence.
+        for finding in found.findings[1:]:
+            yield Paragraph(f"Warning: {name}: {finding.text}", "warning")
 
 
 def _chapters(result: Result) -> Iterator[Block]:

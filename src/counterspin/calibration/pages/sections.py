@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
+from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.accelerometer import (
     accelerometer_blocks,
     budget_blocks,
@@ -17,6 +18,7 @@ from counterspin.calibration.pages.accelerometer import (
     in_field_units,
 )
 from counterspin.calibration.pages.conformity import conformity_blocks
+from counterspin.calibration.pages.verdict import misfit_blocks
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, RunResult
 from counterspin.inference.conformity import expanded_uncertainty
@@ -53,6 +55,7 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
     details
         Whether strong correlations, run counts, input files and their checksums are written.
     """
+    result = judge_result(result)
     blocks: list[Block] = [*answer_blocks(result), *conformity_blocks(result)]
     for name, accelerometer in result.accelerometers.items():
         blocks += accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=details)
@@ -71,17 +74,21 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
 def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
     """Yield title, K_II of each accelerometer, warnings about the whole and conventions.
 
+    Where the records contradict the result, that is said before any number.
+
     Parameters
     ----------
     result
-        The result.
+        The result, judged.
     in_g
         Whether K_II is given in g/g^2 beside ug/g^2.
     """
     yield Heading(result.title or "Calibration", 1)
+    yield from misfit_blocks(result)
     for name, accelerometer in result.accelerometers.items():
         if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
-            yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g)
+            stands = accelerometer.state != "contradicted"
+            yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g, stands=stands)
     for warning in result.warnings:
         yield Paragraph(f"Warning: {warning}", "warning")
     known = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
@@ -97,7 +104,8 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
     )
 
 
-def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool) -> Paragraph:
+def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool, stands: bool) -> Paragraph:
+    """Return K_II in one line; one that does not stand has neither interval nor colour."""
     value, u, unit = in_field_units(coefficient)
     if not coefficient.estimated or value is None or u is None:
         prior = (
@@ -107,6 +115,8 @@ def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool) -> Paragrap
     text = f"{name} = {format_estimate(value, u, unit)}"
     if in_g:
         text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
+    if not stands:
+        return Paragraph(text)
     if u > 0.0:
         half = expanded_uncertainty(u, coefficient.dof)
         interval = format_interval(value, u, half, unit if in_g else "")

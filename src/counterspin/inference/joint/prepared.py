@@ -17,8 +17,7 @@ from counterspin.inference.joint import encoder
 from counterspin.inference.joint.inputs import input_column, rotation_column
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Unknowns
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
 
 
 @dataclass(frozen=True)

@@ -31,9 +31,8 @@ from counterspin.inference.blocks import reduce_block
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest, credible_limit
 from counterspin.physics import as_printed, observation
-from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.accelerometer import Mounting, term
 from counterspin.physics.motion import Trajectory
-from counterspin.physics.shared_terms import term
 
 #: Rates closer than this (relative) do not help to tell unknowns apart.
 _SAME_RATE: Final = 1e-3

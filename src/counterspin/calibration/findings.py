@@ -1,0 +1,292 @@
+"""Whether a result may be relied on: what was found against it, and the state that follows.
+
+Every check of a calibration reports a `Finding`. `judge_result` adds those that follow from the
+numbers of the result itself, ranks them and sets the states; pages only draw them.
+
+- `judge_result`: a result with its findings and states
+- `refusal`: why a result may not be certified or applied
+- `lack_of_fit`: the finding that residuals are not noise; `equivalent_deviations`: its size
+- `supports`: what speaks for a result
+- `noticed_if_left_out`: terms outside the model that K_II would show
+- `CONTRADICTS`, `TOO_LARGE`, `LARGEST_WALK`: the limits
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Final
+
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import (
+    AccelerometerResult,
+    Finding,
+    Jackknife,
+    OmittedTerm,
+    Residual,
+    State,
+)
+from counterspin.inference.diagnostics import AGREEMENT, SIGNIFICANCE
+from counterspin.reports.numbers import field_unit, format_number
+
+#: Beyond this many standard uncertainties (2e-9 by chance) no uncertainty explains a difference.
+CONTRADICTS: Final = 6.0
+
+#: Residuals so many times as large as the noise: the uncertainty is not of these records.
+TOO_LARGE: Final = 2.0
+
+#: Largest credible white noise of an inertial accelerometer, g/Hz^0.5.
+LARGEST_WALK: Final = 5e-4
+
+
+def judge_result(result: Result, accepted_misfit: str | None = None) -> Result:
+    """Return the result with its findings ranked and its states set.
+
+    Parameters
+    ----------
+    result
+        Its checks have put what they found into `findings`. One that has a state already, and one
+        of an earlier version that has none, may be given too.
+    accepted_misfit
+        The reason for which a contradicted result is to be used all the same; it is kept where
+        the result is contradicted.
+    """
+    if result.state is not None:
+        return result
+    accelerometers = {
+        name: _judge(name, accelerometer, result)
+        for name, accelerometer in result.accelerometers.items()
+    }
+    own = [finding for found in accelerometers.values() for finding in found.findings]
+    everything = ranked([*result.findings, *own])
+    state = state_of(everything)
+    return result.model_copy(
+        update={
+            "accelerometers": accelerometers,
+            "findings": everything,
+            "state": state,
+            "accepted_misfit": accepted_misfit if state == "contradicted" else None,
+            "warnings": [*result.warnings, *(finding.text for finding in result.findings)],
+        }
+    )
+
+
+def _judge(name: str, found: AccelerometerResult, result: Result) -> AccelerometerResult:
+    # An earlier version has sentences only.
+    sentences = [] if found.findings else found.warnings
+    findings = ranked(
+        [
+            *found.findings,
+            *(
+                Finding(code="warning", subject=name, text=text.removeprefix(f"{name}: "))
+                for text in sentences
+            ),
+            *_from_numbers(name, found, result),
+        ]
+    )
+    return found.model_copy(
+        update={
+            "findings": findings,
+            "state": state_of(findings),
+            "warnings": found.warnings or [f"{name}: {finding.text}" for finding in findings],
+        }
+    )
+
+
+def ranked(findings: Iterable[Finding]) -> list[Finding]:
+    """Return findings with the gravest first: contradictions, wrong equations, then by size."""
+    return sorted(
+        findings,
+        key=lambda finding: (
+            not finding.contradicts,
+            finding.code != "as-printed",
+            -(finding.size or 0.0),
+        ),
+    )
+
+
+def state_of(findings: Sequence[Finding]) -> State:
+    """Return the state that follows from findings."""
+    if any(finding.contradicts for finding in findings):
+        return "contradicted"
+    return "reservations" if findings else "good"
+
+
+def refusal(result: Result, names: Iterable[str]) -> str | None:
+    """Return why a result may not be certified or applied; None if it may.
+
+    Parameters
+    ----------
+    result
+        Of `judge_result`.
+    names
+        The accelerometers that are to be used.
+    """
+    if result.accepted_misfit is not None:
+        return None
+    for name in names:
+        found = result.accelerometers[name]
+        if found.state == "contradicted":
+            return (
+                f"{name} is contradicted by its records: {found.findings[0].text} Find the cause "
+                "and calibrate again, or state the reason for which the misfit is accepted "
+                "(accept_misfit of calibrate)"
+            )
+    return None
+
+
+# Findings from the numbers of a result
+
+
+def _from_numbers(name: str, found: AccelerometerResult, result: Result) -> Iterator[Finding]:
+    known = {(finding.code, finding.subject) for finding in found.findings}
+    if result.model == "as-printed" and ("as-printed", name) not in known:
+        yield Finding(
+            code="as-printed",
+            subject=name,
+            text="The equations as printed return half the true K_II.",
+        )
+    k_ii, subject = found.coefficients.get("K_II"), f"{name}.K_II"
+    if k_ii is not None and not k_ii.estimated and ("not-determined", subject) not in known:
+        yield Finding(
+            code="not-determined", subject=subject, text="These records do not determine K_II."
+        )
+    if ("lack-of-fit", name) not in known:
+        yield from _misfit(name, found.residual)
+    yield from _implausible_noise(name, found, result.inputs.gravity)
+    # Where the residuals are far beyond the noise, uncertainties are too small by as much, and what
+    # exceeds them for that reason alone is no finding of its own.
+    excess = _times_noise(found.residual) or 1.0
+    excess = excess if excess > TOO_LARGE else 1.0
+    yield from _disagreeing_run(name, found.jackknife, excess)
+    if found.two_stage is not None and (z := abs(found.two_stage.z) / excess) > AGREEMENT:
+        yield Finding(
+            code="methods-disagree",
+            subject=subject,
+            text="The two-stage method does not agree: its K_II differs by "
+            f"{format_number(z)} of the standard uncertainties of the difference.",
+            size=z,
+        )
+
+
+def _misfit(name: str, residual: Residual) -> Iterator[Finding]:
+    p = residual.lack_of_fit_p
+    if p is None or p >= SIGNIFICANCE:
+        return
+    times = _times_noise(residual)
+    what = (
+        "do not look like independent noise"
+        if times is None
+        else f"are {format_number(times)} times as large as the stated noise"
+    )
+    text = f"The residuals {what} (p = {format_number(p, 2)})."
+    yield lack_of_fit(name, [text], residual)
+
+
+def lack_of_fit(name: str, sentences: Sequence[str], residual: Residual) -> Finding:
+    """Return the finding that the residuals of an accelerometer are not its noise.
+
+    Parameters
+    ----------
+    name
+        The accelerometer.
+    sentences
+        What stands out in the residuals, the main thing first.
+    residual
+        Their size.
+    """
+    more = len(sentences) - 1
+    text = sentences[0] + (f" ({more} more such findings by run.)" if more > 1 else "")
+    p, times = residual.lack_of_fit_p, _times_noise(residual)
+    return Finding(
+        code="lack-of-fit",
+        subject=name,
+        text=text,
+        size=times if times is not None or p is None else equivalent_deviations(p),
+        contradicts=times is not None and times > TOO_LARGE,
+    )
+
+
+def equivalent_deviations(p: float) -> float:
+    """Return the distance, in standard deviations, that a normal variable exceeds with p."""
+    from scipy.special import ndtri
+
+    return float(-ndtri(0.5 * max(p, 1e-300)))
+
+
+def _times_noise(residual: Residual) -> float | None:
+    """Return how many times as large as the stated noise the residuals are."""
+    if residual.chi2 is None or not residual.dof > 0.0:
+        return None
+    return math.sqrt(residual.chi2 / residual.dof)
+
+
+def _implausible_noise(name: str, found: AccelerometerResult, gravity: float) -> Iterator[Finding]:
+    walk = found.noise.get("acceleration")
+    if walk is None or not walk.estimated:
+        return
+    size = walk.value / gravity / LARGEST_WALK
+    if size > 1.0:
+        yield Finding(
+            code="noise-implausible",
+            subject=name,
+            text=f"The accelerometer's noise was estimated as {1e6 * size * LARGEST_WALK:.0f} "
+            f"ug/Hz^0.5; more than {1e6 * LARGEST_WALK:.0f} ug/Hz^0.5 is not credible. It hides a "
+            "misfit: a wrong description, or a few rows that are far off.",
+            size=size,
+            contradicts=True,
+        )
+
+
+def _disagreeing_run(name: str, lines: Sequence[Jackknife], excess: float) -> Iterator[Finding]:
+    worst = _worst(lines)
+    if worst is None or worst.z is None or worst.shift is None:
+        return
+    z = abs(worst.z) / excess
+    if z <= AGREEMENT:
+        return
+    yield Finding(
+        code="run-disagrees",
+        subject=f"{name}.K_II",
+        text=f"Without {worst.run} K_II moves by {worst.shift:.2g} g/g^2, {z:.1f} times "
+        "what its uncertainty explains: this run disagrees with the others.",
+        size=z,
+        contradicts=z > CONTRADICTS,
+    )
+
+
+def _worst(lines: Sequence[Jackknife]) -> Jackknife | None:
+    compared = [line for line in lines if line.z is not None]
+    return max(compared, key=lambda line: abs(line.z or 0.0), default=None)
+
+
+# What speaks for a result, and what it rests on
+
+
+def supports(found: AccelerometerResult) -> Iterator[str]:
+    """Yield what speaks for a result, in clauses without a full stop."""
+    residual = found.residual
+    p = residual.lack_of_fit_p
+    if p is not None and p >= SIGNIFICANCE:
+        noise = "the stated noise" if residual.chi2 is not None else "independent noise"
+        yield f"the residuals look like {noise} (p = {format_number(p, 2)})"
+    worst = _worst(found.jackknife)
+    if worst is not None and abs(worst.z or 0.0) <= AGREEMENT:
+        yield "no run drives the result"
+    if found.two_stage is not None and abs(found.two_stage.z) <= AGREEMENT:
+        yield "the two-stage method agrees"
+
+
+def noticed_if_left_out(found: AccelerometerResult) -> dict[str, OmittedTerm]:
+    """Return the terms that the model leaves out and whose one unit K_II would show.
+
+    One unit is 1 ug/g^2, 1 arcsec, 1 deg/h and so on; K_II shows what moves it by half of its u.
+    """
+    k_ii = found.coefficients.get("K_II")
+    if k_ii is None or k_ii.u is None:
+        return {}
+    return {
+        symbol: omitted
+        for symbol, omitted in found.left_out.items()
+        if abs(omitted.sensitivity) / field_unit(omitted.unit)[1] > 0.5 * k_ii.u
+    }

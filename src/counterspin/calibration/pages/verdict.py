@@ -1,0 +1,63 @@
+"""Whether a result is good, in words.
+
+- `verdict_sentence`: of one accelerometer
+- `misfit_blocks`: the first lines of a result that its records contradict
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Final
+
+from counterspin.calibration.findings import noticed_if_left_out, supports
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult
+from counterspin.reports.blocks import Block, Paragraph
+
+_OPENINGS: Final = {
+    "good": "is good",
+    "reservations": "is to be used with reservations",
+    "contradicted": "is contradicted by its records and must not be used",
+}
+
+
+def verdict_sentence(name: str, found: AccelerometerResult) -> str:
+    """Return in words whether an accelerometer's result is good, and why.
+
+    Parameters
+    ----------
+    name
+        The accelerometer.
+    found
+        Its result, judged.
+    """
+    assert found.state is not None
+    opening = f"{name} {_OPENINGS[found.state]}"
+    speaks_for = "; ".join(supports(found))
+    if found.findings:
+        sentences = [f"{opening}: {found.findings[0].text}"]
+        if more := len(found.findings) - 1:
+            sentences.append(f"There {'is 1 more finding' if more == 1 else f'are {more} more'}.")
+        if speaks_for and found.state != "contradicted":
+            sentences.append(f"For it speaks: {speaks_for}.")
+    else:
+        sentences = [f"{opening}: {speaks_for}." if speaks_for else f"{opening}."]
+    if zero := noticed_if_left_out(found):
+        sentences.append(
+            f"It rests on these being zero, which the model leaves out: {', '.join(zero)}."
+        )
+    return " ".join(sentences)
+
+
+def misfit_blocks(result: Result) -> Iterator[Block]:
+    """Yield the first lines of a judged result whose records contradict it; nothing otherwise."""
+    if result.state != "contradicted":
+        return
+    first = result.findings[0]
+    yield Paragraph(
+        f"The records contradict this result ({first.subject}): {first.text} The numbers below "
+        "are not to be used, and their uncertainties do not hold.",
+        "warning",
+    )
+    if result.accepted_misfit is not None:
+        yield Paragraph(f"The misfit was accepted: {result.accepted_misfit}", "warning")

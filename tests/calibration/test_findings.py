@@ -1,0 +1,145 @@
+"""What speaks against a result: decided once, ranked, and with its consequences."""
+
+import pytest
+from results import coefficient, result
+
+from counterspin.calibration.findings import judge_result, noticed_if_left_out, refusal
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Finding
+
+
+def judged(**changes):
+    return judge_result(result(**changes))
+
+
+def codes(found):
+    return [finding.code for finding in found.findings]
+
+
+def test_a_good_result():
+    found = judged()
+    assert (found.state, found.findings) == ("good", [])
+    assert found.accelerometers["Qx"].state == "good"
+    assert refusal(found, ["Qx"]) is None
+
+
+def run(z):
+    return [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": z}]
+
+
+def other_method(z):
+    return {"value": 1e-5, "u": 1e-9, "difference": 1e-8, "u_difference": 1e-9, "z": z}
+
+
+def residual(times, p=0.0):
+    chi2 = 100.0 * times**2
+    return {"rms": 0.01, "unit": "m", "dof": 100.0, "chi2": chi2, "lack_of_fit_p": p}
+
+
+def walk(ug):
+    noise = {"value": ug * 9.8e-6, "unit": "m/s^2/Hz^0.5", "estimated": True}
+    return {"acceleration": noise}
+
+
+NOTHING = {"K_II": {"value": None, "u": None, "unit": "g/g^2", "estimated": False}}
+
+
+@pytest.mark.parametrize(
+    ("change", "code", "state", "size"),
+    [
+        ({"residual": residual(1.2, 0.02)}, None, "good", None),
+        ({"residual": residual(1.3, 0.001)}, "lack-of-fit", "reservations", 1.3),
+        ({"residual": residual(1.9)}, "lack-of-fit", "reservations", 1.9),
+        ({"residual": residual(2.1)}, "lack-of-fit", "contradicted", 2.1),
+        (
+            {"residual": {"rms": 1.0, "unit": "m", "dof": 9.0, "lack_of_fit_p": 0.0026998}},
+            "lack-of-fit",
+            "reservations",
+            3.0,
+        ),
+        ({"jackknife": run(2.9)}, None, "good", None),
+        ({"jackknife": run(-3.1)}, "run-disagrees", "reservations", 3.1),
+        ({"jackknife": run(-6.1)}, "run-disagrees", "contradicted", 6.1),
+        ({"two_stage": other_method(2.9)}, None, "good", None),
+        ({"two_stage": other_method(-10.0)}, "methods-disagree", "reservations", 10.0),
+        ({"noise": walk(499.0)}, None, "good", None),
+        ({"noise": walk(1335.0)}, "noise-implausible", "contradicted", 2.67),
+        ({"coefficients": NOTHING}, "not-determined", "reservations", None),
+        ({"warnings": ["Qx: something is odd"]}, "warning", "reservations", None),
+    ],
+)
+def test_each_finding_and_the_state_that_follows(change, code, state, size):
+    found = judged(**change)
+    assert codes(found) == ([] if code is None else [code])
+    assert found.state == found.accelerometers["Qx"].state == state
+    assert found.accelerometers["Qx"].findings == found.findings
+    if code is not None:
+        assert found.findings[0].size == (None if size is None else pytest.approx(size, rel=1e-4))
+        assert found.findings[0].contradicts == (state == "contradicted")
+        assert found.findings[0].subject.startswith("Qx")
+
+
+def test_half_the_true_value_is_never_good():
+    printed = judge_result(result().model_copy(update={"model": "as-printed"}))
+    assert codes(printed) == ["as-printed"]
+    assert printed.state == "reservations"
+
+
+def test_the_gravest_comes_first():
+    found = judged(jackknife=run(-6.1), two_stage=other_method(10.0), noise=walk(5000.0))
+    assert codes(found) == ["noise-implausible", "run-disagrees", "methods-disagree"]
+
+
+def test_one_cause_is_one_finding():
+    # Everything exceeds u because the noise is ten times as large as stated.
+    found = judged(residual=residual(10.0), jackknife=run(25.0), two_stage=other_method(-29.0))
+    assert codes(found) == ["lack-of-fit"]
+    other = judged(residual=residual(10.0), jackknife=run(65.0))
+    assert codes(other) == ["lack-of-fit", "run-disagrees"]
+
+
+def test_findings_of_checks_are_kept_and_told_as_warnings_too():
+    odd = Finding(code="odd", subject="Qx.K_II", text="It is odd.", size=4.0)
+    drift = Finding(code="large-drift", subject="platform.drift.north", text="It is large.")
+    found = judge_result(result(findings=[odd]).model_copy(update={"findings": [drift]}))
+    assert codes(found) == ["odd", "large-drift"]
+    assert codes(found.accelerometers["Qx"]) == ["odd"]
+    assert found.accelerometers["Qx"].warnings == ["Qx: It is odd."]
+    assert found.warnings == ["It is large."]
+
+
+def test_the_whole_is_as_bad_as_the_worst_of_its_parts():
+    one, two = (result(**change).accelerometers["Qx"] for change in ({}, {"jackknife": run(-6.1)}))
+    both = result().model_copy(update={"accelerometers": {"Qx": one, "Qy": two}})
+    found = judge_result(both)
+    assert found.accelerometers["Qx"].state == "good"
+    assert found.accelerometers["Qy"].state == "contradicted"
+    assert found.state == "contradicted"
+    assert refusal(found, ["Qx"]) is None
+    assert refusal(found, ["Qx", "Qy"]).startswith("Qy is contradicted by its records: Without")
+
+
+def test_a_reason_is_kept_where_there_is_something_to_accept():
+    assert judge_result(result(), "it is fine").accepted_misfit is None
+    found = judge_result(result(jackknife=run(-6.1)), "it is fine")
+    assert found.state == "contradicted"
+    assert found.accepted_misfit == "it is fine"
+    assert refusal(found, ["Qx"]) is None
+
+
+def test_judging_twice_changes_nothing(tmp_path):
+    found = judged(jackknife=run(-6.1))
+    assert judge_result(found) == found
+    found.write(tmp_path / "r.json")
+    assert judge_result(Result.read(tmp_path / "r.json")) == found
+
+
+def test_terms_left_out_are_noticed_from_half_of_u_on():
+    # One unit of K_OO is 1 ug/g^2, and u(K_II) is 0.001 ug/g^2.
+    for sensitivity, noticed in ((5.1e-4, ["K_OO"]), (4.9e-4, [])):
+        omitted = {"K_OO": {"sensitivity": -sensitivity, "unit": "g/g^2"}}
+        found = judged(left_out=omitted).accelerometers["Qx"]
+        assert list(noticed_if_left_out(found)) == noticed
+    bare = judged(coefficients={"K_F": coefficient(0.005, 1e-6, "g")}, left_out=omitted)
+    assert noticed_if_left_out(bare.accelerometers["Qx"]) == {}
+    assert codes(bare) == []
