@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from counterspin.physics.accelerometer import DEGREE_PER_HOUR, PLATFORM_TERMS, QX, TERMS
+from counterspin.physics.accelerometer import QX, TERMS
 from counterspin.physics.observation import parabola
+from counterspin.physics.shared_terms import DEGREE_PER_HOUR, PLATFORM_TERMS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "physics.md").read_text(encoding="utf-8")
 
@@ -33,6 +34,7 @@ def test_accelerometer_table_lists_exactly_the_terms():
             row.ieee,
             row.words,
             f"{row.limit:g}",
+            f"{row.typical:g}",
         ]
         for row in TERMS.values()
     ]
@@ -41,7 +43,7 @@ def test_accelerometer_table_lists_exactly_the_terms():
 
 def test_platform_table_lists_exactly_the_terms():
     expected = [
-        [f"`{row.symbol}`", row.unit, row.words, f"{row.limit:.4g}"]
+        [f"`{row.symbol}`", row.unit, row.words, f"{row.limit:.4g}", f"{row.typical:.4g}"]
         for row in PLATFORM_TERMS.values()
     ]
     assert rows_between("platform terms") == expected

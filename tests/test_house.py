@@ -11,7 +11,8 @@ import pytest
 from packaging.requirements import Requirement
 
 from counterspin._version import __version__
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "counterspin"
@@ -147,6 +148,26 @@ def test_a_second_list_of_coefficients_would_be_found():
     assert lists_of_terms("x = [('K_F', 'g'), ('K_I', 'g/g'), ('platform.drift.up', 'rad/s')]")
     assert lists_of_terms("x: Literal['K_F', 'K_I', 'K_II']")
     assert not lists_of_terms("x = ('K_F', 'K_II')")
+
+
+# Tests
+
+
+TESTS = [path.relative_to(ROOT / "tests") for path in sorted((ROOT / "tests").rglob("test_*.py"))]
+
+#: Tests of what is no module: the documentation, the house, the interface, published sources.
+OF_NO_MODULE = re.compile(r"test_(docs\w*|house|python)\.py|published/test_\w+\.py")
+
+
+@pytest.mark.parametrize("test", TESTS, ids=lambda path: path.as_posix())
+def test_tests_mirror_the_package(test):
+    """tests/ROOM/test_MODULE.py or test_MODULE_ASPECT.py; test_ROOM.py is of the whole room."""
+    if OF_NO_MODULE.fullmatch(test.as_posix()):
+        return
+    room = PACKAGE / test.parent
+    subject = test.stem.removeprefix("test_")
+    modules = {path.stem for path in room.glob("[a-z]*.py")} | {room.name}
+    assert any(subject == module or subject.startswith(f"{module}_") for module in modules)
 
 
 # Words

@@ -100,7 +100,6 @@ if TYPE_CHECKING:
     from counterspin.inference.two_stage.strobes import by_angle as strobes_by_angle  # noqa: F401
     from counterspin.inference.two_stage.strobes import by_nominal_rate as strobes_by_nominal_rate  # noqa: F401
     from counterspin.inference.two_stage.strobes import strobe_angle as strobe_angle
-    from counterspin.physics.accelerometer import PLATFORM_TERMS as PLATFORM_TERMS
     from counterspin.physics.accelerometer import QX as QX
     from counterspin.physics.accelerometer import QY as QY
     from counterspin.physics.accelerometer import QZ as QZ
@@ -111,6 +110,7 @@ if TYPE_CHECKING:
     from counterspin.physics.motion import Trajectory as Trajectory
     from counterspin.physics.observation import columns as columns
     from counterspin.physics.observation import reference as reference
+    from counterspin.physics.shared_terms import PLATFORM_TERMS as PLATFORM_TERMS
     from counterspin.physics.spindle import Ripple as Ripple
     from counterspin.physics.spindle import Spindle as Spindle
     from counterspin.physics.spindle import fit_spindle as fit_spindle
@@ -152,17 +152,10 @@ _OFFERED = {
     "inference.two_stage.strobes": ("by_angle", "by_nominal_rate", "strobe_angle"),
     "inference.two_stage.request": ("TwoStageRequest",),
     "inference.two_stage.second_stage": ("SecondStage", "StrobedRun", "second_stage"),
-    "physics.accelerometer": (
-        "PLATFORM_TERMS",
-        "QX",
-        "QY",
-        "QZ",
-        "TERMS",
-        "Mounting",
-        "indicated",
-    ),
+    "physics.accelerometer": ("QX", "QY", "QZ", "TERMS", "Mounting", "indicated"),
     "physics.motion": ("Site", "Trajectory"),
     "physics.observation": ("columns", "reference"),
+    "physics.shared_terms": ("PLATFORM_TERMS",),
     "physics.spindle": ("Ripple", "Spindle", "fit_spindle"),
     "calibration.pages.publishing": ("write_report",),
     "calibration.pages.terminal": ("print_result",),

@@ -1,11 +1,13 @@
 """Small campaigns for the tests of commands, written and read back as a user would."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 from counterspin.campaign.description import read_campaign
 
-SMALL = """
+#: Where a campaign takes place, on what, and the columns of its records.
+PLACE = """
 schema = 1
 
 [site]
@@ -18,37 +20,34 @@ radius = "2.5 m"
 [records]
 time = { column = "time_s", unit = "s" }
 angle = { column = "angle_rad", unit = "rad" }
+"""
 
+
+def runs(*names: str, rates: Sequence[str] = ("0.25 rev/s", "0.5 rev/s", "1 rev/s")) -> str:
+    """Return [[runs]] of these names and rates, each with a record of its own name."""
+    return "".join(
+        f'\n[[runs]]\nname = "{name}"\nrate = "{rate}"\nrecord = "{name}.csv"\n'
+        for name, rate in zip(names, rates, strict=True)
+    )
+
+
+SMALL = f"""{PLACE}
 [accelerometers.Qx]
 input_axis = "east"
 pendulous_axis = "down"
 scale_factor = "1.002 g/g"
-displacement = { column = "east_m", unit = "m" }
+displacement = {{ column = "east_m", unit = "m" }}
 
 [accelerometers.Qy]
 input_axis = "north"
 pendulous_axis = "down"
 scale_factor = "0.999 g/g"
-displacement = { column = "north_m", unit = "m" }
+displacement = {{ column = "north_m", unit = "m" }}
 
 [noise]
 displacement = "0.01 m"
 
-[[runs]]
-name = "slow"
-rate = "0.25 rev/s"
-record = "slow.csv"
-
-[[runs]]
-name = "middle"
-rate = "0.5 rev/s"
-record = "middle.csv"
-
-[[runs]]
-name = "fast"
-rate = "1 rev/s"
-record = "fast.csv"
-
+{runs("slow", "middle", "fast")}
 [simulation]
 sampling_rate = "20 Hz"
 seed = 1
@@ -69,7 +68,7 @@ K_II = "-3.2e-5 g/g^2"
 
 [truth.spindle]
 drift = "1e-6 1/s"
-ripple = [{ harmonic = 1, ratio = 1e-5, phase = "30 deg" }]
+ripple = [{{ harmonic = 1, ratio = 1e-5, phase = "30 deg" }}]
 
 [truth.noise]
 displacement = "0.01 m"

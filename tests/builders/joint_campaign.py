@@ -8,9 +8,10 @@ import numpy as np
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics import simulation
-from counterspin.physics.accelerometer import DEGREE_PER_HOUR, QX, QY, term
+from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import LEVEL, ORDERS, reference
+from counterspin.physics.shared_terms import DEGREE_PER_HOUR, term
 from counterspin.physics.spindle import Spindle
 
 SITE = Site(9.8066, math.radians(45.75))

@@ -10,8 +10,9 @@ from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
-from counterspin.physics.accelerometer import DEGREE_PER_HOUR, QX, QY, TERMS, term
+from counterspin.physics.accelerometer import QX, QY, TERMS
 from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.shared_terms import DEGREE_PER_HOUR, term
 from counterspin.physics.spindle import Spindle
 from counterspin.planning.experimental_setup import PlannedInstrument, Setup
 

@@ -9,6 +9,7 @@ import shutil
 import numpy as np
 import polars as pl
 import pytest
+from campaigns import PLACE, runs
 from scipy.special import stdtrit
 
 from counterspin.calibration.calibrate import calibrate
@@ -19,42 +20,22 @@ from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
 from counterspin.errors import CampaignError, ConvergenceError
 
-BASE = """
-schema = 1
-[site]
-gravity = "9.8066 m/s^2"
-latitude = "45.75 deg"
-[centrifuge]
-radius = "2.5 m"
-[records]
-time = { column = "time_s", unit = "s" }
-angle = { column = "angle_rad", unit = "rad" }
+BASE = f"""{PLACE}
 [accelerometers.Qx]
 input_axis = "east"
 pendulous_axis = "down"
 bias = "0.00503 ± 2e-6 g"
 scale_factor = "1.00197 ± 5e-6 g/g"
-displacement = { column = "east_m", unit = "m" }
+displacement = {{ column = "east_m", unit = "m" }}
 [accelerometers.Qy]
 input_axis = "north"
 pendulous_axis = "down"
-displacement = { column = "north_m", unit = "m" }
+displacement = {{ column = "north_m", unit = "m" }}
 [noise]
 displacement = "0.01 m"
 [model]
 terms = ["K_F", "K_I", "K_II", "K_III"]
-[[runs]]
-name = "run1"
-rate = "90 deg/s"
-record = "run1.csv"
-[[runs]]
-name = "run2"
-rate = "180 deg/s"
-record = "run2.csv"
-[[runs]]
-name = "run3"
-rate = "360 deg/s"
-record = "run3.csv"
+{runs("run1", "run2", "run3", rates=("90 deg/s", "180 deg/s", "360 deg/s"))}
 [simulation]
 sampling_rate = "20 Hz"
 seed = 7
@@ -73,7 +54,7 @@ K_II = "-3.3e-5 g/g^2"
 [truth.spindle]
 drift = "1e-6 1/s"
 start_angle = "0.4 rad"
-ripple = [{ harmonic = 1, ratio = 5e-7, phase = "30 deg" }]
+ripple = [{{ harmonic = 1, ratio = 5e-7, phase = "30 deg" }}]
 [truth.noise]
 displacement = "0.01 m"
 angle = "1e-6 rad"

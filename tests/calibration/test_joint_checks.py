@@ -10,7 +10,7 @@ from counterspin.calibration.joint_checks import hidden_walk, unseen_ripple
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.inference.joint.unknowns import Unknown
-from counterspin.physics.accelerometer import DEGREE_PER_HOUR
+from counterspin.physics.shared_terms import DEGREE_PER_HOUR
 
 
 def view(fit: SimpleNamespace, campaign: SimpleNamespace | None = None) -> AccelerometerView:

@@ -5,32 +5,28 @@ import sys
 
 import numpy as np
 import pytest
+from campaigns import PLACE, changed
 
 from counterspin.campaign.description import DEFAULT_TERMS, read_campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
-from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, TERMS, term
+from counterspin.physics.accelerometer import QX, QY, TERMS
 from counterspin.physics.motion import Site
+from counterspin.physics.shared_terms import PLATFORM_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
 
-BASE = """
-schema = 1
-
-[campaign]
-title = "Test"
-
-[site]
-gravity = "9.8 ± 1e-5 m/s^2"
-latitude = "45 deg"
-
-[centrifuge]
-radius = "2.5 ± 1e-5 m"
-
-[records]
-time = { column = "time_s", unit = "ms" }
-angle = { column = "angle", unit = "deg" }
-
+BASE = (
+    changed(
+        PLACE,
+        ("[site]", '[campaign]\ntitle = "Test"\n\n[site]'),
+        ('"9.8066 m/s^2"', '"9.8 ± 1e-5 m/s^2"'),
+        ('"45.75 deg"', '"45 deg"'),
+        ('"2.5 m"', '"2.5 ± 1e-5 m"'),
+        ('unit = "s"', 'unit = "ms"'),
+        ('"angle_rad", unit = "rad"', '"angle", unit = "deg"'),
+    )
+    + """
 [accelerometers.Qx]
 input_axis = "east"
 pendulous_axis = "down"
@@ -65,6 +61,7 @@ name = "run2"
 rate = "-180 deg/s"
 record = "run2.parquet"
 """
+)
 
 
 def write(folder, text):

@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from counterspin.campaign.quantity import ADVICE, UNITS, Quantity, parse, unit_factor
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 G = 9.8066
 UNCERTAINTY = st.one_of(st.just(0.0), st.floats(min_value=1e-50, max_value=1e50))

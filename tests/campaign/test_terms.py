@@ -6,8 +6,10 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import ModelSettings
 from counterspin.campaign.terms import BARE_NAMES, acts, resolve_model
-from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, QZ, Mounting
+from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting
 from counterspin.physics.motion import Site
+from counterspin.physics.observation import parabola
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 LEVEL = np.eye(3)
 OBLIQUE = Mounting.from_axes([1.0, 1.0, 0.0], "down")
@@ -33,11 +35,11 @@ def expanded(bare, mountings, attitudes=(LEVEL,)):
 @pytest.mark.parametrize(
     ("mountings", "tilt", "azimuth"),
     [
-        ({"Qx": QX}, "north", "zx"),
-        ({"Qy": QY}, "east", "zy"),
-        ({"Qx": QX, "Qy": QY}, "east north", "zx zy"),
-        ({"Q": OBLIQUE}, "east north", "zx zy"),
-        ({"Qx": QX, "Qz": QZ}, "north", "zx"),
+        ({"Qx": QX}, "north", "yy zx"),
+        ({"Qy": QY}, "east", "xy zy"),
+        ({"Qx": QX, "Qy": QY}, "east north", "xy yy zx zy"),
+        ({"Q": OBLIQUE}, "east north", "xy yy zx zy"),
+        ({"Qx": QX, "Qz": QZ}, "north", "yy zx"),
     ],
 )
 def test_bare_names_mean_the_components_that_act(mountings, tilt, azimuth):
@@ -58,7 +60,7 @@ def test_gyro_terms_turn_with_the_platform():
     turned = attitude_rows("90 deg about east")
     assert expanded("platform.tilt", {"Qx": QX}, [turned]) == "north"
     assert expanded("platform.drift", {"Qx": QX}, [turned]) == "up"
-    assert expanded("platform.g_sensitivity", {"Qx": QX}, [turned]) == "yx"
+    assert expanded("platform.g_sensitivity", {"Qx": QX}, [turned]) == "yx zz"
     assert expanded("platform.drift", {"Qx": QX}, [LEVEL, turned]) == "north up"
 
 
@@ -133,3 +135,39 @@ def test_terms_must_name_an_accelerometer_coefficient():
 
 def test_every_platform_term_has_a_bare_name():
     assert {row.symbol for rows in BARE_NAMES.values() for row in rows} == set(PLATFORM_TERMS)
+
+
+def test_a_sensitivity_that_acts_leaves_a_mean_at_some_start_angle():
+    """Against the closed form, which has start angle zero, and its quarter turn."""
+    quarter = Mounting.from_axes("south", "down"), Mounting.from_axes("east", "down")
+    for row in BARE_NAMES["platform.g_sensitivity"]:
+        for mounting, turned in zip((QX, QY), quarter, strict=True):
+            # A quarter turn about up takes x to y: the same machine from another start angle.
+            means = [
+                parabola(symbol, axes, 1.7, 2.5, 9.8)
+                for symbol, axes in ((row.symbol, mounting), (_quarter(row.symbol), turned))
+            ]
+            assert acts(row, mounting, LEVEL) == any(abs(mean) > 1e-9 for mean in means)
+            assert acts(row, mounting, LEVEL, np.array([0.0, 1.0, 0.0])) == (abs(means[0]) > 1e-9)
+
+
+def _quarter(symbol):
+    family, _, pair = symbol.rpartition(".")
+    return f"{family}.{pair.translate(str.maketrans('xy', 'yx'))}"
+
+
+def test_typical_sizes_may_be_changed():
+    model, _, problems = resolve(
+        {"Qx": QX},
+        terms=["K_II"],
+        typical={
+            "platform": {"tilt": "2 arcsec"},
+            "K_OO": "1e-7 g/g^2",
+            "platform.tilt.up": "1 deg",
+        },
+    )
+    assert problems == []
+    assert model.typical["K_OO"] == 1e-7
+    assert model.typical["platform.tilt.north"] == pytest.approx(2 * ARCSEC, rel=1e-14)
+    assert model.typical["platform.tilt.up"] == pytest.approx(np.radians(1.0), rel=1e-14)
+    assert model.typical["K_PP"] == TERMS["K_PP"].typical < TERMS["K_PP"].limit

@@ -8,9 +8,10 @@ import pytest
 from counterspin.inference.blocks import reduce_block
 from counterspin.inference.identifiability import assess
 from counterspin.inference.least_squares import solve
-from counterspin.physics.accelerometer import QX, QY, term
+from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import columns as exact_columns
+from counterspin.physics.shared_terms import term
 from counterspin.physics.spindle import Spindle
 
 GRAVITY, RADIUS, SIGMA = 9.8066, 2.5, 0.01

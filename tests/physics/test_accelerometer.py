@@ -9,20 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from counterspin.physics.accelerometer import (
-    DEGREE_PER_HOUR,
     DIRECTIONS,
-    PLATFORM_TERMS,
     QX,
     QY,
     QZ,
     TERMS,
     Mounting,
-    PlatformTerm,
     Term,
     direction,
     indicated,
-    term,
 )
+from counterspin.physics.shared_terms import DEGREE_PER_HOUR, PLATFORM_TERMS, PlatformTerm, term
 
 SETTINGS = settings(deadline=None, derandomize=True, max_examples=60)
 

@@ -17,9 +17,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, QZ, TERMS, Mounting, indicated
+from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting, indicated
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns, reference
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.physics.spindle import Ripple, Spindle
 
 FOLDER = Path(__file__).parents[1] / "reference"

@@ -7,6 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from campaigns import PLACE, changed, without
 
 from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
@@ -82,13 +83,15 @@ PLANS = {
 
 #: Two accelerometers of different records, an attitude without a name, spin-up, both senses,
 #: uncertain inputs, a considered term, a random walk.
-EVERYTHING = """
-schema = 1
-[site]
-gravity = "9.8066 ± 1e-4 m/s^2"
-latitude = "45.75 ± 0.01 deg"
-[centrifuge]
-radius = "2.5 ± 1e-4 m"
+UNCERTAIN_PLACE = changed(
+    without(PLACE, "records"),
+    ('"9.8066 m/s^2"', '"9.8066 ± 1e-4 m/s^2"'),
+    ('"45.75 deg"', '"45.75 ± 0.01 deg"'),
+    ('"2.5 m"', '"2.5 ± 1e-4 m"'),
+)
+EVERYTHING = (
+    UNCERTAIN_PLACE
+    + """
 [accelerometers.Qx]
 input_axis = "east"
 pendulous_axis = "down"
@@ -126,6 +129,7 @@ attitude_change = "30 s"
 [goal]
 minimise = ["K_II"]
 """
+)
 
 
 def test_calibration_says_what_a_plan_with_everything_has_promised(tmp_path):

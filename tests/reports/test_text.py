@@ -28,7 +28,8 @@ from counterspin.calibration.result_parts import (
     RippleResult,
     RunResult,
 )
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.reports.numbers import NOT_DETERMINED
 from counterspin.reports.text import report_console
 

@@ -40,7 +40,8 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown
-from counterspin.physics.accelerometer import DEGREE_PER_HOUR, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import DEGREE_PER_HOUR
 
 #: Drift (deg/h) times time squared (s^2) at which first order in the attitude errs by 0.01 m.
 _FIRST_ORDER_LIMIT: Final = 0.2 * 400.0**2

@@ -24,7 +24,7 @@ from counterspin.calibration.result_parts import Comparison, Finding, Jackknife,
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.omitted_terms import sensitivities
-from counterspin.physics.accelerometer import term
+from counterspin.physics.shared_terms import term
 
 #: Share of u^2 from which noise that the records do not show is spoken of.
 _HIDDEN_SHARE: Final = 0.5

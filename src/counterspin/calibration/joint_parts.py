@@ -25,7 +25,8 @@ from counterspin.inference.joint.budget import ENCODER, NOISE, UNSEEN, Line, bud
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.unknowns import ROTATION
-from counterspin.physics.accelerometer import TERMS, term
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import term
 
 _UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True)) | {
     "centrifuge.radius": "m",

@@ -23,7 +23,8 @@ from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.physics import observation
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS, term
 
 #: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
 _ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)

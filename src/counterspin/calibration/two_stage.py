@@ -27,7 +27,7 @@ from counterspin.calibration.two_stage_findings import (
     asked_only,
     confounded,
     findings,
-    omitted_terms,
+    left_out,
     unmodelled,
 )
 from counterspin.calibration.two_stage_request import request_of
@@ -36,7 +36,8 @@ from counterspin.inference.two_stage import strobes as strobing
 from counterspin.inference.two_stage.first_stage import Parabola, first_stage
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
-from counterspin.physics.accelerometer import TERMS, term
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import term
 
 
 @dataclass(frozen=True)
@@ -92,7 +93,7 @@ def two_stage(
         confounded=confounded(second, unknowns),
         residual=_residual(parabolas, walk),
         noise=_noise_lines(parabolas, walk),
-        left_out=omitted_terms(second) if options.model == "exact" else {},
+        left_out=left_out(second) if options.model == "exact" else {},
         findings=findings(campaign, accelerometer.name, runs, second, coefficients, options.model),
         **described(accelerometer, coefficients),
     )

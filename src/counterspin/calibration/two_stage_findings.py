@@ -1,7 +1,7 @@
 """What a two-stage result must say beside its numbers: what they stand for, what they leave out.
 
 - `unmodelled`, `asked_only`: terms of which nothing is known
-- `confounded`, `omitted_terms`: what these would do
+- `confounded`, `left_out`: what these would do
 - `findings`: what speaks against it
 """
 
@@ -23,10 +23,11 @@ from counterspin.calibration.result_parts import (
 from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.inference.identifiability import assess
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
-from counterspin.physics.accelerometer import TERMS, term
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import term
 
 #: Below this probability a misfit is no accident.
-_SMALLEST_P: Final = 0.001
+_SUSPICIOUS: Final = 0.001
 
 
 def asked_only(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, ...]:
@@ -41,7 +42,7 @@ def unmodelled(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, .
     return tuple(dict.fromkeys([*asked_only(campaign, accelerometer), *others]))
 
 
-def omitted_terms(second: SecondStage) -> dict[str, OmittedTerm]:
+def left_out(second: SecondStage) -> dict[str, OmittedTerm]:
     """Return what the terms would move K_II by of which nothing is known."""
     return {
         symbol: OmittedTerm(sensitivity=float(second.shift(symbol)[0]), unit=term(symbol).unit)
@@ -179,7 +180,7 @@ def _misfit(name: str, runs: Sequence[StrobedRun], second: SecondStage) -> list[
     if dof < 1 or not second.weighted or solution.chi2 <= 0.0:
         return []
     probability = float(chdtrc(dof, solution.chi2))
-    if probability > _SMALLEST_P:
+    if probability > _SUSPICIOUS:
         return []
     worst = runs[int(np.argmax(np.abs(second.misfit)))].name
     size = equivalent_deviations(probability)

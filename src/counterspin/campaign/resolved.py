@@ -124,12 +124,15 @@ class ErrorModel:
         in `Accelerometer.priors`.
     limits
         Every symbol of the term tables -> its largest credible size, in the table's unit.
+    typical
+        Likewise -> the standard uncertainty to assume of a term that the model leaves out.
     """
 
     terms: tuple[str, ...]
     considered: tuple[str, ...]
     priors: Mapping[str, Quantity]
     limits: Mapping[str, float]
+    typical: Mapping[str, float]
 
 
 @dataclass(frozen=True)

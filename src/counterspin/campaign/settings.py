@@ -27,7 +27,8 @@ from pydantic import (
 
 from counterspin.campaign.attitude import attitude_rows, read_direction
 from counterspin.campaign.quantity import Quantity, parse, unit_factor
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 #: Ending of a record file -> its format.
 RECORD_FORMATS: Final = {
@@ -304,6 +305,7 @@ class ModelSettings(SettingsSection):
     considered: list[Text] = []
     priors: dict[str, Any] = {}
     limits: dict[str, Any] = {}
+    typical: dict[str, Any] = {}
 
 
 class RippleSettings(SettingsSection):

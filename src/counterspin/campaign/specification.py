@@ -21,7 +21,8 @@ from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import SettingsSection, exact
 from counterspin.inference.conformity import DecisionRule, RuleName
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 _FORMS: Final = '"abs <= A UNIT", "<= A UNIT", ">= A UNIT", "A to B UNIT" or "V ± T UNIT"'
 

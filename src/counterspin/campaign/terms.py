@@ -1,16 +1,18 @@
 """The error terms of a campaign's model: [model] against the term tables.
 
 A bare platform name means the components that act on the campaign's accelerometers to first
-order, in any of the runs' attitudes:
+order, in any of the runs' attitudes, with the paper's start angle of zero:
 
 - tilt or drift about the axis e: where (e x up) has a part along the input axis, so that gravity
   leaks in;
-- g-sensitivity: that of the azimuth gyro to force along a horizontal input axis.
+- g-sensitivity: that of the azimuth gyro to force along a horizontal input axis, and that of a
+  gyro whose drift acts to force along the velocity at the start, which stays behind as a tilt.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from itertools import product
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +22,8 @@ from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.resolved import ErrorModel
 from counterspin.campaign.settings import ModelSettings, exact
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, Mounting, PlatformTerm, term
+from counterspin.physics.accelerometer import TERMS, Mounting
+from counterspin.physics.shared_terms import PLATFORM_TERMS, PlatformTerm, term
 
 #: The model of a campaign without [model] terms: the paper's.
 DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
@@ -31,13 +34,16 @@ BARE_NAMES: Final[Mapping[str, tuple[PlatformTerm, ...]]] = {
     for kind in dict.fromkeys(row.kind for row in PLATFORM_TERMS.values())
 }
 
+_NORTH: Final = np.array([0.0, 1.0, 0.0])
 _UP: Final = np.array([0.0, 0.0, 1.0])
 _COMPONENT_ROUNDING: Final = (
     1e-9  #: of a unit vector; above roundoff, below any angle of a mounting
 )
 
 
-def acts(row: PlatformTerm, mounting: Mounting, attitude: Array) -> bool:
+def acts(
+    row: PlatformTerm, mounting: Mounting, attitude: Array, start: Array | None = None
+) -> bool:
     """Return whether a platform term reaches an accelerometer to first order.
 
     Parameters
@@ -48,15 +54,42 @@ def acts(row: PlatformTerm, mounting: Mounting, attitude: Array) -> bool:
         The accelerometer's axes while the platform is level.
     attitude
         Rows: where the platform's axes point in the run, shape (3, 3).
+    start
+        Direction in which the platform moves at t = 0, shape (3,); None: any level direction.
     """
     input_axis = mounting.turned(attitude).input_axis
     # Tilts are about geographic axes, gyro errors about the platform's own.
     axis = np.eye(3)[row.axis] if row.kind == "tilt" else attitude[row.axis]
+    leaning = abs(float(np.cross(axis, _UP) @ input_axis))
     if row.force_axis is None:
-        return abs(float(np.cross(axis, _UP) @ input_axis)) > _COMPONENT_ROUNDING
+        return leaning > _COMPONENT_ROUNDING
     horizontal = float(np.linalg.norm(input_axis[:2]))
     along_input = abs(float(mounting.input_axis[row.force_axis]))
-    return min(abs(float(axis @ _UP)), horizontal, along_input) > _COMPONENT_ROUNDING
+    turning = min(abs(float(axis @ _UP)), horizontal, along_input)
+    # The vertical force is steady, so that a gyro's sensitivity to it is a drift.
+    force = attitude[row.force_axis]
+    moving = float(np.linalg.norm(force[:2])) if start is None else abs(float(force @ start))
+    return max(turning, min(leaning, moving)) > _COMPONENT_ROUNDING
+
+
+def rows_of(
+    name: str, mountings: Iterable[Mounting], attitudes: Iterable[Array]
+) -> tuple[PlatformTerm, ...]:
+    """Return what a bare name stands for: the components that act on any accelerometer.
+
+    Parameters
+    ----------
+    name
+        A key of `BARE_NAMES`.
+    mountings, attitudes
+        Of the campaign's accelerometers and runs.
+    """
+    pairs = list(product(mountings, attitudes))
+    return tuple(
+        row
+        for row in BARE_NAMES[name]
+        if any(acts(row, mounting, attitude, _NORTH) for mounting, attitude in pairs)
+    )
 
 
 def resolve_model(
@@ -68,7 +101,7 @@ def resolve_model(
     problems: Problems,
     gravity: float | None,
 ) -> tuple[ErrorModel, dict[str, dict[str, Quantity]]]:
-    """Resolve names, priors and limits of [model].
+    """Resolve names, priors and sizes of [model].
 
     Parameters
     ----------
@@ -110,8 +143,9 @@ def resolve_model(
     used = {*terms, *considered}
     platform, accelerometers = _resolve_priors(settings.priors, given, used, problems, gravity)
     _require_priors(considered, platform, accelerometers, problems)
-    limits = _resolve_limits(settings.limits, problems, gravity)
-    return ErrorModel(terms, considered, platform, limits), accelerometers
+    limits = _resolve_sizes("limits", settings.limits, problems, gravity)
+    typical = _resolve_sizes("typical", settings.typical, problems, gravity)
+    return ErrorModel(terms, considered, platform, limits, typical), accelerometers
 
 
 def _expand(
@@ -126,11 +160,7 @@ def _expand(
     if name not in BARE_NAMES:
         _unknown(name, path, problems)
         return ()
-    symbols = tuple(
-        row.symbol
-        for row in BARE_NAMES[name]
-        if any(acts(row, m, a) for m in mountings.values() for a in attitudes)
-    )
+    symbols = tuple(row.symbol for row in rows_of(name, mountings.values(), attitudes))
     if not symbols and mountings and attitudes:
         problems.add(
             path,
@@ -243,19 +273,24 @@ def _require_priors(
             )
 
 
-def _resolve_limits(
-    raw: Mapping[str, Any], problems: Problems, gravity: float | None
+def _resolve_sizes(
+    kind: str, raw: Mapping[str, Any], problems: Problems, gravity: float | None
 ) -> dict[str, float]:
-    limits = {symbol: term(symbol).limit for symbol in (*TERMS, *PLATFORM_TERMS)}
+    """Return every term's largest credible size (``limits``) or its ``typical`` one."""
+    attribute = {"limits": "limit", "typical": "typical"}[kind]
+    sizes = {
+        symbol: float(getattr(row, attribute))
+        for symbol, row in {**TERMS, **PLATFORM_TERMS}.items()
+    }
     for key, text in sorted(_flat(raw).items(), key=lambda item: item[0] not in BARE_NAMES):
-        path = ("model", "limits", key)
+        path = ("model", kind, key)
         symbols = [row.symbol for row in BARE_NAMES.get(key, ())] or [key]
-        if symbols[0] not in limits:
+        if symbols[0] not in sizes:
             _unknown(key, path, problems)
             continue
         size = problems.attempt(path, exact, text, term(symbols[0]).unit, gravity)
         if size is not None and size <= 0.0:
             problems.add(path, "must be greater than zero")
         elif size is not None:
-            limits |= dict.fromkeys(symbols, size)
-    return limits
+            sizes |= dict.fromkeys(symbols, size)
+    return sizes

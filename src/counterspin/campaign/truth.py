@@ -31,7 +31,8 @@ from counterspin.campaign.settings import (
     SimulationSettings,
     SpindleTruthSettings,
 )
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
 
 #: Tables of [truth] that are not accelerometers, and so no names for one.

@@ -28,7 +28,7 @@ from counterspin.certificates.lab import Lab
 from counterspin.certificates.statements import quantity_id
 from counterspin.certificates.units import SiUnit, si_unit, to_si
 from counterspin.inference.conformity import COVERAGE
-from counterspin.physics.accelerometer import PLATFORM_TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 
 def measurement_results(lab: Lab, result: Result) -> Element:

@@ -26,7 +26,8 @@ from counterspin.histories.result import (
     Verdict,
 )
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 _YEAR: Final = timedelta(days=365.25)
 

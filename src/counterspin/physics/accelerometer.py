@@ -1,14 +1,14 @@
 """The accelerometer: its axes, its error model and **the** table of terms (Eq. 7-9).
 
 Every coefficient that counterspin knows is one row of `TERMS` (the accelerometer's own) or of
-`PLATFORM_TERMS` (the platform's that carries it). Simulation, design matrices, budgets, reports
-and documentation all read these two tables; there is no other list of coefficients.
+`counterspin.physics.shared_terms` (of what carries it). Simulation, design matrices, budgets,
+reports and documentation all read these tables; there is no other list of coefficients.
 
 Accelerometer coefficients are in g-units (g, g/g, g/g^2, ...), g being the site's own gravity.
 Eq. 7 does not divide by the scale factor K_I; IEEE Std 1293 factors it out, so that the paper's
 K_II is K1 x K2 there, and likewise for the other terms.
 
-- `Term`, `PlatformTerm`, `TERMS`, `PLATFORM_TERMS`, `term`: the tables
+- `Term`, `TERMS`: the table
 - `Mounting`, `direction`, `QX`, `QY`, `QZ`: where the axes point
 - `indicated`: the error model itself, Eq. 7
 """
@@ -24,8 +24,6 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-
-DEGREE_PER_HOUR: Final = math.radians(1.0) / 3600.0  #: rad/s
 
 
 @dataclass(frozen=True)
@@ -45,6 +43,9 @@ class Term:
     limit
         The largest credible size (g-units). A standard uncertainty that is not below it says
         that the data do not determine the coefficient.
+    typical
+        Standard uncertainty to assume where nothing is known of it (g-units): the order of
+        magnitude that is left in navigation-grade instruments after compensation.
     nominal
         The value of a perfect accelerometer.
     sign
@@ -56,6 +57,7 @@ class Term:
     words: str
     ieee: str
     limit: float
+    typical: float
     nominal: float = 0.0
     sign: float = 1.0
 
@@ -133,119 +135,31 @@ def _component(a_ipo: Array, factor: str) -> Array:
     return along
 
 
-@dataclass(frozen=True)
-class PlatformTerm:
-    """One error term of the platform: it turns the attitude and so every accelerometer's axes.
-
-    The small attitude error psi (rad) obeys d(psi)/dt = drift + D f/g and starts at the tilt;
-    the platform then senses f - psi x f. Tilts are about the geographic axes of a run; drift and
-    g-sensitivity belong to the gyros and are about the platform's own axes x, y, z, which point
-    east, north, up in the level attitude.
-
-    Attributes
-    ----------
-    symbol
-        Such as ``platform.tilt.north`` or ``platform.g_sensitivity.zx`` (gyro axis, force axis).
-    kind
-        ``tilt``, ``drift`` or ``g_sensitivity``.
-    axis
-        The axis about which the attitude turns: 0 east (x), 1 north (y), 2 up (z).
-    force_axis
-        For g-sensitivity the axis of the force, else None.
-    unit, limit
-        SI unit and the largest credible size in it.
-    words
-        What it is called.
-    """
-
-    symbol: str
-    kind: str
-    axis: int
-    force_axis: int | None
-    unit: str
-    limit: float
-    words: str
-
-    nominal = 0.0
-
-    @property
-    def per_run(self) -> bool:
-        """Whether every run has a value of its own (the tilt, set anew at each alignment)."""
-        return self.kind == "tilt"
-
-
 TERMS: Final[Mapping[str, Term]] = {
     row.symbol: row
     for row in (
-        Term("K_F", (), "bias", "K0", 0.1),
-        Term("K_I", ("I",), "scale factor", "K1", 0.1, nominal=1.0),
-        Term("K_II", ("I", "I"), "second-order coefficient", "K2", 1e-4),
-        Term("K_III", ("I", "I", "I"), "third-order coefficient", "K3", 1e-4),
-        Term("K_IP", ("I", "P"), "cross-coupling of input and pendulous axes", "Kip", 1e-4),
-        Term("K_IO", ("I", "O"), "cross-coupling of input and output axes", "Kio", 1e-4),
-        Term("K_PO", ("P", "O"), "cross-coupling of pendulous and output axes", "Kpo", 1e-4),
-        Term("K_PP", ("P", "P"), "second-order pendulous-axis coefficient", "Kpp", 1e-4),
-        Term("K_OO", ("O", "O"), "second-order output-axis coefficient", "Koo", 1e-4),
-        Term("K_OQ", ("I", "|I|"), "odd second-order coefficient", "Koq", 1e-4),
-        Term("delta_O", ("P",), "misalignment about the output axis", "delta_o", 1e-2),
+        Term("K_F", (), "bias", "K0", 0.1, 1e-4),
+        Term("K_I", ("I",), "scale factor", "K1", 0.1, 1e-4, nominal=1.0),
+        Term("K_II", ("I", "I"), "second-order coefficient", "K2", 1e-4, 1e-5),
+        Term("K_III", ("I", "I", "I"), "third-order coefficient", "K3", 1e-4, 1e-6),
+        Term("K_IP", ("I", "P"), "cross-coupling of input and pendulous axes", "Kip", 1e-4, 2e-6),
+        Term("K_IO", ("I", "O"), "cross-coupling of input and output axes", "Kio", 1e-4, 2e-6),
+        Term("K_PO", ("P", "O"), "cross-coupling of pendulous and output axes", "Kpo", 1e-4, 2e-6),
+        Term("K_PP", ("P", "P"), "second-order pendulous-axis coefficient", "Kpp", 1e-4, 2e-6),
+        Term("K_OO", ("O", "O"), "second-order output-axis coefficient", "Koo", 1e-4, 2e-6),
+        Term("K_OQ", ("I", "|I|"), "odd second-order coefficient", "Koq", 1e-4, 1e-6),
+        Term("delta_O", ("P",), "misalignment about the output axis", "delta_o", 1e-2, 5e-5),
         Term(
-            "delta_P", ("O",), "misalignment about the pendulous axis", "delta_p", 1e-2, sign=-1.0
+            "delta_P",
+            ("O",),
+            "misalignment about the pendulous axis",
+            "delta_p",
+            1e-2,
+            5e-5,
+            sign=-1.0,
         ),
     )
 }
-
-_NAMES: Final = ("east", "north", "up")
-
-PLATFORM_TERMS: Final[Mapping[str, PlatformTerm]] = {
-    row.symbol: row
-    for row in (
-        *(
-            PlatformTerm(f"platform.tilt.{n}", "tilt", i, None, "rad", 1e-2, f"tilt about {n}")
-            for i, n in enumerate(_NAMES)
-        ),
-        *(
-            PlatformTerm(
-                f"platform.drift.{n}",
-                "drift",
-                i,
-                None,
-                "rad/s",
-                10.0 * DEGREE_PER_HOUR,
-                f"gyro drift about {n}",
-            )
-            for i, n in enumerate(_NAMES)
-        ),
-        *(
-            PlatformTerm(
-                f"platform.g_sensitivity.{'xyz'[i]}{'xyz'[j]}",
-                "g_sensitivity",
-                i,
-                j,
-                "rad/s/g",
-                10.0 * DEGREE_PER_HOUR,
-                f"g-sensitivity of the {'xyz'[i]} gyro to force along {'xyz'[j]}",
-            )
-            for i in range(3)
-            for j in range(3)
-        ),
-    )
-}
-
-
-def term(symbol: str) -> Term | PlatformTerm:
-    """Return the row of the table with this symbol.
-
-    Raises
-    ------
-    ValueError
-        If there is no such term; the message lists those there are.
-    """
-    row = TERMS.get(symbol) or PLATFORM_TERMS.get(symbol)
-    if row is None:
-        known = ", ".join([*TERMS, *PLATFORM_TERMS])
-        raise ValueError(f"no term is called {symbol!r}; known: {known}")
-    return row
-
 
 DIRECTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
     "east": (1.0, 0.0, 0.0),

@@ -21,8 +21,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.physics import quadrature
-from counterspin.physics.accelerometer import Mounting, PlatformTerm, Term, term
+from counterspin.physics.accelerometer import Mounting, Term
 from counterspin.physics.motion import Motion, Trajectory
+from counterspin.physics.shared_terms import PlatformTerm, term
 
 #: How often each observable integrates the specific force.
 ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}

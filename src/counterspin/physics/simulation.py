@@ -17,8 +17,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.physics import observation, quadrature
-from counterspin.physics.accelerometer import PLATFORM_TERMS, Mounting, indicated
+from counterspin.physics.accelerometer import Mounting, indicated
 from counterspin.physics.motion import Trajectory
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 
 def attitude_error(

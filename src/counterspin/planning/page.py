@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from typing import Final
 
 from counterspin.calibration.result_parts import BudgetLine
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.planning.result import (
     GoalResult,
     PlannedAccelerometer,

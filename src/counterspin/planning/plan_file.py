@@ -25,7 +25,7 @@ from counterspin.campaign.settings import ESTIMATE, OBSERVABLES
 from counterspin.campaign.toml_file import load_document
 from counterspin.errors import CampaignError
 from counterspin.inference.joint.unknowns import Unknown
-from counterspin.physics.accelerometer import term
+from counterspin.physics.shared_terms import term
 from counterspin.planning.design import Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument
 

@@ -32,8 +32,9 @@ from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import NoiseModel, make_whitener
-from counterspin.physics.accelerometer import Term, term
+from counterspin.physics.accelerometer import Term
 from counterspin.physics.motion import Trajectory
+from counterspin.physics.shared_terms import term
 from counterspin.physics.spindle import Spindle
 from counterspin.planning.angle_functions import functions, integration, prefix_factors
 from counterspin.planning.experimental_setup import PlannedInstrument, Setup

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Final
 
-from counterspin.physics.accelerometer import DEGREE_PER_HOUR
+from counterspin.physics.shared_terms import DEGREE_PER_HOUR
 
 NOT_DETERMINED: Final = "not determined"
 

@@ -14,7 +14,7 @@ import numpy as np
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
-from counterspin.physics.accelerometer import term
+from counterspin.physics.shared_terms import term
 from counterspin.studies.analyses import Analysis, JointRequest, analyses_of
 from counterspin.studies.bound import cramer_rao
 from counterspin.studies.description import StudyDescription

@@ -27,11 +27,12 @@ from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import SettingsSection, Text, exact
-from counterspin.campaign.terms import BARE_NAMES, acts
+from counterspin.campaign.terms import BARE_NAMES, rows_of
 from counterspin.campaign.toml_file import description_file, load_document
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, term
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS, term
 from counterspin.studies.draws import OTHERS, RADIUS, Varying
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
@@ -267,11 +268,8 @@ def _names(
         return [("", key)]
     if key in BARE_NAMES:
         mountings = [a.mounting for a in campaign.accelerometers.values()]
-        return [
-            ("", row.symbol)
-            for row in BARE_NAMES[key]
-            if any(acts(row, m, run.attitude) for m in mountings for run in campaign.runs)
-        ]
+        rows = rows_of(key, mountings, [run.attitude for run in campaign.runs])
+        return [("", row.symbol) for row in rows]
     known = [*OTHERS, *TERMS, *BARE_NAMES, *PLATFORM_TERMS]
     hint = did_you_mean(key, known)
     if "known:" in hint:

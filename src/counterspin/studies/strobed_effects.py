@@ -24,8 +24,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
-from counterspin.physics.accelerometer import Mounting, PlatformTerm, Term, term
+from counterspin.physics.accelerometer import Mounting, Term
 from counterspin.physics.motion import Site
+from counterspin.physics.shared_terms import PlatformTerm, term
 from counterspin.physics.spindle import TURN, Spindle
 
 _PANELS: Final = 2
@@ -129,14 +130,14 @@ def effects(
         If the ripple stops the spindle.
     """
     n = drift.size
-    curvatures = np.empty((len(symbols), n))
+    found = np.empty((len(symbols), n))
     size = np.empty(n)
     step = max(1, _AT_ONCE // (motion.angles.size * _X.size))
     for start in range(0, n, step):
         part = slice(start, start + step)
         rotation = _Rotation(motion.spindle, drift[part], ripple_cos[part], ripple_sin[part])
-        curvatures[:, part], size[part] = _effects(motion, symbols, rotation, radius[part])
-    return curvatures, size
+        found[:, part], size[part] = _effects(motion, symbols, rotation, radius[part])
+    return found, size
 
 
 class _Rotation:
@@ -197,10 +198,10 @@ def _effects(
     kernel = moment[:, None] - later[:, None] * (gap[:, None] * _X[:, None])
     weight = (kernel * gap[:, None] * _W[:, None]).reshape(-1, radius.size)
     field = _Force(motion, rotation, radius, times.reshape(-1, radius.size))
-    curvatures = np.empty((len(symbols), radius.size))
+    found = np.empty((len(symbols), radius.size))
     for index, symbol in enumerate(symbols):
-        curvatures[index] = _effect(motion, term(symbol), field, weight, gain)
-    return curvatures, size
+        found[index] = _effect(motion, term(symbol), field, weight, gain)
+    return found, size
 
 
 def _curvature_gain(strobes: Array) -> tuple[Array, Array]:

@@ -24,7 +24,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
-from counterspin.physics.accelerometer import term
+from counterspin.physics.shared_terms import term
 from counterspin.studies.strobed_effects import StrobedMotion, effects
 
 DEGREE: Final = 4
@@ -195,12 +195,12 @@ def _monomials(scaled: Sequence[Array] | Array, powers: Sequence[tuple[int, ...]
 def _products(powers: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, int, int], ...]:
     """Return for each monomial beside the first its place, an earlier one's, and the factor."""
     place = {power: index for index, power in enumerate(powers)}
-    products = []
+    found = []
     for power in sorted(powers, key=sum)[1:]:
         lead = next(i for i, p in enumerate(power) if p)
         lower = tuple(p - (i == lead) for i, p in enumerate(power))
-        products.append((place[power], place[lower], lead))
-    return tuple(products)
+        found.append((place[power], place[lower], lead))
+    return tuple(found)
 
 
 def _exact(

@@ -114,7 +114,7 @@ def test_a_description_is_calibrated_first(tmp_path, capsys):
     [
         (["-o", "{}/report.doc"], 2, "report.doc: name the file .html, .pdf or .md"),
         (["-o", "{}/none/report.md"], 1, "report.md: cannot be written"),
-        (["--date", "yesterday"], 2, "date: 'yesterday' is no date"),
+        (["--date", "yesterday"], 2, "--date: 'yesterday' is no date"),
         (["--date", "9999-12-31T23:59:00-05:00"], 2, "is no date"),
     ],
 )

@@ -8,7 +8,7 @@ from joint_campaign import three_rates, unknowns
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
 from counterspin.inference.joint.omitted_terms import sensitivities
 from counterspin.inference.joint.unknowns import Considered, Unknowns
-from counterspin.physics.accelerometer import DEGREE_PER_HOUR
+from counterspin.physics.shared_terms import DEGREE_PER_HOUR
 
 PLAIN = {"K_F": 0.004, "K_I": 1.001, "K_II": 2e-5}
 NOISE = {"Qx": NoiseRequest(0.01, 0.0)}

@@ -18,8 +18,9 @@ from counterspin.inference.two_stage.second_stage import StrobedRun
 from counterspin.inference.two_stage.second_stage import second_stage as resolved
 from counterspin.inference.two_stage.strobes import Strobes, strobe_angle
 from counterspin.physics import observation, simulation
-from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, TERMS
+from counterspin.physics.accelerometer import QX, QY, TERMS
 from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.physics.spindle import Ripple, Spindle
 
 TRIALS = 20_000 if os.environ.get("COUNTERSPIN_FULL") else 1000

@@ -23,7 +23,8 @@ from counterspin.calibration.result_parts import (
     NoiseLine,
 )
 from counterspin.inference.diagnostics import AGREEMENT
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,

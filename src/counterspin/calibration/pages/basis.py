@@ -13,7 +13,8 @@ from typing import Final
 
 from counterspin.calibration.options import TwoStageOptions, acceptance_words, command_words
 from counterspin.calibration.result import Result
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS, Term
+from counterspin.physics.accelerometer import TERMS, Term
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import format_number
 

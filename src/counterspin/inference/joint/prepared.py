@@ -17,7 +17,8 @@ from counterspin.inference.joint import encoder
 from counterspin.inference.joint.inputs import input_column, rotation_column
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Unknowns
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Final, Literal
 
-from counterspin.physics.accelerometer import TERMS, term
+from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.as_printed import RippleModel
+from counterspin.physics.shared_terms import term
 
 DRIFT: Final = "spindle.drift"  #: second unknown where the nominal angle is the reference, 1/s
 RIPPLE: Final = "spindle.ripple"  #: as printed: w_p sin(phi) in rad/s, or (w_p/w0) sin(phi)

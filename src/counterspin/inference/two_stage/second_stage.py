@@ -31,17 +31,18 @@ from counterspin.inference.blocks import reduce_block
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest, credible_limit
 from counterspin.physics import as_printed, observation
-from counterspin.physics.accelerometer import Mounting, term
+from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Trajectory
+from counterspin.physics.shared_terms import term
 
 #: Rates closer than this (relative) do not help to tell unknowns apart.
-_SAME_RATE_WITHIN: Final = 1e-3
+_SAME_RATE: Final = 1e-3
 
 #: Terms whose effects agree this well over the runs are one.
-_ALIKE_CORRELATION: Final = 1.0 - 1e-6
+_ALIKE: Final = 1.0 - 1e-6
 
 #: An effect below this many sigma(b2), at the term's largest credible size, is nothing to name.
-_SMALLEST_VISIBLE: Final = 0.5
+_VISIBLE: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -143,15 +144,15 @@ class SecondStage:
             their largest credible size are left out.
         """
         column = self.design[:, self.symbols.index(symbol)] / self.sigma
-        alike = {}
+        found = {}
         for other, effect in self.ignored.items():
             whitened = effect / self.sigma
             size = float(np.linalg.norm(whitened))
             along = float(column @ whitened)
-            seen = size * term(other).limit > _SMALLEST_VISIBLE
-            if seen and abs(along) > _ALIKE_CORRELATION * size * float(np.linalg.norm(column)):
-                alike[other] = along / float(column @ column)
-        return alike
+            seen = size * term(other).limit > _VISIBLE
+            if seen and abs(along) > _ALIKE * size * float(np.linalg.norm(column)):
+                found[other] = along / float(column @ column)
+        return found
 
 
 def second_stage(
@@ -254,14 +255,14 @@ def _check_rates(
     free = [symbol for symbol, (_, sd) in unknowns.items() if math.isinf(sd)]
     even = [symbol for symbol in free if symbol not in odd]
     rates = [run.trajectory.spindle.rate for run in runs]
-    for needed, different, words in (
+    for needed, found, words in (
         (even, _different([abs(rate) for rate in rates]), "rates, whatever their sense"),
         (free, _different(rates), "rates"),
     ):
-        if different < len(needed):
+        if found < len(needed):
             raise NotIdentifiableError(
                 f"{len(needed)} unknowns without a prior ({', '.join(needed)}) need at least "
-                f"{len(needed)} different {words}; the campaign has {different}: add runs at other "
+                f"{len(needed)} different {words}; the campaign has {found}: add runs at other "
                 "rates, or give priors"
             )
 
@@ -269,7 +270,7 @@ def _check_rates(
 def _different(rates: Sequence[float]) -> int:
     kept: list[float] = []
     for rate in rates:
-        if all(abs(rate - other) > _SAME_RATE_WITHIN * abs(other) for other in kept):
+        if all(abs(rate - other) > _SAME_RATE * abs(other) for other in kept):
             kept.append(rate)
     return len(kept)
 
@@ -288,12 +289,12 @@ class _ObservationModel:
             return {symbol: self._printed(symbol) for symbol in symbols}
         terms = [symbol for symbol in symbols if symbol != DRIFT]
         shown = np.array([self._exact(run, terms) for run in self.runs])
-        effects = dict(zip(terms, shown.T, strict=True))
+        found = dict(zip(terms, shown.T, strict=True))
         if DRIFT in symbols:
             rates = np.array([run.trajectory.spindle.rate for run in self.runs])
             radii = np.array([run.trajectory.radius for run in self.runs])
-            effects[DRIFT] = -0.5 * self.request.scale_factor * radii * rates
-        return effects
+            found[DRIFT] = -0.5 * self.request.scale_factor * radii * rates
+        return found
 
     def _exact(self, run: StrobedRun, terms: Sequence[str]) -> Array:
         """Return the first stage of each term's own column, shape (terms,)."""

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from counterspin.physics.accelerometer import PLATFORM_TERMS, QX, QY, QZ, TERMS, Mounting
+from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import columns, parabola
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.physics.spindle import Ripple, Spindle
 
 R, g, t = sp.symbols("R g t", positive=True)

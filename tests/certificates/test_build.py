@@ -17,7 +17,8 @@ from counterspin.certificates.elements import NAMESPACES, clean, factor, number
 from counterspin.certificates.reading import read_certificate
 from counterspin.certificates.units import from_si, si_unit, to_si
 from counterspin.errors import RecordError
-from counterspin.physics.accelerometer import PLATFORM_TERMS, TERMS
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 G = 9.80665
 QUANTITY = "//dcc:measurementResult//dcc:quantity[@refType='basic_measuredValue']"

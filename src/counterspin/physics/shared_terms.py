@@ -1,0 +1,125 @@
+"""Errors that all accelerometers share: of the platform that carries them.
+
+- `PlatformTerm`, `PLATFORM_TERMS`: the platform's attitude and its gyros
+- `term`: the row of any table with a symbol
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from counterspin.physics.accelerometer import TERMS, Term
+
+DEGREE_PER_HOUR: Final = math.radians(1.0) / 3600.0  #: rad/s
+
+
+@dataclass(frozen=True)
+class PlatformTerm:
+    """One error term of the platform: it turns the attitude and so every accelerometer's axes.
+
+    The small attitude error psi (rad) obeys d(psi)/dt = drift + D f/g and starts at the tilt;
+    the platform then senses f - psi x f. Tilts are about the geographic axes of a run; drift and
+    g-sensitivity belong to the gyros and are about the platform's own axes x, y, z, which point
+    east, north, up in the level attitude.
+
+    Attributes
+    ----------
+    symbol
+        Such as ``platform.tilt.north`` or ``platform.g_sensitivity.zx`` (gyro axis, force axis).
+    kind
+        ``tilt``, ``drift`` or ``g_sensitivity``.
+    axis
+        The axis about which the attitude turns: 0 east (x), 1 north (y), 2 up (z).
+    force_axis
+        For g-sensitivity the axis of the force, else None.
+    unit, limit, typical
+        SI unit; the largest credible size and, as for `Term`, the typical one in it.
+    words
+        What it is called.
+    """
+
+    symbol: str
+    kind: str
+    axis: int
+    force_axis: int | None
+    unit: str
+    limit: float
+    typical: float
+    words: str
+
+    nominal = 0.0
+
+    @property
+    def per_run(self) -> bool:
+        """Whether every run has a value of its own (the tilt, set anew at each alignment)."""
+        return self.kind == "tilt"
+
+
+_NAMES: Final = ("east", "north", "up")
+
+_ARCSEC: Final = math.pi / 648000.0  #: rad
+
+PLATFORM_TERMS: Final[Mapping[str, PlatformTerm]] = {
+    row.symbol: row
+    for row in (
+        *(
+            PlatformTerm(
+                f"platform.tilt.{name}",
+                "tilt",
+                axis,
+                None,
+                "rad",
+                1e-2,
+                # Levelling is against gravity; the azimuth is found less well.
+                (10.0 if name == "up" else 0.5) * _ARCSEC,
+                f"tilt about {name}",
+            )
+            for axis, name in enumerate(_NAMES)
+        ),
+        *(
+            PlatformTerm(
+                f"platform.drift.{n}",
+                "drift",
+                i,
+                None,
+                "rad/s",
+                10.0 * DEGREE_PER_HOUR,
+                0.01 * DEGREE_PER_HOUR,
+                f"gyro drift about {n}",
+            )
+            for i, n in enumerate(_NAMES)
+        ),
+        *(
+            PlatformTerm(
+                f"platform.g_sensitivity.{'xyz'[i]}{'xyz'[j]}",
+                "g_sensitivity",
+                i,
+                j,
+                "rad/s/g",
+                10.0 * DEGREE_PER_HOUR,
+                0.01 * DEGREE_PER_HOUR,
+                f"g-sensitivity of the {'xyz'[i]} gyro to force along {'xyz'[j]}",
+            )
+            for i in range(3)
+            for j in range(3)
+        ),
+    )
+}
+
+
+def term(symbol: str) -> Term | PlatformTerm:
+    """Return the row of the table with this symbol.
+
+    Raises
+    ------
+    ValueError
+        If there is no such term; the message lists those there are.
+    """
+    row = TERMS.get(symbol) or PLATFORM_TERMS.get(symbol)
+    if row is None:
+        known = ", ".join([*TERMS, *PLATFORM_TERMS])
+        raise ValueError(f"no term is called {symbol!r}; known: {known}")
+    return row
