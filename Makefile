@@ -13,7 +13,7 @@ READY := $(VENV)/.ready
 BENCH := $(VENV)/.bench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format bench pictures lock clean
+.PHONY: help setup demo test quick lint format bench pictures lock clean
 
 help: ## Show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
@@ -25,6 +25,9 @@ demo: $(READY) ## Simulate and calibrate the paper's plan: a table and a figure
 
 test: lint ## Lint, types, import rules and all tests
 	$(BIN)/python -m pytest -n $(JOBS)
+
+quick: $(READY) ## The tests that finish within a minute, for working
+	$(BIN)/python -m pytest -n $(JOBS) --quick $$((40 * $(JOBS)))
 
 lint: $(READY) ## Lint, format, types and import rules only
 	$(BIN)/python -m ruff check .

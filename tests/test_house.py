@@ -170,6 +170,47 @@ def test_tests_mirror_the_package(test):
     assert any(subject == module or subject.startswith(f"{module}_") for module in modules)
 
 
+def test_quick_leaves_out_what_took_long(tmp_path):
+    """The longest go first; what was never timed is taken to be short."""
+    (tmp_path / "conftest.py").write_text((ROOT / "tests" / "conftest.py").read_text("utf-8"))
+    lasting = "import time, pytest\n@pytest.mark.parametrize('s', [0.4, 0.0, 0.5])\n"
+    (tmp_path / "test_it.py").write_text(lasting + "def test_it(s):\n    time.sleep(s)\n")
+    quick = [sys.executable, "-m", "pytest", "-q", f"--rootdir={tmp_path}", "--quick"]
+
+    def passed(seconds):
+        words = [*quick, seconds]
+        run = subprocess.run(words, check=False, capture_output=True, text=True, cwd=tmp_path)
+        return re.search(r"(\d) passed(?:, (\d) deselected)?", run.stdout).groups()
+
+    assert passed("1.0") == ("3", None)
+    assert passed("0.2") == ("1", "2")
+
+
+# The way through the house
+
+
+LAYERS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"][
+    "importlinter"
+]["contracts"][0]["layers"]
+
+
+def test_house_s_table_has_every_room_in_the_order_of_imports():
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    table = page.partition("| room |")[2].partition("\n\n")[0]
+    rows = re.findall(r"^\| (`.*?) \|", table, re.M)
+    rooms = [set(re.findall(r"`(\w+)/?`", row)) for row in rows]
+    assert rooms == [set(layer.split(" | ")) for layer in reversed(LAYERS)]
+
+
+def test_files_that_the_way_of_a_record_names_exist():
+    page = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`([a-z_]+(?:/[a-z_]+)+\.py)`", page))
+    assert len(named) > 20
+    assert [
+        name for name in named if not ((PACKAGE / name).exists() or (ROOT / name).exists())
+    ] == []
+
+
 # Words
 
 
