@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from counterspin.arrays import PART, aligned, in_parts, triangle_of, triangular_root
+from counterspin.arrays import (
+    PART,
+    aligned,
+    in_parts,
+    semidefinite_root,
+    triangle_of,
+    triangular_root,
+)
 
 
 @pytest.mark.parametrize("rows", [0, 3, PART - 1, PART, PART + 1, 3 * PART + 7])
@@ -22,6 +29,22 @@ def test_the_root_of_a_covariance_is_triangular_and_unique():
     factor = np.random.default_rng(1).standard_normal((4, 6))
     root = triangular_root(factor)
     np.testing.assert_allclose(root, np.linalg.cholesky(factor @ factor.T), rtol=0, atol=1e-13)
+
+
+def test_a_root_of_a_covariance_keeps_every_unit_s_digits():
+    factor = np.random.default_rng(2).standard_normal((4, 6)) * [[1e-9], [1.0], [0.0], [1e6]]
+    root = semidefinite_root(factor @ factor.T)
+    assert not root[2].any()
+    scale = np.linalg.norm(factor, axis=1)
+    scale[2] = 1.0
+    expected = factor @ factor.T / np.outer(scale, scale)
+    np.testing.assert_allclose(root @ root.T / np.outer(scale, scale), expected, atol=1e-14)
+
+
+def test_no_variance_becomes_smaller_where_the_parts_do_not_fit():
+    impossible = np.array([[1.0, 0.9, -0.9], [0.9, 1.0, 0.9], [-0.9, 0.9, 1.0]])
+    root = semidefinite_root(impossible)
+    assert np.linalg.eigvalsh(root @ root.T - impossible)[0] > -1e-15
 
 
 @pytest.mark.parametrize("shape", [(1,), (1000,), (3, 65), (511, 128)])

@@ -5,6 +5,7 @@
 - `triangle_of`: R of a QR factorisation
 - `in_parts`: fewer rows that have the same R
 - `triangular_root`: of a covariance that is known by a factor
+- `semidefinite_root`: of a covariance that is known by its elements
 """
 
 from __future__ import annotations
@@ -63,3 +64,23 @@ def triangular_root(factor: Array) -> Array:
     signs = np.where(np.diagonal(upper) < 0.0, -1.0, 1.0)
     lower: Array = (signs[:, None] * upper).T
     return lower
+
+
+def semidefinite_root(covariance: Array) -> Array:
+    """Return T with T @ T.T the covariance, shape (p, p); its negative eigenvalues become zero.
+
+    They are rounding in a covariance that was computed as one. In one that was put together from
+    parts that do not fit, taking them away makes no variance smaller. Rows and columns are scaled
+    to unit variance first, so that coefficients of any unit keep their digits.
+
+    Parameters
+    ----------
+    covariance
+        Symmetric, shape (p, p).
+    """
+    diagonal = np.diagonal(covariance)
+    scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    root: Array = scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+    root[~np.any(covariance, axis=1)] = 0.0  # what is known exactly stays so, without rounding
+    return root

@@ -377,6 +377,28 @@ def test_errors_that_cancel_are_seen_to_cancel():
     assert side == pytest.approx(2e-6, rel=1e-4)
 
 
+def test_correlations_that_contradict_each_other_leave_no_u_of_zero():
+    """K_F and K_I as one, K_II with the one and against the other: no coefficients are like that.
+
+    The variance of a force at which the parts seem to cancel was negative, and printed as zero.
+    """
+    u = {"K_F": 1e-5, "K_I": 1e-5, "K_II": 1e-5}
+    impossible = [[1.0, 0.9, -0.9], [0.9, 1.0, 0.9], [-0.9, 0.9, 1.0]]
+    terms = {s: coefficient(s, TERMS[s].nominal, size) for s, size in u.items()}
+    correlation = Correlation(terms=list(u), matrix=impossible)
+    found = result({"Qx": accelerometer({}, coefficients=terms, correlation=correlation)})
+    level = np.array([-1.0, 0.0, 1.0])
+    products = np.stack([np.ones(3), level, level**2])
+    sizes = np.array(list(u.values()))
+    naive = np.einsum("in,ij,jn->n", products, impossible * np.outer(sizes, sizes), products)
+    assert naive.min() < 0.0
+    done = apply(found, "Qx", level)
+    # Not below the worst that any relation of the errors could do.
+    assert (done.u >= np.abs(products).T @ sizes * (1.0 - 1e-12)).all()
+    (warning,) = done.warnings
+    assert "contradict each other" in warning
+
+
 def test_uncertainty_against_trials():
     """Scatter of corrections with coefficients drawn from the covariance of the result.
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, semidefinite_root
 from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
@@ -35,6 +35,9 @@ _AXES: Final = {"P": ("pendulous", "pendulous"), "O": ("output", "output_axis")}
 #: How far beyond the calibration's largest specific force an indication may go unremarked; bias
 #: and scale factor alone bring it there.
 _BEYOND: Final = 1.05
+
+#: Relative growth of a variance by which a covariance may miss being one: rounding.
+_ROUNDING: Final = 1e-6
 
 #: Specific force along an axis: numbers in the unit of the indication, or text with a unit.
 Force = npt.ArrayLike | str
@@ -177,7 +180,11 @@ def apply(
             *(
                 warning
                 for name, one, column in zip(indications, applied, columns, strict=True)
-                for warning in (*_left_out(name, one), *_stretched(result, name, column))
+                for warning in (
+                    *_left_out(name, one),
+                    *_contradictory(name, one),
+                    *_stretched(result, name, column),
+                )
             ),
         ),
     )
@@ -228,7 +235,11 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
     mounting = Mounting(tuple(found.axes)) if placed and found.axes else _ALONE
     terms = {s: c for s, c in _terms(found).items() if c.value is not None}
     values = {s: float(c.value) for s, c in terms.items() if c.value is not None}
-    return CalibratedAccelerometer(name, mounting, values, _covariance(found, terms))
+    covariance = _covariance(found, terms)
+    if not _possible(covariance):
+        # However the errors are related, (sum of n parts)^2 is at most n times their squares' sum.
+        covariance = len(terms) * np.diag(np.diag(covariance))
+    return CalibratedAccelerometer(name, mounting, values, covariance)
 
 
 def _terms(found: AccelerometerResult) -> dict[str, Coefficient]:
@@ -255,6 +266,24 @@ def _covariance(found: AccelerometerResult, terms: Mapping[str, Coefficient]) ->
                 j = symbols.index(source)
                 covariance[i, j] = covariance[j, i] = line.sensitivity * u[j] ** 2
     return covariance
+
+
+def _possible(covariance: Array) -> bool:
+    """Return whether some coefficients could have a covariance, to rounding."""
+    root = semidefinite_root(covariance)
+    return bool(np.all(np.sum(root**2, axis=1) <= np.diag(covariance) * (1.0 + _ROUNDING)))
+
+
+def _contradictory(name: str, found: AccelerometerResult) -> list[str]:
+    """Return a warning where the result states a covariance that no coefficients could have."""
+    if _possible(
+        _covariance(found, {s: c for s, c in _terms(found).items() if c.value is not None})
+    ):
+        return []
+    return [
+        f"{name}: the correlations in the result contradict each other, as versions "
+        "before 0.1.0 could write them; u is an upper estimate. Calibrate again."
+    ]
 
 
 def _factor(unit: str, gravity: float) -> float:

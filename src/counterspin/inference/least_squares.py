@@ -133,13 +133,16 @@ class Solution:
     @property
     def covariance(self) -> Array:
         """The combined covariance, shape (p, p)."""
-        seen = (
-            self.covariance_noise
-            + self.covariance_prior
-            + self.covariance_considered
-            + self.covariance_unresolved
-        )
+        seen = self.least_covariance + self.covariance_considered
         return seen if self.covariance_unseen is None else seen + self.covariance_unseen
+
+    @property
+    def least_covariance(self) -> Array:
+        """What the weights minimise: the covariance from noise, priors and regularisation, (p, p).
+
+        Considered terms and noise that does not show have no part in the weights.
+        """
+        return self.covariance_noise + self.covariance_prior + self.covariance_unresolved
 
     @property
     def u(self) -> Array:

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, semidefinite_root
 from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.inversion import NotInvertibleError, invert
 
@@ -256,5 +256,6 @@ def _variance(instrument: CalibratedAccelerometer, a_ipo: Array) -> Array:
     products = np.stack(
         [TERMS[symbol].evaluate(a_ipo) for symbol in instrument.coefficients], axis=1
     )
-    variance: Array = np.einsum("ni,ij,nj->n", products, instrument.covariance, products)
-    return np.maximum(variance, 0.0)
+    # A sum of squares: no error of the covariance makes it less than nothing.
+    parts = products @ semidefinite_root(instrument.covariance)
+    return np.asarray(np.sum(parts**2, axis=1))

@@ -6,16 +6,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import RATES, noisy, simulated, unknowns
+from joint_campaign import RATES, noisy, simulated, three_rates, unknowns
 from scipy.special import ndtr, stdtr, stdtrit
 
 from counterspin.inference.joint.budget import UNSEEN, budget
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
 from counterspin.inference.joint.fit import solve_joint
-from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.joint.unknowns import Considered, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
 from counterspin.inference.noise.variance_components import KEEP
+from counterspin.physics.shared_terms import term
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
@@ -199,6 +200,67 @@ def test_what_a_walk_adds_is_what_it_does_to_these_weights(dropped):
     variance = np.var(estimates, axis=0)
     ratio = variance[[0, 2]] / np.diag(covariance)[[0, 2]]
     np.testing.assert_allclose(ratio, 1.0, atol=4 * math.sqrt(2 / trials))
+
+
+def test_considered_terms_do_not_change_what_a_walk_adds(dropped):
+    """The weights do not know them, so that the same weights meet the same walk."""
+    drawn, found = dropped
+    considered = tuple(
+        Considered("Qx", symbol, (0.0, 2e-5), term(symbol).limit) for symbol in ("K_OO", "K_PP")
+    )
+    again = estimate(drawn, Unknowns(MODEL.unknowns, considered), BOTH, reject=False)
+    (one, alone), (other, beside) = (fit.unseen["Qx"] for fit in (found.fit, again.fit))
+    # The difference of two covariances, of which rounding leaves seven digits.
+    np.testing.assert_allclose(beside / other**2, alone / one**2, rtol=1e-5)
+    # Considered terms are most of the variance of K_II here.
+    assert again.fit.solution.u[2] > 5.0 * found.fit.solution.u[2]
+
+
+def random_estimate(seed):
+    """A campaign with estimated noise and considered terms, most of them with a hidden walk."""
+    rng = np.random.default_rng([20, seed])
+    observable = str(rng.choice(["displacement", "velocity"]))
+    extra = [symbol for symbol in ("K_OO", "K_IP", "K_IO") if rng.random() < 0.3]
+    others = [s for s in ("K_PP", "K_OO", "K_IP", "K_IO") if s not in extra and rng.random() < 0.6]
+    considered = [
+        Considered("Qx", symbol, (0.0, 2e-6 * 10 ** rng.uniform(-1, 2)), term(symbol).limit)
+        for symbol in others
+    ]
+    runs = three_rates(
+        TRUTH, observable=observable, revolutions=int(rng.integers(6, 16)), per_revolution=16
+    )
+    if rng.random() < 0.7:
+        tilt = (0.0, 10 ** rng.uniform(-8, -5))
+        considered += [Considered(run.run, "platform.tilt.north", tilt, 1e-2) for run in runs]
+    priors = dict.fromkeys(extra, (0.0, 2e-06)) | {"K_I": (1.0, 5e-4)}
+    model = Unknowns(unknowns([*TRUTH, *extra], priors), tuple(considered))
+    noise = NoiseModel(0.01, 10 ** rng.uniform(-6, -3.7))
+    return estimate([noisy(run, noise, rng) for run in runs], model, BOTH, reject=False)
+
+
+def least_eigenvalue(covariance):
+    """Of the correlation matrix; what has no variance is left out."""
+    u = np.sqrt(np.diag(covariance))
+    kept = np.flatnonzero(u)
+    return np.linalg.eigvalsh((covariance / np.outer(u, u).clip(1e-300))[np.ix_(kept, kept)])[0]
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_covariances_are_positive_semi_definite(seed):
+    """Of all coefficients and considered terms together, whatever is unseen and considered."""
+    fit = random_estimate(seed).fit
+    solution, model = fit.solution, fit.model
+    own = [i for i, unknown in enumerate(model.unknowns) if solution.u[i] < unknown.limit]
+    cross = (solution.sensitivity_considered * solution.considered_sd**2)[own]
+    joined = np.block(
+        [
+            [solution.covariance[np.ix_(own, own)], cross],
+            [cross.T, np.diag(solution.considered_sd**2)],
+        ]
+    )
+    assert least_eigenvalue(joined) > -1e-10
+    for _, unseen in fit.unseen.values():
+        assert least_eigenvalue(unseen) > -1e-12
 
 
 def test_an_unknown_that_is_known_exactly_stays_so(dropped):

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, semidefinite_root
 from counterspin.errors import ConvergenceError
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit, solve_joint
@@ -269,12 +269,15 @@ def _with_unseen(
 ) -> tuple[JointFit, Array]:
     """Return the fit with what dropped walks may add to its uncertainty, and the new dof.
 
-    At the optimum of the weights, what a little walk adds to the least variance is what it adds to
-    that of the weights without it. Unknowns that are not determined, or known exactly, are left as
-    they are.
+    The weights are those that leave the least covariance without the walk, so that its derivative
+    by N^2 is what a walk adds to these weights' own (envelope theorem). The least covariance grows
+    with the noise, and so does the addition: it is positive semi-definite, and what rounding takes
+    from that is given back. Considered terms have no part in the weights, which are not at an
+    optimum for them: their part of the covariance stays as it is. Unknowns that are
+    not determined, or known exactly, are left as they are.
     """
     solution = fit.solution
-    before = solution.covariance
+    before, total = solution.least_covariance, solution.covariance
     limits = np.array([unknown.limit for unknown in fit.model.unknowns])
     known = (solution.u > 0.0) & (solution.u < limits)
     unseen: dict[str, tuple[float, Array]] = {}
@@ -284,21 +287,20 @@ def _with_unseen(
             continue
         step = _DERIVATIVE_STEP * float(component.unseen.levels[1])
         walking = replace(fit.noise[name], random_walk=math.sqrt(step))
-        after = fit.with_noise({name: walking}).solution.covariance
-        slope = np.where(np.outer(known, known), (after - before) / step, 0.0)
-        # Rounding may leave a coefficient that feels nothing slightly below zero.
-        diagonal = np.maximum(np.diag(slope), 0.0)
+        after = fit.with_noise({name: walking}).solution.least_covariance
+        root = semidefinite_root(np.where(np.outer(known, known), (after - before) / step, 0.0))
+        slope = root @ root.T
+        diagonal = np.diag(slope)
         if not diagonal.any():
             continue
-        variance = np.where(known, np.diag(before), 1.0)
+        variance = np.where(known, np.diag(total), 1.0)
         level, longer = lengthened(component.unseen, variance, diagonal)
-        np.fill_diagonal(slope, diagonal)
         unseen[name] = math.sqrt(level), level * slope
         share = variance / (variance + level * diagonal)
         inverse = np.where(known, share**2 * inverse + 1.0 / longer, inverse)
     if not unseen:
         return fit, dof
-    total: Array = sum((covariance for _, covariance in unseen.values()), np.zeros_like(before))
-    wider = replace(fit, solution=replace(solution, covariance_unseen=total), unseen=unseen)
+    added: Array = sum((covariance for _, covariance in unseen.values()), np.zeros_like(before))
+    wider = replace(fit, solution=replace(solution, covariance_unseen=added), unseen=unseen)
     with np.errstate(divide="ignore"):
         return wider, 1.0 / inverse
