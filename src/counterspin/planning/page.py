@@ -51,12 +51,12 @@ def _answer(result: PlanResult) -> Iterator[Block]:
     parts = []
     for name in sought:
         owner, _, symbol = name.partition(".")
-        found = (
+        predicted = (
             result.accelerometers[owner].coefficients[symbol]
             if owner in result.accelerometers
             else result.platform[name]
         )
-        parts.append(f"u({_spoken(name)}) = {_u(found)}")
+        parts.append(f"u({_spoken(name)}) = {_u(predicted)}")
     count = len(result.runs)
     time = f"{count} run{'s' * (count > 1)}, {_time(result.total_time)}"
     yield Paragraph(f"{'; '.join(parts)}: {time}.", "answer")
@@ -113,10 +113,12 @@ def _runs(result: PlanResult) -> Iterator[Block]:
         yield Paragraph(f"Attitude: {result.runs[0].attitude}.")
 
 
-def _accelerometer(result: PlanResult, name: str, found: PlannedAccelerometer) -> Iterator[Block]:
+def _accelerometer(
+    result: PlanResult, name: str, accelerometer: PlannedAccelerometer
+) -> Iterator[Block]:
     yield Heading(f"What they will tell of {name}")
     rows, quiet = [], set()
-    shown = dict(found.coefficients) | result.platform
+    shown = dict(accelerometer.coefficients) | result.platform
     for index, (symbol, predicted) in enumerate(shown.items()):
         rows.append((symbol, _u(predicted), _known(predicted), _from(predicted)))
         if not predicted.estimated:
@@ -131,7 +133,7 @@ def _accelerometer(result: PlanResult, name: str, found: PlannedAccelerometer) -
         tuple(rows),
         frozenset(quiet),
     )
-    for item in found.confounded:
+    for item in accelerometer.confounded:
         names = ", ".join(item.terms[:-1]) + " and " + item.terms[-1]
         how = "cannot be told apart" if item.inseparable else "are hardly told apart"
         yield Paragraph(
@@ -139,7 +141,7 @@ def _accelerometer(result: PlanResult, name: str, found: PlannedAccelerometer) -
             f"{_advice(result, item.terms)}"
         )
     sought = result.goal.sizes if result.goal else {_first(result): 1.0}
-    for symbol, lines in found.budget.items():
+    for symbol, lines in accelerometer.budget.items():
         if f"{name}.{symbol}" in sought:
             yield from _budget(result, name, symbol, lines)
 
@@ -262,8 +264,8 @@ def _size(line: Requirement) -> str:
 
 def _first(result: PlanResult) -> str:
     """Return what a forecast without a goal is about: K_II, or the first coefficient."""
-    name, found = next(iter(result.accelerometers.items()))
-    symbols = list(found.coefficients)
+    name, accelerometer = next(iter(result.accelerometers.items()))
+    symbols = list(accelerometer.coefficients)
     return f"{name}.{'K_II' if 'K_II' in symbols else symbols[0]}"
 
 
@@ -277,29 +279,29 @@ def _spoken(name: str) -> str:
     return name if owner == "platform" else f"{symbol} of {owner}"
 
 
-def _u(found: Predicted) -> str:
-    if found.u is None:
+def _u(predicted: Predicted) -> str:
+    if predicted.u is None:
         return NOT_DETERMINED
-    unit, factor = field_unit(found.unit)
-    return f"{format_number(found.u * factor, 3)} {unit}"
+    unit, factor = field_unit(predicted.unit)
+    return f"{format_number(predicted.u * factor, 3)} {unit}"
 
 
-def _known(found: Predicted) -> str:
-    if found.prior is None:
+def _known(predicted: Predicted) -> str:
+    if predicted.prior is None:
         return "-"
-    unit, factor = field_unit(found.unit)
-    return f"{format_number(found.prior * factor, 3)} {unit}"
+    unit, factor = field_unit(predicted.unit)
+    return f"{format_number(predicted.prior * factor, 3)} {unit}"
 
 
-def _from(found: Predicted) -> str:
+def _from(predicted: Predicted) -> str:
     parts = {
-        "noise": found.u_noise,
-        "priors": found.u_prior,
-        "considered": found.u_considered,
+        "noise": predicted.u_noise,
+        "priors": predicted.u_prior,
+        "considered": predicted.u_considered,
     }
     squares = {key: part**2 for key, part in parts.items() if part}
     total = sum(squares.values())
-    if found.u is None or total == 0.0:
+    if predicted.u is None or total == 0.0:
         return "-"
     return ", ".join(
         f"{key} {format_share(square / total)}"

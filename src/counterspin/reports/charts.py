@@ -120,13 +120,13 @@ def _cleaned(text: str, picture: Picture, theme: Theme) -> str:
         + hashlib.sha256(f"{picture.title}{theme}{text}".encode(errors="replace")).hexdigest()[:10]
     )
 
-    def cleaned_tag(found: re.Match[str]) -> str:
+    def cleaned_tag(tag: re.Match[str]) -> str:
         # Words between tags stay as they are, whatever they look like.
-        tag = re.sub(r' transform="rotate\(-?0 [^"]*\)"| font-family: [^;"]*;?', "", found[0])
-        tag = re.sub(r' id="([^"]*)"', lambda at: at[0] if at[1] in used else "", tag)
-        tag = re.sub(r' d="([^"]*)"', lambda at: f' d="{" ".join(at[1].split())}"', tag)
-        tag = re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{salt}-", tag)
-        return re.sub(r"#01[0-9a-f]{2}fe", lambda at: _colour(_NAMES[at[0]], theme), tag)
+        words = re.sub(r' transform="rotate\(-?0 [^"]*\)"| font-family: [^;"]*;?', "", tag[0])
+        words = re.sub(r' id="([^"]*)"', lambda at: at[0] if at[1] in used else "", words)
+        words = re.sub(r' d="([^"]*)"', lambda at: f' d="{" ".join(at[1].split())}"', words)
+        words = re.sub(r'( id="|href="#|url\(#)', rf"\g<1>{salt}-", words)
+        return re.sub(r"#01[0-9a-f]{2}fe", lambda at: _colour(_NAMES[at[0]], theme), words)
 
     text = re.sub(r"<[^>]+>", cleaned_tag, text)
     text = re.sub(r"\n *<g>\n *</g>", "", text)

@@ -95,13 +95,15 @@ class _Page:
 
     def chapters(self, blocks: Iterable[Block], title: str) -> list[dict[str, Any]]:
         """Return title, id and content of each chapter; first, without these, what precedes."""
-        found: list[tuple[dict[str, Any], list[Block]]] = [({"title": title}, [])]
+        chapters: list[tuple[dict[str, Any], list[Block]]] = [({"title": title}, [])]
         for block in blocks:
             if isinstance(block, Heading) and block.level == 2:
-                found.append(({"title": block.text, "id": self.name(block.text)}, []))
+                chapters.append(({"title": block.text, "id": self.name(block.text)}, []))
             else:
-                found[-1][1].append(block)
-        return [head | {"content": self.items(members, head["title"])} for head, members in found]
+                chapters[-1][1].append(block)
+        return [
+            head | {"content": self.items(members, head["title"])} for head, members in chapters
+        ]
 
     def name(self, text: str) -> str:
         """Return an id that no other part of the page has."""
@@ -116,18 +118,18 @@ class _Page:
 
     def items(self, blocks: Iterable[Block], label: str) -> list[dict[str, Any]]:
         """Return the items of a chapter; neighbours of a kind that belong together as one."""
-        found: list[dict[str, Any]] = []
+        items: list[dict[str, Any]] = []
         for kind, group in groupby(blocks, _kind):
             members = list(group)
             if kind == "answers":
                 lines = [_answer(block.text) for block in members if isinstance(block, Paragraph)]
-                found.append({"kind": kind, "lines": lines})
+                items.append({"kind": kind, "lines": lines})
             else:
                 for block in members:
                     if isinstance(block, Heading):
                         label = block.text
-                    found.append({"kind": kind, **self.item(block, label)})
-        return found
+                    items.append({"kind": kind, **self.item(block, label)})
+        return items
 
     def item(self, block: Block, label: str) -> dict[str, Any]:
         """Return what the template needs for a block; `label` is the heading it stands under."""
@@ -165,8 +167,8 @@ def _kind(block: Block) -> str:
 
 def _answer(text: str) -> dict[str, str]:
     """Return what is found and, for smaller letters, the same in other units and remarks."""
-    found, *remarks = re.split(r" {2,}", text, maxsplit=1)
-    name, *values = found.split(" = ")
+    estimate, *remarks = re.split(r" {2,}", text, maxsplit=1)
+    name, *values = estimate.split(" = ")
     more = [f"= {value}" for value in values[1:]]
     return {"value": " = ".join([name, *values[:1]]), "remark": " ".join(more + remarks)}
 

@@ -111,18 +111,20 @@ def pdf(
         "pictures": pictures,
         "attachments": [
             {
-                "name": one.name,
-                "media_type": one.media_type,
-                "description": one.description,
-                "relationship": one.relationship,
+                "name": attachment.name,
+                "media_type": attachment.media_type,
+                "description": attachment.description,
+                "relationship": attachment.relationship,
             }
-            for one in attachments
+            for attachment in attachments
         ],
     }
     # The compiler takes text alone, so bytes travel as a list of numbers.
     files = {
-        f"attachment-{index}.json": json.dumps(list(one.data), separators=(",", ":")).encode()
-        for index, one in enumerate(attachments)
+        f"attachment-{index}.json": json.dumps(
+            list(attachment.data), separators=(",", ":")
+        ).encode()
+        for index, attachment in enumerate(attachments)
     }
     return _compiled(data, files, moment)
 
@@ -221,8 +223,8 @@ def _texts(data: Any) -> Iterator[str]:
         case dict():
             yield from _texts(list(data.values()))
         case list() | tuple():
-            for one in data:
-                yield from _texts(one)
+            for part in data:
+                yield from _texts(part)
 
 
 def _translated(data: Any, table: dict[int, str]) -> Any:
@@ -232,5 +234,5 @@ def _translated(data: Any, table: dict[int, str]) -> Any:
         case dict():
             return {key: _translated(value, table) for key, value in data.items()}
         case list() | tuple():
-            return [_translated(one, table) for one in data]
+            return [_translated(part, table) for part in data]
     return data

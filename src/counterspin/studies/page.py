@@ -173,9 +173,9 @@ def write_figures(result: StudyResult, folder: Path) -> None:
 
 def _coefficients(result: StudyResult) -> list[tuple[str, CoefficientResult]]:
     return [
-        (f"{analysis}: {name}", coefficient)
-        for analysis, found in result.analyses.items()
-        for name, coefficient in found.coefficients.items()
+        (f"{words}: {name}", coefficient)
+        for words, analysis in result.analyses.items()
+        for name, coefficient in analysis.coefficients.items()
     ]
 
 

@@ -24,20 +24,23 @@ _SMALL: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "m/s^2": ("mm/s^2", 1e3
 _COVERAGE_FACTOR: Final = 1.96
 
 
-def correlation_map(name: str, found: AccelerometerResult) -> HeatMap | None:
+def correlation_map(name: str, accelerometer: AccelerometerResult) -> HeatMap | None:
     """Return the correlations of the estimates; None where there are fewer than two."""
-    if found.correlation is None or len(found.correlation.terms) < 2:
+    if accelerometer.correlation is None or len(accelerometer.correlation.terms) < 2:
         return None
     return HeatMap(
         title=f"Correlation of the estimates, {name}",
-        labels=tuple(found.correlation.terms),
-        values=tuple(tuple(row) for row in found.correlation.matrix),
+        labels=tuple(accelerometer.correlation.terms),
+        values=tuple(tuple(row) for row in accelerometer.correlation.matrix),
     )
 
 
-def budget_bars(name: str, found: AccelerometerResult, symbol: str = "K_II") -> Bars | None:
+def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_II") -> Bars | None:
     """Return each source's contribution to the uncertainty of a coefficient; None without one."""
-    lines, coefficient = found.budget.get(symbol, []), found.coefficients.get(symbol)
+    lines, coefficient = (
+        accelerometer.budget.get(symbol, []),
+        accelerometer.coefficients.get(symbol),
+    )
     if not lines or coefficient is None:
         return None
     unit, factor = field_unit(coefficient.unit)
@@ -52,10 +55,10 @@ def budget_bars(name: str, found: AccelerometerResult, symbol: str = "K_II") -> 
     )
 
 
-def jackknife_plot(name: str, found: AccelerometerResult) -> Plot | None:
+def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None:
     """Return K_II without each run beside K_II of all; None where no run could be left out."""
-    k_ii = found.coefficients.get("K_II")
-    lines = [line for line in found.jackknife if line.value is not None]
+    k_ii = accelerometer.coefficients.get("K_II")
+    lines = [line for line in accelerometer.jackknife if line.value is not None]
     if k_ii is None or k_ii.value is None or k_ii.u is None or not lines:
         return None
     unit, factor = field_unit(k_ii.unit)
@@ -94,12 +97,12 @@ def jackknife_plot(name: str, found: AccelerometerResult) -> Plot | None:
     )
 
 
-def residual_plots(name: str, found: AccelerometerResult) -> Iterator[Plot]:
+def residual_plots(name: str, accelerometer: AccelerometerResult) -> Iterator[Plot]:
     """Yield the pictures of an accelerometer's residuals; none where none were kept."""
-    unit, factor = _SMALL.get(found.residual.unit, (found.residual.unit, 1.0))
-    for run, trace in found.traces.items():
+    unit, factor = _SMALL.get(accelerometer.residual.unit, (accelerometer.residual.unit, 1.0))
+    for run, trace in accelerometer.traces.items():
         yield _over_time(name, run, trace, unit, factor)
-    traces = list(found.traces.items())
+    traces = list(accelerometer.traces.items())
     for first in range(0, len(traces), _CURVES):
         runs = traces[first : first + _CURVES]
         yield from _over_angle(name, runs, unit, factor)
@@ -188,8 +191,8 @@ def _quantiles(name: str, runs: Sequence[tuple[str, Trace]]) -> Iterator[Plot]:
             series=(
                 PlotSeries("normal", (-reach, reach), (-reach, reach)),
                 *(
-                    PlotSeries(run, tuple(found.normal), tuple(found.found), kind="points")
-                    for run, found in kept
+                    PlotSeries(run, tuple(quantiles.normal), tuple(quantiles.found), kind="points")
+                    for run, quantiles in kept
                 ),
             ),
         )
