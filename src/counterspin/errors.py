@@ -35,7 +35,8 @@ class CampaignError(CounterspinError):
 
     def __init__(self, source: str, problems: Iterable[str]) -> None:
         self.source = source
-        self.problems = tuple(problems)
+        # A line end in a name that a file gave begins no further line.
+        self.problems = tuple(problem.replace("\n", r"\n") for problem in problems)
         if len(self.problems) == 1:
             text = f"{source}: {self.problems[0]}"
         else:

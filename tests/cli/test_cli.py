@@ -1,6 +1,7 @@
 """The command line: words to calls, errors to one paragraph and a status."""
 
 import errno
+import json
 import shlex
 import shutil
 import subprocess
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from counterspin import cli
+from counterspin.reproduction.demo import demo
 
 #: Where the command is installed: beside the interpreter.
 BESIDE = str(Path(sys.executable).parent)
@@ -94,6 +96,19 @@ def test_ctrl_c_is_acknowledged(monkeypatch, capsys):
     assert capsys.readouterr().err == "counterspin: stopped\n"
 
 
+def test_an_interrupted_study_is_told_once_and_how_to_go_on(hostile, monkeypatch, capsys):
+    from counterspin.studies import study
+
+    whole = study.study(hostile, trials=20)
+    part = whole.model_copy(update={"complete": False})
+    monkeypatch.setattr(study, "study", lambda *_, **__: part)
+    assert cli.main(["study", str(hostile)]) == 130
+    assert capsys.readouterr().err == "counterspin: stopped\n"
+    assert cli.main(["study", str(hostile), "-o", str(hostile)]) == 130
+    told = "counterspin: stopped; the same command with --resume goes on\n"
+    assert capsys.readouterr().err == told
+
+
 @pytest.mark.parametrize(
     "command", [[sys.executable, "-m", "counterspin"], [shutil.which("counterspin", path=BESIDE)]]
 )
@@ -104,3 +119,78 @@ def test_a_process_of_its_own_says_how_it_went(command):
     assert status("--version") == 0
     assert status("init") == 2
     assert status("apply", "no-result.json", "x.csv", "--accelerometer", "Qx", "-o", "y.csv") == 1
+
+
+# What files say
+
+
+#: Colours, a bell, a C1 control, text from right to left, and a line that pretends to be ours.
+HOSTILE = "x\x1b[31m\x07\x9b1m\u202e\u2066\nK_II = 1"
+
+
+def acts(text):
+    """Return the characters of an output that are not simply shown."""
+    return {character for character in text if not character.isprintable()} - {"\n"}
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory):
+    """Return a campaign whose names and words would take over a terminal, with its result."""
+    folder = tmp_path_factory.mktemp("hostile")
+    demo(folder)
+    text = (folder / "campaign.toml").read_text("utf-8")
+    words = json.dumps(HOSTILE).replace("\x7f", "")
+    text = text.replace('"The paper\'s plan"', f'{words}\ndate = "2026-03-01"')
+    for run in ("run1", "run2"):
+        text = text.replace(f'name = "{run}"', f"name = {json.dumps(run + HOSTILE)}")
+    text = text.replace("[accelerometers.Qx]", f"[accelerometers.Qx]\nserial_number = {words}")
+    (folder / "campaign.toml").write_text(text, "utf-8")
+    assert cli.main(["calibrate", str(folder), "--json", str(folder / "result.json")]) == 0
+    return folder
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["calibrate", ".", "--budget", "--details"],
+        ["calibrate", ".", "."],
+        ["report", "result.json"],
+        ["plan", "--check", ".", "--revolutions", "20"],
+        ["study", ".", "--trials", "50"],
+        ["history", "result.json"],
+        ["simulate", ".", "-o", HOSTILE],
+        ["calibrate", HOSTILE],
+        ["report", "."],
+        [HOSTILE],
+    ],
+)
+def test_no_file_takes_over_the_terminal(words, hostile, monkeypatch, capsys):
+    monkeypatch.chdir(hostile)
+    cli.main(words)
+    shown = capsys.readouterr()
+    assert shown.out + shown.err
+    assert acts(shown.out + shown.err) == set()
+    lines = (shown.out + shown.err).splitlines()
+    assert not [line for line in lines if line.startswith("K_II = 1")]
+
+
+def test_mistakes_in_hostile_words_are_told_on_a_line_each(hostile, tmp_path, capsys):
+    text = (hostile / "campaign.toml").read_text("utf-8")
+    wrong = text.replace('"2.5 m"', json.dumps(HOSTILE)).replace("east", HOSTILE[:4])
+    (tmp_path / "campaign.toml").write_text(wrong.replace("\x1b", "\\u001b"), "utf-8")
+    assert cli.main(["calibrate", str(tmp_path)]) == 2
+    told = capsys.readouterr().err
+    assert acts(told) == set()
+    assert "centrifuge.radius" in told
+    assert all(line.startswith("  ") for line in told.splitlines()[1:])
+
+
+def test_a_hostile_report_is_safe_as_markdown(hostile, tmp_path):
+    out = tmp_path / "report.md"
+    assert cli.main(["report", str(hostile / "result.json"), "-o", str(out)]) == 0
+    assert acts(out.read_text("utf-8")) == set()
+
+
+def test_a_message_without_a_terminal_is_lost_in_peace(monkeypatch):
+    monkeypatch.setattr(sys, "stderr", None)
+    assert cli.main(["calibrate", "nowhere"]) == 2

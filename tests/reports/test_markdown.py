@@ -164,3 +164,17 @@ def test_pictures_are_left_out():
     bars = Bars("Budget", ("noise",), (1.0,), ("100 %",))
     assert markdown([Paragraph("before"), bars, Paragraph("after")]) == "before\n\nafter\n"
     assert escaped("") == ""
+
+
+def test_what_acts_on_a_terminal_is_shown():
+    column = Column("a\x9b\u202e")
+    blocks = [
+        Heading("red\x1b[31m"),
+        Paragraph("title\x07\u2028b"),
+        Paragraph("x\x1b\\y", "command"),
+        Table((column,), (("c\x00",),)),
+    ]
+    text = markdown(blocks)
+    for shown in (r"\\x1b\[31m", r"\\x07\\u2028b", "x\\x1b\\y\n", r"\\x9b\\u202e", r"\\x00"):
+        assert shown in text
+    assert all(character.isprintable() or character == "\n" for character in text)

@@ -21,7 +21,6 @@ from counterspin.reports.numbers import (
     format_share,
     format_uncertainty,
     round_to_uncertainty,
-    speakable,
 )
 
 BY_HAND = [
@@ -245,20 +244,3 @@ def test_field_units_are_those_that_campaign_files_know(unit):
 def test_other_units_stay_as_they_are():
     assert field_unit("g/g") == ("g/g", 1.0)
     assert field_unit("m/s^2") == ("m/s^2", 1.0)
-
-
-@pytest.mark.parametrize(
-    ("encoding", "expected"),
-    [
-        ("utf-8", "1 ± 2 × 3 − Ω"),
-        ("latin-1", "1 ± 2 × 3 - ?"),
-        ("ascii", "1 +/- 2 x 3 - ?"),
-    ],
-)
-def test_speakable_in_any_encoding(encoding, expected):
-    assert speakable("1 ± 2 × 3 − Ω", encoding) == expected
-
-
-def test_speakable_text_reads_back_in_a_campaign_file():
-    text = speakable(format_estimate(27.0445, 0.0007, "ug/g^2"), "ascii")
-    assert parse(text, "g/g^2").u == pytest.approx(7e-10)

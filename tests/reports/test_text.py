@@ -30,8 +30,9 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.reports.blocks import Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED
-from counterspin.reports.text import report_console
+from counterspin.reports.text import Report, report_console
 
 ARCSEC = math.pi / 648000.0
 DEG_H = math.pi / 180.0 / 3600.0
@@ -465,3 +466,28 @@ def test_render_gives_what_print_result_prints():
 def test_matplotlib_is_not_loaded():
     code = "import sys, counterspin.reports.text; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_what_acts_on_a_terminal_is_shown():
+    stream = io.StringIO()
+    blocks = [
+        Heading("red\x1b[31m"),
+        Paragraph("title\x9b31m\nK_II = 1"),
+        Table((Column("a\u202e\nb"), Column("e")), (("c\x00\nd", "f\x00\ng"),)),
+    ]
+    report_console(stream).print(Report(blocks))
+    lines = [line.rstrip() for line in stream.getvalue().splitlines()]
+    assert lines[:2] == [r"red\x1b[31m", r"title\x9b31m\nK_II = 1"]
+    # A cell may have several lines, which stay in its column; a name has one.
+    title, _, *cells = (line.split() for line in lines[3:])
+    assert title == [r"a\u202e\nb", "e"]
+    assert cells == [[r"c\x00\nd", r"f\x00"], ["g"]]
+
+
+def test_a_terminal_shows_numbers_and_units_as_in_print():
+    for terminal, shown in ((True, "2 × 10⁻⁵ µg/g²"), (False, "2e-5 ug/g^2")):
+        stream = io.StringIO()
+        console = Console(file=stream, force_terminal=terminal, color_system=None, width=80)
+        console.print(Report([Paragraph("2e-5 ug/g^2"), Table((Column("ug"),), (("1",),))]))
+        assert stream.getvalue().startswith(f"{shown}\n")
+        assert ("µg" in stream.getvalue()) is terminal

@@ -30,7 +30,7 @@ from counterspin.cli import (
     simulate,
     study,
 )
-from counterspin.cli.words import spoken
+from counterspin.cli.words import complain, spoken
 from counterspin.errors import CampaignError, CounterspinError
 
 app = App(
@@ -75,13 +75,14 @@ def main(arguments: list[str] | None = None) -> int:
     try:
         app(words, exit_on_error=False, print_error=False, result_action="return_value")
     except CounterspinError as error:
-        print(f"counterspin: {spoken(str(error), app, words)}", file=sys.stderr)
+        complain(spoken(str(error), app, words))
         return error.exit_status
     except CycloptsError as error:
-        print(f"counterspin: {error}\nTry counterspin --help.", file=sys.stderr)
+        complain(str(error))
+        print("Try counterspin --help.", file=sys.stderr)
         return CampaignError.exit_status
-    except KeyboardInterrupt:
-        print("counterspin: stopped", file=sys.stderr)
+    except KeyboardInterrupt as stop:
+        complain(str(stop) or "stopped")
         return 130
     except BrokenPipeError:
         sys.stderr.close()
@@ -90,6 +91,6 @@ def main(arguments: list[str] | None = None) -> int:
         # Never a traceback for a user; with this variable set, one for whoever mends it.
         if os.environ.get("COUNTERSPIN_DEBUG"):
             raise
-        print(f"counterspin: {_unforeseen(error)}", file=sys.stderr)
+        complain(_unforeseen(error))
         return 1
     return 0

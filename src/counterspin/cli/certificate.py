@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from counterspin.cli.words import OutputFile, group
+from counterspin.cli.words import OutputFile, group, say
 from counterspin.errors import CampaignError
 
 
@@ -70,22 +70,19 @@ def certificate(
             "certificate", ["give RESULT and LAB.toml, or --init LAB.toml, or --verify FILE.xml"]
         )
     if init is not None:
-        print(f"Wrote {write_example(init)}. Fill it in; all of it is an example.")
+        say(f"Wrote {write_example(init)}. Fill it in; all of it is an example.")
         return
     if verify is not None:
         checked = check_certificate(verify, schema=schema, cert=signature.cert)
         report_console().print(Report(list(certificate_blocks(checked))))
-        print(
-            "\nThe signature is valid."
-            if signature.cert is not None
-            else "\nNo signature was checked."
-        )
+        unchecked = signature.cert is None
+        say("", "No signature was checked." if unchecked else "The signature is valid.")
         return
     if result is None or lab is None or output is None:
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
     done = issue_certificate(
         result, lab, output, schema=schema, key=signature.key, cert=signature.cert
     )
-    print(f"Wrote {output}: certificate {done.identifier} of {', '.join(done.accelerometers)}.")
+    say(f"Wrote {output}: certificate {done.identifier} of {', '.join(done.accelerometers)}.")
     for note in done.notes:
-        print(note)
+        say(note)

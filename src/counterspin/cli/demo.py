@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.words import OutputFolder, shell_word
+from counterspin.cli.words import OutputFolder, say, shell_word
 
 
 def demo(
@@ -31,7 +31,8 @@ def demo(
     drawn = output / f"displacement.{figure}"
     save(demonstration_plots(shown), drawn)
     report_console().print(render_demonstration(shown))
-    print(
-        f"\nWrote campaign.toml, {len(shown.records)} records and {drawn.name} to {output}. Next:\n"
-        f"  counterspin calibrate {shell_word(output)}"
+    say(
+        "",
+        f"Wrote campaign.toml, {len(shown.records)} records and {drawn.name} to {output}. Next:",
+        f"  counterspin calibrate {shell_word(output)}",
     )

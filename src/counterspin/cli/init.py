@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.words import shell_word
+from counterspin.cli.words import say, shell_word
 
 
 def init(directory: Path, /) -> None:
@@ -18,8 +18,8 @@ def init(directory: Path, /) -> None:
     from counterspin.campaign.starter import init as run
 
     written = run(directory)
-    print(
-        f"Wrote {written}. Edit it, or try it:\n"
-        f"  counterspin simulate {shell_word(written)} -o {shell_word(directory / 'simulated')}\n"
-        f"  counterspin calibrate {shell_word(directory / 'simulated')}"
+    say(
+        f"Wrote {written}. Edit it, or try it:",
+        f"  counterspin simulate {shell_word(written)} -o {shell_word(directory / 'simulated')}",
+        f"  counterspin calibrate {shell_word(directory / 'simulated')}",
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from counterspin.cli.words import JsonFile, OutputFile, group
+from counterspin.cli.words import JsonFile, OutputFile, group, say, shell_word
 from counterspin.errors import CampaignError
 
 
@@ -67,7 +67,8 @@ def plan(
     if sum(given is not None for given in (file, check, init)) != 1:
         raise CampaignError("plan", ["give a plan's file, or --check DIR, or --init FILE"])
     if init is not None:
-        print(f"Wrote {write_example(init)}. Edit it, or try it:\n  counterspin plan {init}")
+        say(f"Wrote {write_example(init)}. Edit it, or try it:")
+        say(f"  counterspin plan {shell_word(init)}")
         return
     if check is not None:
         if output is not None or figures is not None:
@@ -87,7 +88,7 @@ def plan(
     report_console().print(render_plan(result))
     if output is not None:
         written = write_campaign(planned, output)
-        print(f"\nWrote {written}. Record its runs, or try them:")
-        print(f"  counterspin simulate {written} -o {output}/simulated")
+        say("", f"Wrote {written}. Record its runs, or try them:")
+        say(f"  counterspin simulate {shell_word(written)} -o {shell_word(output / 'simulated')}")
     if figures is not None:
-        print(f"\nWrote {', '.join(p.name for p in save_figures(result, figures))} to {figures}.")
+        say("", f"Wrote {', '.join(p.name for p in save_figures(result, figures))} to {figures}.")

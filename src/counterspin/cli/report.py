@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.words import OutputFile
+from counterspin.cli.words import OutputFile, say
 
 
 def report(
@@ -48,4 +48,4 @@ def report(
         report_console().print(Report(document(found)))
         return
     write_report(found, output, identifier=identifier, issued=issued)
-    print(f"Wrote {output}.")
+    say(f"Wrote {output}.")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.words import OutputFolder
+from counterspin.cli.words import OutputFolder, say
 
 
 def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False) -> None:
@@ -22,4 +22,4 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
     from counterspin.campaign.simulation import simulate as run
 
     written = run(campaign, output, overwrite=overwrite)
-    print(f"Wrote {len(written)} records and campaign.toml to {output}.")
+    say(f"Wrote {len(written)} records and campaign.toml to {output}.")

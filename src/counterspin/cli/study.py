@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -101,6 +100,5 @@ def study(
         write_figures(result, output)
     report_console().print(render_study(result))
     if not result.complete:
-        if output is not None:
-            print("counterspin: stopped; the same command with --resume goes on", file=sys.stderr)
-        raise KeyboardInterrupt
+        more = "" if output is None else "; the same command with --resume goes on"
+        raise KeyboardInterrupt(f"stopped{more}")

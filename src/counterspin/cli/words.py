@@ -3,18 +3,22 @@
 - `OutputFolder`, `OutputFile`, `JsonFile`: options of the same name and meaning
 - `group`: decorates a class whose fields are options of a command
 - `shell_word`: a path as it may be typed into a shell
+- `say`, `complain`: lines to standard output and standard error, safe for any terminal
 - `spoken`: a message with its Python arguments as the options of a command
 """
 
 from __future__ import annotations
 
 import re
+import sys
 from collections.abc import Iterable
 from pathlib import Path
 from shlex import quote
-from typing import Annotated, Final
+from typing import Annotated, Final, TextIO
 
 from cyclopts import App, Parameter
+
+from counterspin.reports.typography import speakable, visible
 
 OutputFolder = Annotated[Path, Parameter(name=["--output", "-o"])]
 OutputFile = Annotated[Path | None, Parameter(name=["--output", "-o"])]
@@ -40,6 +44,24 @@ _ARGUMENT: Final = re.compile(
 def shell_word(path: Path) -> str:
     """Return a path as it may be typed into a shell, blanks and all."""
     return quote(str(path))
+
+
+def say(*lines: str) -> None:
+    """Print lines; what would act on the terminal, or what this cannot show, is put otherwise."""
+    for line in lines:
+        _print(visible(line, lines=False), sys.stdout)
+
+
+def complain(text: str) -> None:
+    """Print what went wrong to standard error, as `say` does, further lines indented."""
+    indented = re.sub(r"\n(?!  )", "\n  ", visible(text))
+    _print(f"counterspin: {indented}", sys.stderr)
+
+
+def _print(text: str, stream: TextIO | None) -> None:
+    # None: whoever started the program closed it.
+    if stream is not None:
+        print(speakable(text, stream.encoding or "utf-8"), file=stream)
 
 
 def spoken(message: str, app: App, words: Iterable[str]) -> str:

@@ -35,16 +35,32 @@ class Paragraph:
 
 @dataclass(frozen=True)
 class Column:
-    """A column: numbers are kept in one piece, words may be wrapped."""
+    """A column: numbers are kept in one piece, words may be wrapped.
+
+    Attributes
+    ----------
+    title
+        Above it.
+    align
+        Of title and cells.
+    wraps
+        Whether words may be wrapped.
+    narrowest
+        Characters a line that wrapped words get at least in the terminal.
+    """
 
     title: str
     align: Literal["left", "right"] = "left"
     wraps: bool = False
+    narrowest: int = 0
 
 
 @dataclass(frozen=True)
 class Table:
-    """A table; rows whose index is in `quiet` hold nothing that the data determined."""
+    """A table; rows whose index is in `quiet` hold nothing that the data determined.
+
+    Cells may have several lines, but for those of the first column, which say what a row is about.
+    """
 
     columns: tuple[Column, ...]
     rows: tuple[tuple[str, ...], ...]

@@ -15,6 +15,7 @@ from itertools import groupby
 from typing import Final
 
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table, without_pictures
+from counterspin.reports.typography import visible
 
 #: Read as markup wherever they stand; $ begins a formula on GitHub.
 _EVERYWHERE: Final = re.compile(r"[\\`*_\[\]<>|~&$#]")
@@ -50,7 +51,7 @@ def escaped(text: str, line_break: str = "\\\n") -> str:
     line_break
         Between its lines.
     """
-    lines = (" ".join(line.split()) for line in text.replace("\0", "\ufffd").splitlines())
+    lines = (" ".join(line.split()) for line in visible(text).splitlines())
     return line_break.join(_escaped_line(line) for line in lines if line)
 
 
@@ -93,6 +94,7 @@ def _quote(style: str, texts: Sequence[str]) -> str:
 
 
 def _fenced(text: str, language: str) -> str:
+    text = visible(text)
     longest = max((len(ticks) for ticks in re.findall("`+", text)), default=0)
     fence = "`" * max(3, longest + 1)
     return f"{fence}{language}\n{text}\n{fence}"

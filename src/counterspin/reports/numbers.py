@@ -12,13 +12,11 @@ to the same decimal place. What has no uncertainty keeps as many digits as it is
 - `format_probability`: a probability, honest at both ends
 - `round_to_uncertainty`, `Rounded`: the rounding itself
 - `field_unit`: from SI to arcsec, deg/h and the like
-- `speakable`: the same text for a stream that cannot write ±
 """
 
 from __future__ import annotations
 
 import math
-import re
 from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Final
@@ -46,20 +44,6 @@ _PLAIN: Final = range(-3, 6)
 
 #: More digits than this are not in a double; the two numbers are then written on their own.
 _DIGITS: Final = 15
-
-#: What streams without these characters get instead.
-_ASCII: Final = {
-    "±": "+/-",
-    "×": "x",
-    "−": "-",
-    "–": "-",
-    "µ": "u",
-    "…": "...",
-}
-
-#: Raised digits, such as those of 10⁻⁵, get a caret before them instead.
-_RAISED: Final = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
-_LOWERED: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
 
 def field_unit(unit: str) -> tuple[str, float]:
@@ -241,28 +225,6 @@ def format_probability(probability: float) -> str:
     if probability > 0.9995:
         return "> 99.9 %"
     return f"{100.0 * probability:.1f} %"
-
-
-def speakable(text: str, encoding: str) -> str:
-    """Return the text with what the encoding lacks put otherwise: ``+/-`` for ``±``.
-
-    A character without such a substitute becomes a question mark.
-    """
-    if _can_write(text, encoding):
-        return text
-    text = _RAISED.sub(
-        lambda run: run[0] if _can_write(run[0], encoding) else f"^{run[0].translate(_LOWERED)}",
-        text,
-    )
-    return "".join(c if _can_write(c, encoding) else _ASCII.get(c, "?") for c in text)
-
-
-def _can_write(text: str, encoding: str) -> bool:
-    try:
-        text.encode(encoding)
-    except UnicodeEncodeError:
-        return False
-    return True
 
 
 def _is_determined(value: float | None, u: float | None) -> bool:

@@ -20,6 +20,11 @@ if TYPE_CHECKING:
 PATIENCE: Final = 1.0
 
 
+def _is_watched() -> bool:
+    # None: whoever started the program closed it.
+    return sys.stderr is not None and sys.stderr.isatty()
+
+
 @contextmanager
 def progress(
     console: Console | None = None, *, patience: float = PATIENCE
@@ -38,7 +43,7 @@ def progress(
     Callable or None
         To be called with (runs read, runs in all); None where there is no terminal.
     """
-    if console is None and not sys.stderr.isatty():
+    if console is None and not _is_watched():
         yield None
         return
     bar = _Bar(console)
@@ -103,7 +108,7 @@ def work_progress(what: str) -> Iterator[Callable[[int, int], None] | None]:
     Callable or None
         To be called with (done, in all); None where there is no terminal.
     """
-    if not sys.stderr.isatty():
+    if not _is_watched():
         yield None
         return
     from rich import progress as rich

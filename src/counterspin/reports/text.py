@@ -18,7 +18,7 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from counterspin.reports.blocks import Block, Heading, Paragraph, Style, Table, without_pictures
-from counterspin.reports.numbers import speakable
+from counterspin.reports.typography import speakable, typeset_block, visible
 
 #: Columns of plain text, where there is no terminal to ask.
 _PLAIN_WIDTH: Final = 100
@@ -60,7 +60,8 @@ def report_console(file: TextIO | None = None, *, error: bool = False) -> Consol
 class Report:
     """Blocks of a report as rich prints them, in the width and characters of its console.
 
-    Pictures are left out; what they show stands in the tables.
+    Pictures are left out; what they show stands in the tables. On a terminal numbers and units are
+    as in print; where the output is piped, as one can type them.
     """
 
     def __init__(self, blocks: list[Block]) -> None:
@@ -69,17 +70,24 @@ class Report:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield each block; called by rich."""
         before: Block | None = None
-        for block in self.blocks:
+        for plain in self.blocks:
+            # Piped text stays as a campaign file would have it, and as one can type it.
+            block = typeset_block(plain) if options.is_terminal else plain
             if before is not None and _stand_apart(before, block):
                 yield ""
             match block:
                 case Heading(text, _):
-                    yield Text(speakable(text, options.encoding), "bold")
+                    yield Text(_shown(text, options, lines=False), "bold")
                 case Paragraph(text, style):
-                    yield Text(speakable(text, options.encoding), _STYLES[style], overflow="fold")
+                    text = _shown(text, options, lines=False)
+                    yield Text(text, _STYLES[style], overflow="fold")
                 case Table():
                     yield _table(block, options)
             before = block
+
+
+def _shown(text: str, options: ConsoleOptions, *, lines: bool = True) -> str:
+    return speakable(visible(text, lines=lines), options.encoding)
 
 
 def _stand_apart(before: Block, block: Block) -> bool:
@@ -89,8 +97,11 @@ def _stand_apart(before: Block, block: Block) -> bool:
 
 
 def _table(block: Table, options: ConsoleOptions) -> RichTable:
-    rows = [[speakable(cell, options.encoding) for cell in row] for row in block.rows]
-    titles = [speakable(column.title, options.encoding) for column in block.columns]
+    rows = [
+        [_shown(cell, options, lines=place > 0) for place, cell in enumerate(row)]
+        for row in block.rows
+    ]
+    titles = [_shown(column.title, options, lines=False) for column in block.columns]
     widths = _widths(block, [titles, *rows], options.max_width)
     table = RichTable(
         box=box.SIMPLE_HEAD,
@@ -115,7 +126,9 @@ def _widths(block: Table, rows: list[list[str]], available: int) -> list[int] | 
         lines = [line for row in rows for line in row[index].split("\n")]
         wanted.append(max(map(len, lines)))
         words = [word for line in lines for word in line.split()]
-        widths.append(max(map(len, words), default=0) if column.wraps else wanted[-1])
+        least = max(map(len, words), default=0)
+        least = max(least, min(column.narrowest, wanted[-1])) if column.wraps else wanted[-1]
+        widths.append(least)
     spare = available - sum(widths) - _GAP * (len(widths) - 1)
     if spare < 0:
         return None

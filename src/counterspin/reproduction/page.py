@@ -5,17 +5,12 @@
 
 from __future__ import annotations
 
-import textwrap
-
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.text import Report
 from counterspin.reproduction.result import PaperSection, Reproduction, Row
 
-#: Characters of the first column; left to itself it would give most of its room to the reasons.
-_QUANTITY_WIDTH = 30
-
 _COLUMNS = (
-    Column("Quantity"),
+    Column("Quantity", wraps=True, narrowest=30),
     Column("Paper", align="right"),
     Column("counterspin", align="right"),
     Column("Unit", wraps=True),
@@ -43,5 +38,4 @@ def _table(section: PaperSection) -> Table:
 
 
 def _cells(row: Row) -> tuple[str, ...]:
-    quantity = textwrap.fill(row.quantity, _QUANTITY_WIDTH)
-    return (quantity, row.printed_text, row.ours_text, row.unit, row.why)
+    return (row.quantity, row.printed_text, row.ours_text, row.unit, row.why)

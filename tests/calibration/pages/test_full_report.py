@@ -1,5 +1,7 @@
 """The full report says all that a result holds, in the order in which one reads."""
 
+import shlex
+
 import pytest
 from results import coefficient, result, trace
 
@@ -128,6 +130,16 @@ def test_an_old_two_stage_result_is_made_again_by_its_own_method():
     stated = old.provenance.model_copy(update={"options": ["--method=two-stage", "--sigma=given"]})
     written = texts(document(old.model_copy(update={"provenance": stated})))
     assert "counterspin calibrate . --method=two-stage --sigma=given" in written
+
+
+def test_the_command_of_a_report_is_quoted_for_a_shell():
+    options = ["--method=two-stage", "--sigma=a b; rm -r ~ $(x) `y` 'z'"]
+    found = result()
+    found = found.model_copy(
+        update={"provenance": found.provenance.model_copy(update={"options": options})}
+    )
+    (command,) = (b.text for b in document(found) if getattr(b, "style", "") == "command")
+    assert shlex.split(command) == ["counterspin", "calibrate", ".", *options]
 
 
 def test_degrees_of_freedom_are_counted_whole_and_units_are_in_print():
