@@ -27,7 +27,7 @@ from counterspin.calibration.two_stage_findings import (
     asked_only,
     confounded,
     findings,
-    left_out,
+    omitted_terms,
     unmodelled,
 )
 from counterspin.calibration.two_stage_request import request_of
@@ -93,7 +93,7 @@ def two_stage(
         confounded=confounded(second, unknowns),
         residual=_residual(parabolas, walk),
         noise=_noise_lines(parabolas, walk),
-        left_out=left_out(second) if options.model == "exact" else {},
+        left_out=omitted_terms(second) if options.model == "exact" else {},
         findings=findings(campaign, accelerometer.name, runs, second, coefficients, options.model),
         **described(accelerometer, coefficients),
     )

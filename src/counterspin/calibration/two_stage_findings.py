@@ -1,7 +1,7 @@
 """What a two-stage result must say beside its numbers: what they stand for, what they leave out.
 
 - `unmodelled`, `asked_only`: terms of which nothing is known
-- `confounded`, `left_out`: what these would do
+- `confounded`, `omitted_terms`: what these would do
 - `findings`: what speaks against it
 """
 
@@ -27,7 +27,7 @@ from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import term
 
 #: Below this probability a misfit is no accident.
-_SUSPICIOUS: Final = 0.001
+_SMALLEST_P: Final = 0.001
 
 
 def asked_only(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, ...]:
@@ -42,7 +42,7 @@ def unmodelled(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, .
     return tuple(dict.fromkeys([*asked_only(campaign, accelerometer), *others]))
 
 
-def left_out(second: SecondStage) -> dict[str, OmittedTerm]:
+def omitted_terms(second: SecondStage) -> dict[str, OmittedTerm]:
     """Return what the terms would move K_II by of which nothing is known."""
     return {
         symbol: OmittedTerm(sensitivity=float(second.shift(symbol)[0]), unit=term(symbol).unit)
@@ -180,7 +180,7 @@ def _misfit(name: str, runs: Sequence[StrobedRun], second: SecondStage) -> list[
     if dof < 1 or not second.weighted or solution.chi2 <= 0.0:
         return []
     probability = float(chdtrc(dof, solution.chi2))
-    if probability > _SUSPICIOUS:
+    if probability > _SMALLEST_P:
         return []
     worst = runs[int(np.argmax(np.abs(second.misfit)))].name
     size = equivalent_deviations(probability)

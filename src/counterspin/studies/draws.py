@@ -218,24 +218,24 @@ class StudyTruth:
         ratio, phase = (np.array(part)[:, None] for part in self._first())
         radius, white = np.array([self.radius]), np.array([self.white])
         noise: dict[str, Array] = {}
-        for one in self.varying:
-            drawn = one.draw(generator, runs, trials)
-            if one.symbol == DRIFT:
+        for quantity in self.varying:
+            drawn = quantity.draw(generator, runs, trials)
+            if quantity.symbol == DRIFT:
                 drift = drawn
-            elif one.symbol == RIPPLE_RATIO:
+            elif quantity.symbol == RIPPLE_RATIO:
                 ratio = drawn
-            elif one.symbol == RIPPLE_AMPLITUDE:
+            elif quantity.symbol == RIPPLE_AMPLITUDE:
                 ratio = drawn / np.array([[spindle.rate] for spindle in self.spindles])
-            elif one.symbol == RIPPLE_PHASE:
+            elif quantity.symbol == RIPPLE_PHASE:
                 phase = drawn
-            elif one.symbol == RADIUS:
+            elif quantity.symbol == RADIUS:
                 radius = drawn[0]
-            elif one.symbol == WHITE:
+            elif quantity.symbol == WHITE:
                 white = np.abs(drawn[0])
-            elif one.symbol in NOISE_LEVELS:
-                noise[one.symbol] = np.abs(drawn[0])
+            elif quantity.symbol in NOISE_LEVELS:
+                noise[quantity.symbol] = np.abs(drawn[0])
             else:
-                values[one.owner, one.symbol] = drawn
+                values[quantity.owner, quantity.symbol] = drawn
         cos, sin = ratio * np.cos(phase), ratio * np.sin(phase)
         return Draws(trials, values, drift, cos, sin, radius, white, noise)
 
@@ -251,9 +251,9 @@ class StudyTruth:
 
     def mean(self, owner: str, symbol: str) -> float:
         """Return what is true of a coefficient on average."""
-        for one in self.varying:
-            if (one.owner, one.symbol) == (owner, symbol):
-                return 0.5 * sum(one.reach)
+        for quantity in self.varying:
+            if (quantity.owner, quantity.symbol) == (owner, symbol):
+                return 0.5 * sum(quantity.reach)
         value = self.fixed.get((owner, symbol))
         return nominal(owner, symbol) if value is None else float(value.mean())
 
@@ -261,19 +261,21 @@ class StudyTruth:
         """Return ratio and phase of every run's first harmonic."""
         ratios, phases = [], []
         for spindle in self.spindles:
-            found = [ripple for ripple in spindle.ripples if ripple.harmonic == 1]
-            ratios.append(found[0].amplitude / spindle.rate if found else 0.0)
-            phases.append(found[0].phase if found else 0.0)
+            first = [ripple for ripple in spindle.ripples if ripple.harmonic == 1]
+            ratios.append(first[0].amplitude / spindle.rate if first else 0.0)
+            phases.append(first[0].phase if first else 0.0)
         return ratios, phases
 
     def varies(self, *symbols: str) -> bool:
         """Return whether any of some quantities varies."""
-        return any(one.symbol in symbols and one.kind != "fixed" for one in self.varying)
+        return any(
+            varying.symbol in symbols and varying.kind != "fixed" for varying in self.varying
+        )
 
     @property
     def symbols(self) -> dict[str, tuple[str, ...]]:
         """Owner -> the terms that are not nominal in every trial; the platform's owner is ''."""
-        keys = [*self.fixed, *((one.owner, one.symbol) for one in self.varying)]
+        keys = [*self.fixed, *((quantity.owner, quantity.symbol) for quantity in self.varying)]
         keys = [key for key in keys if key[1] not in OTHERS]
         owners = dict.fromkeys(owner for owner, _ in keys)
         return {
@@ -283,12 +285,12 @@ class StudyTruth:
 
     def bounds(self, symbol: str, run: int) -> tuple[float, float]:
         """Return the least and greatest value of a spindle quantity or the radius in a run."""
-        for one in self.varying:
-            if symbol == RIPPLE_RATIO and one.symbol == RIPPLE_AMPLITUDE:
-                low, high = sorted(bound / self.spindles[run].rate for bound in one.reach)
+        for quantity in self.varying:
+            if symbol == RIPPLE_RATIO and quantity.symbol == RIPPLE_AMPLITUDE:
+                low, high = sorted(bound / self.spindles[run].rate for bound in quantity.reach)
                 return low, high
-            if one.symbol == symbol:
-                return one.reach
+            if quantity.symbol == symbol:
+                return quantity.reach
         spindle = self.spindles[run]
         ratios, phases = self._first()
         value = {

@@ -41,6 +41,11 @@ class Reported:
     symbol: str
     bound: float | None
 
+    @property
+    def name(self) -> str:
+        """Owner and symbol in one word."""
+        return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
+
 
 @dataclass(frozen=True)
 class EnginePart:
@@ -119,7 +124,7 @@ class StudyEngine:
     @property
     def reported(self) -> tuple[Reported, ...]:
         """All that is reported, in the order of a batch's rows."""
-        return tuple(one for part in self.parts for one in part.reported)
+        return tuple(coefficient for part in self.parts for coefficient in part.reported)
 
     def batch(self, number: int, trials: int, *, keep: bool = False) -> Batch:
         """Do the trials of one batch.
@@ -141,8 +146,8 @@ class StudyEngine:
             # Whole records are slow: no more trials of them than count.
             few = draws.part(0, trials) if part.kind == "full" else draws
             said = part.engine.trials(few, noise)
-            for row, one in zip(part.rows, part.reported, strict=True):
-                truth = draws.mean(one.owner, one.symbol)[:trials]
+            for row, coefficient in zip(part.rows, part.reported, strict=True):
+                truth = draws.mean(coefficient.owner, coefficient.symbol)[:trials]
                 estimate = said.estimate[row, :trials]
                 u, dof = said.u[row, :trials], said.dof[row, :trials]
                 sums.append(self.tally.count(estimate, truth, u, dof, driven))

@@ -54,8 +54,8 @@ class FullEngine:
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
         """Return what the analysis says of n trials; see `TwoStageEngine.trials`."""
-        found = [self._trial(draws.take(trial), generator) for trial in range(draws.trials)]
-        estimate_, u, dof = (np.array(part).T for part in zip(*found, strict=True))
+        trials = [self._trial(draws.take(trial), generator) for trial in range(draws.trials)]
+        estimate_, u, dof = (np.array(part).T for part in zip(*trials, strict=True))
         return Trials(estimate_, u, dof)
 
     def _trial(
@@ -84,8 +84,8 @@ class FullEngine:
                 axis = world.mountings[name].turned(world.attitudes[run]).input_axis
                 error = signal - assumed.position(stamped) @ axis
                 series.append(world.series(run, name, identified, error))
-        found = estimate(series, request.model, request.noise)
-        solution, unknowns = found.fit.solution, found.fit.model.unknowns
+        estimated = estimate(series, request.model, request.noise)
+        solution, unknowns = estimated.fit.solution, estimated.fit.model.unknowns
         rows = list(self.rows)
         u = np.sqrt(
             np.diag(
@@ -95,7 +95,7 @@ class FullEngine:
             )
         )
         nominal = np.array([unknowns[i].nominal for i in rows])
-        return list(solution.estimate[rows] + nominal), list(u[rows]), list(found.dof[rows])
+        return list(solution.estimate[rows] + nominal), list(u[rows]), list(estimated.dof[rows])
 
     def _two_stage(
         self, request: TwoStageRequest, draws: Draws, generator: np.random.Generator

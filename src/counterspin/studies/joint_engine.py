@@ -99,13 +99,13 @@ class JointEngine:
         low, high = truth.bounds(RADIUS, 0)
         scale = max(abs(low - radius), abs(high - radius), 1e-6 * radius)
         model = request.model
-        names = list(dict.fromkeys(one.run for one in series))
+        names = list(dict.fromkeys(record.run for record in series))
         keys = _truth_keys(series, truth, names, varies=truth.varies(RADIUS) or low != radius)
         blocks = []
-        for one in series:
-            given = noise[one.accelerometer]
+        for record in series:
+            given = noise[record.accelerometer]
             assert given is not None
-            blocks.append(_block(one, model, given, keys, names, scale, truth))
+            blocks.append(_block(record, model, given, keys, names, scale, truth))
         solution = _solve(blocks, model, len(keys) + 1)
         assessment = assess(solution, [u.name for u in model.unknowns])
         rows = [i for i in request.reported if assessment.determined[model.unknowns[i].name]]
@@ -154,7 +154,7 @@ def scale_factors(series: Sequence[Series], model: Unknowns, truth: StudyTruth) 
     `calibrate` takes it from the estimate; here what is true on average stands for that.
     """
     factors = {}
-    for name in dict.fromkeys(one.accelerometer for one in series):
+    for name in dict.fromkeys(record.accelerometer for record in series):
         known = [c.prior[0] for c in model.considered if c.owner == name and c.symbol == "K_I"]
         factors[name] = known[0] if known else truth.mean(name, "K_I")
     return factors
@@ -164,7 +164,7 @@ def _truth_keys(
     series: Sequence[Series], truth: StudyTruth, runs: Sequence[str], *, varies: bool
 ) -> list[tuple[str, str, int | None, int]]:
     """Return a key for each column of what is true."""
-    accelerometers = {one.accelerometer for one in series}
+    accelerometers = {record.accelerometer for record in series}
     keys: list[tuple[str, str, int | None, int]] = []
     for owner, symbols in truth.symbols.items():
         if owner and owner not in accelerometers:
@@ -173,7 +173,8 @@ def _truth_keys(
             fixed = truth.fixed.get((owner, symbol))
             several = fixed is not None and fixed.size > 1
             several |= any(
-                (one.owner, one.symbol) == (owner, symbol) and one.per_run for one in truth.varying
+                (varying.owner, varying.symbol) == (owner, symbol) and varying.per_run
+                for varying in truth.varying
             )
             places: list[int | None] = list(range(len(runs))) if several else [None]
             powers = range(_RADIUS_POWERS if varies else 1)

@@ -17,10 +17,10 @@ from counterspin.studies.engine import Reported
 from counterspin.studies.tally import LEVELS, Summary
 
 #: A coverage of 95 % intervals between these is as good as it gets in practice.
-_GOOD: Final = (0.94, 0.96)
+_GOOD_COVERAGE: Final = (0.94, 0.96)
 
 #: A bias below this part of the claimed u leaves the coverage within 0.4 % of 95 %.
-_SLIGHT: Final = 0.2
+_LARGEST_BIAS: Final = 0.2
 
 
 class BiasAgainst(ResultPart):
@@ -135,13 +135,13 @@ class StudyResult(ResultFile):
 
 
 def coefficient_result(
-    one: Reported, unit: str, summary: Summary, drivers: Sequence[str]
+    reported: Reported, unit: str, summary: Summary, drivers: Sequence[str]
 ) -> CoefficientResult:
     """Return the figures of one coefficient.
 
     Parameters
     ----------
-    one
+    reported
         Which coefficient, and its bound.
     unit
         Of the coefficient.
@@ -150,8 +150,8 @@ def coefficient_result(
     drivers
         The quantities against which the summary gives the bias.
     """
-    trustworthy, finding = judge(one, summary)
-    unbounded = one.bound is None or summary.mse == 0.0
+    trustworthy, finding = judge(reported, summary)
+    unbounded = reported.bound is None or summary.mse == 0.0
     return CoefficientResult(
         unit=unit,
         trials=summary.trials,
@@ -164,8 +164,8 @@ def coefficient_result(
         covered=summary.covered,
         intervals=summary.intervals,
         histogram=summary.histogram.tolist(),
-        bound=one.bound,
-        efficiency=None if unbounded else one.bound**2 / summary.mse,  # type: ignore[operator]
+        bound=reported.bound,
+        efficiency=None if unbounded else reported.bound**2 / summary.mse,  # type: ignore[operator]
         trustworthy=trustworthy,
         finding=finding,
         against={
@@ -182,37 +182,39 @@ def _numbers(values: Any) -> list[float | None]:
     return [float(value) if math.isfinite(value) else None for value in values]
 
 
-def judge(one: Reported, summary: Summary) -> tuple[bool, str]:
+def judge(reported: Reported, summary: Summary) -> tuple[bool, str]:
     """Return whether a coefficient's claims hold, and why or why not.
 
     Parameters
     ----------
-    one
+    reported
         Which coefficient.
     summary
         What its trials amount to.
     """
     share, (low, high) = summary.covered[1], summary.intervals[1]
-    biased = abs(summary.bias) > 3.0 * summary.se_bias and abs(summary.bias) > _SLIGHT * summary.u
+    biased = (
+        abs(summary.bias) > 3.0 * summary.se_bias and abs(summary.bias) > _LARGEST_BIAS * summary.u
+    )
     claimed = f"the 95 % intervals hold the truth in {100.0 * share:.4g} % of the trials"
-    if low <= _GOOD[1] and high >= _GOOD[0] and not biased:
-        return True, f"{one.symbol} is unbiased and {claimed}"
+    if low <= _GOOD_COVERAGE[1] and high >= _GOOD_COVERAGE[0] and not biased:
+        return True, f"{reported.symbol} is unbiased and {claimed}"
     if biased:
         factor = summary.truth and 1.0 + summary.bias / summary.truth
         times = f": it is {factor:.3g} times the truth" if abs(factor - 1.0) > 0.05 else ""
         return False, (
-            f"{one.symbol} is biased by {abs(summary.bias) / summary.u:.3g} of its standard "
+            f"{reported.symbol} is biased by {abs(summary.bias) / summary.u:.3g} of its standard "
             f"uncertainties{times}, and {claimed}"
         )
     ratio = summary.sd / summary.u
-    if high < _GOOD[0]:
+    if high < _GOOD_COVERAGE[0]:
         return False, (
-            f"{one.symbol} claims too little: it scatters {ratio:.3g} times as much as its "
+            f"{reported.symbol} claims too little: it scatters {ratio:.3g} times as much as its "
             f"standard uncertainty says, and {claimed}"
         )
     return True, (
-        f"{one.symbol} claims more uncertainty than it has, {1.0 / ratio:.3g} times its scatter, "
-        f"and {claimed}: safe"
+        f"{reported.symbol} claims more uncertainty than it has, {1.0 / ratio:.3g} times its "
+        f"scatter, and {claimed}: safe"
     )
 
 

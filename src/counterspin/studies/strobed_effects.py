@@ -130,14 +130,14 @@ def effects(
         If the ripple stops the spindle.
     """
     n = drift.size
-    found = np.empty((len(symbols), n))
+    curvatures = np.empty((len(symbols), n))
     size = np.empty(n)
     step = max(1, _AT_ONCE // (motion.angles.size * _X.size))
     for start in range(0, n, step):
         part = slice(start, start + step)
         rotation = _Rotation(motion.spindle, drift[part], ripple_cos[part], ripple_sin[part])
-        found[:, part], size[part] = _effects(motion, symbols, rotation, radius[part])
-    return found, size
+        curvatures[:, part], size[part] = _effects(motion, symbols, rotation, radius[part])
+    return curvatures, size
 
 
 class _Rotation:
@@ -198,10 +198,10 @@ def _effects(
     kernel = moment[:, None] - later[:, None] * (gap[:, None] * _X[:, None])
     weight = (kernel * gap[:, None] * _W[:, None]).reshape(-1, radius.size)
     field = _Force(motion, rotation, radius, times.reshape(-1, radius.size))
-    found = np.empty((len(symbols), radius.size))
+    curvatures = np.empty((len(symbols), radius.size))
     for index, symbol in enumerate(symbols):
-        found[index] = _effect(motion, term(symbol), field, weight, gain)
-    return found, size
+        curvatures[index] = _effect(motion, term(symbol), field, weight, gain)
+    return curvatures, size
 
 
 def _curvature_gain(strobes: Array) -> tuple[Array, Array]:

@@ -20,7 +20,7 @@ from counterspin.physics.shared_terms import term
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import StudyDescription, read_study
 from counterspin.studies.draws import OTHERS, Varying
-from counterspin.studies.engine import Reported, StudyEngine
+from counterspin.studies.engine import StudyEngine
 from counterspin.studies.result import (
     AnalysisResult,
     CoefficientResult,
@@ -145,7 +145,7 @@ def _result(
         words.setdefault(name, part.words)
         undetermined.setdefault(name, []).extend(part.lost)
         for reported in part.reported:
-            coefficients.setdefault(name, {})[_full_name(reported)] = coefficient_result(
+            coefficients.setdefault(name, {})[reported.name] = coefficient_result(
                 reported,
                 term(reported.symbol).unit,
                 summarise(engine.tally, sums[:, row]),
@@ -174,30 +174,23 @@ def _result(
     )
 
 
-def _full_name(reported: Reported) -> str:
-    return f"{reported.owner}.{reported.symbol}" if reported.owner else reported.symbol
-
-
-def _in_words(one: Varying) -> str:
-    name = f"{one.owner}.{one.symbol}" if one.owner else one.symbol
-    unit = OTHERS.get(one.symbol) or term(one.symbol).unit
+def _in_words(varying: Varying) -> str:
+    name = f"{varying.owner}.{varying.symbol}" if varying.owner else varying.symbol
+    unit = OTHERS.get(varying.symbol) or term(varying.symbol).unit
     unit = "" if unit == "1" else f" {unit}"
-    low, high = f"{one.first:.6g}{unit}", f"{one.second:.6g}{unit}"
+    low, high = f"{varying.first:.6g}{unit}", f"{varying.second:.6g}{unit}"
     how = {
         "normal": f"normal, mean {low}, standard deviation {high}",
         "uniform": f"uniform from {low} to {high}",
         "fixed": low,
-    }[one.kind]
-    return f"{name}: {how}" + (", anew in each run" if one.per_run else "")
+    }[varying.kind]
+    return f"{name}: {how}" + (", anew in each run" if varying.per_run else "")
 
 
 def _write(folder: Path, result: StudyResult, engine: StudyEngine, ledger: Ledger) -> None:
     result.write(folder / "study.json")
     if ledger.keep:
-        names = [
-            ".".join(word for word in (one.analysis, one.owner, one.symbol) if word)
-            for one in engine.reported
-        ]
+        names = [f"{coefficient.analysis}.{coefficient.name}" for coefficient in engine.reported]
         write_whole(folder / "trials.parquet", lambda part: _parquet(part, names, ledger))
     if result.complete:
         ledger.clear()

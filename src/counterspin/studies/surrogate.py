@@ -195,12 +195,12 @@ def _monomials(scaled: Sequence[Array] | Array, powers: Sequence[tuple[int, ...]
 def _products(powers: tuple[tuple[int, ...], ...]) -> tuple[tuple[int, int, int], ...]:
     """Return for each monomial beside the first its place, an earlier one's, and the factor."""
     place = {power: index for index, power in enumerate(powers)}
-    found = []
+    products = []
     for power in sorted(powers, key=sum)[1:]:
         lead = next(i for i, p in enumerate(power) if p)
         lower = tuple(p - (i == lead) for i, p in enumerate(power))
-        found.append((place[power], place[lower], lead))
-    return tuple(found)
+        products.append((place[power], place[lower], lead))
+    return tuple(products)
 
 
 def _exact(

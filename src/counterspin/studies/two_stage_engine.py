@@ -116,8 +116,8 @@ class TwoStageEngine:
             np.array(np.broadcast_to(part, (*part.shape[:-1], n))) for part in surrogate(everywhere)
         )
         outside = ~inside
-        found = self._by_quadrature(run, [part[outside] for part in everywhere])
-        true[:, outside], assumed[:, outside], size[outside] = found
+        exact = self._by_quadrature(run, [part[outside] for part in everywhere])
+        true[:, outside], assumed[:, outside], size[outside] = exact
         return true, assumed, size
 
     def _by_quadrature(self, run: int, small: list[Array]) -> tuple[Array, Array, Array]:
@@ -220,9 +220,9 @@ def _information(design: Array, weight: Array, held: Array) -> Array:
     """Return the information on the unknowns, (p, p, n): weighted products and priors."""
     p, runs, _ = design.shape
     products = (design[:, None] * design).reshape(p * p, runs, -1)
-    found = _over_runs(products, np.broadcast_to(weight, (runs, weight.shape[-1])))
-    found[:: p + 1] += 1.0 / held[:, None] ** 2
-    return found.reshape(p, p, -1)
+    information = _over_runs(products, np.broadcast_to(weight, (runs, weight.shape[-1])))
+    information[:: p + 1] += 1.0 / held[:, None] ** 2
+    return information.reshape(p, p, -1)
 
 
 def _inverse(matrices: Array) -> Array:

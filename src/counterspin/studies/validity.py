@@ -65,10 +65,10 @@ def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> lis
     if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
         reasons.append("the rotation varies, and with it the weights of every sample")
     given = [known.given for known in request.noise.values()]
-    if any(one is None for one in given):
+    if any(noise is None for noise in given):
         reasons.append("the noise is estimated, so that the estimate is not linear")
         return reasons
-    assumed = {(one.white, one.random_walk) for one in given if one is not None}
+    assumed = {(noise.white, noise.random_walk) for noise in given if noise is not None}
     if len(assumed) > 1 and (truth.varies(WHITE) or {w for w, _ in assumed} != {truth.white}):
         reasons.append("the accelerometers' assumed noises differ from the true one")
     walks = {walk for _, walk in assumed}
@@ -83,9 +83,8 @@ def _against(world: World, truth: StudyTruth) -> list[str]:
     white = _white(truth)
     if not world.angle_recorded:
         reasons.append("no angle is recorded, and the rotation has to be found")
-    other = [
-        one.symbol for one in truth.varying if one.symbol in NOISE_LEVELS and one.symbol != WHITE
-    ]
+    other_levels = NOISE_LEVELS.keys() - {WHITE}
+    other = [quantity.symbol for quantity in truth.varying if quantity.symbol in other_levels]
     if other:
         reasons.append(f"{', '.join(other)} varies, and only whole records have it")
     if world.noise.quantisation > 0.0:
@@ -107,7 +106,7 @@ def _against(world: World, truth: StudyTruth) -> list[str]:
 
 def _white(truth: StudyTruth) -> float:
     """Return the smallest white noise that matters."""
-    varying = [one for one in truth.varying if one.symbol == WHITE]
+    varying = [quantity for quantity in truth.varying if quantity.symbol == WHITE]
     if not varying:
         return truth.white
     draws = truth.draw(np.random.default_rng(0), 256)
@@ -122,7 +121,8 @@ def _second_order(world: World, truth: StudyTruth) -> float:
         speed = 2.0 * world.radius * abs(world.spindles[run].rate)
         for symbol, row in PLATFORM_TERMS.items():
             reach = [abs(truth.mean("", symbol))]
-            reach += [max(map(abs, one.reach)) for one in truth.varying if one.symbol == symbol]
+            bounds = [varying.reach for varying in truth.varying if varying.symbol == symbol]
+            reach += [max(map(abs, low_high)) for low_high in bounds]
             vertical = (
                 row.force_axis is not None and abs(world.attitudes[run][row.force_axis][2]) > 1e-9
             )
@@ -143,11 +143,11 @@ def _left_by_the_parabola(world: World, truth: StudyTruth, owner: str) -> float:
     for run in range(len(world.runs)):
         strobed = world.strobed(run, owner)
         for trial in range(draws.trials):
-            one = draws.take(trial)
-            spindle = one.spindle(world.spindles[run], run)
-            motion = Trajectory(spindle, float(one.radius[0]), world.site)
+            single = draws.take(trial)
+            spindle = single.spindle(world.spindles[run], run)
+            motion = Trajectory(spindle, float(single.radius[0]), world.site)
             times = spindle.time_at(strobed.angles)
-            keys = [key for key in one.values if key[0] in ("", owner)]
+            keys = [key for key in single.values if key[0] in ("", owner)]
             columns = observation.columns(
                 motion,
                 world.mountings[owner],
@@ -155,7 +155,7 @@ def _left_by_the_parabola(world: World, truth: StudyTruth, owner: str) -> float:
                 times,
                 attitude=world.attitudes[run],
             )
-            sizes = np.array([_size(one.values[key], key, run) for key in keys])
+            sizes = np.array([_size(single.values[key], key, run) for key in keys])
             worst = max(worst, _rms_beside_parabola(times, columns @ sizes))
     return worst
 

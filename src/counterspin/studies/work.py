@@ -184,7 +184,7 @@ def work(engine: bytes, first: int, trials: tuple[int, ...], keep: bool) -> tupl
     """Do a task: neighbouring batches, the numbers of whose trials are given."""
     study = _unpack(engine)
     batches = [study.batch(first + i, n, keep=keep) for i, n in enumerate(trials)]
-    return np.array([one.sums for one in batches]), [one.values for one in batches if keep]
+    return np.array([batch.sums for batch in batches]), [batch.values for batch in batches if keep]
 
 
 def run_batches(

@@ -36,13 +36,13 @@ from counterspin.physics.motion import Trajectory
 from counterspin.physics.shared_terms import term
 
 #: Rates closer than this (relative) do not help to tell unknowns apart.
-_SAME_RATE: Final = 1e-3
+_SAME_RATE_WITHIN: Final = 1e-3
 
 #: Terms whose effects agree this well over the runs are one.
-_ALIKE: Final = 1.0 - 1e-6
+_ALIKE_CORRELATION: Final = 1.0 - 1e-6
 
 #: An effect below this many sigma(b2), at the term's largest credible size, is nothing to name.
-_VISIBLE: Final = 0.5
+_SMALLEST_VISIBLE: Final = 0.5
 
 
 @dataclass(frozen=True)
@@ -144,15 +144,15 @@ class SecondStage:
             their largest credible size are left out.
         """
         column = self.design[:, self.symbols.index(symbol)] / self.sigma
-        found = {}
+        alike = {}
         for other, effect in self.ignored.items():
             whitened = effect / self.sigma
             size = float(np.linalg.norm(whitened))
             along = float(column @ whitened)
-            seen = size * term(other).limit > _VISIBLE
-            if seen and abs(along) > _ALIKE * size * float(np.linalg.norm(column)):
-                found[other] = along / float(column @ column)
-        return found
+            seen = size * term(other).limit > _SMALLEST_VISIBLE
+            if seen and abs(along) > _ALIKE_CORRELATION * size * float(np.linalg.norm(column)):
+                alike[other] = along / float(column @ column)
+        return alike
 
 
 def second_stage(
@@ -255,14 +255,14 @@ def _check_rates(
     free = [symbol for symbol, (_, sd) in unknowns.items() if math.isinf(sd)]
     even = [symbol for symbol in free if symbol not in odd]
     rates = [run.trajectory.spindle.rate for run in runs]
-    for needed, found, words in (
+    for needed, different, words in (
         (even, _different([abs(rate) for rate in rates]), "rates, whatever their sense"),
         (free, _different(rates), "rates"),
     ):
-        if found < len(needed):
+        if different < len(needed):
             raise NotIdentifiableError(
                 f"{len(needed)} unknowns without a prior ({', '.join(needed)}) need at least "
-                f"{len(needed)} different {words}; the campaign has {found}: add runs at other "
+                f"{len(needed)} different {words}; the campaign has {different}: add runs at other "
                 "rates, or give priors"
             )
 
@@ -270,7 +270,7 @@ def _check_rates(
 def _different(rates: Sequence[float]) -> int:
     kept: list[float] = []
     for rate in rates:
-        if all(abs(rate - other) > _SAME_RATE * abs(other) for other in kept):
+        if all(abs(rate - other) > _SAME_RATE_WITHIN * abs(other) for other in kept):
             kept.append(rate)
     return len(kept)
 
@@ -289,12 +289,12 @@ class _ObservationModel:
             return {symbol: self._printed(symbol) for symbol in symbols}
         terms = [symbol for symbol in symbols if symbol != DRIFT]
         shown = np.array([self._exact(run, terms) for run in self.runs])
-        found = dict(zip(terms, shown.T, strict=True))
+        effects = dict(zip(terms, shown.T, strict=True))
         if DRIFT in symbols:
             rates = np.array([run.trajectory.spindle.rate for run in self.runs])
             radii = np.array([run.trajectory.radius for run in self.runs])
-            found[DRIFT] = -0.5 * self.request.scale_factor * radii * rates
-        return found
+            effects[DRIFT] = -0.5 * self.request.scale_factor * radii * rates
+        return effects
 
     def _exact(self, run: StrobedRun, terms: Sequence[str]) -> Array:
         """Return the first stage of each term's own column, shape (terms,)."""
