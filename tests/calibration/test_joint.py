@@ -426,6 +426,30 @@ def test_the_two_stage_result_agrees_within_its_difference_s_uncertainty(tmp_pat
     assert abs(np.sum(np.square(z)) - len(z)) < 4 * math.sqrt(2 * len(z))
 
 
+def test_the_two_stage_comparison_of_one_accelerometer_knows_nothing_of_the_others(tmp_path):
+    """What both methods consider moves both, and hardly the difference."""
+    text = changed(
+        BASE,
+        (
+            'terms = ["K_F", "K_I", "K_II", "K_III"]',
+            'terms = ["K_F", "K_I", "K_II", "K_III"]\nconsidered = ["K_OO"]',
+        ),
+        ('pendulous_axis = "down"', 'pendulous_axis = "down"\nK_OO = "0 ± 1e-6 g/g^2"'),
+    )
+    other = r"(?s)^\[accelerometers\.Qy\]\n.*?(?=^\[)"
+    both = calibrate(simulated(tmp_path / "both", text)).accelerometers["Qx"].two_stage
+    folder = simulated(tmp_path / "alone", text)
+    description = folder / "campaign.toml"
+    alone_text = without(text, other, r"(?s)^\[truth\.Qy\]\n.*?(?=^\[)")
+    description.write_text(alone_text, encoding="utf-8")
+    alone = calibrate(folder).accelerometers["Qx"].two_stage
+    assert both.u == pytest.approx(alone.u, rel=1e-6)
+    assert both.u > 1e-6
+    # Both are K_II + K_OO, less the same assumed K_OO.
+    assert both.u_difference == pytest.approx(alone.u_difference, rel=1e-6)
+    assert both.u_difference < 0.3e-6
+
+
 # Observables and attitudes ------------------------------------------------------------------------
 
 

@@ -24,6 +24,7 @@ from counterspin.calibration.result_parts import Comparison, Finding, Jackknife,
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.omitted_terms import sensitivities
+from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import term
 
 #: Share of u^2 from which noise that the records do not show is spoken of.
@@ -108,19 +109,19 @@ def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Compari
     second = stage.solution
     theirs = (second.covariance_noise + second.covariance_prior)[0, 0]
     # What the two-stage method considers and the joint one estimates is part of its own variance;
-    # what both consider moves them by the difference of their sensitivities.
+    # what is considered moves each by its own sensitivity.
     both = 0.0
     considered = _considered(view, index)
-    for source, effect, sd in zip(
-        stage.considered,
-        second.sensitivity_considered[0],
-        second.considered_sd,
-        strict=True,
+    for (run, symbol), effect, sd in zip(
+        stage.considered, second.sensitivity_considered[0], second.considered_sd, strict=True
     ):
-        if source in considered:
-            both += ((effect - considered[source]) * sd) ** 2
+        owner = view.name if symbol in TERMS else run
+        if (owner, symbol) in considered:
+            joint_effect, _ = considered.pop((owner, symbol))
+            both += ((effect - joint_effect) * sd) ** 2
         else:
             theirs += (effect * sd) ** 2
+    both += sum((effect * sd) ** 2 for effect, sd in considered.values())
     # Both rest on the same records, and the joint estimate is the better one: variances subtract
     # (Hausman). Where the two-stage method leaves more out it can seem better; then they add.
     spread = math.sqrt((theirs - own if theirs > own else theirs + own) + both)
@@ -168,13 +169,21 @@ def left_out(views: Sequence[AccelerometerView]) -> dict[str, dict[str, OmittedT
     return result
 
 
-def _considered(view: AccelerometerView, index: int) -> dict[str, float]:
-    """Return the sensitivities to considered terms, under the two-stage method's names."""
-    row = view.fit.solution.sensitivity_considered[index]
+def _considered(view: AccelerometerView, index: int) -> dict[tuple[str, str], tuple[float, float]]:
+    """Return the considered terms: (owner, symbol) -> sensitivity and standard uncertainty.
+
+    Uncertain inputs and errors of the encoder are left out: they move both methods alike.
+    """
+    solution = view.fit.solution
     return {
-        f"{c.symbol} ({c.owner})" if term(c.symbol).per_run else c.symbol: float(effect)
-        for c, effect in zip(view.fit.model.considered, row, strict=False)
-        if effect != 0.0 and c.symbol not in encoder.SYMBOLS
+        (term.owner, term.symbol): (float(effect), float(sd))
+        for term, effect, sd in zip(
+            view.fit.model.considered,
+            solution.sensitivity_considered[index],
+            solution.considered_sd,
+            strict=False,
+        )
+        if term.symbol not in encoder.SYMBOLS
     }
 
 

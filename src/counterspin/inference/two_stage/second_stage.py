@@ -84,7 +84,8 @@ class SecondStage:
     solution
         Values, covariance by source and sensitivities in the order of `symbols`.
     considered
-        The terms that were considered, in the order of the solution's considered columns.
+        The terms that were considered, in the order of the solution's considered columns: (run,
+        symbol), where the run is empty for what all runs share.
     dof
         Effective degrees of freedom of each unknown's noise part (Welch-Satterthwaite over the
         runs), shape (p,); infinite where sigma is given.
@@ -104,7 +105,7 @@ class SecondStage:
     gain: Array
     sigma: Array
     solution: least_squares.Solution
-    considered: tuple[str, ...]
+    considered: tuple[tuple[str, str], ...]
     dof: Array
     near_collinear: tuple[tuple[str, str, float], ...]
     misfit: Array
@@ -205,7 +206,7 @@ def second_stage(
         effects.append(each)
         means += [value - term(symbol).nominal] * each.shape[1]
         spreads += [sd] * each.shape[1]
-        names += [f"{symbol} ({r.name})" for r in runs] if each.shape[1] > 1 else [symbol]
+        names += [(run.name, symbol) for run in runs] if term(symbol).per_run else [("", symbol)]
     fixed = np.column_stack(effects)
     b2 = np.array([run.parabola.b2 for run in runs])
     sigma = np.array([run.parabola.u_b2 for run in runs])
