@@ -1,12 +1,13 @@
 """What can be told apart: the cases of a level campaign, from closed forms at constant rate."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 
 from counterspin.inference.blocks import reduce_block
-from counterspin.inference.identifiability import assess
+from counterspin.inference.identifiability import assess, write_combination
 from counterspin.inference.least_squares import solve
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
@@ -74,6 +75,14 @@ def campaign(symbols, priors=None, rates=RATES, quadrature=0.0, sigma=SIGMA):
 def _per_run(symbol, column, run):
     name, _, own_run = symbol.partition(".")
     return column[name] * (not own_run or int(own_run) == run + 1)
+
+
+def evaluated(text, values):
+    """Return each term's part of a combination that was printed."""
+    parts = {}
+    for sign, size, symbol in re.findall(r"([+-]?) ?([\d.e-]* ?)(K_\w+)", text):
+        parts[symbol] = float(f"{sign}{size.strip() or 1}") * values[symbol]
+    return parts
 
 
 def found(assessment):
@@ -226,6 +235,23 @@ class TestLevelCampaign:
         assert item.determined == f"K_F + {factor:.4g} K_II"
         np.testing.assert_allclose(item.weights, [1.0, 0.0, factor, 0.0], rtol=1e-4)
         assert item.u < 1e-7 < solution.u[0]
+
+    @pytest.mark.parametrize("sigma", [0.01, 1e-5, 1e-9])
+    def test_a_printed_combination_has_its_value(self, sigma):
+        # K_I is 1.002 and not 0.002: what multiplies it needs the more digits.
+        symbols, nominal = ["K_F", "K_II", "K_I", "K_III"], np.array([0.0, 0.0, 1.0, 0.0])
+        solution, _ = campaign(symbols, rates=(0.5,), sigma=sigma)
+        known = assess(solution, symbols, nominal=nominal)
+        item = next(item for item in known.confounded if "K_II" in item.terms)
+        printed = evaluated(item.determined, dict.fromkeys(symbols, 1.0))
+        assert [printed[s] for s in item.terms] == pytest.approx(item.named_weights, rel=5e-4)
+        # Whatever the terms are within their credible sizes:
+        rounding = [
+            abs(printed[s] - w) for s, w in zip(item.terms, item.named_weights, strict=True)
+        ]
+        for symbol, error in zip(item.terms, rounding, strict=True):
+            largest = LIMITS.get(symbol, 1e-4) + nominal[symbols.index(symbol)]
+            assert error * largest <= 0.1 * item.u
 
     def test_seen_by_nothing(self):
         symbols = ["K_F", "K_I", "tilt.4"]
@@ -383,3 +409,18 @@ class TestRules:
             errors.append((part.value - 5e-3) / part.u)
         assert abs(np.mean(errors)) < 4.5 / np.sqrt(trials)
         assert np.var(errors) == pytest.approx(1.0, abs=4.5 * np.sqrt(2 / trials))
+
+
+@pytest.mark.parametrize(
+    ("weights", "slack", "text"),
+    [
+        ([1.0, -1.0], 0.0, "K_F - K_I"),
+        ([1.0, -1.00001], 1e-4, "K_F - K_I"),
+        ([1.0, -1.00001], 1e-7, "K_F - 1.00001 K_I"),
+        ([1.0, 1.123987654321], 1.0e-3, "K_F + 1.124 K_I"),
+        ([1.0, 1.123987654321], 1.0e-8, "K_F + 1.12398765 K_I"),
+        ([1.0, 1.0 / 3.0], 0.0, "K_F + 0.3333333333333333 K_I"),
+    ],
+)
+def test_weights_have_the_digits_they_need(weights, slack, text):
+    assert write_combination(["K_F", "K_I"], weights, slack) == text

@@ -167,8 +167,8 @@ def run_result(
     rotation, report = run.rotation, run.record.report
     spindle, own = run.trajectory.spindle, dict(terms or {})
     # Where no angle was recorded the joint fit has found the rotation.
-    found = {symbol: own.pop(symbol) for symbol in ROTATION if symbol in own}
-    _, rate, drift = (found.get(symbol) for symbol in ROTATION)
+    rotation_terms = {symbol: own.pop(symbol) for symbol in ROTATION if symbol in own}
+    _, rate, drift = (rotation_terms.get(symbol) for symbol in ROTATION)
     outliers += sum(report.outliers.values())
     empty = sum(report.empty.values())
     ripples = [

@@ -57,7 +57,7 @@ def judge_result(result: Result, accepted_misfit: str | None = None) -> Result:
         name: _judge(name, accelerometer, result)
         for name, accelerometer in result.accelerometers.items()
     }
-    own = [finding for found in accelerometers.values() for finding in found.findings]
+    own = [finding for judged in accelerometers.values() for finding in judged.findings]
     everything = ranked([*result.findings, *own])
     state = state_of(everything)
     return result.model_copy(
@@ -71,24 +71,25 @@ def judge_result(result: Result, accepted_misfit: str | None = None) -> Result:
     )
 
 
-def _judge(name: str, found: AccelerometerResult, result: Result) -> AccelerometerResult:
+def _judge(name: str, accelerometer: AccelerometerResult, result: Result) -> AccelerometerResult:
     # An earlier version has sentences only.
-    sentences = [] if found.findings else found.warnings
+    sentences = [] if accelerometer.findings else accelerometer.warnings
     findings = ranked(
         [
-            *found.findings,
+            *accelerometer.findings,
             *(
                 Finding(code="warning", subject=name, text=text.removeprefix(f"{name}: "))
                 for text in sentences
             ),
-            *_from_numbers(name, found, result),
+            *_from_numbers(name, accelerometer, result),
         ]
     )
-    return found.model_copy(
+    return accelerometer.model_copy(
         update={
             "findings": findings,
             "state": state_of(findings),
-            "warnings": found.warnings or [f"{name}: {finding.text}" for finding in findings],
+            "warnings": accelerometer.warnings
+            or [f"{name}: {finding.text}" for finding in findings],
         }
     )
 
@@ -125,11 +126,11 @@ def refusal(result: Result, names: Iterable[str]) -> str | None:
     if result.accepted_misfit is not None:
         return None
     for name in names:
-        found = result.accelerometers[name]
-        if found.state == "contradicted":
+        accelerometer = result.accelerometers[name]
+        if accelerometer.state == "contradicted":
             return (
-                f"{name} is contradicted by its records: {found.findings[0].text} Find the cause "
-                "and calibrate again, or state the reason for which the misfit is accepted "
+                f"{name} is contradicted by its records: {accelerometer.findings[0].text} Find the "
+                "cause and calibrate again, or state the reason for which the misfit is accepted "
                 "(accept_misfit of calibrate)"
             )
     return None
@@ -138,28 +139,33 @@ def refusal(result: Result, names: Iterable[str]) -> str | None:
 # Findings from the numbers of a result
 
 
-def _from_numbers(name: str, found: AccelerometerResult, result: Result) -> Iterator[Finding]:
-    known = {(finding.code, finding.subject) for finding in found.findings}
+def _from_numbers(
+    name: str, accelerometer: AccelerometerResult, result: Result
+) -> Iterator[Finding]:
+    known = {(finding.code, finding.subject) for finding in accelerometer.findings}
     if result.model == "as-printed" and ("as-printed", name) not in known:
         yield Finding(
             code="as-printed",
             subject=name,
             text="The equations as printed return half the true K_II.",
         )
-    k_ii, subject = found.coefficients.get("K_II"), f"{name}.K_II"
+    k_ii, subject = accelerometer.coefficients.get("K_II"), f"{name}.K_II"
     if k_ii is not None and not k_ii.estimated and ("not-determined", subject) not in known:
         yield Finding(
             code="not-determined", subject=subject, text="These records do not determine K_II."
         )
     if ("lack-of-fit", name) not in known:
-        yield from _misfit(name, found.residual)
-    yield from _implausible_noise(name, found, result.inputs.gravity)
+        yield from _misfit(name, accelerometer.residual)
+    yield from _implausible_noise(name, accelerometer, result.inputs.gravity)
     # Where the residuals are far beyond the noise, uncertainties are too small by as much, and what
     # exceeds them for that reason alone is no finding of its own.
-    excess = _times_noise(found.residual) or 1.0
+    excess = _times_noise(accelerometer.residual) or 1.0
     excess = excess if excess > TOO_LARGE else 1.0
-    yield from _disagreeing_run(name, found.jackknife, excess)
-    if found.two_stage is not None and (z := abs(found.two_stage.z) / excess) > AGREEMENT:
+    yield from _disagreeing_run(name, accelerometer.jackknife, excess)
+    if (
+        accelerometer.two_stage is not None
+        and (z := abs(accelerometer.two_stage.z) / excess) > AGREEMENT
+    ):
         yield Finding(
             code="methods-disagree",
             subject=subject,
@@ -221,8 +227,10 @@ def _times_noise(residual: Residual) -> float | None:
     return math.sqrt(residual.chi2 / residual.dof)
 
 
-def _implausible_noise(name: str, found: AccelerometerResult, gravity: float) -> Iterator[Finding]:
-    walk = found.noise.get("acceleration")
+def _implausible_noise(
+    name: str, accelerometer: AccelerometerResult, gravity: float
+) -> Iterator[Finding]:
+    walk = accelerometer.noise.get("acceleration")
     if walk is None or not walk.estimated:
         return
     size = walk.value / gravity / LARGEST_WALK
@@ -263,30 +271,30 @@ def _worst(lines: Sequence[Jackknife]) -> Jackknife | None:
 # What speaks for a result, and what it rests on
 
 
-def supports(found: AccelerometerResult) -> Iterator[str]:
+def supports(accelerometer: AccelerometerResult) -> Iterator[str]:
     """Yield what speaks for a result, in clauses without a full stop."""
-    residual = found.residual
+    residual = accelerometer.residual
     p = residual.lack_of_fit_p
     if p is not None and p >= SIGNIFICANCE:
         noise = "the stated noise" if residual.chi2 is not None else "independent noise"
         yield f"the residuals look like {noise} (p = {format_number(p, 2)})"
-    worst = _worst(found.jackknife)
+    worst = _worst(accelerometer.jackknife)
     if worst is not None and abs(worst.z or 0.0) <= AGREEMENT:
         yield "no run drives the result"
-    if found.two_stage is not None and abs(found.two_stage.z) <= AGREEMENT:
+    if accelerometer.two_stage is not None and abs(accelerometer.two_stage.z) <= AGREEMENT:
         yield "the two-stage method agrees"
 
 
-def noticed_if_left_out(found: AccelerometerResult) -> dict[str, OmittedTerm]:
+def noticed_if_left_out(accelerometer: AccelerometerResult) -> dict[str, OmittedTerm]:
     """Return the terms that the model leaves out and whose one unit K_II would show.
 
     One unit is 1 ug/g^2, 1 arcsec, 1 deg/h and so on; K_II shows what moves it by half of its u.
     """
-    k_ii = found.coefficients.get("K_II")
+    k_ii = accelerometer.coefficients.get("K_II")
     if k_ii is None or k_ii.u is None:
         return {}
     return {
         symbol: omitted
-        for symbol, omitted in found.left_out.items()
+        for symbol, omitted in accelerometer.left_out.items()
         if abs(omitted.sensitivity) / field_unit(omitted.unit)[1] > 0.5 * k_ii.u
     }

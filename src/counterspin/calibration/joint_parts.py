@@ -162,6 +162,7 @@ def _written(item: Confounded, own: str) -> ConfoundedTerms:
         terms=[symbol.removeprefix(own) for symbol in item.terms],
         correlation=item.correlation,
         determined=item.determined.replace(own, "") if own else item.determined,
+        weights=list(item.named_weights),
         value=item.value,
         u=item.u,
     )

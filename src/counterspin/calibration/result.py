@@ -98,21 +98,25 @@ def described(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str,
     }
 
 
-def _faults_of(name: str, found: AccelerometerResult) -> Iterator[str]:
-    if not found.coefficients:
+def _faults_of(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
+    if not accelerometer.coefficients:
         yield f"{name} has no coefficients"
-    for symbol, c in {**found.known, **found.coefficients, **found.second_unknown}.items():
+    for symbol, c in {
+        **accelerometer.known,
+        **accelerometer.coefficients,
+        **accelerometer.second_unknown,
+    }.items():
         if symbol in TERMS and c.unit != TERMS[symbol].unit:
             yield f"{symbol} of {name} is in {c.unit}, not in {TERMS[symbol].unit}"
         if not (math.isfinite(c.value or 0.0) and 0.0 <= (c.u or 0.0) < math.inf):
             yield f"{symbol} of {name} is {c.value} ± {c.u}"
         if c.dof is not None and not 0.0 < c.dof < math.inf:
             yield f"{symbol} of {name} has {c.dof} degrees of freedom"
-    if found.correlation:
-        size = len(found.correlation.terms)
-        if [len(row) for row in found.correlation.matrix] != [size] * size:
+    if accelerometer.correlation:
+        size = len(accelerometer.correlation.terms)
+        if [len(row) for row in accelerometer.correlation.matrix] != [size] * size:
             yield f"the correlation matrix of {name} is not one of {size} terms"
-    for run, trace in found.traces.items():
+    for run, trace in accelerometer.traces.items():
         if any(len(set(map(len, together))) > 1 for together in _drawn_together(trace)):
             yield f"lists in the trace of {name} in {run} are of unequal length"
 

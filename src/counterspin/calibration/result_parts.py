@@ -63,12 +63,14 @@ class Correlation(ResultPart):
 class ConfoundedTerms(ResultPart):
     """Terms that the data cannot tell apart, or hardly, and the combination they do determine.
 
-    `correlation` is that of the data alone, priors left aside.
+    `correlation` is that of the data alone, priors left aside. `determined` has the combination's
+    `weights` rounded as far as its u allows; they themselves are exact, in the order of `terms`.
     """
 
     terms: list[str]
     correlation: float
     determined: str
+    weights: list[float] = []
     value: float | None = None
     u: float | None = None
 

@@ -21,7 +21,8 @@ from counterspin.calibration.result_parts import (
     OmittedTerm,
 )
 from counterspin.campaign.resolved import Accelerometer, Campaign
-from counterspin.inference.identifiability import assess
+from counterspin.inference.identifiability import assess, write_combination
+from counterspin.inference.two_stage.request import credible_limit
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import term
@@ -60,11 +61,12 @@ def confounded(second: SecondStage, estimates: Mapping[str, Coefficient]) -> lis
     estimates
         Of its unknowns.
     """
-    found = [
+    sets = [
         ConfoundedTerms(
             terms=list(item.terms),
             correlation=item.correlation,
             determined=item.determined,
+            weights=list(item.named_weights),
             value=item.value,
             u=item.u,
         )
@@ -72,27 +74,28 @@ def confounded(second: SecondStage, estimates: Mapping[str, Coefficient]) -> lis
     ]
     for symbol in second.symbols:
         if alike := second.alike(symbol):
-            found.append(
+            u = estimates[symbol].u or 0.0
+            weights = {symbol: 1.0, **alike}
+            sizes = [_largest_size(other) for other in weights]
+            sets.append(
                 ConfoundedTerms(
                     terms=[symbol, *alike],
                     # Estimates of terms that act the same way work against each other.
                     correlation=-1.0 if next(iter(alike.values())) > 0.0 else 1.0,
-                    determined=_sum({symbol: 1.0, **alike}),
+                    determined=write_combination(
+                        list(weights), list(weights.values()), [0.1 * u / size for size in sizes]
+                    ),
+                    weights=list(weights.values()),
                     value=estimates[symbol].value,
                     u=estimates[symbol].u,
                 )
             )
-    return found
+    return sets
 
 
-def _sum(weights: Mapping[str, float]) -> str:
-    """Write a combination, its weights with four digits."""
-    text = ""
-    for symbol, weight in weights.items():
-        size = f"{abs(weight):.4g}"
-        text += " - " if weight < 0.0 else " + "
-        text += symbol if size == "1" else f"{size} {symbol}"
-    return text.removeprefix(" + ")
+def _largest_size(symbol: str) -> float:
+    """Return how large a term may credibly be, what it is ideally included."""
+    return credible_limit(symbol) + (TERMS[symbol].nominal if symbol in TERMS else 0.0)
 
 
 def findings(
@@ -114,26 +117,26 @@ def findings(
     model
         ``exact`` or ``as-printed``.
     """
-    found = []
+    gathered = []
     if model == "as-printed":
         text = (
             "The equations are used as printed: their K_II term is twice the exact one, so K_II "
             "is half of what the accelerometer has. Use the exact model for a calibration."
         )
-        found.append(Finding(code="as-printed", subject=name, text=text))
+        gathered.append(Finding(code="as-printed", subject=name, text=text))
     else:
-        found += _undetermined(name, second, coefficients)
-        found += _unknown(campaign, name, second)
+        gathered += _undetermined(name, second, coefficients)
+        gathered += _unknown(campaign, name, second)
     for a, b, r in second.near_collinear:
         text = f"The columns of {a} and {b} are nearly collinear at these rates"
         text += f" (correlation {r:.4f})."
-        found.append(Finding(code="collinear", subject=f"{name}.{a}", text=text, size=abs(r)))
-    found += _misfit(name, runs, second)
+        gathered.append(Finding(code="collinear", subject=f"{name}.{a}", text=text, size=abs(r)))
+    gathered += _misfit(name, runs, second)
     lost = sum(run.parabola.strobes.lost for run in runs)
     if lost:
         text = f"{lost} strobes fell into gaps of the record and were left out."
-        found.append(Finding(code="strobes-lost", subject=name, text=text))
-    return found
+        gathered.append(Finding(code="strobes-lost", subject=name, text=text))
+    return gathered
 
 
 def _undetermined(
@@ -154,7 +157,7 @@ def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding
     """Name the accelerometer's terms, and what else was asked for, that could spoil K_II."""
     alike = {other for symbol in second.symbols for other in second.alike(symbol)}
     _, u = second.estimate("K_II")
-    found = []
+    unknown = []
     for symbol in second.ignored:
         if symbol in alike or (symbol not in TERMS and symbol not in campaign.model.terms):
             continue
@@ -167,8 +170,8 @@ def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding
                 "more than its uncertainty. Give it a prior, or use the joint method."
             )
             subject = f"{name}.{symbol}"
-            found.append(Finding(code="term-unknown", subject=subject, text=text, size=shift / u))
-    return found
+            unknown.append(Finding(code="term-unknown", subject=subject, text=text, size=shift / u))
+    return unknown
 
 
 def _misfit(name: str, runs: Sequence[StrobedRun], second: SecondStage) -> list[Finding]:

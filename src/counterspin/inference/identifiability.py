@@ -51,10 +51,12 @@ class Confounded:
         the largest in size among the pairs, the other terms of the set held fixed.
     determined
         The combination in words, such as ``K_I - K_IP``. Terms whose part is below a tenth of
-        `u` at their largest credible size are left out, and weights are whole numbers where that
-        neglects no more; elsewhere they have four digits.
+        `u` at their largest credible size are left out, and weights have the digits that they
+        need: evaluated as it stands, no term is off by more than a tenth of `u`.
     weights
         The exact combination, over all unknowns, shape (p,); 1 for the first of the terms.
+    named_weights
+        Those of `terms`, in their order.
     value, u
         Its estimate and combined standard uncertainty.
     """
@@ -63,6 +65,7 @@ class Confounded:
     correlation: float
     determined: str
     weights: Array
+    named_weights: tuple[float, ...]
     value: float
     u: float
 
@@ -142,23 +145,27 @@ def assess(
         variance += np.diag(solution.covariance_unseen)[:p]
     determined = (prior_sd > 0) & (variance < limits**2) & (variance <= _PRIOR_LEFT * prior_sd**2)
 
+    # A coefficient such as K_I = 1.002 is as large as what its unknown leaves out, and more.
+    sizes = problem.limits + np.abs(offset[free])
+
     def describe(weights: Array) -> Confounded:
         """Put a combination of the free unknowns into words."""
         full = np.zeros(solution.estimate.size)
         full[free] = weights
-        part = np.abs(weights) * problem.limits
+        part = np.abs(weights) * sizes
         # An undetermined term always has its partner named.
         named_from = min(_NEGLIGIBLE * solution.combine(full).u, np.sort(part)[-2])
         terms = np.flatnonzero(part >= named_from)
         full /= weights[terms[0]]
         combined = solution.combine(full)
         names = tuple(symbols[k] for k in free[terms].tolist())
-        slack = _NEGLIGIBLE * combined.u / problem.limits[terms]
+        named = full[free[terms]]
         return Confounded(
             terms=names,
             correlation=problem.correlation(terms),
-            determined=_write(names, full[free[terms]], slack),
+            determined=write_combination(names, named, _NEGLIGIBLE * combined.u / sizes[terms]),
             weights=full[:p],
+            named_weights=tuple(named.tolist()),
             value=combined.value + float(full[:p] @ offset),
             u=combined.u,
         )
@@ -342,14 +349,33 @@ def _connected(sets: Sequence[Sequence[int]]) -> list[list[int]]:
     return [sorted(group) for group in groups]
 
 
-def _write(names: Sequence[str], weights: Array, slack: Array) -> str:
-    """Write a combination; whole-number weights where rounding neglects less than the slack."""
-    whole = np.round(weights)
-    if (whole != 0).all() and (np.abs(weights - whole) <= slack).all():
-        weights = whole
+def write_combination(names: Sequence[str], weights: npt.ArrayLike, slack: npt.ArrayLike) -> str:
+    """Write a combination such as ``K_F + 1.1241 K_I``.
+
+    Parameters
+    ----------
+    names, weights
+        Of the terms, shape (n,).
+    slack
+        How far each weight may be rounded, shape (n,): whole numbers where all of them allow it,
+        else the fewest digits.
+    """
+    exact = np.asarray(weights, dtype=np.float64)
+    allowed = np.broadcast_to(np.asarray(slack, dtype=np.float64), exact.shape)
+    whole = np.round(exact)
+    if (whole != 0).all() and (np.abs(exact - whole) <= allowed).all():
+        exact = whole
     text = ""
-    for name, weight in zip(names, weights, strict=True):
-        sign = "-" if weight < 0 else "+"
-        size = f"{abs(weight):.4g}"
-        text += f" {sign} " + (name if size == "1" else f"{size} {name}")
+    for name, weight, error in zip(names, exact.tolist(), allowed.tolist(), strict=True):
+        size = _rounded(abs(weight), error)
+        text += f" {'-' if weight < 0 else '+'} " + (name if size == "1" else f"{size} {name}")
     return text.removeprefix(" + ")
+
+
+def _rounded(size: float, error: float) -> str:
+    """Return a number with the fewest digits, four at least, that err by no more than this."""
+    for digits in range(4, 17):
+        text = f"{size:.{digits}g}"
+        if abs(float(text) - size) <= error:
+            return text
+    return repr(size)

@@ -40,6 +40,7 @@ def _accelerometer(prediction: Forecast, name: str) -> PlannedAccelerometer:
                 terms=[t.removeprefix(f"{name}.") for t in item.terms],
                 correlation=item.correlation,
                 determined=item.determined.replace(f"{name}.", ""),
+                weights=list(item.named_weights),
                 u=item.u,
             )
             for item in prediction.assessment.confounded

@@ -25,16 +25,16 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
     )
     assert told == (
         "Qx is to be used with reservations: Without slow K_II moves by 1e-08 g/g^2, 3.1 times "
-        "what its uncertainty explains: this run disagrees with the others. There are 2 more. For "
-        "it speaks: the residuals look like the stated noise (p = 0.5); the two-stage method "
-        "agrees."
+        "what its uncertainty explains: this run disagrees with the others. There are 2 more "
+        "findings. In its favour: the residuals look like the stated noise (p = 0.5); the "
+        "two-stage method agrees."
     )
 
 
 def test_nothing_speaks_for_a_contradicted_result():
     told = sentence(jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -6.1}])
     assert told.startswith("Qx is contradicted by its records and must not be used: Without slow")
-    assert "For it speaks" not in told
+    assert "In its favour" not in told
 
 
 def test_what_is_taken_as_zero_is_named_where_it_would_be_noticed():

@@ -49,24 +49,26 @@ _SPINDLE: Final = {
 
 
 def accelerometer_blocks(
-    name: str, found: AccelerometerResult, gravity: float, *, details: bool
+    name: str, accelerometer: AccelerometerResult, gravity: float, *, details: bool
 ) -> Iterator[Block]:
     """Yield what was found; gravity in m/s^2 is for noise in micro-g, `details` as in a report."""
     yield Heading(f"Accelerometer {name}")
-    yield coefficient_table({**found.coefficients, **found.second_unknown})
-    for finding in found.findings:
+    yield coefficient_table({**accelerometer.coefficients, **accelerometer.second_unknown})
+    for finding in accelerometer.findings:
         yield Paragraph(f"Warning: {finding.text}", "warning")
-    for sentence in rests_on(found):
+    for sentence in rests_on(accelerometer):
         yield Paragraph(sentence)
-    yield Paragraph(_residual(found))
-    if found.noise:
-        yield Paragraph(_noise(found.noise, gravity))
-    if found.two_stage is not None:
-        yield Paragraph(_comparison(found.two_stage, found.coefficients.get("K_II")))
-    if found.jackknife:
-        yield from _jackknife(found.jackknife, found.coefficients["K_II"])
+    yield Paragraph(_residual(accelerometer))
+    if accelerometer.noise:
+        yield Paragraph(_noise(accelerometer.noise, gravity))
+    if accelerometer.two_stage is not None:
+        yield Paragraph(
+            _comparison(accelerometer.two_stage, accelerometer.coefficients.get("K_II"))
+        )
+    if accelerometer.jackknife:
+        yield from _jackknife(accelerometer.jackknife, accelerometer.coefficients["K_II"])
     if details:
-        yield from _correlations(found)
+        yield from _correlations(accelerometer)
 
 
 def in_field_units(coefficient: Coefficient) -> tuple[float | None, float | None, str]:
@@ -135,33 +137,35 @@ def _origin(coefficient: Coefficient) -> str:
     )
 
 
-def _confounded(found: ConfoundedTerms) -> str:
-    names = ", ".join(found.terms[:-1]) + " and " + found.terms[-1]
-    apart = "cannot be told apart" if found.inseparable else "are hardly told apart"
+def _confounded(confounded: ConfoundedTerms) -> str:
+    names = ", ".join(confounded.terms[:-1]) + " and " + confounded.terms[-1]
+    apart = "cannot be told apart" if confounded.inseparable else "are hardly told apart"
     text = (
-        f"{names} {apart} by these records (correlation {_correlation(found.correlation)}); "
-        f"determined: {found.determined}"
+        f"{names} {apart} by these records (correlation {_correlation(confounded.correlation)}); "
+        f"determined: {confounded.determined}"
     )
-    if found.value is None:
+    if confounded.value is None:
         return text + "."
-    row = TERMS.get(found.terms[0]) or PLATFORM_TERMS.get(found.terms[0].partition(" (")[0])
+    row = TERMS.get(confounded.terms[0]) or PLATFORM_TERMS.get(
+        confounded.terms[0].partition(" (")[0]
+    )
     unit, factor = field_unit(row.unit if row else "")
-    u = None if found.u is None else found.u * factor
-    return f"{text} = {format_estimate(found.value * factor, u, unit)}."
+    u = None if confounded.u is None else confounded.u * factor
+    return f"{text} = {format_estimate(confounded.value * factor, u, unit)}."
 
 
-def rests_on(found: AccelerometerResult) -> Iterator[str]:
+def rests_on(accelerometer: AccelerometerResult) -> Iterator[str]:
     """Yield, in sentences, what the records cannot tell apart and what the model leaves out."""
-    yield from map(_confounded, found.confounded)
-    if sentence := _left_out(found):
+    yield from map(_confounded, accelerometer.confounded)
+    if sentence := _left_out(accelerometer):
         yield sentence
 
 
-def _left_out(found: AccelerometerResult) -> str:
-    noticed = noticed_if_left_out(found)
+def _left_out(accelerometer: AccelerometerResult) -> str:
+    noticed = noticed_if_left_out(accelerometer)
     if not noticed:
         return ""
-    unit, factor = field_unit(found.coefficients["K_II"].unit)
+    unit, factor = field_unit(accelerometer.coefficients["K_II"].unit)
     terms = []
     for symbol, omitted in noticed.items():
         its_unit, its_factor = field_unit(omitted.unit)
@@ -178,8 +182,8 @@ def _correlation(r: float) -> str:
     return f"{r:.4f}"
 
 
-def _residual(found: AccelerometerResult) -> str:
-    residual = found.residual
+def _residual(accelerometer: AccelerometerResult) -> str:
+    residual = accelerometer.residual
     text = (
         f"Residuals: rms {format_number(residual.rms)} {residual.unit} with "
         f"{format_count(residual.dof)} degrees of freedom"
@@ -210,14 +214,16 @@ def _noise(noise: dict[str, NoiseLine], gravity: float) -> str:
     return f"Noise: {'; '.join(lines)}."
 
 
-def _comparison(found: Comparison, coefficient: Coefficient | None) -> str:
+def _comparison(comparison: Comparison, coefficient: Coefficient | None) -> str:
     unit, factor = field_unit(coefficient.unit if coefficient else "")
-    agree = "they agree" if abs(found.z) <= AGREEMENT else "they do not agree"
-    value = format_estimate(found.value * factor, found.u * factor, unit)
-    difference = format_estimate(found.difference * factor, found.u_difference * factor, unit)
+    agree = "they agree" if abs(comparison.z) <= AGREEMENT else "they do not agree"
+    value = format_estimate(comparison.value * factor, comparison.u * factor, unit)
+    difference = format_estimate(
+        comparison.difference * factor, comparison.u_difference * factor, unit
+    )
     return (
         f"The two-stage method gives K_II = {value}; the difference is {difference}, or "
-        f"{format_number(found.z)} of its standard uncertainties: {agree}."
+        f"{format_number(comparison.z)} of its standard uncertainties: {agree}."
     )
 
 
@@ -254,10 +260,10 @@ def _jackknife(lines: Sequence[Jackknife], coefficient: Coefficient) -> Iterator
     )
 
 
-def _correlations(found: AccelerometerResult) -> Iterator[Block]:
-    if found.correlation is None:
+def _correlations(accelerometer: AccelerometerResult) -> Iterator[Block]:
+    if accelerometer.correlation is None:
         return
-    terms, matrix = found.correlation.terms, found.correlation.matrix
+    terms, matrix = accelerometer.correlation.terms, accelerometer.correlation.matrix
     pairs = [
         (terms[i], terms[j], matrix[i][j])
         for i in range(len(terms))
@@ -269,10 +275,10 @@ def _correlations(found: AccelerometerResult) -> Iterator[Block]:
     yield Paragraph(f"Estimates that move together (correlation): {text or 'none beyond 0.9'}.")
 
 
-def budget_blocks(name: str, found: AccelerometerResult) -> Iterator[Block]:
+def budget_blocks(name: str, accelerometer: AccelerometerResult) -> Iterator[Block]:
     """Yield a table for each coefficient that has a budget, K_II first."""
-    for symbol, lines in sorted(found.budget.items(), key=lambda item: item[0] != "K_II"):
-        coefficient = found.coefficients.get(symbol)
+    for symbol, lines in sorted(accelerometer.budget.items(), key=lambda item: item[0] != "K_II"):
+        coefficient = accelerometer.coefficients.get(symbol)
         unit, factor = field_unit(coefficient.unit if coefficient else "")
         yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
         total = math.sqrt(sum(line.contribution**2 for line in lines))

@@ -32,9 +32,9 @@ def model_blocks(result: Result) -> Iterator[Block]:
         "What an accelerometer indicates, in g, with the specific force a along its input, "
         "pendulous and output axes I, P and O:"
     )
-    for name, found in result.accelerometers.items():
+    for name, accelerometer in result.accelerometers.items():
         # A term without a value was not in the fit.
-        known = {**found.known, **found.coefficients}
+        known = {**accelerometer.known, **accelerometer.coefficients}
         symbols = {symbol for symbol, c in known.items() if c.value is not None}
         used = [TERMS[symbol] for symbol in TERMS if symbol in symbols]
         yield Paragraph(f"{name}: a_ind = {_sum(used)}", "equation")
@@ -46,7 +46,10 @@ def model_blocks(result: Result) -> Iterator[Block]:
             "The platform's small attitude error ψ turns what is sensed, f − ψ × f, and grows by "
             f"dψ/dt = drift + D f/g; taken into account: {_list(row.symbol for row in rows)}."
         )
-    observables = {found.observable or "displacement" for found in result.accelerometers.values()}
+    observables = {
+        accelerometer.observable or "displacement"
+        for accelerometer in result.accelerometers.values()
+    }
     yield Paragraph(
         "What was recorded, a_h being the harmful acceleration (gravity, Coriolis and centrifugal) "
         "that the system takes away; fitted along the motion of the spindle:"

@@ -40,9 +40,9 @@ def conformity_blocks(result: Result) -> Iterator[Block]:
         With `conformity` of its accelerometers.
     """
     stated = [
-        (name, symbol, verdict, found.coefficients.get(symbol))
-        for name, found in result.accelerometers.items()
-        for symbol, verdict in found.conformity.items()
+        (name, symbol, verdict, accelerometer.coefficients.get(symbol))
+        for name, accelerometer in result.accelerometers.items()
+        for symbol, verdict in accelerometer.conformity.items()
     ]
     if not stated:
         return

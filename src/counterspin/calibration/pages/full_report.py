@@ -37,7 +37,7 @@ def document(result: Result) -> list[Block]:
         What `calibrate` returned, or what was read from its JSON.
     """
     result = judge_result(result)
-    found = (
+    blocks = (
         *answer_blocks(result, in_g=True),
         *_verdicts(result),
         *conformity_blocks(result),
@@ -49,7 +49,7 @@ def document(result: Result) -> list[Block]:
     )
     # Names of files and checksums are left as they are.
     heading, inputs, *origin = origin_blocks(result)
-    return [*map(typeset_block, (*found, heading, inputs)), *origin]
+    return [*map(typeset_block, (*blocks, heading, inputs)), *origin]
 
 
 def identifier_of(result: Result) -> str:
@@ -59,31 +59,32 @@ def identifier_of(result: Result) -> str:
 
 def _verdicts(result: Result) -> Iterator[Block]:
     yield Heading("Is it good?")
-    for name, found in result.accelerometers.items():
+    for name, accelerometer in result.accelerometers.items():
         yield Paragraph(
-            verdict_sentence(name, found), "plain" if found.state == "good" else "warning"
+            verdict_sentence(name, accelerometer),
+            "plain" if accelerometer.state == "good" else "warning",
         )
         # The first of them stands in the sentence.
-        for finding in found.findings[1:]:
+        for finding in accelerometer.findings[1:]:
             yield Paragraph(f"Warning: {name}: {finding.text}", "warning")
 
 
 def _chapters(result: Result) -> Iterator[Block]:
-    for name, found in result.accelerometers.items():
+    for name, accelerometer in result.accelerometers.items():
         yield from _without_warnings(
-            accelerometer_blocks(name, found, result.inputs.gravity, details=True)
+            accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=True)
         )
-        yield from _drawn(jackknife_plot(name, found), correlation_map(name, found))
-        yield from _budget(name, found)
-        plots = list(residual_plots(name, found))
+        yield from _drawn(jackknife_plot(name, accelerometer), correlation_map(name, accelerometer))
+        yield from _budget(name, accelerometer)
+        plots = list(residual_plots(name, accelerometer))
         if plots:
             yield Heading(f"Residuals of {name}", 3)
             yield from plots
 
 
-def _budget(name: str, found: AccelerometerResult) -> Iterator[Block]:
-    yield from _drawn(budget_bars(name, found))
-    yield from budget_blocks(name, found)
+def _budget(name: str, accelerometer: AccelerometerResult) -> Iterator[Block]:
+    yield from _drawn(budget_bars(name, accelerometer))
+    yield from budget_blocks(name, accelerometer)
 
 
 def _without_warnings(blocks: Iterable[Block]) -> Iterator[Block]:

@@ -132,7 +132,7 @@ def platform_blocks(result: Result) -> Iterator[Block]:
     """Yield a table of the platform's terms, those of single runs among them, if there are any."""
     terms = dict(result.platform)
     for name, run in result.runs.items():
-        terms |= {f"{symbol} ({name})": found for symbol, found in run.terms.items()}
+        terms |= {f"{symbol} ({name})": coefficient for symbol, coefficient in run.terms.items()}
     if terms:
         yield Heading("Platform")
         table = coefficient_table(terms)

@@ -21,28 +21,30 @@ _OPENINGS: Final = {
 }
 
 
-def verdict_sentence(name: str, found: AccelerometerResult) -> str:
+def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     """Return in words whether an accelerometer's result is good, and why.
 
     Parameters
     ----------
     name
         The accelerometer.
-    found
+    accelerometer
         Its result, judged.
     """
-    assert found.state is not None
-    opening = f"{name} {_OPENINGS[found.state]}"
-    speaks_for = "; ".join(supports(found))
-    if found.findings:
-        sentences = [f"{opening}: {found.findings[0].text}"]
-        if more := len(found.findings) - 1:
-            sentences.append(f"There {'is 1 more finding' if more == 1 else f'are {more} more'}.")
-        if speaks_for and found.state != "contradicted":
-            sentences.append(f"For it speaks: {speaks_for}.")
+    assert accelerometer.state is not None
+    opening = f"{name} {_OPENINGS[accelerometer.state]}"
+    speaks_for = "; ".join(supports(accelerometer))
+    if accelerometer.findings:
+        sentences = [f"{opening}: {accelerometer.findings[0].text}"]
+        if more := len(accelerometer.findings) - 1:
+            sentences.append(
+                f"There {'is 1 more finding' if more == 1 else f'are {more} more findings'}."
+            )
+        if speaks_for and accelerometer.state != "contradicted":
+            sentences.append(f"In its favour: {speaks_for}.")
     else:
         sentences = [f"{opening}: {speaks_for}." if speaks_for else f"{opening}."]
-    if zero := noticed_if_left_out(found):
+    if zero := noticed_if_left_out(accelerometer):
         sentences.append(
             f"It rests on these being zero, which the model leaves out: {', '.join(zero)}."
         )
