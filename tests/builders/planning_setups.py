@@ -15,6 +15,7 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.shared_terms import DEGREE_PER_HOUR, term
 from counterspin.physics.spindle import Spindle
 from counterspin.planning.experimental_setup import PlannedInstrument, Setup
+from counterspin.records.reduction import block_size
 
 ARCSECOND = math.pi / 648000
 SITE = Site(9.8, math.radians(45.75))
@@ -85,6 +86,13 @@ def make_setup(
     )
 
 
+def blocks_of(samples, step, rate):
+    """Return mean times, spreads and counts of the blocks of a record; the last may be shorter."""
+    size = block_size(step, rate)
+    blocks = [np.arange(i, min(i + size, samples)) * step for i in range(0, samples, size)]
+    return tuple(np.array([f(block) for block in blocks]) for f in (np.mean, np.std, np.size))
+
+
 def u_by_joint_fit(setup, design):
     """Return u of the shared unknowns from every sample of every run, by `solve_joint`."""
     series, owners = [], {}
@@ -92,8 +100,8 @@ def u_by_joint_fit(setup, design):
         run = f"run {index}"
         owners[run] = kind.attitude
         samples = math.floor(float(design.duration[index]) * setup.sampling_rate * (1 + 1e-12)) + 1
-        time = np.arange(samples) / setup.sampling_rate
         spindle = Spindle(kind.sense * float(design.rate[index]))
+        time, spread, count = blocks_of(samples, 1.0 / setup.sampling_rate, spindle.rate)
         for one in setup.instruments:
             slope = setup.radius * abs(spindle.rate) ** (3 - one.order) / math.sqrt(2.0)
             series.append(
@@ -105,10 +113,10 @@ def u_by_joint_fit(setup, design):
                     one.observable,
                     setup.attitudes[kind.attitude],
                     time,
-                    np.zeros(samples),
-                    np.ones(samples),
+                    spread,
+                    count,
                     1.0 / setup.sampling_rate,
-                    np.zeros(samples),
+                    np.zeros_like(time),
                     jitter=one.jitter * slope,
                 )
             )

@@ -3,9 +3,11 @@
 import json
 import math
 import tomllib
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 from campaigns import PLACE, changed, without
 
@@ -14,8 +16,9 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
+from counterspin.planning.design import Design
 from counterspin.planning.figures import FIGURES, save_figures
-from counterspin.planning.forecast import forecast
+from counterspin.planning.forecast import forecast, planned_series
 from counterspin.planning.page import render_plan
 from counterspin.planning.plan import check, plan, write_campaign, write_example
 from counterspin.planning.plan_file import read_plan
@@ -203,6 +206,53 @@ def test_check_says_what_plan_says(starter, tmp_path):
     assert checked.requirements == planned.result.requirements
     assert [run.duration for run in checked.runs] == [r.duration for r in planned.result.runs]
     assert cli.main(["plan", "--check", str(tmp_path / "planned")]) == 0
+
+
+@pytest.mark.parametrize("size", ["2.2537", "2.4", "2.6", "3", "3.5", "4"])
+def test_a_target_is_met_by_the_forecast(size, starter):
+    result = plan(starter((GOAL, f'target = {{ K_II = "{size}e-8 g/g^2" }}'))).result
+    u = result.accelerometers["Qx"].coefficients["K_II"].u
+    # Not above it, and below by no more than one step of 0.1 s in a run of 15 s makes.
+    assert 1.0 - 0.004 <= u / (float(size) * 1e-8) <= 1.0
+    assert result.total_time <= 700.0 * (1.0 + 1e-9)
+
+
+RECORDS = {
+    "as the example": [],
+    "33 Hz": [('sampling_rate = "50 Hz"', 'sampling_rate = "33 Hz"')],
+    "blocks of samples": [('sampling_rate = "50 Hz"', 'sampling_rate = "470 Hz"')],
+    "random walk": PLANS["random walk"][1:],
+    "velocity": PLANS["dense velocity records"][1:3],
+    "considered": PLANS["considered terms and an uncertain radius"][1:],
+}
+
+
+@pytest.mark.parametrize("changes", RECORDS.values(), ids=RECORDS)
+def test_the_search_predicts_what_the_forecast_says(changes, starter):
+    """Every u of random plans within 0.02 %."""
+    search = Search(read_plan(starter(('senses = "one"', 'senses = "both"'), *changes)))
+    rng = np.random.default_rng(12)
+    for runs in (1, 3, 6, 10):
+        types = tuple(search.limits.types[i] for i in rng.integers(0, 2, runs))
+        rate = rng.uniform(*search.limits.rate, runs)
+        duration = np.round(rng.uniform(5.0, 20.0, runs) * 2.0 * math.pi / rate, 9)
+        design = Design(types, rate, duration * rate / (2.0 * math.pi))
+        told = forecast(search.campaign(design)).u
+        predicted = dict(zip(search.predictor.names, search.predictor.u(design), strict=True))
+        assert predicted == pytest.approx({name: told[name] for name in predicted}, rel=2e-4)
+
+
+def test_forecast_has_all_samples_of_dense_records(starter, tmp_path):
+    """The last block is shorter, as the reduction of a record makes it."""
+    file = starter(*PLANS["dense velocity records"])
+    campaign = read_campaign(write_campaign(plan(file), tmp_path / "planned"))
+    runs = tuple(replace(run, duration=20.011) for run in campaign.runs[:2])
+    campaign = replace(campaign, runs=runs)
+    series = planned_series(campaign, campaign.runs[0], "Qx", 400.0)
+    assert series.count.sum() == 8005
+    assert series.count[-1] < series.count[0]
+    step = 1.0 / 400.0
+    assert series.time[-1] + 0.5 * step * (series.count[-1] - 1.0) == pytest.approx(8004 * step)
 
 
 def test_forecast_takes_a_folder_a_file_or_a_campaign(starter, tmp_path):

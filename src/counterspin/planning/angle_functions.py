@@ -5,6 +5,7 @@ products of specific forces have the first harmonics, the platform's drift and g
 multiply them with time, and integration over the angle stays among them.
 
 - `functions`, `integration`
+- `shifted`: combinations of the functions about another zero of the angle
 - `prefix_factors`: what their first rows tell, row by row
 """
 
@@ -39,6 +40,36 @@ def integration(harmonics: int, order: int) -> Array:
         )
         once[place, place] = np.linalg.inv(derivative)
     return np.asarray(np.linalg.matrix_power(once, order))
+
+
+def shifted(weights: Array, by: Array) -> Array:
+    """Return combinations of the functions of th as combinations of the functions of th - by.
+
+    Parameters
+    ----------
+    weights
+        Shape (n, b, k).
+    by
+        rad, shape (n,).
+    """
+    n, size, k = weights.shape
+    s = by[:, None]
+    w = [weights[:, i] for i in range(4)]
+    result = np.empty_like(weights)
+    result[:, 0] = w[0] + s * (w[1] + s * (w[2] + s * w[3]))
+    result[:, 1] = w[1] + s * (2.0 * w[2] + 3.0 * s * w[3])
+    result[:, 2] = w[2] + 3.0 * s * w[3]
+    result[:, 3] = w[3]
+    m = np.arange(1, size // 4)
+    cos, sin = (f(m * s)[:, :, None] for f in (np.cos, np.sin))
+    before = weights[:, 4:].reshape(n, m.size, 4, k)
+    after = result[:, 4:].reshape(n, m.size, 4, k)
+    of_cos, of_sin = (before[:, :, i] + s[:, :, None] * before[:, :, i + 2] for i in (0, 1))
+    after[:, :, 0] = cos * of_cos + sin * of_sin
+    after[:, :, 1] = cos * of_sin - sin * of_cos
+    after[:, :, 2] = cos * before[:, :, 2] + sin * before[:, :, 3]
+    after[:, :, 3] = cos * before[:, :, 3] - sin * before[:, :, 2]
+    return result
 
 
 def prefix_factors(rows: Array, ends: npt.NDArray[np.int64], drop: int) -> Array:

@@ -20,7 +20,7 @@ from counterspin.inference.least_squares import REGULARISATION
 from counterspin.planning.run_information import RunInformation
 
 #: Relative step of the derivatives of a run's information, by central differences.
-_RELATIVE_STEP: Final = 1e-4
+_RELATIVE_STEP: Final = 1e-5
 
 
 class RunType(NamedTuple):
@@ -204,7 +204,14 @@ class Predictor:
         """How many unknowns all runs share."""
         return len(self.names)
 
-    def blocks(self, types: Sequence[RunType], rate: Array, revolutions: Array) -> Array:
+    def blocks(
+        self,
+        types: Sequence[RunType],
+        rate: Array,
+        revolutions: Array,
+        *,
+        whole_samples: bool = False,
+    ) -> Array:
         """Return the blocks of runs; leading axes of rate and revolutions before that of runs.
 
         Parameters
@@ -213,6 +220,8 @@ class Predictor:
             Of the n runs.
         rate, revolutions
             Shape (..., n).
+        whole_samples
+            As for `RunInformation.blocks`.
 
         Returns
         -------
@@ -220,24 +229,16 @@ class Predictor:
             Shape (..., n, b, p + q), b rows a run; the last columns, of terms considered by run,
             are zero where an attitude has fewer of them than others.
         """
-        shape = rate.shape
-        widest = self.p + self.common.size + max(own.size for own in self.own.values())
-        if len(set(types)) == 1:
-            kind = types[0]
-            rows = self.information.blocks(
-                kind.attitude, kind.sense, rate.ravel(), revolutions.ravel()
-            )
-            if rows.shape[2] == widest:
-                return rows.reshape(*shape, *rows.shape[1:])
-        result = np.zeros((*shape, self.information.rows, widest))
-        for kind in dict.fromkeys(types):
-            which = [i for i, other in enumerate(types) if other == kind]
-            w, n = rate[..., which], revolutions[..., which]
-            rows = self.information.blocks(kind.attitude, kind.sense, w.ravel(), n.ravel())
-            result[..., which, :, : rows.shape[2]] = rows.reshape(*w.shape, *rows.shape[1:])
-        return result
+        return self.information.blocks(types, rate, revolutions, whole_samples=whole_samples)
 
-    def covariance(self, types: Sequence[RunType], rate: Array, revolutions: Array) -> Array:
+    def covariance(
+        self,
+        types: Sequence[RunType],
+        rate: Array,
+        revolutions: Array,
+        *,
+        whole_samples: bool = False,
+    ) -> Array:
         """Return the covariance of the shared unknowns for each of many designs.
 
         Parameters
@@ -246,17 +247,25 @@ class Predictor:
             Of the n runs, the same in all the designs.
         rate, revolutions
             Shape (..., n).
+        whole_samples
+            As for `RunInformation.blocks`.
 
         Returns
         -------
         Array
             Shape (..., p, p).
         """
-        return self._covariance(types, self.blocks(types, rate, revolutions))[0]
+        blocks = self.blocks(types, rate, revolutions, whole_samples=whole_samples)
+        return self._covariance(types, blocks)[0]
 
     def u(self, design: Design) -> Array:
-        """Return the standard uncertainties of the shared unknowns, shape (p,)."""
-        covariance = self.covariance(design.types, design.rate, design.revolutions)
+        """Return the standard uncertainties of the shared unknowns, shape (p,).
+
+        For the samples that records of these lengths have, while `covariance` is smooth in the
+        lengths.
+        """
+        runs = (design.types, design.rate, design.revolutions)
+        covariance = self.covariance(*runs, whole_samples=True)
         return np.asarray(np.sqrt(np.diag(covariance)))
 
     def value(self, criterion: Criterion, design: Design) -> float:

@@ -183,8 +183,11 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     accelerometer = campaign.accelerometers[name]
     step = 1.0 / sampling_rate
     block = block_size(step, run.rate)
-    whole = max(1, sample_count(run.duration, sampling_rate) // block)
-    time = np.asarray((np.arange(whole) * block + 0.5 * (block - 1)) * step, dtype=np.float64)
+    samples = sample_count(run.duration, sampling_rate)
+    # As the reduction of a record does it: what is left at the end is a shorter block.
+    first = np.arange(0, samples, block)
+    count = np.minimum(block, samples - first).astype(np.float64)
+    time = np.asarray((first + 0.5 * (count - 1.0)) * step, dtype=np.float64)
     timing = float(_noise(campaign).get("timing", 0.0))
     order = ORDERS[accelerometer.observable]
     series = Series(
@@ -195,10 +198,10 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         observable=accelerometer.observable,
         attitude=run.attitude,
         time=time,
-        spread=np.full(whole, step * math.sqrt((block**2 - 1) / 12.0)),
-        count=np.full(whole, float(block)),
+        spread=step * np.sqrt((count**2 - 1.0) / 12.0),
+        count=count,
         spacing=step,
-        error=np.zeros(whole),
+        error=np.zeros_like(time),
         in_g=accelerometer.channel.unit.endswith("g"),
         jitter=jitter_of(timing, campaign.radius.value, run.rate, order),
     )

@@ -5,19 +5,19 @@ spindle angle th: th^2, th^3, and cos, sin, th cos, th sin of its first harmonic
 do not know the rate and their weights do not know the length of the run. So a run's square-root
 information is
 
-    R(revolutions) @ W(rate),
+    R(rate, revolutions) @ W(rate),
 
-R the triangular factor of the whitened functions with the run's own start errors projected out,
-W the weights, which are polynomials in the rate. Both are found once, from the same columns and
-the same whitening as a calibration's; afterwards a run costs a few small products. Between whole
-revolutions R follows the smooth curve through them, without the ripple of a few parts in 1e4 that
-a fraction of a revolution adds.
+R a factor of the whitened functions with the run's own start errors projected out, W the weights,
+which are polynomials in the rate and found once, from the same columns as a calibration's. With
+white noise R has a closed form (`counterspin.planning.even_samples`), exact for the very samples
+of the record; with a random walk it is interpolated (`counterspin.planning.walk_table`).
 
 - `RunInformation`: blocks of square-root information, many runs at once
 """
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -31,26 +31,22 @@ from counterspin.arrays import Array
 from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.joint.unknowns import Unknowns
-from counterspin.inference.noise.model import NoiseModel, make_whitener
-from counterspin.physics.accelerometer import Term
 from counterspin.physics.motion import Trajectory
-from counterspin.physics.shared_terms import term
 from counterspin.physics.spindle import Spindle
-from counterspin.planning.angle_functions import functions, integration, prefix_factors
+from counterspin.planning import even_samples
+from counterspin.planning.angle_functions import functions, integration
+from counterspin.planning.even_samples import EvenSamples
 from counterspin.planning.experimental_setup import PlannedInstrument, Setup
+from counterspin.planning.walk_table import WalkTable
+from counterspin.records.reduction import block_size
 
-#: Highest harmonic of the products of the table; |a_I| has them all, falling off as n^-4 or so.
-_HARMONICS: Final = 3
-_HARMONICS_OF_KINK: Final = 11
-
-_POINTS: Final = 4  #: rows to a revolution for each harmonic
-_FITTED: Final = 3  #: revolutions over which the weights are found
+#: Highest harmonics of the angle that are tried, until the columns are combinations of the
+#: functions to `_RESIDUAL` of their size; |a_I| has all harmonics, falling off as n^-4 or so.
+_HARMONICS: Final = (3, 4, 6, 11)
+_RESIDUAL: Final = 1e-6
 
 #: Nodes in the rate: the weights are polynomials of the eighth degree (a_I^3 goes as w^6).
 _RATE_NODES: Final = 13
-
-#: Ratio of neighbouring nodes in the number of revolutions.
-_NODE_RATIO: Final = 1.13
 
 
 class RunInformation:
@@ -66,6 +62,9 @@ class RunInformation:
         Smallest and largest number of revolutions, at least 1.
     senses
         +1, -1 or both.
+    like
+        Of the same instruments and limits for another model: what has been tabulated for it
+        serves again.
     """
 
     def __init__(
@@ -74,134 +73,169 @@ class RunInformation:
         rates: tuple[float, float],
         revolutions: tuple[float, float],
         senses: Sequence[int],
+        like: RunInformation | None = None,
     ) -> None:
         self.setup = setup
-        kinked = any("|I|" in _factors(unknown.symbol) for unknown in setup.model.unknowns)
-        kinked |= any("|I|" in _factors(other.symbol) for other in setup.model.considered)
-        self._harmonics = _HARMONICS_OF_KINK if kinked else _HARMONICS
         low, high = rates
         # A single rate is a range too, or there would be nothing to interpolate.
         self._rates = (low * 0.99, high * 1.01) if high < 1.02 * low else rates
-        self._counts = _whole_numbers(revolutions)
-        self._factors = {
-            key: self._factor(instrument)
-            for key, instrument in {
-                _key(instrument): instrument for instrument in setup.instruments
-            }.items()
-        }
-        self._weights = {
-            (name, sense): [self._weight(i, name, sense) for i in setup.instruments]
-            for name in setup.attitudes
-            for sense in senses
-        }
+        self._revolutions = revolutions
+        for self._harmonics in _HARMONICS:
+            fits = {
+                (name, sense): [self._weight(i, name, sense) for i in setup.instruments]
+                for name in setup.attitudes
+                for sense in senses
+            }
+            if all(residual < _RESIDUAL for fit in fits.values() for _, residual in fit):
+                break
+        self._kinds = {kind: index for index, kind in enumerate(fits)}
+        self._owns = max(len(setup.own(name)[0]) for name in setup.attitudes)
+        self._weights = [
+            np.array([self._padded(fit[i][0], name) for (name, _), fit in fits.items()])
+            for i in range(len(setup.instruments))
+        ]
+        self._priors = np.ones((len(fits), self._owns))
+        for kind, (name, _) in enumerate(fits):
+            known = _weights_of_priors(setup.model, setup.own(name)[0])
+            self._priors[kind, : known.size] = known
+        serves = like is not None and like._harmonics == self._harmonics
+        self._tables: list[WalkTable | None]
+        self._tables = like._tables if like and serves else self._walk_tables()
 
-    def blocks(self, attitude: str, sense: int, rate: Array, revolutions: Array) -> Array:
+    def _walk_tables(self) -> list[WalkTable | None]:
+        """Return what is interpolated for each instrument; None where there is a closed form."""
+        tables: dict[PlannedInstrument, WalkTable] = {}
+        chosen: list[WalkTable | None] = []
+        for instrument in self.setup.instruments:
+            if instrument.noise.random_walk == 0.0 or instrument.order == 0:
+                chosen.append(None)
+                continue
+            alike = replace(instrument, name="", mounting=self.setup.instruments[0].mounting)
+            if alike not in tables:
+                tables[alike] = WalkTable(
+                    instrument.order,
+                    instrument.noise.random_walk,
+                    lambda rate, i=instrument: self._variance(i, rate),  # type: ignore[misc]
+                    self.setup.sampling_rate,
+                    self._rates,
+                    self._revolutions,
+                    self._harmonics,
+                )
+            chosen.append(tables[alike])
+        return chosen
+
+    def sampled_at(self, sampling_rate: float) -> RunInformation:
+        """Return the same for another sampling rate, Hz."""
+        other = copy.copy(self)
+        other.setup = replace(self.setup, sampling_rate=sampling_rate)
+        other._tables = other._walk_tables()
+        return other
+
+    def blocks(
+        self,
+        types: Sequence[tuple[str, int]],
+        rate: Array,
+        revolutions: Array,
+        *,
+        whole_samples: bool = False,
+    ) -> Array:
         """Return what runs say about the shared unknowns.
 
         Parameters
         ----------
-        attitude, sense
-            Of all the runs.
+        types
+            Attitude and sense of each of n runs.
         rate, revolutions
-            Size of the rate (rad/s) and length of each run, shape (n,).
+            Size of the rate (rad/s) and length of each run, shape (..., n).
+        whole_samples
+            Whether the last sample is the last one that a run of this length has; False: as
+            smooth functions of the length, with a part of a sample at the end.
 
         Returns
         -------
         Array
-            Rows of unit variance, shape (n, b, p + q), b = `rows`: columns of the shared unknowns,
-            then of the shared considered terms, then of the run's own considered terms. The run's
-            own unknowns, start errors included, are projected out.
+            Rows of unit variance, shape (..., n, b, p + q), b = `rows`: columns of the shared
+            unknowns, then of the shared considered terms, then of the run's own considered terms,
+            zero where an attitude has fewer of these than others. The run's own unknowns, start
+            errors included, are projected out.
         """
-        setup = self.setup
-        own, _ = setup.own(attitude)
+        shape = rate.shape
+        of_run = np.array([self._kinds[kind] for kind in types], dtype=np.intp)
+        kinds = np.broadcast_to(of_run, shape).ravel()
+        rate, revolutions = rate.ravel(), revolutions.ravel()
+        samples = revolutions * (2.0 * math.pi * self.setup.sampling_rate) / rate
+        samples = np.floor(samples * (1.0 + 1e-12)) + 1.0 if whole_samples else samples + 1.0
         parts = []
-        for instrument, weight in zip(
-            setup.instruments, self._weights[attitude, sense], strict=True
+        for instrument, table, weight in zip(
+            self.setup.instruments, self._tables, self._weights, strict=True
         ):
-            weights = self._in_rate(weight, rate)
-            parts.append(self._scaled(instrument, rate, revolutions) @ weights)
+            weights = self._in_rate(weight, kinds, rate, instrument.order)
+            parts.append(self._root(instrument, table, weights, rate, samples, whole_samples))
         rows = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-        for prior in _weights_of_priors(setup.model, own):
-            rows = _without_first(rows, float(prior))
-        return rows
+        for prior in self._priors[kinds].T:
+            rows = _without_first(rows, prior[:, None, None])
+        return rows.reshape(*shape, *rows.shape[1:])
 
     @property
     def rows(self) -> int:
         """How many rows a run has in `blocks`."""
-        return sum(len(self._used(instrument.order)) for instrument in self.setup.instruments)
+        size = 4 + 4 * self._harmonics
+        return sum(size - instrument.order for instrument in self.setup.instruments)
 
-    # The functions of the angle
-
-    def _factor(self, instrument: PlannedInstrument) -> Any:
-        """Return the spline of R over the logarithm of revolutions (and of the rate)."""
-        from scipy.interpolate import NdBSpline, make_interp_spline
-
-        points = _POINTS * (self._harmonics + 1)
-        angle = (np.arange(points * self._counts[-1]) + 0.5) * (2.0 * math.pi / points)
-        shapes = functions(angle, self._harmonics)
-        along = np.log(self._counts)
-        if instrument.noise.random_walk == 0.0:
-            # White noise scales all rows alike: the rate and the size come in with `_scaled`.
-            drop = instrument.order
-            held = [column for column in range(4) if column < drop]
-            used = [*held, *self._used(instrument.order)]
-            prefixes = prefix_factors(shapes[:, used], self._counts * points, drop)
-            return make_interp_spline(along, prefixes)
-        nodes = _log_nodes(*self._rates)
-        table = []
-        for log_rate in nodes:
-            rate = math.exp(log_rate)
-            density = points * rate / (2.0 * math.pi)
-            white = math.sqrt(self._variance(instrument, rate) * density / self.setup.sampling_rate)
-            whiten = make_whitener(
-                angle / rate,
-                instrument.order,
-                NoiseModel(white, instrument.noise.random_walk),
+    def _root(
+        self,
+        instrument: PlannedInstrument,
+        table: WalkTable | None,
+        weights: Array,
+        rate: Array,
+        samples: Array,
+        with_ripple: bool,
+    ) -> Array:
+        """Return an instrument's rows, start errors projected out."""
+        step = 1.0 / self.setup.sampling_rate
+        block = np.array([block_size(step, float(w)) for w in rate], dtype=np.float64)
+        spread = rate * step * np.sqrt((block**2 - 1.0) / 12.0)
+        if table is not None:
+            return table.root(
+                even_samples.averaged(weights, spread), rate, samples, with_ripple=with_ripple
             )
-            rows = whiten.apply(shapes[:, self._used(instrument.order)])
-            ends = self._counts * points - instrument.order
-            table.append(prefix_factors(rows, ends, 0))
-        first = make_interp_spline(along, np.array(table), axis=1)
-        # make_interp_spline puts its axis first: (revolutions, rates, ...) -> over the rates next.
-        second = make_interp_spline(nodes, np.moveaxis(first.c, 0, 1))
-        return NdBSpline((second.t, first.t), np.ascontiguousarray(second.c), 3)
-
-    def _scaled(self, instrument: PlannedInstrument, rate: Array, revolutions: Array) -> Array:
-        """Return R for each run, its rows of unit variance, shape (n, b, b)."""
-        spline = self._factors[_key(instrument)]
-        if instrument.noise.random_walk > 0.0:
-            return np.asarray(spline(np.column_stack([np.log(rate), np.log(revolutions)])))
-        points = _POINTS * (self._harmonics + 1)
-        density = points * rate / (2.0 * math.pi)
-        variance = self._variance(instrument, rate) * density / self.setup.sampling_rate
-        factor: Array = np.asarray(spline(np.log(revolutions)), dtype=np.float64)
-        return np.asarray(factor / np.sqrt(variance)[:, None, None])
+        records = EvenSamples(
+            first=0.5 * rate * step * (block - 1.0),
+            step=rate * step * block,
+            count=samples / block,
+            spread=spread,
+        )
+        variance = self._variance(instrument, rate)
+        if instrument.order == 0:  # a random walk of the velocity is white in specific force
+            variance = variance + instrument.noise.random_walk**2 / step
+        size: Array = np.sqrt(block / variance)[:, None, None]
+        return np.asarray(size * even_samples.root(records, weights, instrument.order))
 
     def _variance(self, instrument: PlannedInstrument, rate: Any) -> Any:
         """Return the white variance of one sample, that of jitter included."""
         jitter = jitter_of(instrument.jitter, self.setup.radius, rate, instrument.order)
         return instrument.noise.sample_variance + jitter**2
 
-    def _used(self, order: int) -> list[int]:
-        """Functions that are not start errors: for displacement all but 1 and th."""
-        return list(range(order, 4 + 4 * self._harmonics))
-
     # The weights
 
-    def _weight(self, instrument: PlannedInstrument, attitude: str, sense: int) -> Array:
-        """Return Chebyshev coefficients of the weights over the rate, (nodes, b, columns)."""
+    def _weight(
+        self, instrument: PlannedInstrument, attitude: str, sense: int
+    ) -> tuple[Array, float]:
+        """Return Chebyshev coefficients of the weights over the rate, (nodes, b, columns).
+
+        And how well the columns are combinations of the functions: the largest residual, as a
+        part of its column.
+        """
         setup = self.setup
         own, own_considered = setup.own(attitude)
         wanted = [*own, *setup.shared]
         fixed = [*setup.considered, *own_considered]
-        angle = np.linspace(0.0, 2.0 * math.pi * _FITTED, 24 * (self._harmonics + 1))
-        constant_and_linear = [0, 1, *range(4, 4 + 4 * self._harmonics)]
-        basis = functions(angle, self._harmonics)[:, constant_and_linear]
-        solve = np.linalg.pinv(basis)
+        points = 24 * (self._harmonics + 1)  # to each of three revolutions
+        angle: Array = np.arange(3.0 * points) * (2.0 * math.pi / points)
         integrate = integration(self._harmonics, instrument.order)
         low, high = self._rates
         nodes = chebyshev.chebpts1(_RATE_NODES)
-        values = []
+        values, worst = [], 0.0
         for rate in 0.5 * (low + high) + 0.5 * (high - low) * nodes:
             prepared = self._forces(instrument, attitude, sense * rate, angle / rate)
             columns = np.zeros((angle.size, len(wanted) + len(fixed)))
@@ -209,26 +243,44 @@ class RunInformation:
                 columns[:, wanted.index(index)] = column
             for column, index in zip(prepared.fixed.T, prepared.considered, strict=True):
                 columns[:, len(wanted) + fixed.index(index)] = column
-            weights = np.zeros((4 + 4 * self._harmonics, columns.shape[1]))
-            weights[constant_and_linear] = solve @ columns
-            # Multiplied with the rate, what grows with time is a polynomial in the rate as well.
-            values.append(rate * (integrate @ weights)[self._used(instrument.order)])
+            weights, residual = _combination(angle, columns, self._harmonics)
+            worst = max(worst, residual)
+            # At a given angle forces are polynomials in the rate; times the rate, so is what
+            # grows with time.
+            values.append(rate * (integrate @ weights))
         vander = chebyshev.chebvander(nodes, _RATE_NODES - 1)
         flat = np.array(values).reshape(_RATE_NODES, -1)
         coefficients: Array = np.asarray(np.linalg.solve(vander, flat), dtype=np.float64)
-        return np.asarray(coefficients.reshape(_RATE_NODES, -1, len(wanted) + len(fixed)))
+        return coefficients.reshape(_RATE_NODES, -1, len(wanted) + len(fixed)), worst
 
-    def _in_rate(self, weight: Array, rate: Array) -> Array:
+    def _padded(self, weight: Array, attitude: str) -> Array:
+        """Return weights with as many columns of a run's own as any attitude has."""
+        setup = self.setup
+        own, considered = setup.own(attitude)
+        most = max(len(setup.own(name)[1]) for name in setup.attitudes)
+        before, after = self._owns - len(own), most - len(considered)
+        place = len(own)
+        zeros = np.zeros((*weight.shape[:2], before))
+        parts = [weight[..., :place], zeros, weight[..., place:]]
+        return np.concatenate([*parts, np.zeros((*weight.shape[:2], after))], axis=2)
+
+    def _in_rate(
+        self, weights: Array, kinds: npt.NDArray[np.intp], rate: Array, order: int
+    ) -> Array:
+        """Return the weights at rates, shape (n, b, columns), integrated over time."""
         low, high = self._rates
         place = (2.0 * rate - low - high) / (high - low)
-        vander = chebyshev.chebvander(place, _RATE_NODES - 1) / rate[:, None]
-        flat = vander @ weight.reshape(_RATE_NODES, -1)
-        return np.asarray(flat.reshape(len(rate), *weight.shape[1:]))
+        vander = chebyshev.chebvander(place, _RATE_NODES - 1) / rate[:, None] ** (1 + order)
+        result = np.empty((len(rate), *weights.shape[2:]))
+        for kind in np.unique(kinds):
+            which = kinds == kind
+            result[which] = np.tensordot(vander[which], weights[kind], axes=1)
+        return result
 
     def _forces(
         self, instrument: PlannedInstrument, attitude: str, rate: float, times: Array
     ) -> Prepared:
-        """Return the columns of the specific force, before any integration, times rate^-order."""
+        """Return the columns of the specific force, before any integration."""
         setup = self.setup
         trajectory = Trajectory(Spindle(rate), setup.radius, setup.site)
         series = Series(
@@ -246,12 +298,32 @@ class RunInformation:
         )
         factors = {name: setup.scale_factors[name] for name in [instrument.name]}
         (prepared,) = prepare_columns([series], setup.model, factors, setup.estimate)
-        scale = abs(rate) ** -instrument.order
-        return replace(prepared, design=prepared.design * scale, fixed=prepared.fixed * scale)
+        return prepared
 
 
-def _without_first(rows: Array, prior: float) -> Array:
-    """Project the first unknown out of rows, of which 1/u is known beforehand.
+def _combination(angle: Array, columns: Array, harmonics: int) -> tuple[Array, float]:
+    """Return the weights of 1, th, cos, sin, th cos and th sin in columns over three revolutions.
+
+    What grows with the angle is the difference of two revolutions, and is exact whatever harmonics
+    the rest has. Also the largest residual of a column, as a part of its size.
+    """
+    points = len(angle) // 3
+    shapes = functions(angle, harmonics)
+    periodic = [0, *(place for m in range(1, harmonics + 1) for place in (4 * m, 4 * m + 1))]
+    growing = [1, *(place for m in range(1, harmonics + 1) for place in (4 * m + 2, 4 * m + 3))]
+    project = 2.0 / points * shapes[:points, periodic].T
+    project[0] *= 0.5
+    first, second = columns[:points], columns[points : 2 * points]
+    slope = (second - first) / (2.0 * math.pi)
+    weights = np.zeros((shapes.shape[1], columns.shape[1]))
+    weights[growing] = project @ slope
+    weights[periodic] = project @ (first - angle[:points, None] * slope)
+    size = np.maximum(np.abs(columns).max(axis=0), np.finfo(float).tiny)
+    return weights, float(np.max(np.abs(columns - shapes @ weights) / size, initial=0.0))
+
+
+def _without_first(rows: Array, prior: Array) -> Array:
+    """Project the first unknown out of rows, of which 1/u is known beforehand, (n, 1, 1).
 
     What is left of the information is Y' (1 - x x'/(prior^2 + x'x)) Y, and its root is Y less a
     part of its component along x: exact, and no product is formed of which a root must be taken.
@@ -263,34 +335,7 @@ def _without_first(rows: Array, prior: float) -> Array:
     return np.asarray(others - x * ((1.0 - kept) * along))
 
 
-def _key(instrument: PlannedInstrument) -> tuple[object, ...]:
-    """Return what tells apart the instruments whose functions are whitened differently."""
-    if instrument.noise.random_walk == 0.0:
-        return (instrument.order,)
-    return (instrument.order, instrument.noise, instrument.jitter)
-
-
-def _factors(symbol: str) -> tuple[str, ...]:
-    row = term(symbol)
-    return row.factors if isinstance(row, Term) else ()
-
-
 def _weights_of_priors(model: Unknowns, places: Sequence[int]) -> Array:
     """Return 1/u of what is known of some unknowns; of nothing, the solver's regularisation."""
     chosen = [model.unknowns[i] for i in places]
     return np.array([1.0 / unknown.spread for unknown in chosen])
-
-
-def _whole_numbers(between: tuple[float, float]) -> npt.NDArray[np.int64]:
-    """Return whole numbers of revolutions that span a range, nearly in a geometric series."""
-    low, high = max(1, math.floor(between[0])), math.ceil(between[1])
-    high = max(high, low + 4)
-    counts = [low]
-    while counts[-1] < high:
-        counts.append(max(counts[-1] + 1, round(counts[-1] * _NODE_RATIO)))
-    return np.array(counts, dtype=np.int64)
-
-
-def _log_nodes(low: float, high: float) -> Array:
-    count = max(6, math.ceil(math.log(high / low) / 0.2) + 1)
-    return np.linspace(math.log(low), math.log(high), count)

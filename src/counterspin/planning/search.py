@@ -5,14 +5,15 @@
 
 from __future__ import annotations
 
-import copy
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.resolved import Campaign
@@ -46,7 +47,7 @@ class Search:
         self.plan = plan
         self.limits = plan.limits
         self._reach = reach
-        self.predictor = self._predictor(plan.sampling_rate, considering=True)
+        self.predictor = self._predictor(considering=True)
         names = list(self.predictor.names)
         self.criterion = Criterion(
             tuple(names.index(name) for name in plan.goal.sizes),
@@ -54,16 +55,17 @@ class Search:
             plan.goal.criterion,
         )
 
-    def _predictor(self, sampling_rate: float, *, considering: bool) -> Predictor:
+    def _predictor(self, *, considering: bool) -> Predictor:
         low, high = self.limits.rate
         longest = min(self.limits.longest_run * 1.11, self.limits.total_time)
         turns = longest * self._reach[0] * high * self._reach[1] / (2.0 * math.pi)
-        setup = setup_of(self.plan.stand_in, sampling_rate, considering=considering)
+        setup = setup_of(self.plan.stand_in, self.plan.sampling_rate, considering=considering)
         information = RunInformation(
             setup,
             (low * 0.89, high * self._reach[1]),
             (max(1.0, 0.89 * self.limits.revolutions), turns),
             (1, -1),
+            like=None if considering else self.predictor.information,
         )
         return Predictor(information)
 
@@ -72,7 +74,7 @@ class Search:
         """A predictor whose considered terms are estimated; None if there are none."""
         if not self.predictor.information.setup.considered_sizes.size:
             return None
-        return self._predictor(self.plan.sampling_rate, considering=False)
+        return self._predictor(considering=False)
 
     def best(self, limits: Limits | None = None, start: Design | None = None) -> Optimum | None:
         """Return the best plan, within other limits if these are given; None: target missed."""
@@ -154,14 +156,8 @@ class Search:
         return polish(predictor, limits, self.criterion, start)[0]
 
     def _faster_sampling(self) -> Predictor:
-        setup = self.predictor.information.setup
-        faster = replace(setup, sampling_rate=setup.sampling_rate * (1.0 + _RELAXATION))
-        if any(i.noise.random_walk > 0.0 for i in setup.instruments):
-            return self._predictor(faster.sampling_rate, considering=True)
-        # With white noise alone the sampling rate only scales the rows.
-        information = copy.copy(self.predictor.information)
-        information.setup = faster
-        return Predictor(information)
+        faster = self.plan.sampling_rate * (1.0 + _RELAXATION)
+        return Predictor(self.predictor.information.sampled_at(faster))
 
     def relaxed(self, key: str) -> Limits:
         """Return the limits with one relaxed by a tenth."""
@@ -214,24 +210,67 @@ class Search:
         )
 
     def rounded(self, design: Design) -> Design:
-        """Return the design with durations and rates as they are written, still in the limits."""
+        """Return the design with durations and rates as they are written, still in the limits.
+
+        Durations are rounded down. What that has left over of the total time is the longest run's.
+        """
+        rounded = self._rounded_down(design)
+        if self.plan.goal.kind == "minimise":
+            longest = int(np.argmax(rounded.duration))
+            left = self.limits.total_time - self.limits.time(rounded)
+            room = min(left, self.limits.longest_run - float(rounded.duration[longest]))
+            steps = math.floor(room / _DURATION_STEP + 1e-6)
+            if steps > 0:
+                rounded = _longer(rounded, longest, steps * _DURATION_STEP)
+        return rounded
+
+    def meeting(self, design: Design, targets: Mapping[str, float]) -> Design | None:
+        """Return the rounded design, lengthened until no u is above its target.
+
+        Parameters
+        ----------
+        design
+            A plan that meets the targets, or nearly.
+        targets
+            Of unknowns, by name.
+
+        Returns
+        -------
+        Design or None
+            None if the total time does not suffice.
+        """
+        rounded = self._rounded_down(design)
+        places = [self.predictor.names.index(name) for name in targets]
+        wanted = np.array(list(targets.values()))
+        while np.any(self.predictor.u(rounded)[places] > wanted):
+            # One step more for the run that it helps most.
+            candidates = [
+                longer
+                for index in range(len(rounded.types))
+                if (longer := _longer(rounded, index, _DURATION_STEP)).duration[index]
+                <= self.limits.longest_run * (1.0 + 1e-12)
+            ]
+            if not candidates or self.limits.time(candidates[0]) > self.limits.total_time + 1e-9:
+                return None
+            covariance = self.predictor.covariance(
+                rounded.types,
+                np.array([candidate.rate for candidate in candidates]),
+                np.array([candidate.revolutions for candidate in candidates]),
+                whole_samples=True,
+            )
+            u = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))[:, places]
+            rounded = candidates[int(np.argmin((u / wanted).max(axis=1)))]
+        return rounded
+
+    def _rounded_down(self, design: Design) -> Design:
         rate = np.array([self._rounded_rate(float(w)) for w in design.rate])
         fewest = self.limits.revolutions * 2.0 * math.pi / rate
-        # To the written digit: down, so that the total time is kept, or up, so that a target is.
-        up = self.plan.goal.kind == "target"
-        digit = np.ceil if up else np.floor
-        steps = design.duration / _DURATION_STEP
-        duration = digit(steps + (-1e-6 if up else 1e-6)) * _DURATION_STEP
-        duration = np.where(duration < fewest, np.maximum(design.duration, fewest), duration)
-        duration = np.minimum(duration, self.limits.longest_run)
-        rounded = Design(design.types, rate, duration * rate / (2.0 * math.pi))
-        # What rounding has left over is the longest run's.
-        left = self.limits.total_time - self.limits.time(rounded)
-        longest = int(np.argmax(duration))
-        room = min(left, self.limits.longest_run - float(duration[longest]))
-        if self.plan.goal.kind == "minimise" and room > 0.0:
-            duration[longest] += math.floor(room / _DURATION_STEP + 1e-6) * _DURATION_STEP
-        return Design(design.types, rate, np.round(duration, 9) * rate / (2.0 * math.pi))
+        steps = np.floor(design.duration / _DURATION_STEP + 1e-6)
+        shortest = np.maximum(design.duration, fewest)
+        written = steps * _DURATION_STEP
+        allowed = np.minimum(np.where(written < fewest, shortest, written), self.limits.longest_run)
+        duration = np.round(allowed, 9)
+        return Design(design.types, rate, duration * rate / (2.0 * math.pi))
 
     def _rounded_rate(self, rate: float) -> float:
         """Return a rate with five digits; a setting, or a limit that it touches, as it is."""
@@ -296,3 +335,10 @@ class Search:
             return None
         types = tuple(RunType(attitude, 1) for attitude in attitudes for _ in rates)
         return Design(types, rate, duration * rate / (2.0 * math.pi))
+
+
+def _longer(design: Design, index: int, by: float) -> Design:
+    """Return the design with one run longer, s."""
+    duration: Array = design.duration
+    duration[index] = round(float(duration[index]) + by, 9)
+    return replace(design, revolutions=duration * design.rate / (2.0 * math.pi))
