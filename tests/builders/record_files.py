@@ -8,12 +8,12 @@ import polars as pl
 import pytest
 
 from counterspin.errors import RecordError
+from counterspin.records.amplitude import Swing
 from counterspin.records.reading import read_record
 from counterspin.records.record import ColumnSpec, Motion, Record, RecordColumns
 
 RATE = math.pi
 RADIUS = 2.5
-EAST = np.array([1.0, 0.0, 0.0])
 TIME, ANGLE, SIGNAL = "time_s", "angle_rad", "east_m"
 
 
@@ -47,8 +47,8 @@ def read(path: Path, rate: float = RATE, block="auto", **changed) -> Record:
         "angle": ColumnSpec(ANGLE),
         "signals": {"Qx": ColumnSpec(SIGNAL)},
     }
-    input_axes = changed.pop("input_axes", {"Qx": EAST})
-    motion = Motion(rate, RADIUS, input_axes)
+    swings = changed.pop("swings", {"Qx": Swing(RADIUS, "m")})
+    motion = Motion(rate, swings)
     return read_record(path, RecordColumns(**columns | changed), motion, block=block)
 
 

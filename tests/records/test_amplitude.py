@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
-from record_files import RATE, SIGNAL, read, refusal, table, write
+from record_files import ANGLE, RATE, SIGNAL, read, refusal, table, write
+
+from counterspin.records.amplitude import Swing
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e-3, 1e2])
@@ -35,7 +37,19 @@ def test_a_displacement_that_is_not_the_motions(tmp_path, change, words):
     assert words in refusal(write(tmp_path / "run.csv", columns))
 
 
-def test_other_observables_are_not_held_to_the_radius(tmp_path):
+def test_a_signal_without_a_stated_swing_is_not_held_to_one(tmp_path):
     columns = table(n=3000)
     columns[SIGNAL] *= -RATE * 10
-    read(write(tmp_path / "run.csv", columns), input_axes={})
+    read(write(tmp_path / "run.csv", columns), swings={})
+
+
+def test_a_wave_that_noise_hides_is_no_reason_to_refuse(tmp_path):
+    """Specific force of a slow run: the wave is a tenth of the noise of a sample."""
+    columns = table(n=1000, noise=0.0)
+    rng = np.random.default_rng(5)
+    columns[SIGNAL] = 1e-3 * np.cos(columns[ANGLE]) + 1e-2 * rng.standard_normal(1000)
+    path = write(tmp_path / "run.csv", columns)
+    read(path, swings={"Qx": Swing(1e-3, "m/s^2")})
+    # What the records do show is told all the same.
+    message = refusal(path, swings={"Qx": Swing(0.1, "m/s^2")})
+    assert "where the radius and the input axis make 0.1 m/s^2" in message

@@ -7,8 +7,9 @@ import polars as pl
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from record_files import ANGLE, EAST, RADIUS, RATE, SIGNAL, TIME, dense, read, write
+from record_files import ANGLE, RADIUS, RATE, SIGNAL, TIME, dense, read, write
 
+from counterspin.records.amplitude import Swing
 from counterspin.records.record import ColumnSpec
 
 
@@ -64,7 +65,7 @@ def test_two_accelerometers_share_a_blocks_rows(tmp_path):
     record = read(
         write(tmp_path / "run.parquet", columns),
         signals={"Qx": ColumnSpec(SIGNAL), "Qy": ColumnSpec("north_m")},
-        input_axes={"Qx": EAST, "Qy": np.array([0.0, 1.0, 0.0])},
+        swings={"Qx": Swing(RADIUS, "m"), "Qy": Swing(1j * RADIUS, "m")},
     )
     assert np.flatnonzero(np.isnan(record.signals["Qy"])).tolist() == [20, 21, 22, 23]
     assert not np.isnan(record.signals["Qx"]).any()

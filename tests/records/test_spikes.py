@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from record_files import ANGLE, EAST, SIGNAL, TIME, dense, read, table, write
+from record_files import ANGLE, RADIUS, SIGNAL, TIME, dense, read, table, write
 
+from counterspin.records.amplitude import Swing
 from counterspin.records.record import ColumnSpec
 from counterspin.records.spikes import median
 
@@ -60,7 +61,7 @@ def test_the_harmonics_of_a_quiet_record_are_no_outliers(tmp_path):
     columns[SIGNAL] = -6.17 * np.cos(phase) + 5e-5 * np.cos(2 * phase)
     columns[SIGNAL] += 1e-4 * np.random.default_rng(6).standard_normal(phase.size)
     path = write(tmp_path / "run.parquet", columns)
-    record = read(path, rate=np.pi / 2, input_axes={})
+    record = read(path, rate=np.pi / 2, swings={})
     assert record.report.outliers[SIGNAL] == 0
 
 
@@ -77,7 +78,7 @@ def test_noise_free_and_constant_signals(tmp_path):
     record = read(
         write(tmp_path / "run.parquet", columns),
         signals={"Qx": ColumnSpec(SIGNAL), "Qz": ColumnSpec("up_m")},
-        input_axes={"Qx": EAST, "Qz": np.array([0.0, 0.0, 1.0])},
+        swings={"Qx": Swing(RADIUS, "m")},
     )
     assert record.report.outliers == {ANGLE: 0, SIGNAL: 0, "up_m": 0}
 

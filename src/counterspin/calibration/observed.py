@@ -6,16 +6,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 from counterspin.arrays import Array
 from counterspin.campaign.resolved import Accelerometer, Campaign, Channel, Run
+from counterspin.campaign.settings import OBSERVABLES
 from counterspin.physics import observation
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
+from counterspin.records.amplitude import Swing
 from counterspin.records.reading import read_record
 from counterspin.records.record import ColumnSpec, Motion, Record, RecordColumns
+
+#: Horizontal part of an input axis from which its signal is held to the motion's wave.
+_HORIZONTAL: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -83,13 +90,27 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
         {name: _column(a.channel) for name, a in campaign.accelerometers.items()},
     )
     for run in campaign.runs:
-        input_axes = {
-            name: a.mounting.turned(run.attitude).input_axis
-            for name, a in campaign.accelerometers.items()
-            if a.observable == "displacement"
+        swings = {
+            name: swing
+            for name, accelerometer in campaign.accelerometers.items()
+            if (swing := _swing(campaign, run, accelerometer)) is not None
         }
-        motion = Motion(run.rate, campaign.radius.value, input_axes)
+        motion = Motion(run.rate, swings)
         yield observe_run(campaign, run, read_record(run.record, columns, motion))
+
+
+def _swing(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> Swing | None:
+    """Return the wave that the motion makes along an input axis; None where it is nearly upright.
+
+    The position is R (cos th, sin th); each time derivative multiplies it with the rate and turns
+    it forward by a right angle.
+    """
+    east, north, _ = accelerometer.mounting.turned(run.attitude).input_axis
+    if math.hypot(east, north) < _HORIZONTAL:
+        return None
+    derivatives = 2 - observation.ORDERS[accelerometer.observable]
+    wave = campaign.radius.value * complex(east, north) * (-1j * run.rate) ** derivatives
+    return Swing(wave, OBSERVABLES[accelerometer.observable])
 
 
 def _column(channel: Channel) -> ColumnSpec:

@@ -17,6 +17,12 @@ _FEWEST_SAMPLES = 12
 #: An amplitude that differs from the others by this factor or more is refused.
 _CHANGE_RATIO = 2.0
 
+#: Standard deviations of a noisy wave by which it may miss the motion's beside that.
+_DEVIATIONS = 5.0
+
+#: Standard deviation of a Gaussian over its median absolute deviation.
+_MAD = 1.4826
+
 #: Ratios that come of a mistaken unit, and the units' names.
 _UNIT_RATIOS = (
     (1000.0, "m and mm"),
@@ -32,6 +38,22 @@ _UNIT_RATIOS = (
     (9806.65, "mg and m/s^2"),
     (3.6, "m/s and km/h"),
 )
+
+
+@dataclass(frozen=True)
+class Swing:
+    """The wave of one period a revolution that the motion makes.
+
+    Attributes
+    ----------
+    amplitude
+        Of the cosine of the angle, and of its sine as the imaginary part, in `unit`; not zero.
+    unit
+        For messages.
+    """
+
+    amplitude: complex
+    unit: str
 
 
 @dataclass(frozen=True)
@@ -158,33 +180,31 @@ def switch(fitted: Waves, change: UnitChange, angle: np.ndarray, signal: np.ndar
     return int(np.argmin(np.append(0.0, np.cumsum(np.nan_to_num(before - after)))))
 
 
-def against_reference(
-    fitted: Waves, radius: float, input_axis: np.ndarray, has_angle: bool
-) -> str | None:
-    """Compare a displacement's wave with the motion's; say what is wrong, or return None.
+def against_reference(fitted: Waves, swing: Swing, has_angle: bool) -> str | None:
+    """Compare a signal's wave with the motion's; say what is wrong, or return None.
 
     Parameters
     ----------
     fitted
-        The displacement's waves, m.
-    radius
-        m.
-    input_axis
-        (3,) unit vector in east, north, up.
+        The signal's waves, in the unit of `swing`.
+    swing
+        What the motion makes.
     has_angle
         Whether the waves are over the recorded angle; else their phase means nothing.
     """
-    across = math.hypot(input_axis[0], input_axis[1])
-    if across < 0.05 or not len(fitted.amplitude):
+    if not len(fitted.amplitude):
         return None
-    expected = radius * complex(input_axis[0], input_axis[1])
-    ratio = complex(np.median(fitted.amplitude.real), np.median(fitted.amplitude.imag)) / expected
-    size = abs(ratio)
-    if (has_angle and abs(ratio - 1) < 0.5) or (not has_angle and 0.5 < size < 2):
+    expected, unit = swing.amplitude, swing.unit
+    mean = complex(np.median(fitted.amplitude.real), np.median(fitted.amplitude.imag))
+    ratio, size = mean / expected, abs(mean / expected)
+    slack = _DEVIATIONS * _spread(fitted, mean) / abs(expected)
+    if (has_angle and abs(ratio - 1) < 0.5 + slack) or (
+        not has_angle and 0.5 - slack < size < 2 + slack
+    ):
         return None
     words = (
-        f"swings by {size * abs(expected):.4g} m about the spindle axis, "
-        f"where the radius and the input axis make {abs(expected):.4g} m"
+        f"swings by {size * abs(expected):.4g} {unit} about the spindle axis, "
+        f"where the radius and the input axis make {abs(expected):.4g} {unit}"
     )
     if 0.5 < size < 2:
         turn = math.degrees(math.atan2(ratio.imag, ratio.real))
@@ -196,3 +216,12 @@ def against_reference(
     if off < 0.05:
         return f"{words}; the factor {size:.4g} is that between {near}: check the column's unit"
     return f"{words}: check the column's unit, the radius and the input axis"
+
+
+def _spread(fitted: Waves, mean: complex) -> float:
+    """Return the standard deviation of the median wave, from what the revolutions differ by."""
+    turns = len(fitted.amplitude)
+    between = _MAD * float(np.median(np.abs(fitted.amplitude - mean)))
+    samples = np.maximum(fitted.last - fitted.first + 1, 1)
+    within = float(np.median(fitted.deviation * np.sqrt(2.0 / samples)))
+    return math.hypot(between, within) * math.sqrt(0.5 * math.pi / turns)

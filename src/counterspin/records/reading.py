@@ -261,10 +261,8 @@ class _RecordReader:
         change = change_of_unit(fitted)
         if change is not None:
             raise self._changed(accelerometer, fitted, change, time, phase)
-        if accelerometer in self._motion.input_axes:
-            axis = np.asarray(self._motion.input_axes[accelerometer], dtype=float)
-            has_angle = self._columns.angle is not None
-            wrong = against_reference(fitted, self._motion.radius, axis, has_angle)
+        if (swing := self._motion.swings.get(accelerometer)) is not None:
+            wrong = against_reference(fitted, swing, self._columns.angle is not None)
             if wrong is not None:
                 column = self._columns.signals[accelerometer].name
                 raise RecordError(f"{self._file.path}: column '{column}' {wrong}.")

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from counterspin.records.amplitude import Swing
 from counterspin.records.report import RecordReport
 
 
@@ -54,16 +55,13 @@ class Motion:
     ----------
     rate
         rad/s; negative turns from north to east.
-    radius
-        m.
-    input_axes
-        Accelerometer -> (3,) unit vector in east, north, up, for those whose signal is a
-        displacement: its swing about the spindle axis is then checked against the radius.
+    swings
+        Accelerometer -> the wave that the motion puts into its signal; those without are not
+        checked against it.
     """
 
     rate: float
-    radius: float
-    input_axes: Mapping[str, np.ndarray] = field(default_factory=dict)
+    swings: Mapping[str, Swing] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
