@@ -238,6 +238,30 @@ def test_limits_are_kept():
     assert 1 <= len(design.types) <= 5
 
 
+@pytest.mark.parametrize("fewest", [2, 4])
+def test_as_many_different_rates_as_there_must_be(predictor, fewest):
+    free = optimise(predictor, DAY, K_II)
+    limits = replace(DAY, fewest_rates=fewest, revolutions=5.0)
+    found = optimise(predictor, limits, K_II)
+    assert len(set(np.round(free.design.rate, 6))) == 1
+    rates = found.design.rate
+    apart = rates[limits.runs_apart(rates)]
+    assert len(apart) == fewest
+    assert np.all(apart[:-1] / apart[1:] >= 1.25 * (1.0 - 1e-4))
+    assert limits.time(found.design) <= limits.total_time * (1.0 + 1e-9)
+    # It costs something, and little: the bound is that without the rule.
+    assert free.value < found.value < free.value + 0.05
+    assert found.bound <= found.value
+
+
+def test_different_settings_of_the_rate(predictor):
+    settings = (0.25 * FAST, 0.6 * FAST, 0.9 * FAST, FAST)
+    limits = replace(DAY, settings=settings, rate=(settings[0], FAST), runs=5, fewest_rates=3)
+    found = optimise(predictor, replace(limits, total_time=300.0), K_II)
+    assert len(set(found.design.rate)) >= 3
+    assert set(found.design.rate) <= set(settings)
+
+
 def test_least_time_meets_its_target_and_the_longest_time_misses_no_less(predictor):
     target = Criterion((2,), (3e-8,))
     found = least_time(predictor, DAY, target)

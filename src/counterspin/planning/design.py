@@ -19,6 +19,12 @@ from counterspin.arrays import Array, triangle_of
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.planning.run_information import RunInformation
 
+#: Rates count as different if one is this many times the other; settings always do.
+_DIFFERENT: Final = 1.25
+
+#: Relative distance by which rounding may bring different rates nearer.
+_ROUNDING: Final = 1e-4
+
 #: Relative step of the derivatives of a run's information, by central differences.
 _RELATIVE_STEP: Final = 1e-5
 
@@ -98,6 +104,8 @@ class Limits:
         Longest record, s.
     runs
         Largest number.
+    fewest_rates
+        How many different rates the runs must have at least.
     """
 
     types: tuple[RunType, ...]
@@ -110,6 +118,7 @@ class Limits:
     revolutions: float
     longest_run: float
     runs: int
+    fewest_rates: int = 1
 
     def overhead(self, rate: Array) -> Array:
         """Return the time that runs take beside their records, s."""
@@ -125,9 +134,47 @@ class Limits:
 
     @property
     def shortest(self) -> float:
-        """The least time in which one run can be made, s."""
+        """The least time in which runs can be made, one at each rate that there must be, s."""
         rates = np.array(self.settings or self.rate)
-        return float(np.min(self.revolutions * 2.0 * math.pi / rates + self.overhead(rates)))
+        times = np.sort(self.revolutions * 2.0 * math.pi / rates + self.overhead(rates))
+        if self.fewest_rates > 1:
+            rates = np.array(self.different_rates(self.rate[1]))
+            times = self.revolutions * 2.0 * math.pi / rates + self.overhead(rates)
+        return float(np.sum(times[: self.fewest_rates]))
+
+    @property
+    def apart(self) -> float:
+        """How many times the next lower one each of the different rates must be."""
+        return 1.0 if self.settings else _DIFFERENT
+
+    def different_rates(self, fastest: float) -> list[float]:
+        """Return as many different rates as there must be, from the fastest down, rad/s.
+
+        Fewer if the lowest rate comes before.
+        """
+        if self.settings:
+            below = [w for w in self.settings if w <= fastest * (1.0 + 1e-9)]
+            others = [w for w in self.settings if w not in below]
+            return [*reversed(below), *others][: self.fewest_rates]
+        rates = [fastest / self.apart**step for step in range(self.fewest_rates)]
+        return [w for w in rates if w >= self.rate[0] * (1.0 - 1e-9)]
+
+    def runs_apart(self, rate: Array) -> list[int]:
+        """Return runs at different rates, from the fastest down: as many as there must be at most.
+
+        Parameters
+        ----------
+        rate
+            Of the runs, shape (n,).
+        """
+        chosen: list[int] = []
+        for index in np.argsort(-rate, kind="stable"):
+            limit = math.inf if not chosen else float(rate[chosen[-1]]) / self.apart
+            # Settings differ by what they differ; other rates by the ratio, but for rounding.
+            limit *= 1.0 - 1e-9 if self.settings else 1.0 + _ROUNDING
+            if len(chosen) < self.fewest_rates and rate[index] <= limit:
+                chosen.append(int(index))
+        return chosen
 
 
 @dataclass(frozen=True)

@@ -173,7 +173,8 @@ def _whole(relaxed: Relaxed, limits: Limits) -> Iterator[Design]:
         if even is None:
             continue
         yield even
-        if len(types) < 2:
+        types, count = even.types, len(even.types)
+        if count < 2:
             continue
         # Some optima have one long run that finds what drifts and many short ones.
         for index in np.unique(chosen, return_index=True)[1]:

@@ -26,6 +26,9 @@ from counterspin.reports.text import Report
 
 _LINES: Final = 6  #: of a budget
 
+#: How limits are changed that are no sizes.
+_CHANGES: Final = {"senses": "both senses instead", "fewest_rates": "one fewer"}
+
 
 def render_plan(result: PlanResult) -> Report:
     """Return a plan or a forecast as a rich renderable."""
@@ -203,7 +206,7 @@ def _limits(result: PlanResult) -> Iterator[Block]:
         return
     rows = []
     for line in result.limits:
-        change = "both senses instead" if line.key == "senses" else "relaxed by 10 %"
+        change = _CHANGES.get(line.key, "relaxed by 10 %")
         gain = f"{format_number(100.0 * line.gain, 2)} %" if line.binds else "nothing"
         rows.append((line.words, change, gain))
     yield Table(

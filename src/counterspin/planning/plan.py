@@ -318,6 +318,7 @@ def _limits(search: Search, optimum: Optimum) -> list[LimitResult]:
             not limits.settings and bool((design.rate < low * (1.0 + _DISTANCE)).any()),
             f"lowest rate {low:.6g} rad/s",
         ),
+        "fewest_rates": (limits.fewest_rates > 1, f"{limits.fewest_rates} rates at least"),
         "runs": (len(design.types) >= limits.runs, f"{limits.runs} runs at most"),
         "settling": (limits.settling > 0.0, f"settling {limits.settling:.4g} s a run"),
         "spin_up": (limits.spin_up > 0.0, "time of spin-up and spin-down"),

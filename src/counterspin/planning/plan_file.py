@@ -242,14 +242,42 @@ def _limits(
         revolutions=fewest,
         longest_run=min(longest, settings.total_time),
         runs=settings.runs,
+        fewest_rates=settings.fewest_rates,
     )
+    _check_rates(limits, problems)
     if limits.total_time < limits.shortest:
         problems.add(
             ("limits", "total_time"),
             f"not one run fits: the shortest takes {limits.shortest:.4g} s with its spin-up, "
-            f"settling and {fewest:g} revolutions",
+            f"settling and {fewest:g} revolutions"
+            if limits.fewest_rates == 1
+            else f"{limits.fewest_rates} runs at different rates do not fit: the shortest take "
+            f"{limits.shortest:.4g} s with spin-up, settling and {fewest:g} revolutions each",
         )
     return limits if len(problems.lines) == before else None
+
+
+def _check_rates(limits: Limits, problems: Problems) -> None:
+    """Note why there cannot be as many different rates as there must be."""
+    path, count = ("limits", "fewest_rates"), limits.fewest_rates
+    if count > limits.runs:
+        problems.add(path, f"{count} rates need as many runs, and limits.runs is {limits.runs}")
+        return
+    rates = limits.different_rates(limits.rate[1])
+    if len(rates) < count and limits.settings:
+        problems.add(path, f"only {len(rates)} settings of the rate are within the limits")
+    elif len(rates) < count:
+        problems.add(
+            path,
+            f"from {limits.rate[0]:.6g} to {limits.rate[1]:.6g} rad/s there are only {len(rates)} "
+            f"rates of which each is {limits.apart:g} times the next",
+        )
+    elif limits.revolutions * 2.0 * math.pi / rates[-1] > limits.longest_run * (1.0 + 1e-9):
+        problems.add(
+            path,
+            f"{limits.revolutions:g} revolutions at the slowest of {count} different rates, "
+            f"{rates[-1]:.6g} rad/s, take longer than the longest run",
+        )
 
 
 def _rates(

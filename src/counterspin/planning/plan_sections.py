@@ -68,6 +68,7 @@ class LimitsSettings(SettingsSection):
     fewest_revolutions: PositiveRatio = 5.0
     longest_run: Seconds | None = None
     runs: Annotated[int, AfterValidator(positive)] = 8
+    fewest_rates: Annotated[int, AfterValidator(positive)] = 1
     attitudes: list[Annotated[Any, PlainValidator(_attitude)]] = Field(
         default_factory=lambda: ["level"], min_length=1
     )

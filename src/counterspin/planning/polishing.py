@@ -2,7 +2,7 @@
 
 - `polish`: the smallest criterion within the limits
 - `shortened`: the least time that keeps targets
-- `fitted_into`: lengths scaled into the time there is
+- `fitted_into`: lengths scaled into the time there is, rates as different as they must be
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,6 +20,10 @@ from counterspin.planning.design import Criterion, Design, Limits, Predictor
 
 def fitted_into(design: Design, limits: Limits) -> Design | None:
     """Return the design with its lengths scaled into the time there is; None if none fits."""
+    spread = _at_different_rates(design, limits)
+    if spread is None:
+        return None
+    design = spread
     fixed = float(np.sum(limits.overhead(design.rate)))
     changes = limits.time(design) - float(np.sum(design.duration)) - fixed
     left = limits.total_time - fixed - changes
@@ -31,6 +36,29 @@ def fitted_into(design: Design, limits: Limits) -> Design | None:
     scale = max(0.0, spare) / wanted if wanted > 0.0 else 0.0
     duration = np.minimum(fewest + scale * beyond, np.maximum(limits.longest_run, fewest))
     return replace(design, revolutions=duration * design.rate / (2.0 * math.pi))
+
+
+def _at_different_rates(design: Design, limits: Limits) -> Design | None:
+    """Return the design with its slowest runs moved to rates of their own, if there are too few.
+
+    None if the limits do not allow it.
+    """
+    if len(limits.runs_apart(design.rate)) >= limits.fewest_rates:
+        return design
+    fastest = max(
+        float(design.rate.max()),
+        min(limits.rate[1], limits.rate[0] * limits.apart ** (limits.fewest_rates - 1)),
+    )
+    rates = limits.different_rates(fastest)
+    if len(rates) < limits.fewest_rates or limits.fewest_rates > limits.runs:
+        return None
+    while len(design.types) < limits.fewest_rates:
+        design = design.joined(Design(design.types[:1], design.rate[:1], design.revolutions[:1]))
+    rate = design.rate.copy()
+    order = np.argsort(-rate, kind="stable")
+    rate[order[0]] = rates[0]
+    rate[order[len(order) - len(rates) + 1 :]] = rates[1:]
+    return Design(design.types, rate, design.duration * rate / (2.0 * math.pi))
 
 
 def polish(
@@ -73,6 +101,7 @@ class _Variables:
         self.start = design
         self.n = len(design.types)
         self.free = not limits.settings and limits.rate[1] > limits.rate[0] * (1.0 + 1e-9)
+        self.apart = limits.runs_apart(design.rate) if limits.fewest_rates > 1 else []
 
     def design(self, x: Array) -> Design:
         rate = np.exp(x[: self.n]) if self.free else self.start.rate
@@ -108,13 +137,14 @@ class _Variables:
         bounds = [rate] * self.n * self.free + [turns] * self.n
         x = np.concatenate([np.log(start.rate)] * self.free + [np.log(start.revolutions)])
         low, high = np.array(bounds).T
-        both = [*constraints, self.length_left]
+        every = [*constraints, self.length_left]
+        every += [self.rates_apart] if self.free and len(self.apart) > 1 else []
 
         def values(x: Array) -> Array:
-            return np.concatenate([constraint(x)[0] for constraint in both])
+            return np.concatenate([constraint(x)[0] for constraint in every])
 
         def slopes(x: Array) -> Array:
-            return np.vstack([constraint(x)[1] for constraint in both])
+            return np.vstack([constraint(x)[1] for constraint in every])
 
         minimum = minimize(
             objective,
@@ -135,6 +165,13 @@ class _Variables:
             np.log(self.limits.longest_run / duration),
             np.hstack([eye, -eye]) if self.free else -eye,
         )
+
+    def rates_apart(self, x: Array) -> tuple[Array, Array]:
+        """Return by how much rates that must differ do so more than they must, as logarithms."""
+        slopes = np.zeros((len(self.apart) - 1, x.size))
+        for row, (faster, slower) in enumerate(pairwise(self.apart)):
+            slopes[row, [faster, slower]] = 1.0, -1.0
+        return slopes @ x - math.log(self.limits.apart), slopes
 
 
 def _not_over(design: Design, limits: Limits) -> Design:

@@ -107,13 +107,11 @@ class Search:
         limits = self.relaxed(key)
         predictor = self._faster_sampling() if key == "sampling_rate" else self.predictor
         before = self._value(self.predictor, design)
-        after = min(
-            self._improved(predictor, limits, start) for start in self._starts(key, limits, design)
-        )
-        return max(0.0, 1.0 - math.exp(after - before))
+        starts = self._starts(key, limits, design)
+        after = min(before, *(self._improved(predictor, limits, start) for start in starts))
+        return 1.0 - math.exp(after - before)
 
-    @staticmethod
-    def _starts(key: str, limits: Limits, design: Design) -> list[Design]:
+    def _starts(self, key: str, limits: Limits, design: Design) -> list[Design]:
         """Return designs that make use of a relaxed limit, where better lengths alone do not."""
         if key == "senses":
             turned = tuple(
@@ -135,6 +133,9 @@ class Search:
                 for kind, index in kinds.items()
             ]
             return [design, *(design.joined(other) for other in others)]
+        if key == "fewest_rates" and len(design.types) > 1:
+            slower = self.limits.runs_apart(design.rate)[1:]
+            return [design, *(design.without(index) for index in slower)]
         if key == "rate" and limits.settings:
             rate = np.where(design.rate == max(limits.settings[:-1]), limits.rate[1], design.rate)
             return [design, Design(design.types, rate, design.duration * rate / (2.0 * math.pi))]
@@ -151,7 +152,9 @@ class Search:
                 Criterion((place,), (scale,))
                 for place, scale in zip(self.criterion.places, self.criterion.scales, strict=True)
             ]
-            return math.log(limits.time(shortened(predictor, limits, singles, design)))
+            shorter = shortened(predictor, limits, singles, design)
+            met = all(predictor.value(single, shorter) < 1e-5 for single in singles)
+            return math.log(limits.time(shorter)) if met else math.inf
         start = fitted_into(design, limits) or design
         return polish(predictor, limits, self.criterion, start)[0]
 
@@ -171,6 +174,7 @@ class Search:
             },
             "lowest_rate": {"rate": (low * less, high)},
             "runs": {"runs": math.ceil(limits.runs * more)},
+            "fewest_rates": {"fewest_rates": limits.fewest_rates - 1},
             "settling": {"settling": limits.settling * less},
             "spin_up": {"spin_up": limits.spin_up * less},
             "attitude_change": {"attitude_change": limits.attitude_change * less},
