@@ -1,11 +1,13 @@
 """A result file read back: what is damaged is refused, and not applied."""
 
 import json
+import math
 from pathlib import Path
 
 import pytest
 
 from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import countable
 from counterspin.errors import RecordError
 
 K_II = {"value": 2e-5, "u": 1e-9, "unit": "g/g^2", "estimated": True}
@@ -74,6 +76,13 @@ def test_damage_is_told(tmp_path, old, new, words):
         Result.read(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("dof", "stated"), [(3.0, 3.0), (2e8, 2e8), (9.12e16, None), (math.inf, None)]
+)
+def test_degrees_of_freedom_that_nobody_can_count_are_infinite(dof, stated):
+    assert countable(dof) == stated
 
 
 # Results of earlier versions

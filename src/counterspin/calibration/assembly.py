@@ -80,8 +80,11 @@ def calibration(
         title=campaign.title,
         inputs=Inputs(
             gravity=campaign.gravity.value,
+            u_gravity=campaign.gravity.u,
             latitude=campaign.latitude.value,
+            u_latitude=campaign.latitude.u,
             radius=campaign.radius.value,
+            u_radius=campaign.radius.u,
         ),
         details=dict(campaign.details),
         warnings=_remarks(campaign),

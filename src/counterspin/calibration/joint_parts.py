@@ -18,6 +18,7 @@ from counterspin.calibration.result_parts import (
     Correlation,
     NoiseLine,
     Residual,
+    countable,
 )
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment, Confounded
@@ -72,7 +73,7 @@ def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coeff
         u_noise=noise,
         u_prior=prior,
         u_considered=considered,
-        dof=dof if math.isfinite(dof) else None,
+        dof=countable(dof),
         unit=unit,
         estimated=True,
     )

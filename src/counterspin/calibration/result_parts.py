@@ -4,6 +4,7 @@ Coefficients are in g-units of the stated gravity; everything else is SI unless 
 beside it.
 
 - `Coefficient`, `Correlation`, `ConfoundedTerms`, `Residual`, `NoiseLine`: what was estimated
+- `countable`: degrees of freedom as they are stated
 - `BudgetLine`, `Jackknife`, `Comparison`, `OmittedTerm`, `Conformity`: what it rests on
 - `State`, `Finding`: whether it may be relied on, and what speaks against it
 - `Trace` and its parts: the residuals of a run, thinned for pictures
@@ -19,6 +20,9 @@ from counterspin.results import ResultPart
 #: Whether what a calibration says may be relied on: fully, with what its findings say in mind, or
 #: not, for its records contradict it.
 State = Literal["good", "reservations", "contradicted"]
+
+#: From so many degrees of freedom on, Student's factor is the normal one to nine digits.
+_AS_GOOD_AS_INFINITE: Final = 1e9
 
 #: Above this correlation two terms are called inseparable.
 _INSEPARABLE: Final = 0.999
@@ -51,6 +55,14 @@ class Coefficient(ResultPart):
     dof: float | None = None
     unit: str
     estimated: bool
+
+
+def countable(dof: float) -> float | None:
+    """Return degrees of freedom as a result states them: None where they are as good as infinite.
+
+    Satterthwaite's formula gives numbers such as 9e16 where next to nothing of u was estimated.
+    """
+    return dof if dof < _AS_GOOD_AS_INFINITE else None
 
 
 class Correlation(ResultPart):
@@ -355,13 +367,16 @@ class RunResult(ResultPart):
 
 
 class Inputs(ResultPart):
-    """What the result depends on beside the records."""
+    """What the result depends on beside the records; u is 0 where it was stated as exact."""
 
     gravity: float
+    u_gravity: float = 0.0
     gravity_unit: Literal["m/s^2"] = "m/s^2"
     latitude: float
+    u_latitude: float = 0.0
     latitude_unit: Literal["rad"] = "rad"
     radius: float
+    u_radius: float = 0.0
     radius_unit: Literal["m"] = "m"
 
 

@@ -22,6 +22,7 @@ from counterspin.calibration.result_parts import (
     NoiseLine,
     ParabolaResult,
     Residual,
+    countable,
 )
 from counterspin.calibration.two_stage_findings import (
     asked_only,
@@ -192,7 +193,7 @@ def _unknowns(
             u_noise=noise,
             u_prior=prior,
             u_considered=considered,
-            dof=dof if math.isfinite(dof) else None,
+            dof=countable(dof),
             unit="1" if ratio else _unit(symbol),
             estimated=u < limit and not (math.isfinite(known) and u * u > 0.9 * known**2),
         )

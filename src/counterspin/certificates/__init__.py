@@ -8,5 +8,6 @@ records do not determine is named as such, and missing data of the laboratory is
 - `build`: the document; `administrative`, `statements`, `measurement`: its parts
 - `wording`: the sentences; `front`: the same in words, before the report
 - `elements`, `units`, `coverage`: elements of DCC and D-SI, SI units, coverage factors
+- `conversion`: coefficients in SI, with what the uncertainty of g does there
 - `schema`, `signature`, `reading`: validating, signing, reading back
 """

@@ -14,11 +14,11 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates import wording
 from counterspin.certificates.administrative import Issue
+from counterspin.certificates.conversion import SiEstimate, in_si
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import factor
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
 from counterspin.certificates.statements import Verdicts
-from counterspin.certificates.units import si_unit, to_si
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import format_count, format_estimate
 from counterspin.reports.typography import typeset, typeset_block
@@ -41,7 +41,7 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
     yield from misfit_blocks(result)
     for name in lab.certified(result):
         coefficients = result.accelerometers[name].coefficients
-        yield typeset_block(results_table(name, coefficients, result.inputs.gravity))
+        yield typeset_block(results_table(name, coefficients, in_si(result, name)))
         for line in wording.not_determined(name, result.accelerometers[name]):
             yield Paragraph(typeset(line), "warning")
         for line in rests_on(result.accelerometers[name]):
@@ -103,30 +103,42 @@ def _two_columns(rows: Iterator[tuple[str, str]]) -> Table:
     return Table((Column("", wraps=True), Column("", wraps=True)), tuple(rows))
 
 
-def results_table(name: str, coefficients: Mapping[str, Coefficient], gravity: float) -> Table:
-    """Return the coefficients that are determined, with U, in g-units and in SI."""
+def results_table(
+    name: str, coefficients: Mapping[str, Coefficient], estimates: Mapping[str, SiEstimate]
+) -> Table:
+    """Return the determined coefficients with U, in g-units and in SI.
+
+    Parameters
+    ----------
+    name
+        The accelerometer.
+    coefficients
+        In g-units; one that is missing here stands in SI alone.
+    estimates
+        In SI.
+    """
     rows = []
-    for symbol, c in coefficients.items():
-        if not wording.is_determined(c):
-            continue
-        assert c.value is not None
-        assert c.u is not None
-        k = coverage_factor(c.dof)
-        unit = si_unit(c.unit)[0].words
-        value, expanded = (to_si(number, c.unit, gravity) for number in (c.value, k * c.u))
+    for symbol, estimate in estimates.items():
+        in_g, k_in_g = "-", "-"
+        if (c := coefficients.get(symbol)) is not None and c.u is not None:
+            k = coverage_factor(c.dof)
+            in_g, k_in_g = format_estimate(c.value, k * c.u, c.unit), factor(k)
+        k = coverage_factor(estimate.dof)
         rows.append(
             (
                 symbol,
-                format_estimate(c.value, k * c.u, c.unit),
-                format_estimate(value, expanded, unit),
+                in_g,
+                k_in_g,
+                format_estimate(estimate.value, k * estimate.u, estimate.unit.words),
                 factor(k),
-                "infinite" if c.dof is None else format_count(c.dof),
+                "infinite" if estimate.dof is None else format_count(estimate.dof),
             )
         )
     return Table(
         (
             Column(name),
             Column("Value ± U, g-units"),
+            Column("k", "right"),
             Column("Value ± U, SI"),
             Column("k", "right"),
             Column("Degrees of freedom", "right", wraps=True),

@@ -20,6 +20,7 @@ from counterspin.calibration.pages.publishing import issue_date
 from counterspin.calibration.result import Result
 from counterspin.certificates.administrative import Issue
 from counterspin.certificates.build import certificate, check_certifiable, to_bytes
+from counterspin.certificates.conversion import with_exact_g
 from counterspin.certificates.front import TITLE, front_blocks, results_table
 from counterspin.certificates.lab import Lab, example_keys, read_lab
 from counterspin.certificates.reading import Certified, read_certificate
@@ -202,5 +203,10 @@ def certificate_blocks(certified: Certified) -> Iterator[Block]:
     """Yield the numbers of a certificate."""
     yield Heading(f"{TITLE} {certified.identifier}", 1)
     for name, accelerometer in certified.accelerometers.items():
-        yield results_table(name, accelerometer.coefficients, certified.gravity)
-    yield Paragraph(f"g = {format_number(certified.gravity, 9)} m/s^2.", "quiet")
+        coefficients = accelerometer.coefficients
+        yield results_table(name, coefficients, with_exact_g(coefficients, certified.gravity))
+    yield Paragraph(
+        f"g = {format_number(certified.gravity, 9)} m/s^2, taken as exact for what is shown in "
+        "g-units.",
+        "quiet",
+    )

@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.certificates import wording
 from counterspin.certificates.administrative import item_id, software
+from counterspin.certificates.conversion import SiEstimate, covariance, in_si
 from counterspin.certificates.coverage import region_factor
 from counterspin.certificates.elements import (
     Element,
@@ -108,11 +109,19 @@ def _quantity(value: Element, name: str | None = None) -> Element:
 
 
 def _platform_term(symbol: str, coefficient: Coefficient, gravity: float) -> Element:
+    assert coefficient.value is not None
+    assert coefficient.u is not None
     return dcc(
         "quantity",
         text("name", symbol),
         rich("description", PLATFORM_TERMS[symbol].words),
-        _coefficient_in_si(symbol, coefficient, gravity),
+        real(
+            to_si(coefficient.value, coefficient.unit, gravity),
+            si_unit(coefficient.unit)[0],
+            label=symbol,
+            u=to_si(coefficient.u, coefficient.unit, gravity),
+            dof=coefficient.dof,
+        ),
     )
 
 
@@ -151,16 +160,15 @@ def _input_files(result: Result) -> Element:
 
 def _accelerometer(lab: Lab, result: Result, name: str) -> Element:
     accelerometer = result.accelerometers[name]
-    certified = {s: c for s, c in accelerometer.coefficients.items() if wording.is_determined(c)}
+    estimates = in_si(result, name)
     item = item_id(lab, result, name)
-    gravity = result.inputs.gravity
     return dcc(
         "measurementResult",
         text("name", f"Accelerometer {name}"),
         dcc(
             "results",
-            _coefficients(lab, result, name, certified),
-            _covariance(accelerometer, certified, gravity),
+            _coefficients(lab, result, name, estimates),
+            _covariance(accelerometer, estimates),
         ),
         _warnings(accelerometer),
         id=f"result-{item}",
@@ -169,14 +177,15 @@ def _accelerometer(lab: Lab, result: Result, name: str) -> Element:
 
 
 def _coefficients(
-    lab: Lab, result: Result, name: str, certified: Mapping[str, Coefficient]
+    lab: Lab, result: Result, name: str, estimates: Mapping[str, SiEstimate]
 ) -> Element:
-    if not certified:
+    if not estimates:
         return dcc(
             "result",
             text("name", "Coefficients"),
             dcc("data", rich("text", "The records determine none of the coefficients.")),
         )
+    coefficients = result.accelerometers[name].coefficients
     return dcc(
         "result",
         text("name", "Coefficients"),
@@ -186,51 +195,40 @@ def _coefficients(
                 dcc(
                     "quantity",
                     text("name", symbol),
-                    rich("description", wording.coefficient_line(symbol, c)),
-                    _coefficient_in_si(symbol, c, result.inputs.gravity),
-                    _degrees_of_freedom(c),
+                    rich("description", wording.coefficient_line(symbol, coefficients[symbol])),
+                    _real(symbol, estimate),
+                    _degrees_of_freedom(estimate),
                     id=quantity_id(lab, result, name, symbol),
                     refType="basic_measuredValue",
                 )
-                for symbol, c in certified.items()
+                for symbol, estimate in estimates.items()
             ),
         ),
     )
 
 
-def _coefficient_in_si(symbol: str, c: Coefficient, gravity: float) -> Element:
-    assert c.value is not None
-    assert c.u is not None
-    return real(
-        to_si(c.value, c.unit, gravity),
-        si_unit(c.unit)[0],
-        label=symbol,
-        u=to_si(c.u, c.unit, gravity),
-        dof=c.dof,
-    )
+def _real(symbol: str, estimate: SiEstimate) -> Element:
+    return real(estimate.value, estimate.unit, label=symbol, u=estimate.u, dof=estimate.dof)
 
 
-def _degrees_of_freedom(c: Coefficient) -> Element:
+def _degrees_of_freedom(estimate: SiEstimate) -> Element:
     name = text("name", "Effective degrees of freedom")
-    if c.dof is None:
+    if estimate.dof is None:
         data = dcc("metaData", name, rich("declaration", "Infinite."))
     else:
-        data = dcc("metaData", name, dcc("data", _quantity(real(c.dof, SiUnit()))))
+        data = dcc("metaData", name, dcc("data", _quantity(real(estimate.dof, SiUnit()))))
     return dcc("measurementMetaData", data)
 
 
 def _covariance(
-    accelerometer: AccelerometerResult, certified: Mapping[str, Coefficient], gravity: float
+    accelerometer: AccelerometerResult, estimates: Mapping[str, SiEstimate]
 ) -> Element | None:
     """Return the covariance of the certified coefficients, where there are two or more."""
     if accelerometer.correlation is None:
         return None
-    places = [i for i, symbol in enumerate(accelerometer.correlation.terms) if symbol in certified]
-    symbols = [accelerometer.correlation.terms[place] for place in places]
+    symbols = [symbol for symbol in accelerometer.correlation.terms if symbol in estimates]
     if len(symbols) < 2:
         return None
-    matrix = accelerometer.correlation.matrix
-    in_si = [_in_si(certified[symbol], gravity) for symbol in symbols]
     columns = [
         si(
             "columnXMLList",
@@ -239,17 +237,17 @@ def _covariance(
                     "covarianceXMLList",
                     si(
                         "valueXMLList",
-                        number(_product(matrix, i, j, u_i, u_j)),
+                        number(covariance(accelerometer, estimates, row, column)),
                     ),
-                    si("unitXMLList", (unit_i * unit_j).text),
+                    si("unitXMLList", (estimates[row].unit * estimates[column].unit).text),
                 )
-                for i, (_, u_i, unit_i) in zip(places, in_si, strict=True)
+                for row in symbols
             ),
         )
-        for j, (_, u_j, unit_j) in zip(places, in_si, strict=True)
+        for column in symbols
     ]
     # The fewest of several degrees of freedom: the region is then rather too large.
-    dof = min((d for s in symbols if (d := certified[s].dof) is not None), default=None)
+    dof = min((d for s in symbols if (d := estimates[s].dof) is not None), default=None)
     return dcc(
         "result",
         text("name", "Coefficients together"),
@@ -265,8 +263,8 @@ def _covariance(
                 si(
                     "realListXMLList",
                     si("labelXMLList", " ".join(symbols)),
-                    si("valueXMLList", " ".join(number(value) for value, _, _ in in_si)),
-                    si("unitXMLList", " ".join(unit.text for _, _, unit in in_si)),
+                    si("valueXMLList", " ".join(number(estimates[s].value) for s in symbols)),
+                    si("unitXMLList", " ".join(estimates[s].unit.text for s in symbols)),
                     si(
                         "measurementUncertaintyMultivariateXMLList",
                         si(
@@ -281,19 +279,6 @@ def _covariance(
             ),
         ),
     )
-
-
-def _in_si(c: Coefficient, gravity: float) -> tuple[float, float, SiUnit]:
-    assert c.value is not None
-    assert c.u is not None
-    value, u = (to_si(number, c.unit, gravity) for number in (c.value, c.u))
-    return value, u, si_unit(c.unit)[0]
-
-
-def _product(matrix: Sequence[Sequence[float]], i: int, j: int, u: float, v: float) -> float:
-    # On the diagonal the correlation is 1, but perhaps not in its last digit; off it the product
-    # must not depend on the order, or the covariance would not be symmetric in its last digit.
-    return u * v if i == j else matrix[max(i, j)][min(i, j)] * (u * v)
 
 
 def _warnings(accelerometer: AccelerometerResult) -> Element | None:

@@ -33,7 +33,7 @@ _DOF: Final = "dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:rea
 
 @dataclass(frozen=True)
 class CertifiedAccelerometer:
-    """One accelerometer in a certificate, in g-units of the certificate's g.
+    """One accelerometer in a certificate, in g-units of the certificate's g, taken as exact.
 
     Attributes
     ----------

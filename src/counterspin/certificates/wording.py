@@ -67,11 +67,12 @@ def unit_statement(gravity: float) -> str:
     """Return the value of g, and the conversion between g-units and SI."""
     g = format_number(gravity, 12)
     return (
-        f"g is the local gravity of the site, g = {g} m/s^2, taken as exact for the conversion. A "
-        "coefficient that multiplies the n-th power of specific force is g^(1-n) times as large "
-        "in SI units as in g-units: K_F in m/s^2 is K_F in g times g, K_II in s^2/m is K_II in "
-        "g/g^2 divided by g. What an uncertainty of g contributes, where the campaign states one, "
-        "is part of the coefficients' uncertainties."
+        f"g is the local gravity of the site, g = {g} m/s^2. A coefficient that multiplies the "
+        "n-th power of specific force is g^(1-n) times as large in SI units as in g-units: K_F in "
+        "m/s^2 is K_F in g times g, K_II in s^2/m is K_II in g/g^2 divided by g. Where the "
+        "campaign states an uncertainty of g, it is part of the coefficients' uncertainties: of "
+        "those in g-units by what g does to the estimates, of those in SI units by what remains "
+        "of that after the conversion, most of which cancels."
     )
 
 

@@ -1,0 +1,101 @@
+"""The uncertainty of g in SI units: what the conversion cancels is not counted."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from campaigns import SMALL, changed, write
+from results import coefficient, result
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.simulation import simulate
+from counterspin.certificates.conversion import covariance, in_si
+from counterspin.certificates.units import to_si
+
+G, U_G = 9.8066, 1e-4
+KNOWN = changed(SMALL, ('"9.8066 m/s^2"', f'"{G} ± {U_G} m/s^2"'))
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("gravity")
+    simulate(write(folder, KNOWN, "plan.toml"), folder / "records")
+    return folder / "records"
+
+
+def with_gravity(records, folder, gravity, method):
+    """Return the SI values that the same records give with another gravity assumed."""
+    for record in records.glob("*.csv"):
+        (folder / record.name).write_bytes(record.read_bytes())
+    text = changed(SMALL, ('"9.8066 m/s^2"', f'"{gravity!r} m/s^2"'))
+    found = calibrate(write(folder, text).parent, method=method)
+    return {
+        symbol: to_si(c.value, c.unit, gravity)
+        for symbol, c in found.accelerometers["Qx"].coefficients.items()
+        if c.estimated
+    }
+
+
+@pytest.mark.parametrize("method", ["joint", "two-stage"])
+def test_si_uncertainty_has_what_another_gravity_would_do(records, tmp_path, method):
+    found = calibrate(records, method=method)
+    qx = found.accelerometers["Qx"]
+    estimates = in_si(found, "Qx")
+    assert estimates
+    step = 30.0 * U_G
+    moved = [with_gravity(records, tmp_path, G + sign * step, method) for sign in (1, -1)]
+    for symbol, estimate in estimates.items():
+        shift = (moved[0][symbol] - moved[1][symbol]) / (2.0 * step) * U_G
+        # Of K_F nearly all cancels: compare with what it was.
+        largest = max(abs(estimate.shift_kept), 1e-3 * estimate.u)
+        assert estimate.shift == pytest.approx(shift, abs=1e-3 * largest), symbol
+        c = qx.coefficients[symbol]
+        in_g = to_si(c.u, c.unit, G)
+        rest = math.sqrt(max(in_g**2 - estimate.shift_kept**2, 0.0))
+        assert estimate.u == pytest.approx(math.hypot(rest, shift), rel=1e-6)
+    # K_F is an acceleration over g: in SI nothing of u(g) remains.
+    assert abs(estimates["K_F"].shift) < 1e-6 * abs(estimates["K_F"].shift_kept)
+    assert abs(estimates["K_F"].shift_kept) == pytest.approx(0.005 * U_G, rel=1e-3)
+
+
+def test_covariance_follows(records):
+    found = calibrate(records)
+    qx, estimates = found.accelerometers["Qx"], in_si(found, "Qx")
+    symbols = list(estimates)
+    matrix = np.array(
+        [[covariance(qx, estimates, one, other) for other in symbols] for one in symbols]
+    )
+    assert np.array_equal(matrix, matrix.T)
+    assert np.linalg.eigvalsh(matrix / np.outer(*2 * [np.sqrt(np.diag(matrix))])).min() > 0.0
+    assert np.diag(matrix) == pytest.approx([e.u**2 for e in estimates.values()], rel=1e-12)
+    # Without any u(g) the correlations are those of the result.
+    exact = found.model_copy(update={"inputs": found.inputs.model_copy(update={"u_gravity": 0.0})})
+    plain = in_si(exact, "Qx")
+    i, j = (qx.correlation.terms.index(s) for s in ("K_F", "K_II"))
+    together = covariance(qx, plain, "K_F", "K_II")
+    assert together == qx.correlation.matrix[max(i, j)][min(i, j)] * (
+        plain["K_F"].u * plain["K_II"].u
+    )
+    assert all(replace(e, u=e.u_without_g) == e for e in plain.values())
+
+
+def test_degrees_of_freedom_are_those_of_what_remains():
+    # Half of u^2 of K_F is that of g, and cancels: -K_F/g per m/s^2.
+    u_gravity = 1e-6 * math.sqrt(0.5) / (0.005 / 9.8)
+    line = {"source": "site.gravity (input)", "u": u_gravity, "unit": "m/s^2", "share": 0.5}
+    line |= {"sensitivity": -0.005 / 9.8, "contribution": 1e-6 * math.sqrt(0.5)}
+    known = {"K_F": coefficient(0.005, 1e-6, "g", dof=100.0)}
+    given = result(coefficients=known, budget={"K_F": [line]})
+    inputs = given.inputs.model_copy(update={"u_gravity": u_gravity})
+    found = in_si(given.model_copy(update={"inputs": inputs}), "Qx")["K_F"]
+    assert found.u == pytest.approx(9.8e-6 * math.sqrt(0.5))
+    assert found.dof == pytest.approx(25.0)
+
+
+def test_without_a_stated_uncertainty_of_g_nothing_changes():
+    given = result()
+    for symbol, estimate in in_si(given, "Qx").items():
+        c = given.accelerometers["Qx"].coefficients[symbol]
+        assert estimate.u == to_si(c.u, c.unit, 9.8)
+        assert estimate.dof == c.dof
