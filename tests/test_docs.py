@@ -123,6 +123,7 @@ def use(block, namespace, capsys):
             place.write_text(text if whole else complete(text), encoding="utf-8")
             cs.read_campaign(place)
         case "csv":
+            Path(block["file"]).parent.mkdir(exist_ok=True)
             Path(block["file"]).write_text(text, encoding="utf-8")
         case "bash" | "sh":
             for line in text.splitlines():

@@ -124,6 +124,7 @@ def _jointly(campaign: Campaign, observed: Sequence[ObservedRun]) -> dict[str, A
 def _in_two_stages(
     campaign: Campaign, observed: Sequence[ObservedRun], options: TwoStageOptions
 ) -> dict[str, Any]:
+    campaign.require_records("the two-stage method")
     outcomes = {
         name: two_stage(campaign, observed, accelerometer, options)
         for name, accelerometer in campaign.accelerometers.items()

@@ -28,6 +28,13 @@ from counterspin.calibration.joint_problem import model_of, noise_of, series_of
 from counterspin.calibration.joint_traces import traces
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.readings import (
+    AccelerometerReadings,
+    in_output_units,
+    outlying_readings,
+    radii,
+    with_readings,
+)
 from counterspin.calibration.result import described
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -39,7 +46,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate, estimate
-from counterspin.inference.joint.unknowns import ROTATION, Unknown
+from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import DEGREE_PER_HOUR
 
@@ -81,25 +88,33 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         As `counterspin.inference.joint.estimation.estimate`.
     """
     model = model_of(campaign)
-    estimated = estimate(series_of(campaign, observed), model, noise_of(campaign))
+    estimated, read = _estimate(campaign, observed, model)
     assessment = assess(
         estimated.fit.solution,
         [unknown.name for unknown in model.unknowns],
         nominal=[unknown.nominal for unknown in model.unknowns],
     )
     views = [
-        AccelerometerView(campaign, estimated, assessment, name) for name in campaign.accelerometers
+        AccelerometerView(
+            campaign,
+            estimated,
+            assessment,
+            name,
+            tuple(part for part in read if part.readings.accelerometer == name),
+        )
+        for name in campaign.accelerometers
     ]
     not_modelled = left_out(views)
     shared = {
         unknown: coefficient(estimated, assessment, index)
         for index, unknown in enumerate(model.unknowns)
-        if unknown.symbol not in TERMS
+        if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
     } | _rotations(estimated, assessment)
+    shared |= radii(campaign, shared)
     outliers: dict[str, int] = {run.run.name: 0 for run in observed}
     for record, mask in zip(estimated.series, estimated.outliers, strict=True):
         outliers[record.run] += int(record.count[mask].sum())
-    longest = max(float(record.time[-1]) for record in estimated.series)
+    longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
     return JointOutcome(
         accelerometers={
             view.name: _accelerometer(view, observed, not_modelled[view.name]) for view in views
@@ -115,6 +130,18 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         findings=tuple(shared_findings(shared, longest)),
         estimate=estimated,
     )
+
+
+def _estimate(
+    campaign: Campaign, observed: Sequence[ObservedRun], model: Unknowns
+) -> tuple[Estimate, tuple[AccelerometerReadings, ...]]:
+    """Return the estimate from records and readings, and how the readings fit."""
+    if not campaign.readings:
+        return estimate(series_of(campaign, observed), model, noise_of(campaign)), ()
+    from_records = None
+    if observed:
+        from_records = estimate(series_of(campaign, observed), model, noise_of(campaign))
+    return with_readings(from_records, model, campaign)
 
 
 def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coefficient]:
@@ -139,7 +166,11 @@ def _accelerometer(
     }
     return AccelerometerResult(
         # The campaign's order is the user's; the table of terms has its own.
-        coefficients={symbol: own[symbol] for symbol in view.campaign.model.terms if symbol in own},
+        coefficients={
+            symbol: own[symbol]
+            for symbol in (*view.campaign.model.terms, *view.campaign.machine.terms)
+            if symbol in own
+        },
         correlation=correlation(view),
         confounded=confounded(view),
         residual=residual(view),
@@ -150,11 +181,14 @@ def _accelerometer(
             if own[symbol].estimated
         },
         jackknife=jackknife(view),
-        two_stage=compare(view, observed),
+        two_stage=compare(view, observed) if observed else None,
         left_out=omitted,
         traces=traces(view, observed),
+        readings=[line for part in view.readings for line in part.results()],
+        output=in_output_units(view.campaign, name, own),
         findings=[
             *residual_findings(view),
+            *outlying_readings(name, view.readings),
             *hidden_walk(view),
             *unseen_ripple(view),
             *_undetermined(own, name),

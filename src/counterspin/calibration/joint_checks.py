@@ -20,11 +20,13 @@ from counterspin.calibration.joint_problem import left_out_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
+from counterspin.calibration.readings import readings_fit
 from counterspin.calibration.result_parts import Comparison, Finding, Jackknife, OmittedTerm
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.omitted_terms import sensitivities
 from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import term
 
 #: Share of u^2 from which noise that the records do not show is spoken of.
@@ -66,6 +68,8 @@ def jackknife(view: AccelerometerView) -> list[Jackknife]:
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
     """Return what the tests of an accelerometer's residuals found, as one finding."""
+    if not view.has_records:
+        return readings_fit(view.name, residual(view))
     tests = view.diagnostics
     return [lack_of_fit(view.name, tests.findings, residual(view))] if tests.findings else []
 
@@ -76,6 +80,8 @@ def run_fits(
     """Return the tests of one run's residuals, by accelerometer."""
     fits: dict[str, dict[str, float | str | None]] = {}
     for view in views:
+        if not view.has_records:
+            continue
         tests = view.diagnostics
         test = tests.runs.get(run)
         if test is not None:
@@ -150,7 +156,7 @@ def left_out(views: Sequence[AccelerometerView]) -> dict[str, dict[str, OmittedT
     }
     # Accelerometers share the platform's terms, and all of them one set of columns.
     every = list(dict.fromkeys(other for own in terms.values() for other in own))
-    if not every:
+    if not every or not views[0].fit.prepared:
         return {view.name: {} for view in views}
     moved = sensitivities(views[0].fit, every)
     result: dict[str, dict[str, OmittedTerm]] = {}
@@ -183,7 +189,7 @@ def _considered(view: AccelerometerView, index: int) -> dict[tuple[str, str], tu
             solution.considered_sd,
             strict=False,
         )
-        if term.symbol not in encoder.SYMBOLS
+        if term.symbol not in encoder.SYMBOLS and machine_term(term.symbol) is None
     }
 
 
@@ -214,7 +220,7 @@ def unseen_ripple(view: AccelerometerView) -> list[Finding]:
     index, campaign = view.k_ii, view.campaign
     if index is None or view.accelerometer.observable == "displacement":
         return []
-    if campaign.angle is not None:
+    if campaign.angle is not None or (view.readings and not view.has_records):
         return []
     fastest = max(abs(run.rate) for run in campaign.runs)
     force = campaign.radius.value * fastest**2 / campaign.gravity.value

@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.readings import readings_noise, residual_of
 from counterspin.calibration.result_parts import (
     BudgetLine,
     Coefficient,
@@ -27,6 +28,7 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import term
 
 _UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True)) | {
@@ -41,6 +43,8 @@ _ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}  # a r
 
 def unit_of(symbol: str) -> str:
     """Return the unit of a term, of an unknown of the rotation or of an uncertain input."""
+    if (machine := machine_term(symbol)) is not None:
+        return machine[0].unit
     return _UNITS.get(symbol) or term(symbol).unit
 
 
@@ -171,6 +175,8 @@ def _written(item: Confounded, own: str) -> ConfoundedTerms:
 
 def residual(view: AccelerometerView) -> Residual:
     """Return the size of an accelerometer's residuals, a sample, and how well the model fits."""
+    if not view.has_records:
+        return residual_of(view.readings)
     squares, samples, diagnostics = 0.0, 0.0, view.diagnostics
     for _, prepared, residuals in view.records():
         squares += float(np.sum(residuals.plain**2 * prepared.series.count))
@@ -186,6 +192,8 @@ def residual(view: AccelerometerView) -> Residual:
 
 def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     """Return the noise used, component by component, given or estimated."""
+    if not view.has_records:
+        return readings_noise(view.readings)
     noise = view.fit.noise[view.name]
     components = view.estimate.components.get(view.name)
     observable = view.accelerometer.observable

@@ -15,6 +15,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.observed import ObservedRun
+from counterspin.calibration.readings import machine_of
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import Accelerometer, Campaign, Run
 from counterspin.campaign.terms import acts
@@ -99,7 +100,12 @@ def model_of(campaign: Campaign) -> Unknowns:
             for run in campaign.runs
             for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
         ]
-    return Unknowns(tuple(unknowns), tuple(considered), _uncertain_inputs(campaign))
+    of_machine, considered_of_machine = machine_of(campaign)
+    return Unknowns(
+        (*unknowns, *of_machine),
+        (*considered, *considered_of_machine),
+        _uncertain_inputs(campaign),
+    )
 
 
 def left_out_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:

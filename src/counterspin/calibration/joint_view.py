@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
+from counterspin.calibration.readings import AccelerometerReadings
 from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.inference.diagnostics import Diagnostics, diagnose
 from counterspin.inference.identifiability import Assessment
@@ -35,12 +36,15 @@ class AccelerometerView:
         Which unknowns the records determine.
     name
         The accelerometer's.
+    readings
+        Its readings, and how they fit.
     """
 
     campaign: Campaign
     estimate: Estimate
     assessment: Assessment
     name: str
+    readings: tuple[AccelerometerReadings, ...] = ()
 
     @property
     def fit(self) -> JointFit:
@@ -65,6 +69,11 @@ class AccelerometerView:
     def k_ii(self) -> int | None:
         """Place of its K_II; None where the model has none."""
         return self.places.get("K_II")
+
+    @property
+    def has_records(self) -> bool:
+        """Whether it was recorded, and not only read."""
+        return any(prepared.accelerometer == self.name for prepared in self.fit.prepared)
 
     def records(self) -> Iterator[tuple[int, Prepared, Residuals]]:
         """Yield its records: place among those of the fit, columns, residuals."""

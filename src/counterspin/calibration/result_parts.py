@@ -273,6 +273,21 @@ class Trace(ResultPart):
     quantiles: Quantiles | None = None
 
 
+class ReadingResult(ResultPart):
+    """One reading: value, standard uncertainty and residual in g; `z` is None where it fits wholly.
+
+    `rate` in rad/s; `z` is the residual over its own standard deviation.
+    """
+
+    name: str
+    motion: str
+    rate: float
+    value: float
+    u: float
+    residual: float
+    z: float | None
+
+
 class AccelerometerResult(ResultPart):
     """All that was found out about one accelerometer.
 
@@ -297,6 +312,10 @@ class AccelerometerResult(ResultPart):
         By term: where the campaign states a specification.
     traces
         By run: residuals for pictures.
+    readings
+        Single values, at rest, on an arm or on a turntable.
+    output
+        ``bias`` and ``scale_factor`` in the unit of its readings; empty where that is g.
     """
 
     state: State | None = None
@@ -317,6 +336,8 @@ class AccelerometerResult(ResultPart):
     left_out: dict[str, OmittedTerm] = {}
     conformity: dict[str, Conformity] = {}
     traces: dict[str, Trace] = {}
+    readings: list[ReadingResult] = []
+    output: dict[str, Coefficient] = {}
     warnings: list[str] = []
 
 

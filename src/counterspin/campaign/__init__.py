@@ -11,6 +11,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `specification`: tolerance limits of coefficients, and the decision rule
 - `resolved`: the campaign as the calculation sees it, in SI
 - `toml_file`: files in TOML; `description`: `read_campaign`, from the file to the resolved campaign
+- `readings`, `machine`: single values, at rest or on a machine; what the machine does to them
 - `checksums`: of a campaign's files
 - `starter`: a commented campaign to start from
 - `simulation`: records of a campaign whose coefficients are known

@@ -8,12 +8,21 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from counterspin.campaign.checking import M, Problems
-from counterspin.campaign.quantity import Quantity, unit_factor
+from counterspin.campaign.machine import MachineModel, resolve_machine
+from counterspin.campaign.quantity import Quantity, parse, unit_factor
+from counterspin.campaign.readings import (
+    Output,
+    Reading,
+    is_reading,
+    read_table,
+    read_temperature,
+    resolve_reading,
+)
 from counterspin.campaign.resolved import (
     Accelerometer,
     Campaign,
@@ -37,6 +46,7 @@ from counterspin.campaign.settings import (
     RunSettings,
     SimulationSettings,
     SiteSettings,
+    exact,
 )
 from counterspin.campaign.specification import Specifications, resolve_specifications
 from counterspin.campaign.terms import DEFAULT_TERMS, about_nominal, resolve_model
@@ -147,10 +157,18 @@ class _DescriptionReader:
         observables = self._observables(noise)
         settings = problems.check(ModelSettings, self._table("model"), ("model",))
         runs = self._runs()
+        outputs = self._outputs(tables)
+        readings = self._readings(mountings, outputs)
+        self._check_sections(readings)
+        if not self.raw_runs and "readings" not in self.raw:
+            said = "must have at least one entry" if "runs" in self.raw else "is missing"
+            problems.add(("runs",), said)
         given = {name: self._given_priors(name, table) for name, table in tables.items()}
-        model, priors = None, given
+        model, priors, machine = None, given, MachineModel()
         if settings is not None:
             attitudes = [run.attitude for run in runs]
+            if readings:
+                settings, machine = resolve_machine(settings, centrifuge, readings, problems)
             model, priors = resolve_model(
                 settings, mountings, attitudes, given, problems=problems, gravity=gravity
             )
@@ -161,8 +179,6 @@ class _DescriptionReader:
         # No problem noted: every section is there.
         assert info is not None
         assert self.site is not None
-        assert centrifuge is not None
-        assert records is not None
         assert model is not None
         accelerometers = {
             name: Accelerometer(
@@ -172,11 +188,13 @@ class _DescriptionReader:
                 self._channel(getattr(table, observables[name]), OBSERVABLES[observables[name]]),
                 priors[name],
                 table.serial_number,
+                outputs[name],
             )
             for name, table in tables.items()
             if table is not None
         }
-        self._check_columns(records, accelerometers)
+        if records is not None:
+            self._check_columns(records, accelerometers)
         if problems.lines:
             return None
         site = self.site
@@ -187,10 +205,10 @@ class _DescriptionReader:
             site=Site(site.gravity.value, site.latitude.value),
             gravity=site.gravity,
             latitude=site.latitude,
-            radius=centrifuge.radius,
-            time=self._channel(records.time, "s"),
-            angle=self._channel(records.angle, "rad") if records.angle else None,
-            timing_offset=records.timing_offset,
+            radius=centrifuge.radius if centrifuge else Quantity(0.0, 0.0, "m"),
+            time=self._channel(records.time, "s") if records else Channel("", 1.0, "s"),
+            angle=self._channel(records.angle, "rad") if records and records.angle else None,
+            timing_offset=records.timing_offset if records else None,
             accelerometers=accelerometers,
             noise=noise,
             model=model,
@@ -198,9 +216,58 @@ class _DescriptionReader:
             simulation=simulation,
             details=info.model_dump(exclude={"title"}, exclude_none=True),
             specifications=specifications,
+            readings=readings,
+            machine=machine,
+            reference_temperature=self._reference_temperature(centrifuge),
         )
 
+    def _check_sections(self, readings: Sequence[Reading]) -> None:
+        """Note sections that are missing although what there is needs them."""
+        recorded = any(not is_reading(raw) for raw in self.raw_runs)
+        asked = (raw.get("motion") for raw in self.raw_runs if isinstance(raw, dict))
+        turning = recorded or "arm" in asked or any(r.motion != "static" for r in readings)
+        for key, needed in (("centrifuge", turning), ("records", recorded)):
+            if (needed or not (self.raw_runs or "readings" in self.raw)) and key not in self.raw:
+                self.problems.add((key,), "is missing")
+
+    def _outputs(self, tables: Mapping[str, Any]) -> dict[str, Output | None]:
+        """Return what each accelerometer's readings are in."""
+        outputs: dict[str, Output | None] = dict.fromkeys(tables)
+        for name, table in tables.items():
+            if table is None or table.output is None:
+                continue
+            path = ("accelerometers", name, "output")
+            wanted = f"{table.output.unit}/g"
+            sensitivity = self.problems.attempt(
+                (*path, "sensitivity"), exact, table.output.sensitivity, wanted
+            )
+            if sensitivity == 0.0:
+                self.problems.add((*path, "sensitivity"), "must not be zero")
+            elif sensitivity is not None:
+                outputs[name] = Output(table.output.unit, sensitivity)
+        return outputs
+
+    def _readings(
+        self, mountings: Mapping[str, Mounting], outputs: Mapping[str, Output | None]
+    ) -> tuple[Reading, ...]:
+        runs: list[tuple[Any, tuple[str | int, ...]]] = [
+            (raw, ("runs", index)) for index, raw in enumerate(self.raw_runs) if is_reading(raw)
+        ]
+        if "readings" in self.raw:
+            runs += read_table(self.raw["readings"], self.file.parent, outputs, self.problems)
+        readings = []
+        for raw, path in runs:
+            readings += resolve_reading(
+                raw, path, mountings, outputs, problems=self.problems, gravity=self.gravity
+            )
+        return tuple(readings)
+
+    def _reference_temperature(self, centrifuge: CentrifugeSettings | None) -> float | None:
+        return read_temperature(centrifuge.reference_temperature) if centrifuge else None
+
     def _channel(self, settings: Any, si_unit: str) -> Channel:
+        if settings is None:
+            return Channel("", 1.0, si_unit)
         factor = unit_factor(settings.unit, si_unit, gravity=self.gravity)
         return Channel(settings.column, factor, settings.unit)
 
@@ -248,7 +315,9 @@ class _DescriptionReader:
             if not isinstance(table, dict):
                 continue
             given = [key for key in OBSERVABLES if key in table]
-            if len(given) == 1:
+            if not given and not any(not is_reading(raw) for raw in self.raw_runs):
+                observables[name] = "specific_force"  # readings are all there is of it
+            elif len(given) == 1:
                 observables[name] = given[0]
             else:
                 has = f"has {' and '.join(given)}" if given else "has no observable"
@@ -265,6 +334,8 @@ class _DescriptionReader:
         if table is None:
             return {}
         priors = {symbol: getattr(table, symbol) for symbol in TERMS}
+        if table.sensitivity_prior is not None:
+            priors["K_I"] = self._sensitivity_prior(name, table)
         aliases = {"bias": "K_F", "scale_factor": "K_I"}
         for key, symbol in ({symbol: symbol for symbol in TERMS} | aliases).items():
             if (prior := getattr(table, key)) is not None:
@@ -280,6 +351,19 @@ class _DescriptionReader:
             priors[symbol] = priors[symbol] if value is None else value
         return {symbol: prior for symbol, prior in priors.items() if prior is not None}
 
+    def _sensitivity_prior(self, name: str, table: Any) -> Quantity | None:
+        """Return what is known of the sensitivity as the prior of K_I."""
+        path = ("accelerometers", name, "sensitivity_prior")
+        if table.output is None:
+            self.problems.add(path, "needs output = { unit = ..., sensitivity = ... } beside it")
+            return None
+        unit = f"{table.output.unit}/g"
+        known = self.problems.attempt(path, parse, table.sensitivity_prior, unit)
+        nominal = self.problems.attempt(path, parse, table.output.sensitivity, unit)
+        if known is None or nominal is None or nominal.value == 0.0:
+            return None
+        return Quantity(known.value / nominal.value, known.u / abs(nominal.value), "g/g")
+
     def _runs(self) -> list[Run]:
         runs = []
         truth = self._table("truth")
@@ -291,6 +375,8 @@ class _DescriptionReader:
             if isinstance(raw, dict):
                 self._once(raw.get("name"), names, (*path, "name"), index)
                 self._once(raw.get("record"), records, (*path, "record"), index)
+            if is_reading(raw):
+                continue
             settings = self.problems.check(RunSettings, raw, path)
             if settings is None:
                 continue

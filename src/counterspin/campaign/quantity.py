@@ -23,7 +23,16 @@ from functools import lru_cache
 from typing import Final
 
 #: The dimensions.
-BASES: Final = ("[length]", "[time]", "[angle]", "[gravity]")
+BASES: Final = (
+    "[length]",
+    "[time]",
+    "[angle]",
+    "[gravity]",
+    "[voltage]",
+    "[current]",
+    "[count]",
+    "[temperature]",
+)
 
 #: Every unit that may be written, as (factor, unit in which the factor is).
 #: A base unit's dimension stands in brackets.
@@ -32,6 +41,16 @@ UNITS: Final[Mapping[str, tuple[float, str]]] = {
     "s": (1.0, "[time]"),
     "rad": (1.0, "[angle]"),
     "g": (1.0, "[gravity]"),
+    "V": (1.0, "[voltage]"),
+    "A": (1.0, "[current]"),
+    "count": (1.0, "[count]"),
+    "K": (1.0, "[temperature]"),
+    "mV": (1e-3, "V"),
+    "uV": (1e-6, "V"),
+    "mA": (1e-3, "A"),
+    "uA": (1e-6, "A"),
+    "nA": (1e-9, "A"),
+    "pulse": (1.0, "count"),
     "mm": (1e-3, "m"),
     "um": (1e-6, "m"),
     "nm": (1e-9, "m"),
@@ -217,7 +236,8 @@ def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> floa
     surplus = {base: dimension[base] - wanted_dimension[base] for base in BASES}
     # What is left over may be a power of (m/s^2)/g, which the site's gravity resolves.
     power = surplus["[length]"]
-    of_gravity = {"[length]": power, "[time]": -2.0 * power, "[gravity]": -power, "[angle]": 0.0}
+    of_gravity = dict.fromkeys(BASES, 0.0)
+    of_gravity |= {"[length]": power, "[time]": -2.0 * power, "[gravity]": -power}
     if surplus != of_gravity or (power != 0.0 and gravity is None):
         raise ValueError(f"{unit!r} is not a unit of {kind.split(' ', 1)[1]}; use {accepted}")
     if power != 0.0 and gravity is not None:

@@ -12,12 +12,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from counterspin.arrays import Array
+from counterspin.campaign.machine import MachineModel
 from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.readings import Output, Reading
 from counterspin.campaign.specification import Specifications
+from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.spindle import Spindle
@@ -74,6 +77,8 @@ class Accelerometer:
         exactly. A term here that the model neither estimates nor considers has this value.
     serial_number
         Free text, or None.
+    output
+        What its readings are in; None: g or m/s^2.
     """
 
     name: str
@@ -82,6 +87,7 @@ class Accelerometer:
     channel: Channel
     priors: Mapping[str, Quantity]
     serial_number: str | None = None
+    output: Output | None = None
 
 
 @dataclass(frozen=True)
@@ -274,3 +280,14 @@ class Campaign:
     simulation: Simulation | None
     details: Mapping[str, str]
     specifications: Specifications | None = None
+    readings: tuple[Reading, ...] = ()
+    machine: MachineModel = field(default_factory=MachineModel)
+    reference_temperature: float | None = None
+
+    def require_records(self, what: str) -> None:
+        """Raise CampaignError if there is no record, which `what` needs, or a reading beside."""
+        if self.readings:
+            raise CampaignError(
+                str(self.path),
+                [f"runs: {what} takes records of a double turntable; this campaign has readings"],
+            )

@@ -175,13 +175,14 @@ class DocumentSettings(SettingsSection):
     schema_version: Schema = Field(alias="schema")
     campaign: dict[str, Any] = {}
     site: dict[str, Any]
-    centrifuge: dict[str, Any]
-    records: dict[str, Any]
+    centrifuge: dict[str, Any] | None = None
+    records: dict[str, Any] | None = None
+    readings: dict[str, Any] | None = None
     accelerometers: dict[str, Any] = Field(min_length=1)
     noise: dict[str, Any] | None = None
     model: dict[str, Any] | None = None
     specification: dict[str, Any] | None = None
-    runs: list[Any] = Field(min_length=1)
+    runs: list[Any] = []
     simulation: dict[str, Any] | None = None
     truth: dict[str, Any] | None = None
     study: dict[str, Any] | None = None
@@ -209,6 +210,9 @@ class CentrifugeSettings(SettingsSection):
     """[centrifuge]: its size."""
 
     radius: Annotated[Quantity, _uncertain("m"), AfterValidator(positive)]
+    stretch: Annotated[Quantity, _uncertain("s^2/m")] | None = None
+    droop: Annotated[Quantity, _uncertain("rad s^2")] | None = None
+    reference_temperature: Text | None = None
 
 
 class _Channel(SettingsSection):
@@ -261,8 +265,17 @@ class AxesSettings(SettingsSection):
     output_axis: Direction | None = None
 
 
+class OutputSettings(SettingsSection):
+    """``output``: what an accelerometer's readings are in, and its nominal sensitivity."""
+
+    unit: Text
+    sensitivity: Text
+
+
 class _AccelerometerKeys(AxesSettings):
     serial_number: Text | None = None
+    output: OutputSettings | None = None
+    sensitivity_prior: Text | None = None
     bias: Annotated[Quantity, _uncertain("g")] | None = None
     scale_factor: Annotated[Quantity, _uncertain("g/g")] | None = None
     displacement: DisplacementChannel | None = None

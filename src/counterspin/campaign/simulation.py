@@ -72,6 +72,7 @@ def simulate(
         If a file is in the way or cannot be written.
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
+    campaign.require_records("simulate")
     folder = Path(folder)
     if campaign.simulation is None:
         raise CampaignError(

@@ -151,6 +151,8 @@ class ReadingsFit:
         Standard uncertainty of each reading, the head's part included, g, shape (n,).
     dof
         Degrees of freedom of an estimated noise; infinite where it was stated.
+    freedom
+        Readings less what the fit follows of them.
     residuals
         Reading less model at the estimate, g, shape (n,).
     standardised
@@ -162,6 +164,7 @@ class ReadingsFit:
     blocks: tuple[Block, ...]
     sigma: tuple[Array, ...]
     dof: tuple[float, ...]
+    freedom: tuple[float, ...]
     residuals: tuple[Array, ...]
     standardised: tuple[Array, ...]
 
@@ -218,14 +221,15 @@ def solve_readings(
             f"the fit of the readings did not settle in {_ROUNDS} rounds; give the terms of the "
             "machine priors, or state the standard uncertainties of the readings"
         )
+    freedom = tuple(part.freedom(solution) for part in weighted)
     return ReadingsFit(
         solution,
         tuple(blocks),
         tuple(part.sigma for part in weighted),
         tuple(
-            part.freedom(solution) if one.u is None else math.inf
-            for one, part in zip(readings, weighted, strict=True)
+            left if one.u is None else math.inf for one, left in zip(readings, freedom, strict=True)
         ),
+        freedom,
         tuple(part.left(solution, model) for part in weighted),
         tuple(part.standardised(solution, model) for part in weighted),
     )

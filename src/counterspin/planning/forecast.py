@@ -107,6 +107,7 @@ def forecast(
         If a run is too short for its own start offset and velocity.
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
+    campaign.require_records("a forecast")
     if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
     _check(campaign, sampling_rate)

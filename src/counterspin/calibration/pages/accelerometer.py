@@ -21,14 +21,17 @@ from counterspin.calibration.result_parts import (
     ConfoundedTerms,
     Jackknife,
     NoiseLine,
+    ReadingResult,
 )
 from counterspin.inference.diagnostics import AGREEMENT
 from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
     field_unit,
+    format_compact,
     format_count,
     format_estimate,
     format_number,
@@ -61,6 +64,9 @@ def accelerometer_blocks(
     yield Paragraph(_residual(accelerometer))
     if accelerometer.noise:
         yield Paragraph(_noise(accelerometer.noise, gravity))
+    if accelerometer.output:
+        yield Paragraph(_in_output_units(accelerometer.output))
+    yield from _readings(accelerometer.readings)
     if accelerometer.two_stage is not None:
         yield Paragraph(
             _comparison(accelerometer.two_stage, accelerometer.coefficients.get("K_II"))
@@ -69,6 +75,40 @@ def accelerometer_blocks(
         yield from _jackknife(accelerometer.jackknife, accelerometer.coefficients["K_II"])
     if details:
         yield from _correlations(accelerometer)
+
+
+def _in_output_units(output: dict[str, Coefficient]) -> str:
+    parts = (
+        f"{key.replace('_', ' ')} {format_estimate(c.value, c.u, c.unit)}"
+        for key, c in output.items()
+    )
+    return f"In the unit of the readings: {', '.join(parts)}."
+
+
+def _readings(readings: Sequence[ReadingResult]) -> Iterator[Block]:
+    if not readings:
+        return
+    yield Table(
+        columns=(
+            Column("Reading", wraps=True),
+            Column("Motion"),
+            Column("Rate, rad/s", "right"),
+            Column("Indication, g", "right"),
+            Column("Residual, ug", "right"),
+            Column("Residual / its u", "right"),
+        ),
+        rows=tuple(
+            (
+                line.name,
+                line.motion,
+                format_number(line.rate, 6) if line.rate else "",
+                format_compact(line.value, line.u),
+                f"{line.residual * 1e6:.2f}",
+                "-" if line.z is None else f"{line.z:.2f}",
+            )
+            for line in readings
+        ),
+    )
 
 
 def in_field_units(coefficient: Coefficient) -> tuple[float | None, float | None, str]:
@@ -101,6 +141,8 @@ def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
 def _names(symbol: str) -> tuple[str, str]:
     """Return symbol and words of a term; a run's own term keeps the run's name in brackets."""
     bare, bracket, run = symbol.partition(" (")
+    if (machine := machine_term(bare)) is not None:
+        return symbol, machine[0].words + (f" {machine[1]}" if machine[1] else "")
     row = TERMS.get(bare) or PLATFORM_TERMS.get(bare)
     return (symbol, row.words + bracket + run) if row else _SPINDLE.get(bare, (symbol, ""))
 

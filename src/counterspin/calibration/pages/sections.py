@@ -134,13 +134,15 @@ def platform_blocks(result: Result) -> Iterator[Block]:
     for name, run in result.runs.items():
         terms |= {f"{symbol} ({name})": coefficient for symbol, coefficient in run.terms.items()}
     if terms:
-        yield Heading("Platform")
+        yield Heading("Platform" if result.runs else "Machine")
         table = coefficient_table(terms)
         yield Table(table.columns[1:], tuple(row[1:] for row in table.rows), table.quiet)
 
 
 def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
     """Yield what the runs showed: rotation, samples, fits; with `details`, counts of each kind."""
+    if not runs:
+        return
     yield Heading("Runs")
     yield Table(
         columns=(

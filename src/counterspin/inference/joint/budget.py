@@ -124,12 +124,12 @@ def _encoder_lines(fit: JointFit, parts: Combination) -> list[Line]:
 
 
 def _noise_by_accelerometer(fit: JointFit, rows: Array) -> dict[str, float]:
-    """Sum the rows' contributions over the blocks of each accelerometer."""
+    """Sum the rows' contributions over the blocks of each accelerometer, and of each other."""
     squares: dict[str, float] = {}
     start = 0
-    for block, prepared in zip(fit.blocks, fit.prepared, strict=True):
+    names = [*(prepared.accelerometer for prepared in fit.prepared), *fit.beside]
+    for block, name in zip([*fit.blocks, *fit.beside.values()], names, strict=True):
         end = start + block.factor.shape[0]
-        name = prepared.accelerometer
         squares[name] = squares.get(name, 0.0) + float(np.sum(rows[start:end] ** 2))
         start = end
     return {name: math.sqrt(square) for name, square in squares.items()}

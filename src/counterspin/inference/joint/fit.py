@@ -65,6 +65,8 @@ class JointFit:
     unseen
         By accelerometer, where there is any: a random walk that the records do not show, N in
         (m/s^2)/Hz^0.5, and what it adds to the covariance, shape (p, p).
+    beside
+        Blocks of data that are no records, by what they are called in a budget.
     """
 
     model: Unknowns
@@ -73,6 +75,7 @@ class JointFit:
     blocks: tuple[Block, ...]
     noise: Mapping[str, NoiseModel]
     unseen: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
+    beside: Mapping[str, Block] = field(default_factory=dict)
 
     def with_noise(self, noise: Mapping[str, NoiseModel]) -> JointFit:
         """Return the fit with other noise; records whose noise stays remain as they are reduced.
@@ -88,8 +91,10 @@ class JointFit:
             else block
             for block, prepared in zip(self.blocks, self.prepared, strict=True)
         )
-        solution = solve_blocks(blocks, self.model)
-        return JointFit(self.model, solution, self.prepared, blocks, {**self.noise, **noise})
+        solution = solve_blocks([*blocks, *self.beside.values()], self.model)
+        return replace(
+            self, solution=solution, blocks=blocks, noise={**self.noise, **noise}, unseen={}
+        )
 
     def without_run(self, run: str) -> Solution | None:
         """Return the solution without one run; None if nothing is left."""
@@ -98,6 +103,7 @@ class JointFit:
             for block, prepared in zip(self.blocks, self.prepared, strict=True)
             if prepared.run != run
         ]
+        kept += self.beside.values()
         return solve_blocks(kept, self.model) if kept else None
 
     def prepared_for(
@@ -147,7 +153,8 @@ class JointFit:
         Rows less the series' own unknowns, less what the fit of all series and priors follows.
         """
         ends = np.cumsum([block.factor.shape[0] for block in self.blocks])
-        followed = np.add.reduceat(self.solution.leverages, np.append(0, ends[:-1]))
+        leverages = self.solution.leverages[: ends[-1]]
+        followed = np.add.reduceat(leverages, np.append(0, ends[:-1]))
         return tuple(
             block.rows - block.nuisance - float(part)
             for block, part in zip(self.blocks, followed, strict=True)

@@ -14,6 +14,7 @@ from typing import Final
 from counterspin.inference.joint.series import Series
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.machine import machine_term
 
 #: Rotation of a run as unknowns, where no angle is recorded: rad, rad/s, 1/s.
 ROTATION: Final = ("spindle.start_angle", "spindle.rate", "spindle.drift")
@@ -64,6 +65,8 @@ class Unknown:
         """Return whether the unknown can show in a series."""
         if self.symbol in TERMS:
             return self.owner == series.accelerometer
+        if machine_term(self.symbol) is not None:
+            return False  # it shows in readings
         return self.owner in ("", series.run)
 
 

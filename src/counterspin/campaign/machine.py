@@ -1,0 +1,221 @@
+"""The machine's terms in a campaign with readings: those of [model] and of [centrifuge].
+
+- `MachineModel`: what is estimated and what is considered
+- `resolve_machine`: takes them out of [model], whose other terms are settled in `terms`
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
+from counterspin.physics.machine import MACHINE_TERMS, machine_term
+
+#: What a name of the machine's terms begins with.
+_FAMILIES: Final = ("centrifuge.", "fixture.", "head.")
+
+#: A radius that is given below this part of the machine's is a deviation from it.
+_DEVIATION: Final = 0.5
+
+#: Axes about which a fixture may be turned, by motion: the names of the frame.
+_AXES: Final = {
+    "arm": ("outward", "forward", "up"),
+    "static": ("east", "north", "up"),
+    "counter-rotating": ("east", "north", "up"),
+}
+
+#: What is estimated of readings where [model] names no terms: at rest, and on a machine.
+_AT_REST: Final = ["K_F", "K_I"]
+_TURNING: Final = [*_AT_REST, "K_II"]
+
+
+@dataclass(frozen=True)
+class MachineModel:
+    """What is estimated and considered of the machine.
+
+    Attributes
+    ----------
+    terms, considered
+        Symbols of `counterspin.physics.machine.MACHINE_TERMS`, with the mountings' names.
+    priors
+        Symbol -> what is known of it, less nominal; SI.
+    """
+
+    terms: tuple[str, ...] = ()
+    considered: tuple[str, ...] = ()
+    priors: Mapping[str, Quantity] = field(default_factory=dict)
+
+    def prior(self, symbol: str) -> tuple[float, float]:
+        """Return value and standard uncertainty; infinite where nothing is known."""
+        known = self.priors.get(symbol)
+        return (known.value, known.u) if known else (0.0, math.inf)
+
+
+def resolve_machine(
+    settings: ModelSettings,
+    centrifuge: CentrifugeSettings | None,
+    readings: Sequence[Reading],
+    problems: Problems,
+) -> tuple[ModelSettings, MachineModel]:
+    """Take the machine's terms out of [model].
+
+    Parameters
+    ----------
+    settings
+        The section as it stands.
+    centrifuge
+        The machine, if there is one; its stretch and droop are priors.
+    readings
+        Of the campaign, at least one.
+    problems
+        Where mistakes are noted.
+
+    Returns
+    -------
+    tuple
+        The section without the machine's terms, and these.
+    """
+    known = _symbols(readings)
+    terms = _expanded(settings.terms or (), "terms", known, problems)
+    considered = _expanded(settings.considered, "considered", known, problems)
+    priors = _of_centrifuge(centrifuge, known) | _given(
+        settings.priors, known, centrifuge, problems
+    )
+    for index, symbol in enumerate(considered):
+        if symbol not in priors:
+            problems.add(
+                ("model", "considered", index),
+                f'"{symbol}" is considered, but there is no prior for it; add it to [model.priors]',
+            )
+    used = {*terms, *considered}
+    considered += tuple(s for s, prior in priors.items() if s not in used and _counts(s, prior))
+    left = settings.model_copy(
+        update={
+            "terms": _own_terms(settings, readings),
+            "considered": [name for name in settings.considered if not _is_machine(name)],
+            "priors": {k: v for k, v in _flat(settings.priors).items() if not _is_machine(k)},
+        }
+    )
+    return left, MachineModel(terms, considered, priors)
+
+
+def _own_terms(settings: ModelSettings, readings: Sequence[Reading]) -> list[str] | None:
+    """Return the accelerometer's and platform's terms to estimate; None: the usual ones."""
+    if settings.terms is not None:
+        return [name for name in settings.terms if not _is_machine(name)]
+    motions = {reading.motion for reading in readings}
+    if motions == {"static"}:
+        return list(_AT_REST)
+    return None if "counter-rotating" in motions else list(_TURNING)
+
+
+def _of_centrifuge(
+    centrifuge: CentrifugeSettings | None, known: Iterable[str]
+) -> dict[str, Quantity]:
+    """Return what [centrifuge] says of the machine's terms, as deviations."""
+    if centrifuge is None:
+        return {}
+    priors = {
+        f"centrifuge.{key}": quantity
+        for key in ("stretch", "droop")
+        if (quantity := getattr(centrifuge, key)) is not None
+    }
+    radius = Quantity(0.0, centrifuge.radius.u, "m")
+    radii = (symbol for symbol in known if symbol.startswith("centrifuge.radius."))
+    return priors | (dict.fromkeys(radii, radius) if radius.u else {})
+
+
+def _given(
+    raw: Mapping[str, Any],
+    known: Sequence[str],
+    centrifuge: CentrifugeSettings | None,
+    problems: Problems,
+) -> dict[str, Quantity]:
+    """Return what [model.priors] says of the machine's terms, as deviations."""
+    priors: dict[str, Quantity] = {}
+    for key, text in _flat(raw).items():
+        if not _is_machine(key):
+            continue
+        path = ("model", "priors", key)
+        symbols = _expand(key, known)
+        if not symbols:
+            problems.add(path, f'no reading shows "{key}"' + did_you_mean(key, known))
+        for symbol in symbols:
+            row, _ = machine_term(symbol) or (None, "")
+            assert row is not None
+            prior = problems.attempt(path, parse, text, row.unit)
+            if prior is not None:
+                priors[symbol] = _less_nominal(symbol, prior, centrifuge)
+    return priors
+
+
+def _counts(symbol: str, prior: Quantity) -> bool:
+    # A radius of a mounting that is no term of its own is the machine's, an input of its own.
+    return prior.u > 0.0 and not symbol.startswith("centrifuge.radius.")
+
+
+def _less_nominal(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | None) -> Quantity:
+    """Return a prior as a deviation: a radius may be given as such, or as its deviation."""
+    if not symbol.startswith("centrifuge.radius.") or centrifuge is None:
+        return prior
+    radius = centrifuge.radius.value
+    value = prior.value - radius if prior.value > _DEVIATION * radius else prior.value
+    return Quantity(value, prior.u, prior.unit)
+
+
+def _symbols(readings: Sequence[Reading]) -> tuple[str, ...]:
+    """Return every term of the machine that these readings can show."""
+    motions = {reading.motion for reading in readings}
+    mountings = dict.fromkeys((r.mounting, r.motion) for r in readings if r.mounting)
+    symbols: dict[str, None] = {}
+    for row in MACHINE_TERMS.values():
+        if not motions & set(row.motions):
+            continue
+        if not row.per_mounting:
+            symbols[row.symbol] = None
+            continue
+        for name, motion in mountings:
+            axis = row.symbol.rpartition(".")[2]
+            if motion in row.motions and axis in ("MOUNTING", *_AXES[motion]):
+                symbols[row.symbol.replace("MOUNTING", name)] = None
+    return tuple(symbols)
+
+
+def _is_machine(name: str) -> bool:
+    return name.startswith(_FAMILIES) or machine_term(name) is not None
+
+
+def _expand(name: str, known: Iterable[str]) -> tuple[str, ...]:
+    """Return the terms that a name stands for: itself, or all that begin with it."""
+    return tuple(s for s in known if s == name or s.startswith(f"{name}."))
+
+
+def _expanded(
+    names: Iterable[str], key: str, known: Sequence[str], problems: Problems
+) -> tuple[str, ...]:
+    symbols: dict[str, None] = {}
+    for index, name in enumerate(names):
+        if not _is_machine(name):
+            continue
+        found = _expand(name, known)
+        if not found:
+            path: Path = ("model", key, index)
+            problems.add(path, f'no reading shows "{name}"' + did_you_mean(name, known))
+        symbols |= dict.fromkeys(found)
+    return tuple(symbols)
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            flat |= _flat(value, f"{prefix}{key}.")
+        else:
+            flat[prefix + key] = value
+    return flat
