@@ -287,7 +287,7 @@ def test_all_mistakes_are_told_at_once(tmp_path):
         ('"2.5 ± 1e-5 m"', '"-1 m"'),
         ('"down"', '"west"'),
         ('"0.005 ± 2e-6 g"', "0.005"),
-        ('"K_III"]', '"K_4"]'),
+        ('"K_III"]', '"K_IV"]'),
         ('"run2"', '"run1"'),
         ("0.25 rev/s", "0.25 Hz"),
         ("run2.parquet", "run2.xls"),

@@ -28,7 +28,7 @@ SETTINGS = settings(deadline=None, derandomize=True, max_examples=60)
 
 def test_no_term_is_listed_twice():
     symbols = [*TERMS, *PLATFORM_TERMS]
-    assert len(symbols) == len(set(symbols)) == 12 + 15
+    assert len(symbols) == len(set(symbols)) == 13 + 27
     assert all(row.symbol == symbol for symbol, row in (TERMS | PLATFORM_TERMS).items())
     # No product under two names, in whatever order its factors are written.
     products = [tuple(sorted(row.factors)) for row in TERMS.values()]
@@ -45,6 +45,7 @@ EQUATION_7 = {
     "K_I": lambda i, p, o: i,
     "K_II": lambda i, p, o: i * i,
     "K_III": lambda i, p, o: i * i * i,
+    "K_4": lambda i, p, o: i**4,
     "K_IP": lambda i, p, o: i * p,
     "K_IO": lambda i, p, o: i * o,
     "K_PO": lambda i, p, o: p * o,
@@ -57,7 +58,21 @@ EQUATION_7 = {
 IEEE = dict(
     zip(
         EQUATION_7,
-        ["K0", "K1", "K2", "K3", "Kip", "Kio", "Kpo", "Kpp", "Koo", "Koq", "delta_o", "delta_p"],
+        [
+            "K0",
+            "K1",
+            "K2",
+            "K3",
+            "K4",
+            "Kip",
+            "Kio",
+            "Kpo",
+            "Kpp",
+            "Koo",
+            "Koq",
+            "delta_o",
+            "delta_p",
+        ],
         strict=True,
     )
 )
@@ -88,7 +103,7 @@ def test_units_follow_the_degree_of_the_product(symbol):
         assert degree == 1
         assert row.unit == "rad"
     else:
-        assert row.unit == {0: "g", 1: "g/g", 2: "g/g^2", 3: "g/g^3"}[degree]
+        assert row.unit == {0: "g", 1: "g/g", 2: "g/g^2", 3: "g/g^3", 4: "g/g^4"}[degree]
 
 
 def test_products_in_words_and_perfect_values():
@@ -104,14 +119,17 @@ def test_products_in_words_and_perfect_values():
     assert all(row.limit > 0.0 for row in (TERMS | PLATFORM_TERMS).values())
 
 
-def test_platform_terms_are_three_tilts_three_drifts_and_nine_sensitivities():
+def test_platform_terms_are_those_of_three_axes_and_of_nine_pairs():
     expected = {}
     for i, name in enumerate(["east", "north", "up"]):
         expected[f"platform.tilt.{name}"] = ("tilt", i, None, "rad", True)
         expected[f"platform.drift.{name}"] = ("drift", i, None, "rad/s", False)
+        key = f"platform.g2_sensitivity.{name}"
+        expected[key] = ("g2_sensitivity", i, None, "rad/s/g^2", False)
     for (i, a), (j, b) in itertools.product(enumerate("xyz"), repeat=2):
         key = f"platform.g_sensitivity.{a}{b}"
         expected[key] = ("g_sensitivity", i, j, "rad/s/g", False)
+        expected[f"platform.compliance.{a}{b}"] = ("compliance", i, j, "rad/g", False)
     found = {
         s: (row.kind, row.axis, row.force_axis, row.unit, row.per_run)
         for s, row in PLATFORM_TERMS.items()
@@ -128,7 +146,7 @@ def test_term_finds_rows_of_both_tables():
 
 @pytest.mark.parametrize("symbol", ["K2", "k_ii", "", "platform.tilt.west"])
 def test_term_lists_the_known_ones(symbol):
-    with pytest.raises(ValueError, match=r"known: K_F, .*, platform\.g_sens.*zz") as error:
+    with pytest.raises(ValueError, match=r"known: K_F, .*, platform\.compliance\.zz") as error:
         term(symbol)
     assert repr(symbol) in str(error.value)
 
@@ -236,20 +254,21 @@ def test_equation_7_by_hand():
         + 1.001 * i
         + 0.03 * i**2
         + 0.04 * i**3
-        + 0.05 * i * p
-        + 0.06 * i * o
-        + 0.07 * p * o
-        + 0.08 * p**2
-        + 0.09 * o**2
-        + 0.10 * i * abs(i)
-        + 0.11 * p
-        - 0.12 * o
+        + 0.05 * i**4
+        + 0.06 * i * p
+        + 0.07 * i * o
+        + 0.08 * p * o
+        + 0.09 * p**2
+        + 0.10 * o**2
+        + 0.11 * i * abs(i)
+        + 0.12 * p
+        - 0.13 * o
     )
     got = indicated(QX, coefficients, np.stack([FORCE, -FORCE]))
     assert got[0] == pytest.approx(expected, rel=1e-15)
     # Reversing the force reverses the odd products and keeps the even ones.
-    even = 0.01 + 0.03 * i**2 + 0.05 * i * p + 0.06 * i * o + 0.07 * p * o
-    even += 0.08 * p**2 + 0.09 * o**2
+    even = 0.01 + 0.03 * i**2 + 0.05 * i**4 + 0.06 * i * p + 0.07 * i * o + 0.08 * p * o
+    even += 0.09 * p**2 + 0.10 * o**2
     assert got[0] + got[1] == pytest.approx(2 * even, rel=1e-14)
 
 

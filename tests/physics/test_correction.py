@@ -18,13 +18,14 @@ SETTINGS = settings(deadline=None, derandomize=True, max_examples=150)
 PLAIN = Mounting(((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)))
 
 #: Sizes up to which every term together still rises over +-100 g: the slope is at least
-#: 0.9 - 600 x 3e-4 (all second-order terms at 100 g) - 3e4 x 1e-5 (third order) = 0.42.
-SIZES = {"": 0.1, "I": 0.1, "II": 3e-4, "III": 1e-5}
+#: 0.9 - 600 x 3e-4 (all second-order terms at 100 g) - 3e4 x 1e-5 (third order) - 4e6 x 5e-8
+#: (fourth order) = 0.22.
+SIZES = {"": 0.1, "I": 0.1, "II": 3e-4, "III": 1e-5, "IIII": 5e-8}
 
 
 def size(symbol):
     row = TERMS[symbol]
-    return SIZES["I" * min(len(row.factors), 3)] if len(row.factors) != 1 else 0.1
+    return SIZES["I" * len(row.factors)] if len(row.factors) != 1 else 0.1
 
 
 def coefficients():
@@ -56,9 +57,9 @@ def test_slopes_are_the_derivatives_of_the_products(symbol):
     assert row.power == sympy.Poly(product.subs(sympy.Abs(i), i), i).degree()
 
 
-def test_no_product_is_of_higher_than_third_power_in_the_input_axis():
-    """The turning point is found as the root of a quadratic."""
-    assert max(row.power for row in TERMS.values()) == 3
+def test_no_product_is_of_higher_than_fourth_power_in_the_input_axis():
+    """The turning point is found as the root of a quadratic or a cubic."""
+    assert max(row.power for row in TERMS.values()) == 4
 
 
 # --- one accelerometer ----------------------------------------------------------------------
@@ -116,6 +117,37 @@ def test_up_to_the_turning_point_and_not_beyond():
         assert error.value.row == row
         assert isinstance(error.value, ConvergenceError)
         assert f"{sign * turn:.6g} g" in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"K_4": -3e-7},
+        {"K_4": 3e-7},
+        {"K_4": -1e-7, "K_III": 2e-5},
+        {"K_4": 2e-6, "K_III": -1e-4, "K_II": 1e-3},
+        {"K_4": -1e-6, "K_III": 1e-4, "K_II": -4e-3},
+        {"K_4": -1e-9, "K_II": 1e-5},
+    ],
+    ids=str,
+)
+def test_the_turning_point_of_the_fourth_order(values):
+    """The nearest turn by numpy's eigenvalues; to its very end the model is inverted."""
+    down, up = [values.get(s, 0.0) for s in ("K_4", "K_III", "K_II")], [1.0, 0.0]
+    for sign in (1.0, -1.0):
+        roots = np.roots(np.polyder(np.poly1d([*down, *up])))
+        real = [abs(z.real) for z in roots if abs(z.imag) < 1e-9 and sign * z.real > 0.0]
+        turn = min(real, default=None)
+        if turn is None:
+            far = np.array([[sign * 400.0, 0.0, 0.0]])
+            got = invert(values, indicated(PLAIN, values, far))
+            assert got[0] == pytest.approx(sign * 400.0, rel=1e-13)
+            continue
+        top = float(np.polyval([*down, *up], sign * turn))
+        inside = invert(values, np.array([top * (1.0 - 1e-9)]))
+        assert 0.99 * turn < sign * inside[0] < turn
+        with pytest.raises(NotInvertibleError, match="turning point"):
+            invert(values, np.array([top * (1.0 + 1e-9)]))
 
 
 def test_the_branch_through_zero_is_taken_although_another_root_lies_nearer():

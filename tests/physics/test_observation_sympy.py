@@ -67,6 +67,7 @@ def product(symbol, axes):
             "K_I": i,
             "K_II": i**2,
             "K_III": i**3,
+            "K_4": i**4,
             "K_IP": i * p,
             "K_IO": i * o,
             "K_PO": p * o,
@@ -84,7 +85,12 @@ def attitude_error(symbol):
     if kind == "g_sensitivity":
         gained = (VELOCITY - VELOCITY.subs(tau, 0)) / g + sp.Matrix([0, 0, tau / w])
         return sp.eye(3).col("xyz".index(which[0])) * gained["xyz".index(which[1])]
+    if kind == "compliance":
+        return sp.eye(3).col("xyz".index(which[0])) * FORCE["xyz".index(which[1])] / g
     psi = sp.eye(3).col(("east", "north", "up").index(which))
+    if kind == "g2_sensitivity":
+        squared = sp.trigsimp(FORCE.dot(FORCE)) / g**2
+        return psi * sp.integrate(squared, (tau, 0, tau)) / w
     return psi if kind == "tilt" else psi * tau / w
 
 
@@ -117,6 +123,10 @@ CLOSED_FORMS = {
     ("K_IP", "QX"): R * (1 - c(X)),
     ("K_IO", "QX"): SQUARE * (t / (4 * w) - s(X2) / (8 * w**2)),
     ("K_OO", "QX"): SQUARE * (t**2 / 4 - (1 - c(X2)) / (8 * w**2)),
+    # The azimuth that leans under the force is K_OO's column.
+    ("platform.compliance.zy", "QX"): SQUARE * (t**2 / 4 - (1 - c(X2)) / (8 * w**2)),
+    ("platform.compliance.yx", "QX"): R * (1 - c(X)),
+    ("platform.g2_sensitivity.north", "QX"): -g * t**3 / 6 * (1 + R**2 * w**4 / g**2),
     ("platform.drift.north", "QX"): -g * t**3 / 6,
     ("platform.drift.east", "QY"): g * t**3 / 6,
 }
@@ -133,6 +143,10 @@ PARABOLAS = {
     ("K_IO", "QX"): 0,
     ("K_OO", "QX"): SQUARE / 4,
     ("platform.drift.north", "QX"): 0,
+    ("K_4", "QX"): 3 * R**4 * w**8 / (16 * g**3),
+    ("platform.compliance.zy", "QX"): SQUARE / 4,
+    ("platform.compliance.zx", "QY"): -SQUARE / 4,
+    ("platform.compliance.yz", "QX"): -g / 2,
     ("platform.g_sensitivity.zx", "QX"): R**2 * w**3 / (4 * g),
     ("platform.g_sensitivity.zy", "QY"): R**2 * w**3 / (4 * g),
 }
@@ -213,7 +227,9 @@ def test_parabola_of_any_horizontal_input_axis(symbol, mounting, rate):
     curvature = np.diff(velocity, 2).mean()
     start_slope = velocity[1] - curvature / 2
     got = parabola(symbol, mounting, rate, RADIUS, GRAVITY)
-    secular = symbol.startswith("platform.drift") or symbol.endswith("z")
+    drifts = ("platform.drift", "platform.g2_sensitivity")
+    vertical = symbol.startswith("platform.g_sensitivity") and symbol.endswith("z")
+    secular = symbol.startswith(drifts) or vertical
     if secular:
         # Drift about a level axis: t^2 coefficient zero, all of the growth is in the curvature;
         # drift about the vertical leaves a constant, which is no parabola either.

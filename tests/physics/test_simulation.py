@@ -22,6 +22,7 @@ COEFFICIENTS = {
     "K_I": 1.002,
     "K_II": 3e-4,
     "K_III": -2e-4,
+    "K_4": 1e-5,
     "K_IP": 4e-4,
     "K_IO": -3e-4,
     "K_PO": 2e-4,
@@ -43,6 +44,12 @@ PLATFORM = {
     "platform.g_sensitivity.yx": 3e-5,
     "platform.g_sensitivity.zx": -4e-5,
     "platform.g_sensitivity.zy": 5e-5,
+    "platform.g2_sensitivity.north": 3e-6,
+    "platform.g2_sensitivity.up": -2e-6,
+    "platform.compliance.xy": 2e-5,
+    "platform.compliance.yz": -4e-5,
+    "platform.compliance.zx": 3e-5,
+    "platform.compliance.zy": 5e-5,
 }
 RIPPLES = (Ripple(1, 2e-3, 0.5), Ripple(3, -1e-3, 2.0))
 TURNED = Rotation.from_euler("xyz", [90, 20, -50], degrees=True).as_matrix()
@@ -56,13 +63,16 @@ def by_differential_equation(spindle, mounting, coefficients, platform, times, a
     w0, k = spindle.rate, {"K_I": 1.0, **coefficients}
     axes = np.array(mounting.axes) @ attitude
     earth = EARTH * np.array([0.0, math.cos(LATITUDE), math.sin(LATITUDE)])
-    tilt, drift, sensitivity = np.zeros(3), np.zeros(3), np.zeros((3, 3))
+    tilt, drift, squared = np.zeros(3), np.zeros(3), np.zeros(3)
+    sensitivity, compliance = np.zeros((3, 3)), np.zeros((3, 3))
     for symbol, value in platform.items():
         kind, which = symbol.split(".")[1:]
-        if kind == "g_sensitivity":
-            sensitivity["xyz".index(which[0]), "xyz".index(which[1])] = value
+        if kind in ("g_sensitivity", "compliance"):
+            matrix = {"g_sensitivity": sensitivity, "compliance": compliance}[kind]
+            matrix["xyz".index(which[0]), "xyz".index(which[1])] = value
         else:
-            {"tilt": tilt, "drift": drift}[kind][["east", "north", "up"].index(which)] = value
+            vector = {"tilt": tilt, "drift": drift, "g2_sensitivity": squared}[kind]
+            vector[["east", "north", "up"].index(which)] = value
 
     def motion(t, theta):
         rate = w0 * (1 + spindle.drift * t)
@@ -78,12 +88,14 @@ def by_differential_equation(spindle, mounting, coefficients, platform, times, a
         return rate, velocity, RADIUS * (change * along - rate**2 * out) + harmful, harmful
 
     def sensed(force, psi):
+        psi = psi + attitude.T @ compliance @ attitude @ force / G
         i, p, o = axes @ Rotation.from_rotvec(psi).as_matrix().T @ force / G
         return G * (
             k.get("K_F", 0)
             + k["K_I"] * i
             + k.get("K_II", 0) * i**2
             + k.get("K_III", 0) * i**3
+            + k.get("K_4", 0) * i**4
             + k.get("K_IP", 0) * i * p
             + k.get("K_IO", 0) * i * o
             + k.get("K_PO", 0) * p * o
@@ -97,7 +109,9 @@ def by_differential_equation(spindle, mounting, coefficients, platform, times, a
     def change(t, state):
         theta, psi, speed = state[0], state[1:4], state[4]
         rate, _, force, harmful = motion(t, theta)
-        turning = attitude.T @ (drift + sensitivity @ attitude @ force / G)
+        turning = attitude.T @ (
+            drift + sensitivity @ attitude @ force / G + squared * (force @ force) / G**2
+        )
         return np.array([rate, *turning, sensed(force, psi) - axes[0] @ harmful, speed])
 
     theta0 = spindle.start_angle

@@ -34,6 +34,7 @@ PRODUCTS = {
     "a_I": lambda i, p, o: i,
     "a_I^2": lambda i, p, o: i * i,
     "a_I^3": lambda i, p, o: i * i * i,
+    "a_I^4": lambda i, p, o: i * i * i * i,
     "a_I*a_P": lambda i, p, o: i * p,
     "a_I*a_O": lambda i, p, o: i * o,
     "a_P*a_O": lambda i, p, o: p * o,
@@ -173,6 +174,8 @@ def integrands(motion, t, platform):
         yield from seen
         yield from (t * s for s in seen)
         yield from (g * s for s in seen for g in gain)
+        # A platform that leans follows the force of the moment.
+        yield from (f / GRAVITY * s for s in seen for f in force)
 
 
 def names(platform):
@@ -182,6 +185,7 @@ def names(platform):
         level, own = ("east", "north", "up"), "xyz"
         labels = [f"platform.tilt.{n}" for n in level] + [f"platform.drift.{n}" for n in level]
         labels += [f"platform.g_sensitivity.{i}{j}" for i in own for j in own]
+        labels += [f"platform.compliance.{i}{j}" for i in own for j in own]
         result += [(m, label) for m in MOUNTINGS for label in labels]
     return result
 

@@ -13,11 +13,11 @@ from counterspin.physics.accelerometer import QX, QY, TERMS
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.shared_terms import PLATFORM_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.studies.strobed_effects import StrobedMotion, effects, kinked
+from counterspin.studies.strobed_effects import StrobedMotion, effects, obstacle
 from counterspin.studies.surrogate import Surrogate, box_of
 
 SITE = Site(9.8, 0.8)
-SMOOTH = tuple(symbol for symbol in (*TERMS, *PLATFORM_TERMS) if not kinked(symbol))
+SMOOTH = tuple(symbol for symbol in (*TERMS, *PLATFORM_TERMS) if not obstacle(symbol))
 
 
 def run(mounting, rate, revolutions=20, start=0.3):
@@ -94,7 +94,9 @@ def test_box_is_cut_to_what_a_surrogate_may_hold():
 
 
 def test_kinks_are_those_of_the_odd_term_alone():
-    assert [symbol for symbol in TERMS if kinked(symbol)] == [
-        row.symbol for row in TERMS.values() if "|I|" in row.factors
-    ]
+    assert {symbol: why for symbol in TERMS if (why := obstacle(symbol))} == {
+        row.symbol: "has a kink" for row in TERMS.values() if "|I|" in row.factors
+    }
+    turning = {symbol for symbol in PLATFORM_TERMS if obstacle(symbol)}
+    assert turning == {s for s in PLATFORM_TERMS if s.startswith("platform.g2_sensitivity")}
     assert term("K_II").factors == ("I", "I")

@@ -161,12 +161,12 @@ def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding
     for symbol in second.ignored:
         if symbol in alike or (symbol not in TERMS and symbol not in campaign.model.terms):
             continue
-        limit = campaign.model.limits[symbol]
-        shift = abs(float(second.shift(symbol)[0])) * limit
+        typical = campaign.model.typical[symbol]
+        shift = abs(float(second.shift(symbol)[0])) * typical
         if shift > u:
             text = (
-                f"{symbol} is neither estimated nor known beforehand; at its largest credible "
-                f"size, {limit:.3g} {term(symbol).unit}, it would move K_II by {shift:.2g} g/g^2, "
+                f"{symbol} is neither estimated nor known beforehand; at a typical size, "
+                f"{typical:.3g} {term(symbol).unit}, it moves K_II by {shift:.2g} g/g^2, "
                 "more than its uncertainty. Give it a prior, or use the joint method."
             )
             subject = f"{name}.{symbol}"

@@ -94,7 +94,10 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
     "g/g": ("a scale factor", "g/g, ppm"),
     "g/g^2": ("a second-order coefficient", "g/g^2, mg/g^2, ug/g^2"),
     "g/g^3": ("a third-order coefficient", "g/g^3, mg/g^3, ug/g^3"),
+    "g/g^4": ("a fourth-order coefficient", "g/g^4, ug/g^4, ng/g^4"),
     "rad/s/g": ("a gyro g-sensitivity", "deg/h/g, rad/s/g"),
+    "rad/s/g^2": ("a gyro g^2-sensitivity", "deg/h/g^2, rad/s/g^2"),
+    "rad/g": ("a compliance", "arcsec/g, rad/g"),
 }
 
 #: Sizes of measured quantities, in SI and g-units; squares of sizes outside could overflow.

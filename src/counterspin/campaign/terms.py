@@ -3,10 +3,11 @@
 A bare platform name means the components that act on the campaign's accelerometers to first
 order, in any of the runs' attitudes, with the paper's start angle of zero:
 
-- tilt or drift about the axis e: where (e x up) has a part along the input axis, so that gravity
-  leaks in;
+- tilt, drift or g^2-sensitivity about the axis e: where (e x up) has a part along the input axis,
+  so that gravity leaks in;
 - g-sensitivity: that of the azimuth gyro to force along a horizontal input axis, and that of a
-  gyro whose drift acts to force along the velocity at the start, which stays behind as a tilt.
+  gyro whose drift acts to force along the velocity at the start, which stays behind as a tilt;
+- compliance: in azimuth, to level force at right angles to the input axis.
 """
 
 from __future__ import annotations
@@ -36,15 +37,11 @@ BARE_NAMES: Final[Mapping[str, tuple[PlatformTerm, ...]]] = {
 
 _NORTH: Final = np.array([0.0, 1.0, 0.0])
 _UP: Final = np.array([0.0, 0.0, 1.0])
-_COMPONENT_ROUNDING: Final = (
-    1e-9  #: of a unit vector; above roundoff, below any angle of a mounting
-)
+_ROUNDING: Final = 1e-9  #: of a unit vector; above roundoff, below any angle of a mounting
 
 
-def acts(
-    row: PlatformTerm, mounting: Mounting, attitude: Array, start: Array | None = None
-) -> bool:
-    """Return whether a platform term reaches an accelerometer to first order.
+def acts(row: PlatformTerm, mounting: Mounting, attitude: Array) -> bool:
+    """Return whether a platform term reaches an accelerometer to first order in some run.
 
     Parameters
     ----------
@@ -54,28 +51,20 @@ def acts(
         The accelerometer's axes while the platform is level.
     attitude
         Rows: where the platform's axes point in the run, shape (3, 3).
-    start
-        Direction in which the platform moves at t = 0, shape (3,); None: any level direction.
     """
     input_axis = mounting.turned(attitude).input_axis
-    # Tilts are about geographic axes, gyro errors about the platform's own.
-    axis = np.eye(3)[row.axis] if row.kind == "tilt" else attitude[row.axis]
-    leaning = abs(float(np.cross(axis, _UP) @ input_axis))
-    if row.force_axis is None:
-        return leaning > _COMPONENT_ROUNDING
-    horizontal = float(np.linalg.norm(input_axis[:2]))
-    along_input = abs(float(mounting.input_axis[row.force_axis]))
-    turning = min(abs(float(axis @ _UP)), horizontal, along_input)
-    # The vertical force is steady, so that a gyro's sensitivity to it is a drift.
-    force = attitude[row.force_axis]
-    moving = float(np.linalg.norm(force[:2])) if start is None else abs(float(force @ start))
-    return max(turning, min(leaning, moving)) > _COMPONENT_ROUNDING
+    if row.kind == "compliance":
+        return float(np.linalg.norm(np.cross(attitude[row.axis], input_axis))) > _ROUNDING
+    return _leaves_a_mean(row, input_axis, attitude, None)
 
 
 def rows_of(
     name: str, mountings: Iterable[Mounting], attitudes: Iterable[Array]
 ) -> tuple[PlatformTerm, ...]:
-    """Return what a bare name stands for: the components that act on any accelerometer.
+    """Return what a bare name stands for.
+
+    These are the components that leave an acceleration, in any run that starts at angle zero, in
+    any accelerometer: one that does not average out and that depends on the run.
 
     Parameters
     ----------
@@ -84,12 +73,42 @@ def rows_of(
     mountings, attitudes
         Of the campaign's accelerometers and runs.
     """
-    pairs = list(product(mountings, attitudes))
+    pairs = [
+        (m.turned(attitude).input_axis, attitude) for m, attitude in product(mountings, attitudes)
+    ]
     return tuple(
         row
         for row in BARE_NAMES[name]
-        if any(acts(row, mounting, attitude, _NORTH) for mounting, attitude in pairs)
+        if any(_leaves_a_mean(row, axis, attitude, _NORTH) for axis, attitude in pairs)
     )
+
+
+def _leaves_a_mean(
+    row: PlatformTerm, input_axis: Array, attitude: Array, start: Array | None
+) -> bool:
+    """Return whether a term leaves an acceleration over whole revolutions.
+
+    Parameters
+    ----------
+    input_axis
+        In the run's attitude, shape (3,).
+    start
+        Direction in which the platform moves at t = 0, shape (3,); None: any level direction.
+    """
+    # Tilts are about geographic axes, the others about the platform's own.
+    axis = np.eye(3)[row.axis] if row.kind == "tilt" else attitude[row.axis]
+    turned = np.cross(axis, input_axis)  # gravity leaks in by its vertical part
+    leaning = abs(float(turned @ _UP))
+    if row.force_axis is None:
+        return leaning > _ROUNDING
+    # The vertical force is steady: a sensitivity to it is a drift or a tilt, the same in all runs.
+    force = attitude[row.force_axis] * (1.0 - _UP)
+    if row.kind == "compliance":
+        return abs(float(turned @ force)) > _ROUNDING
+    # The force's integral is the velocity, a quarter turn behind it.
+    across = abs(float(np.cross(_UP, force) @ turned))
+    moving = float(np.linalg.norm(force)) if start is None else abs(float(force @ start))
+    return max(across, min(leaning, moving)) > _ROUNDING
 
 
 def resolve_model(

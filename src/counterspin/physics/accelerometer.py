@@ -142,6 +142,7 @@ TERMS: Final[Mapping[str, Term]] = {
         Term("K_I", ("I",), "scale factor", "K1", 0.1, 1e-4, nominal=1.0),
         Term("K_II", ("I", "I"), "second-order coefficient", "K2", 1e-4, 1e-5),
         Term("K_III", ("I", "I", "I"), "third-order coefficient", "K3", 1e-4, 1e-6),
+        Term("K_4", ("I", "I", "I", "I"), "fourth-order coefficient", "K4", 1e-5, 1e-9),
         Term("K_IP", ("I", "P"), "cross-coupling of input and pendulous axes", "Kip", 1e-4, 2e-6),
         Term("K_IO", ("I", "O"), "cross-coupling of input and output axes", "Kio", 1e-4, 2e-6),
         Term("K_PO", ("P", "O"), "cross-coupling of pendulous and output axes", "Kpo", 1e-4, 2e-6),

@@ -25,6 +25,10 @@ _EPSILON: Final = float(np.finfo(np.float64).eps)
 _MAX_STEPS: Final = 200
 
 
+#: Specific force, g, beyond which no instrument works: a turning point there is none.
+_MAX_FORCE: Final = 1e9
+
+
 class NotInvertibleError(ConvergenceError):
     """With this model no specific force gives a sample's indication.
 
@@ -119,27 +123,65 @@ def _rising(
 
 
 def _polynomial(coefficients: Mapping[str, float], side: Array, p: Array, o: Array) -> Array:
-    """Return the indication's coefficients in powers of |a_I|, lowest first, shape (4, n)."""
+    """Return the indication's coefficients in powers of |a_I|, lowest first, shape (m, n)."""
     unit = np.stack([side, p, o])
-    poly = np.zeros((1 + max(row.power for row in TERMS.values()), side.size))
-    for row in TERMS.values():
-        value = coefficients.get(row.symbol, row.nominal)
-        if value != 0.0:
-            # Each product is homogeneous in a_I on its side: its value at +-1 times |a_I|^power.
-            poly[row.power] += value * row.evaluate(unit)
+    given = {row: coefficients.get(row.symbol, row.nominal) for row in TERMS.values()}
+    used = {row: value for row, value in given.items() if value != 0.0}
+    poly = np.zeros((1 + max([3, *(row.power for row in used)]), side.size))
+    for row, value in used.items():
+        # Each product is homogeneous in a_I on its side: its value at +-1 times |a_I|^power.
+        poly[row.power] += value * row.evaluate(unit)
     return poly
 
 
 def _turning_point(poly: Array) -> Array:
-    """Return where a cubic's slope, positive at zero, first vanishes beyond; infinite if never."""
-    a, b, c = poly[1], 2.0 * poly[2], 3.0 * poly[3]
+    """Return where the slope, positive at zero, first vanishes beyond; infinite if never."""
+    slope = poly[1:] * np.arange(1.0, poly.shape[0])[:, None]
+    if poly.shape[0] == 4:
+        return _first_zero_of_parabola(slope)
+    # Between the zeros of its own slope the slope is monotone: the first of these stretches at
+    # whose end it is not positive holds the zero.
+    low, high = np.zeros_like(slope[0]), np.full_like(slope[0], np.inf)
+    for end in (*_turns_of_cubic(slope), np.full_like(slope[0], _MAX_FORCE)):
+        reached = np.isinf(high) & (end <= _MAX_FORCE)
+        below = reached & (_value(slope, np.where(reached, end, 0.0)) <= 0.0)
+        high = np.where(below, end, high)
+        low = np.where(reached & ~below, end, low)
+    inside = np.isfinite(high)
+    turn = np.where(inside, 0.5 * (low + np.where(inside, high, 0.0)), np.inf)
+    for _ in range(_MAX_STEPS if inside.any() else 0):
+        at = np.where(inside, turn, 0.0)
+        positive = _value(slope, at) > 0.0
+        low, high = np.where(positive, at, low), np.where(positive, high, at)
+        new = np.where(inside, 0.5 * (low + high), np.inf)
+        if np.all((new == turn) | ~inside):
+            break
+        turn = new
+    return turn
+
+
+def _first_zero_of_parabola(poly: Array) -> Array:
+    """Return the first zero beyond zero of a + b x + c x^2, a > 0; infinite if there is none."""
+    a, b, c = poly
     square = b * b - 4.0 * a * c
     # This form of the root keeps its digits as c goes to zero.
     divisor = -b + np.sqrt(np.maximum(square, 0.0))
-    turns = (square >= 0.0) & (divisor > 0.0)
-    turn = np.full(a.shape, np.inf)
-    turn[turns] = 2.0 * a[turns] / divisor[turns]
-    return turn
+    crosses = (square >= 0.0) & (divisor > 0.0)
+    zero = np.full(a.shape, np.inf)
+    zero[crosses] = 2.0 * a[crosses] / divisor[crosses]
+    return zero
+
+
+def _turns_of_cubic(poly: Array) -> tuple[Array, Array]:
+    """Return where a cubic's slope vanishes beyond zero, the nearer first; infinite if nowhere."""
+    a, b, c = poly[1], 2.0 * poly[2], 3.0 * poly[3]
+    root = np.sqrt(np.maximum(b * b - 4.0 * a * c, 0.0))
+    half = -0.5 * (b + np.where(b < 0.0, -root, root))
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        zeros = np.stack([half / c, a / half])
+    zeros[:, b * b < 4.0 * a * c] = np.inf
+    zeros = np.where(np.isfinite(zeros) & (zeros > 0.0), zeros, np.inf)
+    return zeros.min(axis=0), zeros.max(axis=0)
 
 
 def _value(poly: Array, x: Array) -> Array:

@@ -19,7 +19,10 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.physics import quadrature
 from counterspin.physics.spindle import Spindle
+
+_TINY: Final = float(np.finfo(float).tiny)
 
 EARTH_RATE: Final = 7.292115e-5  #: rad/s, rotation rate of the Earth (WGS 84)
 
@@ -172,6 +175,19 @@ class Motion:
         gained += self._turned_by_earth(self.position - start.position)
         gained[..., 2] += self.trajectory.site.gravity * self.t
         return gained
+
+    @cached_property
+    def square_of_specific_force(self) -> Array:
+        """m^2/s^3, the integral of the squared specific force from t = 0, shape (n,)."""
+        trajectory, end = self.trajectory, max(float(np.max(self.t, initial=0.0)), _TINY)
+
+        def squared(t: Array) -> Array:
+            sum_of_squares: Array = np.sum(trajectory.specific_force(t) ** 2, axis=1)
+            return sum_of_squares[None]
+
+        edges = quadrature.panel_edges(trajectory.spindle, end)
+        total: Array = quadrature.integrate(squared, edges, self.t, 1)[:, 0]
+        return total
 
     def _turned_by_earth(self, level: Array) -> Array:
         """Return 2 Omega x a vector without a part upwards."""

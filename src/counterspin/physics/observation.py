@@ -253,10 +253,19 @@ class _Sensed:
         """Return what a term integrates, m/s^2 per unit coefficient and K_I, shape (m,)."""
         if isinstance(row, Term):
             return self._gravity * row.evaluate(self._a_ipo)
-        axis = row.force_axis
-        attitude = self._motion.t if axis is None else self._gained[axis]
-        integrand: Array = attitude * self._turned[row.axis]
+        integrand: Array = self._turn(row) * self._turned[row.axis]
         return integrand
+
+    def _turn(self, row: PlatformTerm) -> Array:
+        """Return the attitude error per unit of a term that is no tilt, rad, (m,)."""
+        if row.kind == "drift":
+            return self._motion.t
+        if row.kind == "g2_sensitivity":
+            return self._motion.square_of_specific_force / self._gravity**2
+        assert row.force_axis is not None
+        along = self._gained if row.kind == "g_sensitivity" else self._along_platform
+        turn: Array = along[row.force_axis]
+        return turn
 
     @cached_property
     def _a_ipo(self) -> Array:
@@ -273,6 +282,11 @@ class _Sensed:
     def _gained(self) -> Array:
         """Integral of the specific force along the platform's axes in g s, (3, m)."""
         return self._attitude @ self._motion.velocity_of_specific_force.T / self._gravity
+
+    @cached_property
+    def _along_platform(self) -> Array:
+        """Specific force along the platform's axes in g, (3, m)."""
+        return self._attitude @ self._motion.specific_force.T / self._gravity
 
 
 def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravity: float) -> float:
@@ -318,6 +332,10 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
         along = float(np.cross(np.eye(3)[row.force_axis], seen)[2])
         start_velocity = radius * rate if row.force_axis == 1 else 0.0
         return 0.25 * radius * rate * force * along - 0.5 * float(seen[2]) * start_velocity
+    if row.kind == "compliance" and row.force_axis is not None:
+        # Gravity leans the platform for good; a level force comes round with what it turns.
+        level = row.force_axis < 2
+        return 0.5 * gravity * float(seen[row.force_axis]) * (0.5 * force**2 if level else 1.0)
     return 0.0
 
 

@@ -20,21 +20,22 @@ DEGREE_PER_HOUR: Final = math.radians(1.0) / 3600.0  #: rad/s
 class PlatformTerm:
     """One error term of the platform: it turns the attitude and so every accelerometer's axes.
 
-    The small attitude error psi (rad) obeys d(psi)/dt = drift + D f/g and starts at the tilt;
-    the platform then senses f - psi x f. Tilts are about the geographic axes of a run; drift and
-    g-sensitivity belong to the gyros and are about the platform's own axes x, y, z, which point
-    east, north, up in the level attitude.
+    The small attitude error psi (rad) starts at the tilt and obeys
+    d(psi)/dt = drift + D f/g + E |f|^2/g^2; a platform of compliance C leans by C f/g besides. It
+    then senses f - psi x f. Tilts are about the geographic axes of a run; all others belong to
+    gyros and frame and are about the platform's own axes x, y, z, which point east, north, up in
+    the level attitude.
 
     Attributes
     ----------
     symbol
         Such as ``platform.tilt.north`` or ``platform.g_sensitivity.zx`` (gyro axis, force axis).
     kind
-        ``tilt``, ``drift`` or ``g_sensitivity``.
+        ``tilt``, ``drift``, ``g_sensitivity``, ``g2_sensitivity`` or ``compliance``.
     axis
         The axis about which the attitude turns: 0 east (x), 1 north (y), 2 up (z).
     force_axis
-        For g-sensitivity the axis of the force, else None.
+        For g-sensitivity and compliance the axis of the force, else None.
     unit, limit, typical
         SI unit; the largest credible size and, as for `Term`, the typical one in it.
     words
@@ -102,6 +103,33 @@ PLATFORM_TERMS: Final[Mapping[str, PlatformTerm]] = {
                 10.0 * DEGREE_PER_HOUR,
                 0.01 * DEGREE_PER_HOUR,
                 f"g-sensitivity of the {'xyz'[i]} gyro to force along {'xyz'[j]}",
+            )
+            for i in range(3)
+            for j in range(3)
+        ),
+        *(
+            PlatformTerm(
+                f"platform.g2_sensitivity.{name}",
+                "g2_sensitivity",
+                axis,
+                None,
+                "rad/s/g^2",
+                DEGREE_PER_HOUR,
+                1e-4 * DEGREE_PER_HOUR,
+                f"sensitivity of the gyro about {name} to the square of the force",
+            )
+            for axis, name in enumerate(_NAMES)
+        ),
+        *(
+            PlatformTerm(
+                f"platform.compliance.{'xyz'[i]}{'xyz'[j]}",
+                "compliance",
+                i,
+                j,
+                "rad/g",
+                1e-4,
+                0.1 * _ARCSEC,
+                f"turn of the platform about {'xyz'[i]} by force along {'xyz'[j]}",
             )
             for i in range(3)
             for j in range(3)

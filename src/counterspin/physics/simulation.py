@@ -28,7 +28,9 @@ def attitude_error(
     times: Array,
     attitude: Array = observation.LEVEL,
 ) -> Array:
-    """Return psi(t) = tilt + drift t + D (integral of f)/g in east-north-up.
+    """Return the platform's attitude error psi(t) in east-north-up.
+
+    psi = tilt + drift t + D (integral of f)/g + E (integral of |f|^2)/g^2 + C f/g.
 
     Parameters
     ----------
@@ -47,15 +49,19 @@ def attitude_error(
         Rotation vector in rad, shape (n, 3).
     """
     psi = np.zeros((times.size, 3))
-    gained = trajectory.velocity_of_specific_force(times) / trajectory.site.gravity
+    motion, g = trajectory.at(times), trajectory.site.gravity
     for symbol, value in platform.items():
         row = PLATFORM_TERMS[symbol]
-        if row.per_run:
+        if row.kind == "tilt":
             psi[:, row.axis] += value
-        elif row.force_axis is None:
-            psi += value * times[:, None] * attitude[row.axis]
+            continue
+        if row.kind == "g_sensitivity":
+            size = motion.velocity_of_specific_force @ attitude[row.force_axis] / g
+        elif row.kind == "compliance":
+            size = motion.specific_force @ attitude[row.force_axis] / g
         else:
-            psi += value * (gained @ attitude[row.force_axis])[:, None] * attitude[row.axis]
+            size = times if row.kind == "drift" else motion.square_of_specific_force / g**2
+        psi += value * size[:, None] * attitude[row.axis]
     return psi
 
 

@@ -45,7 +45,7 @@ from counterspin.records.reduction import block_size
 _HARMONICS: Final = (3, 4, 6, 11)
 _RESIDUAL: Final = 1e-6
 
-#: Nodes in the rate: the weights are polynomials of the eighth degree (a_I^3 goes as w^6).
+#: Nodes in the rate: the weights are polynomials of the tenth degree (a_I^4 goes as w^8).
 _RATE_NODES: Final = 13
 
 

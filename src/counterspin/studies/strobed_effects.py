@@ -10,7 +10,7 @@ twelve Gauss-Legendre nodes between neighbouring strobes give it to rounding.
 
 - `StrobedMotion`: one run, its strobe angles and axes
 - `effects`: b2 per unit of each term, by quadrature
-- `kinked`: terms that this quadrature cannot take
+- `obstacle`: why this quadrature cannot take a term
 """
 
 from __future__ import annotations
@@ -94,10 +94,13 @@ class StrobedMotion:
         return cls(spindle, angles, mounting.turned(attitude), attitude, site)
 
 
-def kinked(symbol: str) -> bool:
-    """Return whether a term's product has a kink, which this quadrature cannot take."""
+def obstacle(symbol: str) -> str | None:
+    """Return why this quadrature cannot take a term, in words after its symbol; None if it can."""
     row = term(symbol)
-    return isinstance(row, Term) and "|I|" in row.factors
+    if isinstance(row, Term):
+        return "has a kink" if "|I|" in row.factors else None
+    # Its turn before the first strobe is an integral without a closed form.
+    return "has no closed form" if row.kind == "g2_sensitivity" else None
 
 
 def effects(
@@ -115,7 +118,7 @@ def effects(
     motion
         The run.
     symbols
-        Terms, q of them, none `kinked`. The platform's are seen with a scale factor of 1.
+        Terms, q of them, none with an `obstacle`. The platform's are seen with a scale factor of 1.
     drift, ripple_cos, ripple_sin, radius
         Of each of n rotations, shape (n,): 1/s, ratios, m.
 
@@ -290,8 +293,9 @@ def _effect(
     turned = field.along(arm)
     if row.force_axis is None:
         return _weighted(weight, field.times * turned)
-    gained = field.velocity_along(motion.attitude[row.force_axis])
-    return _weighted(weight, gained * turned / g)
+    axis = motion.attitude[row.force_axis]
+    lean = field.along(axis) if row.kind == "compliance" else field.velocity_along(axis)
+    return _weighted(weight, lean * turned / g)
 
 
 def _linear(motion: StrobedMotion, axis: Array, field: _Force, weight: Array, gain: Array) -> Array:

@@ -27,7 +27,7 @@ from counterspin.studies.draws import (
     of_run,
 )
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
-from counterspin.studies.strobed_effects import kinked
+from counterspin.studies.strobed_effects import obstacle
 from counterspin.studies.world import World
 
 #: Largest noise of angle and time that is neglected, in parts of the displacement noise.
@@ -46,9 +46,9 @@ def against_strobes(
         reasons.append("the accelerometer's noise is not white in displacement")
     asked = [s for s in (*request.unknowns, *request.considered) if s != RIPPLE]
     symbols = [s for o, many in truth.symbols.items() if o in ("", owner) for s in many]
-    kinks = sorted({symbol for symbol in (*symbols, *asked) if kinked(symbol)})
-    if kinks:
-        reasons.append(f"{', '.join(kinks)} has a kink")
+    for symbol in sorted({*symbols, *asked}):
+        if why := obstacle(symbol):
+            reasons.append(f"{symbol} {why}")
     if request.sigma is None and not reasons:
         left = _left_by_the_parabola(world, truth, owner)
         if left > _LARGEST_ERROR * _white(truth):
@@ -126,10 +126,13 @@ def _second_order(world: World, truth: StudyTruth) -> float:
             vertical = (
                 row.force_axis is not None and abs(world.attitudes[run][row.force_axis][2]) > 1e-9
             )
+            force = 1.0 if vertical else speed**2 / (4.0 * world.radius * world.site.gravity)
             grows = {
                 "tilt": 1.0,
                 "drift": duration,
                 "g_sensitivity": duration if vertical else speed / world.site.gravity,
+                "g2_sensitivity": duration * (1.0 + force**2),
+                "compliance": force,
             }[row.kind]
             turned += max(reach) * grows
         worst = max(worst, 0.25 * world.site.gravity * turned**2 * duration**2)

@@ -323,6 +323,7 @@ def test_near_collinear_columns_are_named():
     assert cosine > 0.99
 
 
+LEANING = "platform.compliance.{}"
 EVERYTHING = [*TERMS, *PLATFORM_TERMS]
 
 
@@ -330,10 +331,40 @@ EVERYTHING = [*TERMS, *PLATFORM_TERMS]
     ("mounting", "attitude", "k_ii", "k_f"),
     [
         # physics.md, section 7: what is one number while the pendulous axis is vertical ...
-        (QX, None, {"K_OO": 1}, {"K_PP": 1, "delta_O": -1, "platform.tilt.north": -K_I}),
-        (QY, None, {"K_OO": 1}, {"K_PP": 1, "delta_O": -1, "platform.tilt.east": K_I}),
+        (
+            QX,
+            None,
+            {"K_OO": 1, LEANING.format("zy"): K_I},
+            {
+                "K_PP": 1,
+                "delta_O": -1,
+                "platform.tilt.north": -K_I,
+                LEANING.format("yz"): -K_I,
+            },
+        ),
+        (
+            QY,
+            None,
+            {"K_OO": 1, LEANING.format("zx"): -K_I},
+            {
+                "K_PP": 1,
+                "delta_O": -1,
+                "platform.tilt.east": K_I,
+                LEANING.format("xz"): K_I,
+            },
+        ),
         # ... and while the output axis is
-        (QX, TURNED, {"K_PP": 1}, {"K_OO": 1, "delta_P": -1, "platform.tilt.north": -K_I}),
+        (
+            QX,
+            TURNED,
+            {"K_PP": 1, LEANING.format("yz"): -K_I},
+            {
+                "K_OO": 1,
+                "delta_P": -1,
+                "platform.tilt.north": -K_I,
+                LEANING.format("zy"): K_I,
+            },
+        ),
     ],
     ids=["Qx", "Qy", "Qx, output axis vertical"],
 )
