@@ -27,6 +27,7 @@ from counterspin.calibration.result_parts import (
     State,
 )
 from counterspin.inference.diagnostics import AGREEMENT, SIGNIFICANCE
+from counterspin.inference.distributions import normal_quantile
 from counterspin.reports.numbers import field_unit, format_number
 
 #: Beyond this many standard uncertainties (2e-9 by chance) no uncertainty explains a difference.
@@ -215,9 +216,7 @@ def lack_of_fit(name: str, sentences: Sequence[str], residual: Residual) -> Find
 
 def equivalent_deviations(p: float) -> float:
     """Return the distance, in standard deviations, that a normal variable exceeds with p."""
-    from scipy.special import ndtri
-
-    return float(-ndtri(0.5 * max(p, 1e-300)))
+    return -normal_quantile(0.5 * max(p, 1e-300))
 
 
 def _times_noise(residual: Residual) -> float | None:

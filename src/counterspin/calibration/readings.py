@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.special import stdtr
 
 from counterspin.calibration.findings import CONTRADICTS, lack_of_fit
 from counterspin.calibration.result_parts import (
@@ -25,7 +24,8 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import Campaign
-from counterspin.inference.diagnostics import SIGNIFICANCE, chi_square_p
+from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.distributions import chi_square_tail, student_cdf
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
@@ -136,7 +136,8 @@ class AccelerometerReadings:
         if math.isfinite(dof):
             with np.errstate(divide="ignore", invalid="ignore"):
                 z = np.where(z**2 < dof, z * np.sqrt((dof - 1.0) / (dof - z**2)), np.inf * z)
-        p = 2.0 * stdtr(min(max(dof - 1.0, 1.0), 1e6), -np.abs(z))
+        others = max(dof - 1.0, 1.0)
+        p = np.array([2.0 * student_cdf(others, -abs(size)) for size in z.tolist()])
         return [
             (self.readings.names[i], float(self.residuals[i]), float(z[i]))
             for i in np.flatnonzero(p < SIGNIFICANCE / z.size)
@@ -264,7 +265,7 @@ def residual_of(parts: Sequence[AccelerometerReadings]) -> Residual:
         unit="g",
         dof=sum(part.freedom for part in parts),
         chi2=chi2 if judged else None,
-        lack_of_fit_p=chi_square_p(chi2, freedom) if judged else None,
+        lack_of_fit_p=chi_square_tail(freedom, chi2) if judged else None,
     )
 
 

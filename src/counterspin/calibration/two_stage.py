@@ -33,6 +33,7 @@ from counterspin.calibration.two_stage_findings import (
 )
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.two_stage import strobes as strobing
 from counterspin.inference.two_stage.first_stage import Parabola, first_stage
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
@@ -249,15 +250,13 @@ def _correlation(
 
 
 def _residual(parabolas: Sequence[Parabola], walk: float) -> Residual:
-    from scipy.special import chdtrc
-
     weighted = [p.residuals / p.strobes.noise_factor for p in parabolas]
     dof = sum(p.dof for p in parabolas)
     rms = math.sqrt(sum(float(np.sum(w**2)) for w in weighted) / dof)
     if walk > 0.0 or any(p.sigma_from_residuals for p in parabolas):
         return Residual(rms=rms, unit="m", dof=dof)
     chi2 = sum(p.chi2 for p in parabolas)
-    return Residual(rms=rms, unit="m", dof=dof, chi2=chi2, lack_of_fit_p=float(chdtrc(dof, chi2)))
+    return Residual(rms=rms, unit="m", dof=dof, chi2=chi2, lack_of_fit_p=chi_square_tail(dof, chi2))
 
 
 def _noise_lines(parabolas: Sequence[Parabola], walk: float) -> dict[str, NoiseLine]:

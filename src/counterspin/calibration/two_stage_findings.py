@@ -21,6 +21,7 @@ from counterspin.calibration.result_parts import (
     OmittedTerm,
 )
 from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess, write_combination
 from counterspin.inference.two_stage.request import credible_limit
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
@@ -175,14 +176,12 @@ def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding
 
 
 def _misfit(name: str, runs: Sequence[StrobedRun], second: SecondStage) -> list[Finding]:
-    from scipy.special import chdtrc
-
     solution = second.solution
     dof = len(runs) - int(np.sum(np.isinf(solution.prior_sd)))
     # Without weights the sum of squares is not distributed like chi-square.
     if dof < 1 or not second.weighted or solution.chi2 <= 0.0:
         return []
-    probability = float(chdtrc(dof, solution.chi2))
+    probability = chi_square_tail(dof, solution.chi2)
     if probability > _SMALLEST_P:
         return []
     worst = runs[int(np.argmax(np.abs(second.misfit)))].name

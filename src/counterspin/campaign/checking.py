@@ -7,7 +7,6 @@
 
 from __future__ import annotations
 
-import difflib
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final, TypeVar
@@ -50,7 +49,9 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     """Return ``; did you mean "..."?`` and what is known, for the end of a message."""
     names = list(known)
     folded = {name.lower(): name for name in names}
-    near = difflib.get_close_matches(word.lower(), folded, n=1)
+    from difflib import get_close_matches  # needed only where a file is wrong
+
+    near = get_close_matches(word.lower(), folded, n=1)
     hint = f'; did you mean "{folded[near[0]]}"?' if near else ""
     return f"{hint}; known: {', '.join(names)}" if not near else hint
 

@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.inference.conformity import expanded_uncertainty
+from counterspin.inference.distributions import chi_square_tail, normal_cdf
 from counterspin.inference.plain_fit import Fit, fit
 
 
@@ -150,8 +151,6 @@ def drift(time: npt.ArrayLike, values: npt.ArrayLike, u: npt.ArrayLike) -> Drift
     ValueError
         As `weighted_mean`.
     """
-    from scipy.special import ndtr
-
     when, sigma = np.asarray(time, np.float64), np.asarray(u, np.float64)
     if np.ptp(when) == 0.0:
         return None
@@ -162,7 +161,7 @@ def drift(time: npt.ArrayLike, values: npt.ArrayLike, u: npt.ArrayLike) -> Drift
     return Drift(
         slope=float(slope),
         u=float(u_slope),
-        p=float(2.0 * ndtr(-abs(slope) / u_slope)),
+        p=2.0 * normal_cdf(-abs(slope) / u_slope),
         time=middle,
         value=float(value),
         u_value=float(u_value),
@@ -203,13 +202,11 @@ def _against_the_others(values: Array, u: Array) -> Array:
 
 
 def _agreement(fitted: Fit) -> Agreement:
-    from scipy.special import chdtrc
-
     if fitted.dof < 1:
         return Agreement(fitted.chi2, fitted.dof, None, None)
     return Agreement(
         chi2=fitted.chi2,
         dof=fitted.dof,
-        p=float(chdtrc(fitted.dof, fitted.chi2)),
+        p=chi_square_tail(fitted.dof, fitted.chi2),
         birge=math.sqrt(fitted.chi2 / fitted.dof),
     )

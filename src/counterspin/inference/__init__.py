@@ -5,6 +5,7 @@ What stands in this room:
 - `blocks`: what a record says about the shared unknowns, in a few rows
 - `least_squares`, `plain_fit`: blocks, priors and considered terms, solved by QR; one fit alone
 - `identifiability`: what the data cannot tell apart, by name
+- `distributions`: normal, chi-square and Student's, of single numbers
 - `diagnostics`: whether the model fits the records
 - `conformity`: whether a quantity meets a specification, and the risk of being wrong
 - `noise`: models of a record's noise, whitening, estimation of its size

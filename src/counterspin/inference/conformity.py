@@ -16,6 +16,8 @@ import math
 from dataclasses import dataclass
 from typing import Final, Literal
 
+from counterspin.inference.distributions import student_cdf, student_quantile
+
 RuleName = Literal["simple", "guarded", "probability"]
 Verdict = Literal["pass", "fail", "undecided"]
 
@@ -126,10 +128,8 @@ def nonconformance_probability(
 
 def expanded_uncertainty(u: float, dof: float | None, coverage: float = COVERAGE) -> float:
     """Return half the width of the coverage interval: Student's factor times u (GUM G.3)."""
-    from scipy.special import ndtri, stdtrit
-
     tail = 0.5 * (1.0 + coverage)
-    return float(ndtri(tail) if dof is None else stdtrit(dof, tail)) * u
+    return student_quantile(math.inf if dof is None else dof, tail) * u
 
 
 def acceptance_limits(
@@ -221,8 +221,6 @@ def _standardised(
 
 
 def _distribution(x: float, dof: float | None) -> float:
-    from scipy.special import ndtr, stdtr
-
     if math.isinf(x):
         return 1.0 if x > 0.0 else 0.0
-    return float(ndtr(x) if dof is None or math.isinf(dof) else stdtr(dof, x))
+    return student_cdf(math.inf if dof is None else dof, x)

@@ -21,6 +21,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from counterspin.inference.distributions import chi_square_tail, log_binomial, normal_cdf
+
 Array = NDArray[np.float64]
 
 #: Two estimates agree where their difference is up to this many of its standard uncertainties; good
@@ -150,7 +152,7 @@ def diagnose(
 
     chi2 = float(sum(run.chi2 for run in runs.values()))
     if noise_given:
-        fit_p = chi_square_p(chi2, whole)
+        fit_p = chi_square_tail(whole, chi2)
     else:
         smallest = min(min(run.sign_p, run.peak_p) for run in runs.values())
         fit_p = min(1.0, 2 * len(runs) * smallest)
@@ -167,7 +169,7 @@ def _diagnose_run(rows: Array, dof: float, interval: float) -> RunDiagnostics:
         rows=len(rows),
         chi2=chi2,
         dof=dof,
-        chi2_p=chi_square_p(chi2, dof),
+        chi2_p=chi_square_tail(dof, chi2),
         sign_z=z,
         sign_p=sign_p,
         peak_frequency=frequency / interval,
@@ -183,12 +185,12 @@ def _findings(
     """Sentences on what is too unlikely, all tests together at `SIGNIFICANCE`."""
     limit = SIGNIFICANCE / (3 * len(runs) if noise_given else 2 * len(runs))
     found = []
-    if noise_given and chi_square_p(chi2, dof) < SIGNIFICANCE:
+    if noise_given and chi_square_tail(dof, chi2) < SIGNIFICANCE:
         found.append(
             f"The residuals are {math.sqrt(chi2 / dof):.3g} times as large as the stated noise: "
             "the noise is stated too small or the model lacks a term."
         )
-    elif noise_given and chi_square_p(chi2, dof) > 1 - SIGNIFICANCE:
+    elif noise_given and chi_square_tail(dof, chi2) > 1 - SIGNIFICANCE:
         found.append(
             f"The residuals are only {math.sqrt(chi2 / dof):.3g} times as large as the stated "
             "noise: the noise is stated too large."
@@ -212,13 +214,6 @@ def _findings(
     return tuple(found)
 
 
-def chi_square_p(chi2: float, dof: float) -> float:
-    """Probability of a sum of squares larger than `chi2` on `dof` degrees of freedom."""
-    from scipy.special import chdtrc
-
-    return float(chdtrc(dof, chi2))
-
-
 def runs_test(rows: ArrayLike) -> tuple[int, float, float]:
     """Run Wald and Wolfowitz's test of the signs' order, by its normal approximation.
 
@@ -232,8 +227,6 @@ def runs_test(rows: ArrayLike) -> tuple[int, float, float]:
     Number of runs, its standardised distance from the mean, two-sided probability. Where all signs
     are equal their order tells nothing: distance 0, probability 1.
     """
-    from scipy.special import ndtr
-
     values = np.asarray(rows, float)
     positive = values[values != 0] > 0
     up = int(positive.sum())
@@ -248,7 +241,7 @@ def runs_test(rows: ArrayLike) -> tuple[int, float, float]:
     z = (count - mean) / math.sqrt(variance)
     # A count is a whole number: its tail begins half a step nearer the mean.
     tail = max(abs(count - mean) - 0.5, 0.0) / math.sqrt(variance)
-    return count, z, float(2 * ndtr(-tail))
+    return count, z, 2 * normal_cdf(-tail)
 
 
 def periodogram(rows: ArrayLike) -> Array:
@@ -293,18 +286,13 @@ def fisher_g_p(share: float, lines: int) -> float:
 
     sum_j (-1)^(j-1) C(m, j) (1 - j g)^(m-1) over j g < 1 (Fisher 1929).
     """
-    from scipy.special import gammaln
-
     if share >= 1:
         return 1.0 if lines == 1 else 0.0
     first = lines * (1 - share) ** (lines - 1)
     if first > 20:  # then p > 1 - 3e-9, and the alternating sum would only lose digits
         return 1.0
-    j = np.arange(1, min(lines, math.ceil(1 / share) - 1, 200) + 1)
-    log_terms = (
-        gammaln(lines + 1)
-        - gammaln(j + 1)
-        - gammaln(lines - j + 1)
-        + (lines - 1) * np.log1p(-j * share)
-    )
-    return float(np.clip(np.sum(np.where(j % 2, 1.0, -1.0) * np.exp(log_terms)), 0.0, 1.0))
+    p = 0.0
+    for j in range(1, min(lines, math.ceil(1 / share) - 1, 200) + 1):
+        size = math.exp(log_binomial(lines, j) + (lines - 1) * math.log1p(-j * share))
+        p += size if j % 2 else -size
+    return min(max(p, 0.0), 1.0)

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -37,7 +36,9 @@ class ColumnFile(ABC):
         missing = [name for name in wanted if name not in self.names]
         if not missing:
             return
-        close = difflib.get_close_matches(missing[0], self.names, n=1)
+        from difflib import get_close_matches
+
+        close = get_close_matches(missing[0], self.names, n=1)
         words = f"there is no column {quoted(missing)}; the file has {quoted(self.names)}."
         if close:
             words += f" Did you mean '{close[0]}'?"

@@ -51,7 +51,7 @@ def report_console(file: TextIO | None = None, *, error: bool = False) -> Consol
     Console
         As wide as the terminal; 100 columns where there is none, unless ``COLUMNS`` says else.
     """
-    made = Console(file=file, stderr=error, highlight=False)
+    made = Console(file=file, stderr=error, highlight=False, emoji=False)
     if not made.is_terminal and "COLUMNS" not in os.environ:
         made.width = _PLAIN_WIDTH
     return made

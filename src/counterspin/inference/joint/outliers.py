@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import stdtrit
 
 from counterspin.arrays import Array
+from counterspin.inference.distributions import student_quantile
 
 #: Expected number of good samples of a whole series that Gaussian noise loses.
 FALSE_ALARMS: Final = 0.01
@@ -87,7 +87,7 @@ def outlying(
     # Noise that wanders changes sign seldom, and its scale rests on as few distances.
     independent = 2 * np.count_nonzero(np.diff(np.signbit(signed[there])))
     dof = max(_MAD_EFFICIENCY * independent, 1.0)
-    threshold = -float(stdtrit(dof, 0.5 * FALSE_ALARMS / n))
+    threshold = -student_quantile(dof, 0.5 * FALSE_ALARMS / n)
     found: npt.NDArray[np.bool_] = distance > threshold * scale
     return found
 

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.inference.distributions import normal_cdf, normal_quantile
 
 _TURN: Final = 2.0 * math.pi
 
@@ -102,10 +103,10 @@ def normal_quantiles(whitened: Array, count: int) -> tuple[Array, Array]:
     normal, found
         Shape (m,), m <= count.
     """
-    from scipy.special import ndtr, ndtri
-
     n = whitened.size
-    end = float(ndtri(0.625 / (n + 0.25)))
-    wanted = ndtr(np.linspace(end, -end, min(count, n))) * (n + 0.25) + 0.375
+    end = normal_quantile(0.625 / (n + 0.25))
+    levels = np.linspace(end, -end, min(count, n)).tolist()
+    wanted = np.array([normal_cdf(level) for level in levels]) * (n + 0.25) + 0.375
     ranks = np.unique(np.clip(np.rint(wanted), 1, n).astype(np.intp))
-    return ndtri((ranks - 0.375) / (n + 0.25)), np.sort(whitened)[ranks - 1]
+    normal = [normal_quantile(p) for p in ((ranks - 0.375) / (n + 0.25)).tolist()]
+    return np.array(normal), np.sort(whitened)[ranks - 1]

@@ -23,7 +23,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, stdtrit
+
+from counterspin.inference.distributions import normal_cdf, student_quantile
 
 Array = NDArray[np.float64]
 
@@ -40,7 +41,7 @@ _EXCLUDING_CHANGE: Final = 8.0
 _MOST_STEPS: Final = 60
 
 #: Levels at which the mixture and Student's distribution are made to agree: one u, and 95 %.
-_ONE_U: Final = float(ndtr(1.0))
+_ONE_U: Final = normal_cdf(1.0)
 _HALF_INTERVAL: Final = 0.975
 
 
@@ -119,7 +120,7 @@ def lengthened(unseen: Unseen, variance: Array, slope: Array) -> tuple[float, Ar
     most = int(np.argmax(slope / variance))
     narrow, wide = (_quantile(spread, unseen.weights, level) for level in (_ONE_U, _HALF_INTERVAL))
     dof = _dof_of(float(wide[most] / narrow[most]))
-    u = float(narrow[most] / stdtrit(dof, _ONE_U))
+    u = float(narrow[most]) / student_quantile(dof, _ONE_U)
     level = max(u**2 - variance[most], 0.0) / slope[most]
     needed = wide / np.sqrt(variance + slope * level)
     return level, np.array([_dof_for(float(size)) for size in needed])
@@ -127,6 +128,8 @@ def lengthened(unseen: Unseen, variance: Array, slope: Array) -> tuple[float, Ar
 
 def _quantile(spread: Array, weights: Array, level: float) -> Array:
     """Return a quantile of each mixture of normal distributions, by bisection, shape (p,)."""
+    from scipy.special import ndtr
+
     low, high = np.zeros(len(spread)), 10.0 * spread.max(axis=1)
     for _ in range(60):
         middle = 0.5 * (low + high)
@@ -137,11 +140,15 @@ def _quantile(spread: Array, weights: Array, level: float) -> Array:
 
 def _dof_of(ratio: float) -> float:
     """Return the degrees of freedom at which Student's two quantiles have this ratio."""
+    from scipy.special import stdtrit
+
     return _root(lambda dof: float(stdtrit(dof, _HALF_INTERVAL) / stdtrit(dof, _ONE_U)), ratio)
 
 
 def _dof_for(quantile: float) -> float:
     """Return the degrees of freedom of a given 97.5 % quantile."""
+    from scipy.special import stdtrit
+
     return _root(lambda dof: float(stdtrit(dof, _HALF_INTERVAL)), quantile)
 
 

@@ -1,0 +1,76 @@
+"""Distributions of single numbers, against SciPy and mpmath."""
+
+import math
+
+import mpmath
+import numpy as np
+import pytest
+from scipy import special
+
+from counterspin.inference.distributions import (
+    chi_square_tail,
+    log_binomial,
+    normal_cdf,
+    normal_quantile,
+    student_cdf,
+    student_quantile,
+)
+
+SMALL = np.logspace(-12, -0.31, 30).tolist()
+
+
+@pytest.mark.parametrize("x", np.linspace(-35, 8, 40).tolist())
+def test_normal_distribution(x):
+    assert normal_cdf(x) == pytest.approx(special.ndtr(x), rel=1e-12)
+    p = min(max(special.ndtr(x), 1e-300), 1 - 1e-15)
+    assert normal_quantile(p) == pytest.approx(special.ndtri(p), rel=1e-12)
+
+
+@pytest.mark.parametrize("dof", [0.3, 1, 2.5, 10, 99, 199, 201, 1000, 6664.009, 34000, 1e6])
+def test_tail_of_chi_square(dof):
+    """From far below the mean to nine standard deviations above it."""
+    for z in np.linspace(-6, 9, 31):
+        chi2 = max(dof + z * math.sqrt(2 * dof), dof * math.exp(z))
+        expected = special.chdtrc(dof, chi2)
+        assert chi_square_tail(dof, chi2) == pytest.approx(expected, rel=1e-11, abs=1e-280)
+
+
+def test_tail_of_chi_square_at_its_ends():
+    assert chi_square_tail(5.0, 0.0) == 1.0
+    assert chi_square_tail(5.0, math.inf) == 0.0
+    assert math.isnan(chi_square_tail(5.0, math.nan))
+    # SciPy has seven digits here; with so many degrees of freedom it is the normal distribution
+    # with Wilson and Hilferty's cube root, which is as good as 1/dof.
+    cube = ((1 + 4e-4) ** (1 / 3) - (1 - 2 / 9e8)) / math.sqrt(2 / 9e8)
+    assert chi_square_tail(1e8, 1e8 * (1 + 4e-4)) == pytest.approx(normal_cdf(-cube), rel=1e-5)
+
+
+@pytest.mark.parametrize("dof", [0.5, 1, 2, 5, 50, 199, 201, 2470.86, 1e4, 1e6, 2e6, 1e9])
+def test_student_against_forty_digits(dof):
+    with mpmath.workdps(40):
+        for t in (1e-6, 0.3, 1.0, 1.6, 1.8, 2.04, 2.7, 5.0, 9.0):
+            a, x = mpmath.mpf(dof) / 2, dof / (dof + mpmath.mpf(t) ** 2)
+            tail = float(mpmath.betainc(a, mpmath.mpf(1) / 2, 0, x, regularized=True) / 2)
+            assert student_cdf(dof, -t) == pytest.approx(tail, rel=1e-10)
+            assert student_cdf(dof, t) == pytest.approx(1 - tail, rel=1e-14)
+
+
+@pytest.mark.parametrize("dof", [0.5, 1, 2, 5, 50, 199, 201, 2470.86, 1e4])
+def test_student_quantile(dof):
+    for p in SMALL:
+        assert student_quantile(dof, p) == pytest.approx(special.stdtrit(dof, p), rel=1e-11)
+    assert student_quantile(dof, 0.75) == -student_quantile(dof, 0.25)
+    assert student_quantile(dof, 0.5) == 0.0
+
+
+def test_infinite_degrees_of_freedom_are_the_normal_distribution():
+    for p in SMALL:
+        assert student_quantile(math.inf, p) == normal_quantile(p)
+        assert student_quantile(1e12, p) == pytest.approx(normal_quantile(p), rel=1e-9, abs=1e-9)
+    assert student_cdf(math.inf, -1.5) == normal_cdf(-1.5)
+    assert (student_cdf(3.0, -math.inf), student_cdf(3.0, math.inf)) == (0.0, 1.0)
+
+
+def test_logarithm_of_a_binomial_coefficient():
+    assert math.exp(log_binomial(10, 3)) == pytest.approx(math.comb(10, 3), rel=1e-13)
+    assert log_binomial(5000, 200) == pytest.approx(math.log(math.comb(5000, 200)), rel=1e-13)
