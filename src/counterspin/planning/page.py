@@ -129,8 +129,8 @@ def _accelerometer(
     yield Table(
         (
             Column("Coefficient"),
-            Column("u", wraps=True),
-            Column("Known before to", wraps=True),
+            Column("u"),
+            Column("Known before to"),
             Column("From", wraps=True),
         ),
         tuple(rows),
@@ -237,7 +237,7 @@ def _others(result: PlanResult) -> Iterator[Block]:
     yield Table(
         (
             Column("Plan", wraps=True),
-            Column("Its u", wraps=True),
+            Column("Its u"),
             Column("This plan's u over it", "right", wraps=True),
         ),
         tuple(rows),

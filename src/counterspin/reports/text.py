@@ -1,7 +1,7 @@
 """A result in the terminal, or as plain text where it is piped.
 
-Numbers are never cut: columns of words wrap first, and only where a terminal is too narrow for
-the numbers themselves are these wrapped too.
+Numbers are never broken: columns of words wrap first, then titles, and where a terminal is still
+too narrow the columns stand in several tables below each other.
 
 - `Report`: blocks as rich prints them
 - `report_console`: a console that is wide enough when its output is no terminal
@@ -10,10 +10,11 @@ the numbers themselves are these wrapped too.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Sequence
 from typing import Final, TextIO
 
 from rich import box
-from rich.console import Console, ConsoleOptions, RenderResult
+from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
 from rich.table import Table as RichTable
 from rich.text import Text
 
@@ -82,7 +83,7 @@ class Report:
                     text = _shown(text, options, lines=False)
                     yield Text(text, _STYLES[style], overflow="fold")
                 case Table():
-                    yield _table(block, options)
+                    yield from _tables(block, options)
             before = block
 
 
@@ -96,44 +97,92 @@ def _stand_apart(before: Block, block: Block) -> bool:
     return not isinstance(before, Heading) and isinstance(before, Table) | isinstance(block, Table)
 
 
-def _table(block: Table, options: ConsoleOptions) -> RichTable:
+def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
+    """Yield the table; several, with the names again, where the columns have no room side by side.
+
+    So no number is ever broken, but where even one column beside the names is too wide.
+    """
+    titles = [_shown(column.title, options, lines=False) for column in block.columns]
     rows = [
         [_shown(cell, options, lines=place > 0) for place, cell in enumerate(row)]
         for row in block.rows
     ]
-    titles = [_shown(column.title, options, lines=False) for column in block.columns]
-    widths = _widths(block, [titles, *rows], options.max_width)
-    table = RichTable(
-        box=box.SIMPLE_HEAD,
-        padding=(0, _GAP - 1, 0, 0),
-        pad_edge=False,
-        show_edge=False,
-        header_style="bold",
-    )
-    for index, (column, title) in enumerate(zip(block.columns, titles, strict=True)):
-        width = None if widths is None else widths[index]
-        table.add_column(Text(title), justify=column.align, width=width, overflow="fold")
-    for index, row in enumerate(rows):
-        style = _STYLES["quiet"] if index in block.quiet else None
-        table.add_row(*(Text(cell, overflow="fold") for cell in row), style=style)
-    return table
+    for number, (chosen, widths) in enumerate(_parts(block, [titles, *rows], options.max_width)):
+        table = RichTable(
+            box=box.SIMPLE_HEAD,
+            padding=(0, _GAP - 1, 0, 0),
+            pad_edge=False,
+            show_edge=False,
+            header_style="bold",
+        )
+        for place, width in zip(chosen, widths, strict=True):
+            justify = block.columns[place].align
+            table.add_column(Text(titles[place]), justify=justify, width=width, overflow="fold")
+        for index, row in enumerate(rows):
+            style = _STYLES["quiet"] if index in block.quiet else None
+            table.add_row(*(Text(row[place], overflow="fold") for place in chosen), style=style)
+        if number:
+            yield ""
+        yield table
 
 
-def _widths(block: Table, rows: list[list[str]], available: int) -> list[int] | None:
-    """Return the columns' widths; None if they cannot hold every number and word in one piece."""
-    widths, wanted = [], []
+def _parts(
+    block: Table, rows: list[list[str]], available: int
+) -> Iterator[tuple[list[int], Sequence[int | None]]]:
+    """Yield the columns of each table that the terminal has room for, and their widths.
+
+    Parameters
+    ----------
+    block
+        The table.
+    rows
+        Titles and cells as they are shown.
+    available
+        Characters of a line.
+    """
+    wanted, whole, least = [], [], []
     for index, column in enumerate(block.columns):
         lines = [line for row in rows for line in row[index].split("\n")]
+        words = max((len(word) for line in lines for word in line.split()), default=0)
+        title = max(map(len, rows[0][index].split()), default=0)
+        cells = max((len(line) for row in rows[1:] for line in row[index].split("\n")), default=0)
         wanted.append(max(map(len, lines)))
-        words = [word for line in lines for word in line.split()]
-        least = max(map(len, words), default=0)
-        least = max(least, min(column.narrowest, wanted[-1])) if column.wraps else wanted[-1]
-        widths.append(least)
-    spare = available - sum(widths) - _GAP * (len(widths) - 1)
+        wrapped = max(words, min(column.narrowest, wanted[-1]))
+        whole.append(wrapped if column.wraps else wanted[-1])
+        least.append(wrapped if column.wraps else max(title, cells))
+    everything = list(range(len(block.columns)))
+    for widths in (whole, least):
+        if (spare := _spare(widths, everything, available)) >= 0:
+            yield everything, _spread(widths, wanted, everything, spare)
+            return
+    # A column without a title belongs to the name before it.
+    names = 1
+    while names < len(everything) and not rows[0][names]:
+        names += 1
+    chosen = everything[:names]
+    for index in everything[names:]:
+        if len(chosen) > names and _spare(least, [*chosen, index], available) < 0:
+            yield chosen, _spread(least, wanted, chosen, _spare(least, chosen, available))
+            chosen = everything[:names]
+        chosen = [*chosen, index]
+    yield chosen, _spread(least, wanted, chosen, _spare(least, chosen, available))
+
+
+def _spare(widths: Sequence[int], chosen: Sequence[int], available: int) -> int:
+    return available - sum(widths[index] for index in chosen) - _GAP * (len(chosen) - 1)
+
+
+def _spread(
+    least: Sequence[int], wanted: Sequence[int], chosen: Sequence[int], spare: int
+) -> Sequence[int | None]:
+    """Return the widths of columns, the room that is left given to those that lack most."""
     if spare < 0:
-        return None
-    # Room goes, one by one, to the column of words that lacks most.
-    while spare > 0 and widths != wanted:
-        widths[max(range(len(widths)), key=lambda i: wanted[i] - widths[i])] += 1
+        return [None] * len(chosen)
+    widths = [least[index] for index in chosen]
+    lacking = [wanted[index] - least[index] for index in chosen]
+    while spare > 0 and any(lacking):
+        neediest = lacking.index(max(lacking))
+        widths[neediest] += 1
+        lacking[neediest] -= 1
         spare -= 1
     return widths

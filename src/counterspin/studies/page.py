@@ -25,14 +25,18 @@ from counterspin.studies.tally import LEVELS, Z_BINS, Z_EDGE
 #: Height of one of many panels, of that of a plot by itself.
 _PANEL: Final = 0.7
 
-_COLUMNS = (
+_ERRORS = (
     Column("Coefficient"),
     Column("Unit"),
     Column("Bias", align="right"),
     Column("Sd", align="right"),
     Column("Mean u", align="right"),
-    *(Column(f"In {100 * level:.0f} %", align="right") for level in LEVELS),
     Column("Efficiency", align="right"),
+)
+
+_COVERAGE = (
+    Column("Coefficient"),
+    *(Column(f"In {100 * level:.0f} %", align="right") for level in LEVELS),
 )
 
 
@@ -46,7 +50,8 @@ def render_study(result: StudyResult) -> Report:
     for name, analysis in result.analyses.items():
         blocks += [
             Heading(f"{name} ({analysis.engine})"),
-            Table(_COLUMNS, tuple(_row(*item) for item in analysis.coefficients.items())),
+            Table(_ERRORS, tuple(_errors(*item) for item in analysis.coefficients.items())),
+            Table(_COVERAGE, tuple(_coverage(*item) for item in analysis.coefficients.items())),
         ]
         if analysis.undetermined:
             listed = ", ".join(analysis.undetermined)
@@ -66,20 +71,27 @@ def render_study(result: StudyResult) -> Report:
     return Report(blocks)
 
 
-def _row(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
+def _errors(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
     unit, factor = field_unit(coefficient.unit)
     bias, error = (format_number(factor * x, 2) for x in (coefficient.bias, coefficient.se_bias))
+    efficiency = coefficient.efficiency
     return (
         name,
         unit,
-        f"{bias}\n± {error}",
+        f"{bias} ± {error}",
         format_number(coefficient.sd * factor),
         format_number(coefficient.u * factor),
+        "-" if efficiency is None else format_number(efficiency, 2),
+    )
+
+
+def _coverage(name: str, coefficient: CoefficientResult) -> tuple[str, ...]:
+    return (
+        name,
         *(
-            f"{100 * share:.2f}\n[{100 * low:.2f}, {100 * high:.2f}]"
+            f"{100 * share:.2f} [{100 * low:.2f}, {100 * high:.2f}]"
             for share, (low, high) in zip(coefficient.covered, coefficient.intervals, strict=True)
         ),
-        "-" if coefficient.efficiency is None else format_number(coefficient.efficiency, 2),
     )
 
 

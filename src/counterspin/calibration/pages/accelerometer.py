@@ -57,8 +57,6 @@ def accelerometer_blocks(
     """Yield what was found; gravity in m/s^2 is for noise in micro-g, `details` as in a report."""
     yield Heading(f"Accelerometer {name}")
     yield coefficient_table({**accelerometer.coefficients, **accelerometer.second_unknown})
-    for finding in accelerometer.findings:
-        yield Paragraph(f"Warning: {finding.text}", "warning")
     for sentence in rests_on(accelerometer):
         yield Paragraph(sentence)
     yield Paragraph(_residual(accelerometer))

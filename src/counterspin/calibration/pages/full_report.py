@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.accelerometer import accelerometer_blocks, budget_blocks
@@ -21,10 +21,10 @@ from counterspin.calibration.pages.pictures import (
     ripple_plot,
 )
 from counterspin.calibration.pages.sections import answer_blocks, platform_blocks, run_blocks
-from counterspin.calibration.pages.verdict import verdict_sentence
+from counterspin.calibration.pages.verdict import verdict_blocks
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
-from counterspin.reports.blocks import Block, Heading, Paragraph, Picture
+from counterspin.reports.blocks import Block, Heading, Picture
 from counterspin.reports.typography import typeset_block
 
 
@@ -39,7 +39,8 @@ def document(result: Result) -> list[Block]:
     result = judge_result(result)
     blocks = (
         *answer_blocks(result, in_g=True),
-        *_verdicts(result),
+        Heading("Is it good?"),
+        *verdict_blocks(result),
         *conformity_blocks(result),
         *_chapters(result),
         *platform_blocks(result),
@@ -57,23 +58,9 @@ def identifier_of(result: Result) -> str:
     return f"CS-{hashlib.sha256(result.to_json().encode()).hexdigest()[:12]}"
 
 
-def _verdicts(result: Result) -> Iterator[Block]:
-    yield Heading("Is it good?")
-    for name, accelerometer in result.accelerometers.items():
-        yield Paragraph(
-            verdict_sentence(name, accelerometer),
-            "plain" if accelerometer.state == "good" else "warning",
-        )
-        # The first of them stands in the sentence.
-        for finding in accelerometer.findings[1:]:
-            yield Paragraph(f"Warning: {name}: {finding.text}", "warning")
-
-
 def _chapters(result: Result) -> Iterator[Block]:
     for name, accelerometer in result.accelerometers.items():
-        yield from _without_warnings(
-            accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=True)
-        )
+        yield from accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=True)
         yield from _drawn(jackknife_plot(name, accelerometer), correlation_map(name, accelerometer))
         yield from _budget(name, accelerometer)
         plots = list(residual_plots(name, accelerometer))
@@ -85,13 +72,6 @@ def _chapters(result: Result) -> Iterator[Block]:
 def _budget(name: str, accelerometer: AccelerometerResult) -> Iterator[Block]:
     yield from _drawn(budget_bars(name, accelerometer))
     yield from budget_blocks(name, accelerometer)
-
-
-def _without_warnings(blocks: Iterable[Block]) -> Iterator[Block]:
-    # They stand at the beginning already, where nobody misses them.
-    for block in blocks:
-        if not (isinstance(block, Paragraph) and block.style == "warning"):
-            yield block
 
 
 def _drawn(*pictures: Picture | None) -> Iterator[Picture]:

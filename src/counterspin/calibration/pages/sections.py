@@ -18,7 +18,7 @@ from counterspin.calibration.pages.accelerometer import (
     in_field_units,
 )
 from counterspin.calibration.pages.conformity import conformity_blocks
-from counterspin.calibration.pages.verdict import misfit_blocks
+from counterspin.calibration.pages.verdict import misfit_blocks, verdict_blocks
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, RunResult
 from counterspin.inference.conformity import expanded_uncertainty
@@ -56,7 +56,11 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
         Whether strong correlations, run counts, input files and their checksums are written.
     """
     result = judge_result(result)
-    blocks: list[Block] = [*answer_blocks(result), *conformity_blocks(result)]
+    blocks: list[Block] = [
+        *answer_blocks(result),
+        *verdict_blocks(result),
+        *conformity_blocks(result),
+    ]
     for name, accelerometer in result.accelerometers.items():
         blocks += accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=details)
         if budget:
@@ -242,15 +246,17 @@ def _fits(runs: dict[str, RunResult]) -> Iterator[Block]:
                 *(Column(title, "right", wraps=True) for title in titles),
             ),
             rows=tuple(
-                (name, accelerometer, *(_plain(fit.get(key)) for key in keys))
+                (name, accelerometer, *(_measure(key, fit.get(key)) for key in keys))
                 for name, accelerometer, fit in fits
             ),
         )
 
 
-def _plain(value: float | str | None) -> str:
+def _measure(key: str, value: float | str | None) -> str:
     if value is None or isinstance(value, str):
         return value or "-"
+    if key.endswith("_p"):
+        return f"{value:.3f}" if value >= 0.0005 else "< 0.001"
     return format_count(value)
 
 

@@ -1,6 +1,6 @@
 """Whether a result is good, in words.
 
-- `verdict_sentence`: of one accelerometer
+- `verdict_blocks`: of every accelerometer; `verdict_sentence`: of one
 - `misfit_blocks`: the first lines of a result that its records contradict
 """
 
@@ -49,6 +49,18 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
             f"It rests on these being zero, which the model leaves out: {', '.join(zero)}."
         )
     return " ".join(sentences)
+
+
+def verdict_blocks(result: Result) -> Iterator[Block]:
+    """Yield for each accelerometer of a judged result whether it is good, and what was found."""
+    for name, accelerometer in result.accelerometers.items():
+        yield Paragraph(
+            verdict_sentence(name, accelerometer),
+            "plain" if accelerometer.state == "good" else "warning",
+        )
+        # The first of them stands in the sentence.
+        for finding in accelerometer.findings[1:]:
+            yield Paragraph(f"Warning: {name}: {finding.text}", "warning")
 
 
 def misfit_blocks(result: Result) -> Iterator[Block]:
