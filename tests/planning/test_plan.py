@@ -366,7 +366,13 @@ def test_requirements_make_u_a_twentieth_larger(starter, tmp_path):
 
 def test_figures(starter, tmp_path):
     pytest.importorskip("matplotlib")
-    result = plan(starter(SMALL, ("runs = 14", "runs = 4")), curves=True).result
+    told = []
+    result = plan(
+        starter(SMALL, ("runs = 14", "runs = 4")),
+        curves=True,
+        progress=lambda done, of: told.append((done, of)),
+    ).result
+    assert told == [(done, 27) for done in range(27)]
     written = save_figures(result, tmp_path / "figures")
     assert [path.name for path in written] == list(FIGURES)
     again = save_figures(result, tmp_path / "again")

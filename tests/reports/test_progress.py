@@ -42,3 +42,14 @@ def test_long_work_says_how_far_it_is_and_leaves_no_trace():
     assert "Estimating" in written
     # The last thing written moves up and erases the line.
     assert written.endswith("\x1b[1A\x1b[2K")
+
+
+def test_other_work_says_what_it_is():
+    console = terminal()
+    with progress(console, patience=0.0, words=("Searching", "Points", "Done")) as advance:
+        for counts, said in (((0, 0), "Searching"), ((0, 3), "Points"), ((3, 3), "Done")):
+            advance(*counts)
+            give_up = time.monotonic() + 10.0
+            while said not in console.file.getvalue() and time.monotonic() < give_up:
+                time.sleep(0.01)
+            assert said in console.file.getvalue()

@@ -62,6 +62,7 @@ def plan(
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search
     from counterspin.planning.plan import write_campaign, write_example
+    from counterspin.reports.progress import progress
     from counterspin.reports.text import report_console
 
     if sum(given is not None for given in (file, check, init)) != 1:
@@ -81,7 +82,9 @@ def plan(
         result = forecast(check, sampling_rate=rate, revolutions=unsaid.revolutions)
     else:
         assert file is not None  # one of the three is
-        planned = search(file, curves=figures is not None)
+        words = ("Searching", "Points of the figures", "Points of the figures")
+        with progress(words=words) as advance:
+            planned = search(file, curves=figures is not None, progress=advance)
         result = planned.result
     if json is not None:
         result.write(json)

@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Final
 
@@ -27,7 +29,9 @@ _RATE_FACTORS: Final = (0.4, 1.4)
 _SOURCES_SHOWN: Final = 6
 
 
-def curves_of(plan: Plan, design: Design) -> Curves:
+def curves_of(
+    plan: Plan, design: Design, progress: Callable[[int, int], None] | None = None
+) -> Curves:
     """Return the curves for the first coefficient of a plan's goal.
 
     Parameters
@@ -36,14 +40,24 @@ def curves_of(plan: Plan, design: Design) -> Curves:
         The description; the plans on the curves have the smallest u, whatever its goal.
     design
         The plan found.
+    progress
+        Called before each point with the number of those that are computed, and of all.
     """
+    done = itertools.count()
+
+    def factors(low: float, high: float) -> Iterator[float]:
+        for factor in np.geomspace(low, high, _POINTS):
+            if progress is not None:
+                progress(next(done), 3 * _POINTS)
+            yield float(factor)
+
     name = next(iter(plan.goal.sizes))
     search = Search(plan, reach=(_TIME_FACTORS[1], _RATE_FACTORS[1]))
     place = search.predictor.names.index(name)
     times, by_time = [], []
     start = design
-    for factor in np.geomspace(*_TIME_FACTORS, _POINTS):
-        total = plan.limits.total_time * float(factor)
+    for factor in factors(*_TIME_FACTORS):
+        total = plan.limits.total_time * factor
         free = plan.limits.longest_run >= plan.limits.total_time
         limits = replace(
             plan.limits,
@@ -55,8 +69,8 @@ def curves_of(plan: Plan, design: Design) -> Curves:
             times.append(total)
             by_time.append(float(search.predictor.u(best.design)[place]))
     rates, by_rate = [], []
-    for factor in np.geomspace(*_RATE_FACTORS, _POINTS):
-        high = plan.limits.rate[1] * float(factor)
+    for factor in factors(*_RATE_FACTORS):
+        high = plan.limits.rate[1] * factor
         if plan.limits.settings or high < plan.limits.rate[0]:
             continue
         limits = replace(plan.limits, rate=(plan.limits.rate[0], high))
@@ -69,16 +83,18 @@ def curves_of(plan: Plan, design: Design) -> Curves:
         unit=term(name.split(".", 1)[1] if not name.startswith("platform") else name).unit,
         time=Curve(x=times, u=by_time),
         rate=Curve(x=rates, u=by_rate),
-        sources=_sources(search, design, name),
+        sources=_sources(search, design, name, factors(_RATE_FACTORS[0], 1.0)),
     )
 
 
-def _sources(search: Search, design: Design, name: str) -> dict[str, Curve]:
+def _sources(
+    search: Search, design: Design, name: str, factors: Iterable[float]
+) -> dict[str, Curve]:
     """Return each source's contribution against the rate, all runs' rates scaled together."""
     high = float(design.rate.max())
     contributions: dict[str, list[float]] = {}
     rates: list[float] = []
-    for factor in np.geomspace(_RATE_FACTORS[0], 1.0, _POINTS):
+    for factor in factors:
         scaled = replace(design, rate=design.rate * factor, revolutions=design.revolutions * factor)
         predicted = forecast(search.campaign(scaled))
         index = [unknown.name for unknown in predicted.fit.model.unknowns].index(name)
@@ -91,6 +107,6 @@ def _sources(search: Search, design: Design, name: str) -> dict[str, Curve]:
         for words in {*contributions, *squares}:
             values = contributions.setdefault(words, [0.0] * len(rates))
             values.append(math.sqrt(squares.get(words, 0.0)))
-        rates.append(high * float(factor))
+        rates.append(high * factor)
     largest = sorted(contributions, key=lambda words: -max(contributions[words]))[:_SOURCES_SHOWN]
     return {words: Curve(x=rates, u=contributions[words]) for words in largest}

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
@@ -60,7 +61,12 @@ class Planned:
     document: str
 
 
-def plan(where: Path | str, *, curves: bool = False) -> Planned:
+def plan(
+    where: Path | str,
+    *,
+    curves: bool = False,
+    progress: Callable[[int, int], None] | None = None,
+) -> Planned:
     """Find the best campaign for a plan's goal within its limits.
 
     Parameters
@@ -69,6 +75,9 @@ def plan(where: Path | str, *, curves: bool = False) -> Planned:
         The plan's file.
     curves
         Whether the figures' curves are computed too, which takes some seconds more.
+    progress
+        Called before each point of the curves with the number of those that are computed, and of
+        all.
 
     Returns
     -------
@@ -113,7 +122,7 @@ def plan(where: Path | str, *, curves: bool = False) -> Planned:
             "limits": _limits(search, optimum),
             "requirements": requirements,
             "requirements_for": words,
-            "curves": curves_of(described, design) if curves else None,
+            "curves": curves_of(described, design, progress) if curves else None,
         }
     )
     return Planned(result, write_document(search.document(design), _COMMENTS))

@@ -1,4 +1,4 @@
-"""A sign of life on the terminal while records are read; nothing where there is no terminal.
+"""A sign of life on the terminal while work goes on; nothing where there is no terminal.
 
 - `progress`: a bar that appears only if the work takes longer than a moment
 - `work_progress`: the same for what many cores do, with its rate and the time left
@@ -27,9 +27,12 @@ def _is_watched() -> bool:
 
 @contextmanager
 def progress(
-    console: Console | None = None, *, patience: float = PATIENCE
+    console: Console | None = None,
+    *,
+    patience: float = PATIENCE,
+    words: tuple[str, str, str] = ("Reading runs", "Reading runs", "Estimating"),
 ) -> Iterator[Callable[[int, int], None] | None]:
-    """Show how many runs are read, on standard error, and wipe it out at the end.
+    """Show how much is done, on standard error, and wipe it out at the end.
 
     Parameters
     ----------
@@ -37,16 +40,18 @@ def progress(
         Where to show it; None: standard error.
     patience
         Seconds of work before anything is shown.
+    words
+        What is being done before anything is counted, while it is, and after.
 
     Yields
     ------
     Callable or None
-        To be called with (runs read, runs in all); None where there is no terminal.
+        To be called with (done, in all), such as runs; None where there is no terminal.
     """
     if console is None and not _is_watched():
         yield None
         return
-    bar = _Bar(console)
+    bar = _Bar(console, words)
     # A short calibration ends before the timer, and neither shows nor loads anything.
     timer = threading.Timer(patience, bar.show)
     timer.daemon = True
@@ -60,8 +65,9 @@ def progress(
 
 
 class _Bar:
-    def __init__(self, console: Console | None) -> None:
+    def __init__(self, console: Console | None, words: tuple[str, str, str]) -> None:
         self.console = console
+        self.before, self.while_counting, self.after = words
         self.reached = (0, 0)
         self.shown: Progress | None = None
 
@@ -77,7 +83,7 @@ class _Bar:
             console=self.console or Console(stderr=True),
             transient=True,
         )
-        bar.add_task("Reading runs", total=None)
+        bar.add_task(self.before, total=None)
         bar.start()
         self.shown = bar
         self.advance(*self.reached)
@@ -86,7 +92,8 @@ class _Bar:
         self.reached = (done, total)
         if self.shown is not None:
             (task,) = self.shown.task_ids
-            text = "Estimating" if 0 < total == done else "Reading runs"
+            text = self.while_counting if total else self.before
+            text = self.after if 0 < total == done else text
             self.shown.update(task, description=text, completed=done, total=total or None)
 
     def close(self) -> None:
