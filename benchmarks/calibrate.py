@@ -6,8 +6,8 @@
 These things happen to the same files, each in a fresh process, in turn: polars sums their columns;
 their SHA-256 is taken; where there is a C++ compiler, a parser that checks nothing reads the CSV
 (`csv_limit.cpp`); counterspin reads, checks and reduces them, and identifies the rotation;
-`counterspin calibrate` does all that it does (that, checksums, joint fit, comparison with the two-stage method, report);
-the peer does what a laboratory's script would.
+`counterspin calibrate` does all that it does (that, checksums, joint fit, comparison with the
+two-stage method, report); the peer does what a laboratory's script would.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     remark = (
         "Time, angle and displacement of 400 s at each of three rates, 0.01 m of noise. Whole "
         "processes, files in the system's cache, each the fastest of the repetitions, which take "
-        "turns; the peer once. It is `benchmarks/peer.py`, a script of NumPy and pandas. The parser "
-        "in C++ is `benchmarks/csv_limit.cpp`: with SHA-256 it is the least that these files can "
-        "cost, one core, nothing checked. Targets: calibrate in at most 1.7 times what polars takes, "
-        "and below 1000 MB."
+        "turns; the peer once. It is `benchmarks/peer.py`, a script of NumPy and pandas. The "
+        "parser in C++ is `benchmarks/csv_limit.cpp`: with SHA-256 it is the least that these "
+        "files can cost, one core, nothing checked. Targets: calibrate in at most 1.7 times what "
+        "polars takes, and below 1000 MB."
     )
     columns = ["", *(f"{size:.0e} rows, {suffix[1:]}" for suffix, size in sizes.items())]
     rows = [[label, *(column[label] for column in found)] for label in found[0]]

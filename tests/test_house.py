@@ -246,6 +246,16 @@ def test_an_option_of_the_command_line_would_be_found():
     assert not flags_named('raise Error(f"{path} exists; give `overwrite=True` -- or not")')
 
 
+def test_one_place_knows_the_description_s_name():
+    named = [
+        module.relative_to(PACKAGE).as_posix()
+        for module in MODULES
+        for node in ast.walk(ast.parse(module.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and node.value == "campaign.toml"
+    ]
+    assert named == ["campaign/toml_file.py"]
+
+
 # Start-up
 
 

@@ -25,6 +25,7 @@ from counterspin.campaign.resolved import (
     StatedNoise,
     sample_count,
 )
+from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_whole
@@ -83,7 +84,7 @@ def simulate(
     if problems := unfit(campaign):
         raise CampaignError(str(campaign.path), problems)
     targets = _targets(campaign, folder)
-    description = folder / "campaign.toml"
+    description = folder / DESCRIPTION_NAME
     own = description.exists() and description.samefile(campaign.path)
     in_the_way = [path for path in (*targets, *([] if own else [description])) if path.exists()]
     if in_the_way and not overwrite:

@@ -39,14 +39,14 @@ def history(
         raise CampaignError("history", ["give result files, or folders that hold them"])
     if figure is not None:
         check_format(figure)
-    found = run(paths, term=term, serial=serial)
-    report_console().print(render_history(found))
+    result = run(paths, term=term, serial=serial)
+    report_console().print(render_history(result))
     if json is not None:
-        found.write(json)
+        result.write(json)
     if figure is not None:
-        save(history_plots(found), figure)
-    if found.damaged:
+        save(history_plots(result), figure)
+    if result.damaged:
         raise CounterspinError(
-            f"{len(found.damaged)} of the files are results that cannot be read; the history is "
+            f"{len(result.damaged)} of the files are results that cannot be read; the history is "
             "without them"
         )

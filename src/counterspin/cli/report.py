@@ -37,15 +37,15 @@ def report(
     if output is not None:
         check_format(output)
     if source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml"):
-        found = Result.read(source)
+        result = Result.read(source)
     else:
         from counterspin.calibration.calibrate import calibrate
         from counterspin.reports.progress import progress
 
         with progress() as advance:
-            found = calibrate(source, progress=advance)
+            result = calibrate(source, progress=advance)
     if output is None:
-        report_console().print(Report(document(found)))
+        report_console().print(Report(document(result)))
         return
-    write_report(found, output, identifier=identifier, issued=issued)
+    write_report(result, output, identifier=identifier, issued=issued)
     say(f"Wrote {output}.")
