@@ -148,6 +148,29 @@ def test_radius_of_a_mounting_is_shown_as_a_radius(tmp_path):
     assert radius.u < 1e-5
 
 
+def test_records_on_the_arm_are_averaged(tmp_path):
+    rng, test = np.random.default_rng(9), arm()
+    values = simulated(test, rng, 0.0)
+    runs = arm_runs(test, values)
+    t = np.arange(0.0, 10.0, 0.05)
+    for i, value in enumerate(values):
+        current = 1.25 * (value + rng.normal(0.0, 1e-5, t.size))
+        rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(t.tolist(), current.tolist(), strict=True))
+        (tmp_path / f"r{i}.csv").write_text("t,mA\n" + rows, encoding="utf-8")
+        given = f'reading = "{float(1.25 * value)!r}{spread(SIGMA)} mA"'
+        assert given in runs
+        runs = runs.replace(given, f'record = "r{i}.csv"', 1)
+    column = 'specific_force = { column = "mA", unit = "mA" }\n[centrifuge]'
+    records = '[records]\ntime = { column = "t", unit = "s" }\n'
+    text = HEAD.replace("[centrifuge]", column) + records + model(*TRUTH) + runs
+    (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+    result = calibrate(tmp_path)
+    for symbol, truth in TRUTH.items():
+        c = result.accelerometers["A"].coefficients[symbol]
+        assert abs(c.value - truth) < 4.0 * c.u
+    assert set(result.provenance.inputs) == {"campaign.toml", *(f"r{i}.csv" for i in range(24))}
+
+
 def test_what_needs_records_says_so(tmp_path, capsys):
     values = simulated(tumble(), np.random.default_rng(8), SIGMA, truth=LEVEL_TERMS)
     calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values))

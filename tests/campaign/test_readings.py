@@ -107,7 +107,10 @@ SLIPS = {
         "accelerometers.A.output.sensitivity:",
     ),
     "no centrifuge": (HEAD + ON_ARM, "centrifuge: is missing"),
-    "no reading": (HEAD + RUN.replace("reading =", "# reading ="), "runs[0].reading: is missing"),
+    "no reading": (
+        HEAD + RUN.replace("reading =", "# reading ="),
+        "runs[0]: give one of reading and record",
+    ),
     "a direction of another frame": (
         HEAD + ARM + ON_ARM.replace("inward", "east"),
         'runs[0]: no direction is called "east" here',

@@ -121,7 +121,7 @@ def _observed(
 
 def _by_name(campaign: Campaign, checksums: Checksums) -> dict[str, str]:
     """Return file name -> checksum, of the description and of every record."""
-    files = [campaign.path, *(run.record for run in campaign.runs)]
+    files = [campaign.path, *(run.record for run in campaign.runs), *campaign.tables]
     names = (_name(campaign, file) for file in files)
     return dict(zip(names, checksums.of(files), strict=True))
 

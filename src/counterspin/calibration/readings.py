@@ -33,6 +33,8 @@ from counterspin.inference.readings import Readings, ReadingsFit, solve_readings
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
 from counterspin.physics.station import Station
+from counterspin.records.mean import mean_of_record
+from counterspin.records.record import ColumnSpec
 
 #: Terms that no position at 1 g tells from K_II and K_F: the squares' sum is that of gravity.
 _SQUARES: Final = ("K_PP", "K_OO")
@@ -163,7 +165,7 @@ def with_readings(
     NotIdentifiableError, ConvergenceError
         As `solve_readings`.
     """
-    groups = _groups(campaign)
+    groups = _groups(campaign, [_averaged(campaign, reading) for reading in campaign.readings])
     if estimated is None:
         beside: tuple[object, ...] = ()
         fit = solve_readings(groups, model)
@@ -215,13 +217,28 @@ def _effective_dof(dof: np.ndarray, fit: ReadingsFit, records: int) -> np.ndarra
         return 1.0 / inverse
 
 
-def _groups(campaign: Campaign) -> list[Readings]:
+def _averaged(campaign: Campaign, reading: Reading) -> Reading:
+    """Return a reading with its value: that of a record is its mean over whole revolutions."""
+    if reading.record is None:
+        return reading
+    channel = campaign.accelerometers[reading.accelerometer].channel
+    mean = mean_of_record(
+        reading.record,
+        ColumnSpec(campaign.time.column, campaign.time.factor),
+        ColumnSpec(channel.column, channel.factor),
+        reading.rate,
+    )
+    g = campaign.gravity.value
+    return replace(reading, value=mean.value / g, u=mean.u / g)
+
+
+def _groups(campaign: Campaign, readings: Sequence[Reading]) -> list[Readings]:
     """Return the readings by accelerometer, motion and whether their noise was stated."""
-    keys = dict.fromkeys((r.accelerometer, r.motion, r.u is None) for r in campaign.readings)
+    keys = dict.fromkeys((r.accelerometer, r.motion, r.u is None) for r in readings)
     return [
         _group(
             campaign,
-            [r for r in campaign.readings if (r.accelerometer, r.motion, r.u is None) == key],
+            [r for r in readings if (r.accelerometer, r.motion, r.u is None) == key],
         )
         for key in keys
     ]

@@ -185,7 +185,7 @@ class _DescriptionReader:
                 name,
                 mountings[name],
                 observables[name],
-                self._channel(getattr(table, observables[name]), OBSERVABLES[observables[name]]),
+                self._recorded(name, table, observables[name], outputs[name]),
                 priors[name],
                 table.serial_number,
                 outputs[name],
@@ -219,11 +219,12 @@ class _DescriptionReader:
             readings=readings,
             machine=machine,
             reference_temperature=self._reference_temperature(centrifuge),
+            tables=self._tables(),
         )
 
     def _check_sections(self, readings: Sequence[Reading]) -> None:
         """Note sections that are missing although what there is needs them."""
-        recorded = any(not is_reading(raw) for raw in self.raw_runs)
+        recorded = any(not is_reading(raw) or "record" in raw for raw in self.raw_runs)
         asked = (raw.get("motion") for raw in self.raw_runs if isinstance(raw, dict))
         turning = recorded or "arm" in asked or any(r.motion != "static" for r in readings)
         for key, needed in (("centrifuge", turning), ("records", recorded)):
@@ -258,12 +259,44 @@ class _DescriptionReader:
         readings = []
         for raw, path in runs:
             readings += resolve_reading(
-                raw, path, mountings, outputs, problems=self.problems, gravity=self.gravity
+                raw,
+                path,
+                mountings,
+                outputs,
+                folder=self.file.parent,
+                problems=self.problems,
+                gravity=self.gravity,
             )
         return tuple(readings)
 
+    def _tables(self) -> tuple[Path, ...]:
+        """Return the files of readings."""
+        files = {
+            self.file.parent / raw["record"]
+            for raw in self.raw_runs
+            if is_reading(raw) and "record" in raw
+        }
+        if "readings" in self.raw:
+            files.add(self.file.parent / self.raw["readings"]["file"])
+        return tuple(sorted(files))
+
     def _reference_temperature(self, centrifuge: CentrifugeSettings | None) -> float | None:
         return read_temperature(centrifuge.reference_temperature) if centrifuge else None
+
+    def _recorded(self, name: str, table: Any, observable: str, output: Output | None) -> Channel:
+        """Return the column of an accelerometer; an output such as a current as m/s^2."""
+        settings = getattr(table, observable)
+        path = ("accelerometers", name, observable, "unit")
+        if settings is None or observable != "specific_force":
+            return self._channel(settings, OBSERVABLES[observable])
+        try:
+            return self._channel(settings, "m/s^2")
+        except ValueError as error:
+            if output is None:
+                self.problems.add(path, f"{error}; or say output = {{ unit, sensitivity }}")
+                return Channel("", 1.0, "")
+        factor = self.problems.attempt(path, unit_factor, settings.unit, output.unit) or 1.0
+        return Channel(settings.column, factor / output.sensitivity * self.gravity, settings.unit)
 
     def _channel(self, settings: Any, si_unit: str) -> Channel:
         if settings is None:

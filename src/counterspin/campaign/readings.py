@@ -53,7 +53,8 @@ class ReadingRunSettings(SettingsSection):
 
     name: Text
     motion: Literal["counter-rotating", "arm", "static"] = "counter-rotating"
-    reading: Text | dict[str, Text]
+    reading: Text | dict[str, Text] | None = None
+    record: Text | None = None
     rate: Annotated[float, read_exactly("rad/s")] = 0.0
     attitude: Any = "level"
     axes: ReadingAxes | None = None
@@ -105,6 +106,9 @@ class Reading:
         rad/s.
     value, u
         Indication in g by the nominal sensitivity, and its standard uncertainty; None: not stated.
+        Of a record, 0 and None until it is read.
+    record
+        The file whose mean is the reading; None: the value is given.
     head
         Axis about which the dividing head turned, zero without one, shape (3,).
     u_head
@@ -125,11 +129,13 @@ class Reading:
     u_head: float
     temperature: float | None
     time: float | None
+    record: Path | None = None
 
 
 def is_reading(raw: object) -> bool:
     """Return whether an entry of ``[[runs]]`` is a reading and not a record."""
-    return isinstance(raw, Mapping) and ("reading" in raw or raw.get("motion") == "static")
+    moved = isinstance(raw, Mapping) and raw.get("motion", "counter-rotating") != "counter-rotating"
+    return moved or (isinstance(raw, Mapping) and "reading" in raw)
 
 
 def resolve_reading(
@@ -138,6 +144,7 @@ def resolve_reading(
     mountings: Mapping[str, Mounting],
     outputs: Mapping[str, Output | None],
     *,
+    folder: Path,
     problems: Problems,
     gravity: float,
 ) -> list[Reading]:
@@ -149,6 +156,8 @@ def resolve_reading(
         The run as it stands, and where.
     mountings, outputs
         Accelerometer -> its axes in the level attitude, and what its readings are in (None: g).
+    folder
+        Of the campaign.
     problems
         Where mistakes are noted; then nothing is returned.
     gravity
@@ -164,7 +173,12 @@ def resolve_reading(
         problems.add((*path, "rate"), f"is missing: a run with motion {settings.motion} turns")
     attitude = problems.attempt((*path, "attitude"), _attitude, settings.attitude)
     temperature = problems.attempt((*path, "temperature"), read_temperature, settings.temperature)
+    if (settings.reading is None) == (settings.record is None):
+        problems.add(path, "give one of reading and record")
+        return []
     values = settings.reading
+    if settings.record is not None:
+        values = dict.fromkeys(mountings, "")
     if isinstance(values, str):
         if len(mountings) > 1:
             problems.add(
@@ -174,7 +188,7 @@ def resolve_reading(
             return []
         values = dict.fromkeys(mountings, values)
     readings = []
-    for name, text in values.items():
+    for name, text in (values or {}).items():
         where = (
             (*path, "reading", name) if isinstance(settings.reading, dict) else (*path, "reading")
         )
@@ -183,7 +197,9 @@ def resolve_reading(
                 where, f'no accelerometer is called "{name}"' + did_you_mean(name, mountings)
             )
             continue
-        read = problems.attempt(where, _value, text, outputs.get(name), gravity)
+        read: tuple[float, float | None] | None = (0.0, None)
+        if settings.record is None:
+            read = problems.attempt(where, _value, text, outputs.get(name), gravity)
         axes = problems.attempt(path, _axes, settings, mountings[name], attitude)
         if read is None or axes is None or attitude is None:
             continue
@@ -202,6 +218,7 @@ def resolve_reading(
                 u_head=u_head,
                 temperature=temperature,
                 time=settings.time,
+                record=folder / settings.record if settings.record else None,
             )
         )
     return readings if len(problems.lines) == before else []

@@ -283,6 +283,7 @@ class Campaign:
     readings: tuple[Reading, ...] = ()
     machine: MachineModel = field(default_factory=MachineModel)
     reference_temperature: float | None = None
+    tables: tuple[Path, ...] = ()
 
     def require_records(self, what: str) -> None:
         """Raise CampaignError if there is no record, which `what` needs, or a reading beside."""

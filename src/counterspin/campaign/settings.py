@@ -11,6 +11,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import PurePath
 from typing import Annotated, Any, Final, Literal
 
@@ -136,6 +137,19 @@ def _unit_of(wanted: str) -> AfterValidator:
     return AfterValidator(check)
 
 
+#: What an accelerometer's output may be, beside a specific force.
+OUTPUTS: Final = ("V", "A", "count", "count/s")
+
+
+def _force_or_output(unit: str, info: ValidationInfo) -> str:
+    for output in OUTPUTS:
+        with suppress(ValueError):
+            unit_factor(unit, output)
+            return unit
+    unit_factor(unit, "m/s^2", gravity=_gravity(info))
+    return unit
+
+
 def _record(name: str) -> str:
     if PurePath(name).suffix.lower() not in RECORD_FORMATS:
         raise ValueError(f'cannot read "{name}"; records end in {", ".join(RECORD_FORMATS)}')
@@ -252,9 +266,9 @@ class VelocityChannel(_Channel):
 
 
 class ForceChannel(_Channel):
-    """The column that holds the indicated specific force."""
+    """The column that holds the indicated specific force, or an output such as a current."""
 
-    unit: Annotated[str, _unit_of("m/s^2")]
+    unit: Annotated[str, AfterValidator(_force_or_output)]
 
 
 class AxesSettings(SettingsSection):

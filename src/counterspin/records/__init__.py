@@ -5,5 +5,6 @@
 - `formats`, `column_file`, `csv_file`, `parquet_file`, `array_files`: the files, by format
 - `pieces`, `clock`, `clock_faults`, `spikes`, `reduction`, `amplitude`: the steps of reading, in
   the order in which a record passes them
+- `mean`: the mean of a record over whole revolutions
 - `report`: what was found on the way
 """

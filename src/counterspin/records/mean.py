@@ -1,0 +1,106 @@
+"""The mean of a record over whole revolutions, and how uncertain its scatter leaves it.
+
+- `mean_of_record`, `RecordMean`
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from counterspin.errors import RecordError
+from counterspin.records.formats import open_columns, refusals
+from counterspin.records.pieces import joined
+from counterspin.records.record import ColumnSpec
+
+#: Stretches of a record whose means scatter; the fewest, and the most.
+_STRETCHES: Final = (8, 64)
+
+#: Waves that a revolution may make in the output beside its mean, such as the Earth's rate does.
+_HARMONICS: Final = 2
+
+#: Empty cells and rows of text beyond this part of a record are too many.
+_EMPTY: Final = 0.05
+
+
+@dataclass(frozen=True)
+class RecordMean:
+    """The mean of a record.
+
+    Attributes
+    ----------
+    value, u
+        Mean and its standard uncertainty, in the signal's unit.
+    samples
+        That were used.
+    revolutions
+        Whole ones that were used; 0 at rest.
+    """
+
+    value: float
+    u: float
+    samples: int
+    revolutions: int
+
+
+def mean_of_record(path: Path, time: ColumnSpec, signal: ColumnSpec, rate: float) -> RecordMean:
+    """Return the mean of a signal over the whole revolutions of a record.
+
+    The waves that a revolution makes are fitted beside the mean, so that samples that do not
+    divide a revolution evenly do no harm. The uncertainty is from the scatter of the means of
+    consecutive stretches, so that noise which is not white counts.
+
+    Parameters
+    ----------
+    path
+        The record.
+    time, signal
+        Their columns; time in s after its factor.
+    rate
+        Of the spindle, rad/s; 0 at rest, where the whole record counts.
+
+    Raises
+    ------
+    RecordError
+        If the file cannot be read, time does not run forward, more than 5 % is empty, or it is
+        shorter than a revolution or than 16 samples.
+    """
+    file = open_columns(path)
+    names = [time.name, signal.name]
+    with refusals(path):
+        file.require(names)
+        columns = joined(list(file.batches(names)))
+    t, y = (columns[spec.name] * spec.factor for spec in (time, signal))
+    whole = np.isfinite(t) & np.isfinite(y)
+    if whole.mean() < 1.0 - _EMPTY:
+        raise RecordError(f"{path}: {1.0 - whole.mean():.0%} of the rows are empty; 5 % may be.")
+    t, y = t[whole], y[whole]
+    backwards = np.flatnonzero(np.diff(t) <= 0.0)
+    if backwards.size:
+        raise RecordError(
+            f"{path}, {file.locate(int(backwards[0]) + 1)}: time does not run forward."
+        )
+    turns = math.floor((t[-1] - t[0]) * abs(rate) / (2.0 * math.pi) + 1e-9) if t.size > 1 else 0
+    if rate and turns < 1:
+        raise RecordError(f"{path}: the record is shorter than a revolution at {rate:.4g} rad/s.")
+    if rate:
+        inside = t - t[0] < turns * 2.0 * math.pi / abs(rate) * (1.0 + 1e-12)
+        t, y = t[inside], y[inside]
+    if y.size < 2 * _STRETCHES[0]:
+        raise RecordError(f"{path}: {y.size} samples are too few for a mean and its uncertainty.")
+    angle = rate * (t - t[0])
+    waves = [np.ones_like(t)]
+    for n in range(1, _HARMONICS + 1) if rate else ():
+        waves += [np.cos(n * angle), np.sin(n * angle)]
+    design = np.column_stack(waves)
+    fitted = np.linalg.lstsq(design, y, rcond=None)[0]
+    left = y - design @ fitted
+    count = min(max(turns, _STRETCHES[0]), _STRETCHES[1])
+    means = np.array([part.mean() for part in np.array_split(left, count)])
+    return RecordMean(
+        float(fitted[0]), float(means.std(ddof=1)) / math.sqrt(count), int(y.size), turns
+    )
