@@ -244,7 +244,7 @@ def _other_rates(observed: Sequence[ObservedRun]) -> list[Finding]:
 
 def _remarks(campaign: Campaign) -> list[str]:
     """Return what a user should know of the campaign though it is nothing against the result."""
-    if campaign.angle is not None:
+    if campaign.angle is not None or not campaign.runs:
         return []
     return [
         "The records have no angle: the nominal rates are taken for the rotation, and the "
