@@ -26,7 +26,7 @@ from counterspin.calibration.result_parts import (
     Residual,
     State,
 )
-from counterspin.inference.diagnostics import AGREEMENT, SIGNIFICANCE
+from counterspin.inference.diagnostics import AGREEMENT, CHI_SQUARE_SIGNIFICANCE, SIGNIFICANCE
 from counterspin.inference.distributions import normal_quantile
 from counterspin.reports.numbers import field_unit, format_number
 
@@ -178,7 +178,7 @@ def _from_numbers(
 
 def _misfit(name: str, residual: Residual) -> Iterator[Finding]:
     p = residual.lack_of_fit_p
-    if p is None or p >= SIGNIFICANCE:
+    if p is None or _fits(residual):
         return
     times = _times_noise(residual)
     what = (
@@ -217,6 +217,13 @@ def lack_of_fit(name: str, sentences: Sequence[str], residual: Residual) -> Find
 def equivalent_deviations(p: float) -> float:
     """Return the distance, in standard deviations, that a normal variable exceeds with p."""
     return -normal_quantile(0.5 * max(p, 1e-300))
+
+
+def _fits(residual: Residual) -> bool:
+    """Return whether the probability of a worse fit is no reason for a finding."""
+    # With stated noise it is chi-square's own, which shares the significance with other tests.
+    limit = SIGNIFICANCE if residual.chi2 is None else CHI_SQUARE_SIGNIFICANCE
+    return residual.lack_of_fit_p is None or residual.lack_of_fit_p >= limit
 
 
 def _times_noise(residual: Residual) -> float | None:
@@ -274,7 +281,7 @@ def supports(accelerometer: AccelerometerResult) -> Iterator[str]:
     """Yield what speaks for a result, in clauses without a full stop."""
     residual = accelerometer.residual
     p = residual.lack_of_fit_p
-    if p is not None and p >= SIGNIFICANCE:
+    if p is not None and _fits(residual):
         noise = "the stated noise" if residual.chi2 is not None else "independent noise"
         yield f"the residuals look like {noise} (p = {format_number(p, 2)})"
     worst = _worst(accelerometer.jackknife)

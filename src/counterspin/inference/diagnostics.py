@@ -32,6 +32,9 @@ AGREEMENT: Final = 3.0
 #: Below this probability a departure is called one. It is shared among all tests of a fit.
 SIGNIFICANCE: Final = 0.01
 
+#: The share of it that is each side's of the whole fit's chi-square; the runs have the other half.
+CHI_SQUARE_SIGNIFICANCE: Final = SIGNIFICANCE / 4.0
+
 
 @dataclass(frozen=True)
 class RunDiagnostics:
@@ -183,14 +186,14 @@ def _findings(
     runs: Mapping[str, RunDiagnostics], chi2: float, dof: float, noise_given: bool, unit: str
 ) -> tuple[str, ...]:
     """Sentences on what is too unlikely, all tests together at `SIGNIFICANCE`."""
-    limit = SIGNIFICANCE / (3 * len(runs) if noise_given else 2 * len(runs))
+    limit = 0.5 * SIGNIFICANCE / (3 * len(runs)) if noise_given else SIGNIFICANCE / (2 * len(runs))
     found = []
-    if noise_given and chi_square_tail(dof, chi2) < SIGNIFICANCE:
+    if noise_given and chi_square_tail(dof, chi2) < CHI_SQUARE_SIGNIFICANCE:
         found.append(
             f"The residuals are {math.sqrt(chi2 / dof):.3g} times as large as the stated noise: "
             "the noise is stated too small or the model lacks a term."
         )
-    elif noise_given and chi_square_tail(dof, chi2) > 1 - SIGNIFICANCE:
+    elif noise_given and chi_square_tail(dof, chi2) > 1 - CHI_SQUARE_SIGNIFICANCE:
         found.append(
             f"The residuals are only {math.sqrt(chi2 / dof):.3g} times as large as the stated "
             "noise: the noise is stated too large."

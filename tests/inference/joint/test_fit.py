@@ -20,6 +20,8 @@ from joint_campaign import (
 from scipy.special import ndtri
 
 from counterspin.errors import NotIdentifiableError
+from counterspin.inference.diagnostics import SIGNIFICANCE, diagnose
+from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.inputs import INPUTS, TIMING
@@ -389,7 +391,7 @@ def test_bias_and_its_likes_are_one_combination():
     item = next(item for item in said.confounded if set(item.terms) == alike)
     # a_P = -1 in the level attitude, so that delta_O a_P is a bias of the other sign; a tilt is
     # seen through the scale factor.
-    assert item.determined == "K_F + K_PP - delta_O - 1.002 platform.tilt.north"
+    assert item.determined == "K_F + K_PP - delta_O - 1.00197 platform.tilt.north"
     assert item.value == pytest.approx(5e-3 + 3e-6, abs=3 * item.u)
     assert item.u < 1e-6
     assert said.determined["K_II"]
@@ -605,3 +607,38 @@ def test_freedom_is_what_chi_square_comes_to_in_each_run():
     # Eleven unknowns in all and three priors: not a whole number, and not the same in each run.
     assert expected.sum() == pytest.approx(fit.solution.dof - 3, abs=3)
     assert np.ptp(expected) > 0.1
+
+
+@pytest.mark.parametrize("noise", [WHITE, MIXED], ids=["white", "mixed"])
+def test_a_considered_term_within_its_uncertainty_is_no_lack_of_fit(noise):
+    """Tilts drawn from their priors: false alarms are as frequent as stated, 1 in 100.
+
+    The tilts are seen in the records, forty times the noise at the end of the longest run, and so
+    would be a lack of fit against the noise alone in every trial.
+    """
+    own = unknowns(TRUTH, {"K_F": (TRUTH["K_F"], 2e-6)})
+    tilts = tuple(
+        Considered(f"run{i}", "platform.tilt.north", (0.0, 30 * ARCSEC), 1e-2) for i in (1, 2, 3)
+    )
+    model = Unknowns(own, tilts)
+    clean = prepare_columns(three_rates(TRUTH, revolutions=6, per_revolution=16), model, SCALES)
+    rng = np.random.default_rng(31)
+    trials, alarms, p_values, naive = 600, 0, [], 0
+    for _ in range(trials):
+        drawn = []
+        for part in redrawn(clean, noise, rng):
+            tilt = 30 * ARCSEC * rng.standard_normal()
+            error = part.series.error + part.fixed[:, 0] * tilt
+            drawn.append(replace(part, series=replace(part.series, error=error)))
+        fit = solve_joint(drawn, model, {"Qx": noise})
+        rows = {f"run{i + 1}": left.whitened for i, left in enumerate(fit.residuals)}
+        freedom = dict(zip(rows, fit.degrees_of_freedom, strict=True))
+        tests = diagnose(rows, freedom, noise_given=True)
+        alarms += bool(tests.findings)
+        p_values.append(tests.lack_of_fit_p)
+        naive += chi_square_tail(fit.solution.dof, fit.solution.chi2) < SIGNIFICANCE
+    assert naive > 0.5 * trials
+    expected = SIGNIFICANCE * trials
+    assert alarms <= expected + 4 * math.sqrt(expected)
+    # The probability of a worse fit is evenly spread: mean 1/2, variance 1/12.
+    assert np.mean(p_values) == pytest.approx(0.5, abs=4 / math.sqrt(12 * trials))

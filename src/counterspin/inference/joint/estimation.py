@@ -219,21 +219,24 @@ def _noise(
 def _components(
     prepared: Sequence[Prepared], model: Unknowns, request: NoiseRequest
 ) -> VarianceComponents:
-    used = sorted({index for part in prepared for index in part.unknowns})
+    # Considered terms are unknowns here, or what they do to the records would be taken for noise.
+    every, p = (*model.unknowns, *model.considered), len(model.unknowns)
+    places = [(*part.unknowns, *(p + place for place in part.considered)) for part in prepared]
+    used = sorted({index for own in places for index in own})
     records = [
         RecordData(
             part.series.time,
             part.series.order,
-            part.design,
-            part.unexplained(model),
+            np.column_stack([part.design, part.fixed]),
+            part.series.error,
             part.series.count,
             part.series.block_spacing,
-            [used.index(index) for index in part.unknowns],
+            [used.index(index) for index in own],
         )
-        for part in prepared
+        for part, own in zip(prepared, places, strict=True)
     ]
     # Priors are data too; what has none is held as loosely as in the solution.
-    chosen = [model.unknowns[index] for index in used]
+    chosen = [every[index] for index in used]
     spread = np.array([max(unknown.spread, _EXACT * unknown.limit) for unknown in chosen])
     means = np.array([unknown.prior_mean for unknown in chosen])
     # Like quantisation, noise of the time stamps is white noise of a known size; its mean square

@@ -127,14 +127,43 @@ class JointFit:
         )
 
     @cached_property
+    def relaxed(self) -> Solution:
+        """The solution with considered terms and inputs estimated too, each held by its prior.
+
+        Its unknowns are those of the model, then the considered ones. It is what the records and
+        everything known beforehand say together, and so what they are compared with: a considered
+        term that is not what was assumed is no lack of fit as long as its uncertainty allows it.
+        """
+        model = self.model
+        if not model.considered_names:
+            return self.solution
+        blocks = [
+            replace(
+                block,
+                factor=np.hstack([block.factor, block.considered]),
+                considered=block.considered[:, :0],
+            )
+            for block in (*self.blocks, *self.beside.values())
+        ]
+        unknowns = (*model.unknowns, *model.considered)
+        inputs = model.inputs or {}
+        return least_squares.solve(
+            blocks,
+            prior_mean=[*(u.prior_mean for u in unknowns), *(0.0 for _ in inputs)],
+            prior_sd=[*(u.prior[1] for u in unknowns), *inputs.values()],
+            # Inputs have a prior, and so no need of a limit.
+            limits=[*(u.limit for u in unknowns), *(1.0 for _ in inputs)],
+        )
+
+    @cached_property
     def residuals(self) -> tuple[Residuals, ...]:
-        """What is left of each series."""
+        """What the model leaves of each series, considered terms being what they seem to be."""
         return tuple(self._residuals_of(prepared) for prepared in self.prepared)
 
     def _residuals_of(self, prepared: Prepared) -> Residuals:
-        series = prepared.series
-        left = prepared.unexplained(self.model)
-        left = left - prepared.design @ self.solution.estimate[list(prepared.unknowns)]
+        series, estimate, p = prepared.series, self.relaxed.estimate, len(self.model.unknowns)
+        left = series.error - prepared.design @ estimate[list(prepared.unknowns)]
+        left = left - prepared.fixed @ estimate[[p + place for place in prepared.considered]]
         whiten = series.whitener(self.noise[series.accelerometer])
         if whiten.polynomials == 0:
             # The differences have removed the start errors; the plain residuals need them back.
@@ -153,7 +182,7 @@ class JointFit:
         Rows less the series' own unknowns, less what the fit of all series and priors follows.
         """
         ends = np.cumsum([block.factor.shape[0] for block in self.blocks])
-        leverages = self.solution.leverages[: ends[-1]]
+        leverages = self.relaxed.leverages[: ends[-1]]
         followed = np.add.reduceat(leverages, np.append(0, ends[:-1]))
         return tuple(
             block.rows - block.nuisance - float(part)

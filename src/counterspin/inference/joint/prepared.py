@@ -64,12 +64,6 @@ class Prepared:
             fixed=self.fixed[keep],
         )
 
-    def unexplained(self, model: Unknowns) -> Array:
-        """Return the error less what the considered terms' assumed values put into it, (n,)."""
-        means = np.array(model.considered_means)
-        left: Array = self.series.error - self.fixed @ means[list(self.considered)]
-        return left
-
     def again(
         self, before: Unknowns, after: Unknowns, scale_factor: float, estimate: Array
     ) -> Prepared:
