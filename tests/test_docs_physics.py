@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from counterspin.physics.accelerometer import QX, TERMS
+from counterspin.physics.inputs import UNCERTAIN_INPUTS
 from counterspin.physics.observation import parabola
 from counterspin.physics.shared_terms import DEGREE_PER_HOUR, PLATFORM_TERMS
 
@@ -47,6 +48,14 @@ def test_platform_table_lists_exactly_the_terms():
         for row in PLATFORM_TERMS.values()
     ]
     assert rows_between("platform terms") == expected
+
+
+def test_inputs_are_those_of_the_code():
+    expected = [
+        [f"`{row.symbol}`", row.unit, row.words, f"{row.typical:g}"]
+        for row in UNCERTAIN_INPUTS.values()
+    ]
+    assert rows_between("inputs") == expected
 
 
 def test_ten_degrees_an_hour_in_si():

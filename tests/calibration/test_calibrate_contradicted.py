@@ -35,7 +35,7 @@ def wrong(sound, tmp_path_factory, request):
         (folder / record.name).write_bytes(record.read_bytes())
     text = changed(SPECIFIED, ('radius = "2.5 m"', 'radius = "2.6 m"'))
     if request.param == "estimated":
-        text = changed(text, ('[noise]\ndisplacement = "0.01 m"\n', ""))
+        text = changed(text, ('\n[noise]\ndisplacement = "0.01 m"\n', ""))
     return write(folder, text).parent
 
 

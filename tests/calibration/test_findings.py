@@ -1,9 +1,9 @@
 """What speaks against a result: decided once, ranked, and with its consequences."""
 
 import pytest
-from results import coefficient, result
+from results import result
 
-from counterspin.calibration.findings import judge_result, noticed_if_left_out, refusal
+from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding
 
@@ -132,14 +132,3 @@ def test_judging_twice_changes_nothing(tmp_path):
     assert judge_result(found) == found
     found.write(tmp_path / "r.json")
     assert judge_result(Result.read(tmp_path / "r.json")) == found
-
-
-def test_terms_left_out_are_noticed_from_half_of_u_on():
-    # One unit of K_OO is 1 ug/g^2, and u(K_II) is 0.001 ug/g^2.
-    for sensitivity, noticed in ((5.1e-4, ["K_OO"]), (4.9e-4, [])):
-        omitted = {"K_OO": {"sensitivity": -sensitivity, "unit": "g/g^2"}}
-        found = judged(left_out=omitted).accelerometers["Qx"]
-        assert list(noticed_if_left_out(found)) == noticed
-    bare = judged(coefficients={"K_F": coefficient(0.005, 1e-6, "g")}, left_out=omitted)
-    assert noticed_if_left_out(bare.accelerometers["Qx"]) == {}
-    assert codes(bare) == []

@@ -191,8 +191,8 @@ def test_what_the_result_rests_on_is_stated(tmp_path):
     path = "dcc:declaration/dcc:content"
     apart, zero = (e.text for e in statement.xpath(path, namespaces=NAMESPACES))
     assert apart.endswith("determined: K_II + K_OO = 27.0000 ± 0.0010 ug/g^2.")
-    # One arcsec is 4.848e-6 rad.
-    assert zero.endswith("K_II would move with 1 arcsec of platform.tilt.north by 0.29 ug/g^2.")
+    # Half an arcsec is 2.424e-6 rad.
+    assert zero.endswith("move K_II by 0.15 ug/g^2 (platform.tilt.north, 0.5 arcsec).")
 
 
 def test_a_result_that_nobody_may_certify_is_refused():

@@ -13,6 +13,7 @@
 - `conformity`: whether coefficients meet their specifications
 - `result`, `result_parts`: what a calibration found, its JSON; what it is made of
 - `findings`: what speaks against a result, and its state
+- `left_out`: what the model leaves out, at typical sizes
 - `readings`: single values beside records, or alone
 - `pages`: the result as a person reads it
 """

@@ -7,7 +7,6 @@ numbers of the result itself, ranks them and sets the states; pages only draw th
 - `refusal`: why a result may not be certified or applied
 - `lack_of_fit`: the finding that residuals are not noise; `equivalent_deviations`: its size
 - `supports`: what speaks for a result
-- `noticed_if_left_out`: terms outside the model that K_II would show
 - `CONTRADICTS`, `TOO_LARGE`, `LARGEST_WALK`: the limits
 """
 
@@ -22,13 +21,12 @@ from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Finding,
     Jackknife,
-    OmittedTerm,
     Residual,
     State,
 )
 from counterspin.inference.diagnostics import AGREEMENT, CHI_SQUARE_SIGNIFICANCE, SIGNIFICANCE
 from counterspin.inference.distributions import normal_quantile
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.reports.numbers import format_number
 
 #: Beyond this many standard uncertainties (2e-9 by chance) no uncertainty explains a difference.
 CONTRADICTS: Final = 6.0
@@ -274,7 +272,7 @@ def _worst(lines: Sequence[Jackknife]) -> Jackknife | None:
     return max(compared, key=lambda line: abs(line.z or 0.0), default=None)
 
 
-# What speaks for a result, and what it rests on
+# What speaks for a result
 
 
 def supports(accelerometer: AccelerometerResult) -> Iterator[str]:
@@ -289,18 +287,3 @@ def supports(accelerometer: AccelerometerResult) -> Iterator[str]:
         yield "no run drives the result"
     if accelerometer.two_stage is not None and abs(accelerometer.two_stage.z) <= AGREEMENT:
         yield "the two-stage method agrees"
-
-
-def noticed_if_left_out(accelerometer: AccelerometerResult) -> dict[str, OmittedTerm]:
-    """Return the terms that the model leaves out and whose one unit K_II would show.
-
-    One unit is 1 ug/g^2, 1 arcsec, 1 deg/h and so on; K_II shows what moves it by half of its u.
-    """
-    k_ii = accelerometer.coefficients.get("K_II")
-    if k_ii is None or k_ii.u is None:
-        return {}
-    return {
-        symbol: omitted
-        for symbol, omitted in accelerometer.left_out.items()
-        if abs(omitted.sensitivity) / field_unit(omitted.unit)[1] > 0.5 * k_ii.u
-    }

@@ -10,7 +10,6 @@ from counterspin.calibration.joint_checks import (
     compare,
     hidden_walk,
     jackknife,
-    left_out,
     residual_findings,
     run_fits,
     unseen_ripple,
@@ -27,6 +26,7 @@ from counterspin.calibration.joint_parts import (
 from counterspin.calibration.joint_problem import model_of, noise_of, series_of
 from counterspin.calibration.joint_traces import traces
 from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.left_out import joint_omissions, with_typical
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.readings import (
     AccelerometerReadings,
@@ -104,7 +104,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         )
         for name in campaign.accelerometers
     ]
-    not_modelled = left_out(views)
+    omissions = joint_omissions(views)
     shared = {
         unknown: coefficient(estimated, assessment, index)
         for index, unknown in enumerate(model.unknowns)
@@ -117,7 +117,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
     longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
     return JointOutcome(
         accelerometers={
-            view.name: _accelerometer(view, observed, not_modelled[view.name]) for view in views
+            view.name: _accelerometer(view, observed, omissions[view.name]) for view in views
         },
         platform={u.symbol: c for u, c in shared.items() if not u.owner},
         runs={
@@ -157,7 +157,7 @@ def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coe
 
 
 def _accelerometer(
-    view: AccelerometerView, observed: Sequence[ObservedRun], omitted: dict[str, OmittedTerm]
+    view: AccelerometerView, observed: Sequence[ObservedRun], omissions: dict[str, OmittedTerm]
 ) -> AccelerometerResult:
     name, estimated = view.name, view.estimate
     own = {
@@ -166,11 +166,14 @@ def _accelerometer(
     }
     return AccelerometerResult(
         # The campaign's order is the user's; the table of terms has its own.
-        coefficients={
-            symbol: own[symbol]
-            for symbol in (*view.campaign.model.terms, *view.campaign.machine.terms)
-            if symbol in own
-        },
+        coefficients=with_typical(
+            {
+                symbol: own[symbol]
+                for symbol in (*view.campaign.model.terms, *view.campaign.machine.terms)
+                if symbol in own
+            },
+            omissions,
+        ),
         correlation=correlation(view),
         confounded=confounded(view),
         residual=residual(view),
@@ -182,7 +185,7 @@ def _accelerometer(
         },
         jackknife=jackknife(view),
         two_stage=compare(view, observed) if observed else None,
-        left_out=omitted,
+        left_out=omissions,
         traces=traces(view, observed),
         readings=[line for part in view.readings for line in part.results()],
         output=in_output_units(view.campaign, name, own),

@@ -3,7 +3,6 @@
 - `run_fits`, `residual_findings`
 - `jackknife`
 - `compare`
-- `left_out`
 - `hidden_walk`, `unseen_ripple`
 """
 
@@ -16,18 +15,15 @@ from typing import Final
 from counterspin.calibration import two_stage
 from counterspin.calibration.findings import lack_of_fit
 from counterspin.calibration.joint_parts import residual
-from counterspin.calibration.joint_problem import left_out_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.readings import readings_fit
-from counterspin.calibration.result_parts import Comparison, Finding, Jackknife, OmittedTerm
+from counterspin.calibration.result_parts import Comparison, Finding, Jackknife
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.omitted_terms import sensitivities
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import term
 
 #: Share of u^2 from which noise that the records do not show is spoken of.
 _HIDDEN_SHARE: Final = 0.5
@@ -139,40 +135,6 @@ def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Compari
         u_difference=spread,
         z=difference / spread,
     )
-
-
-def left_out(views: Sequence[AccelerometerView]) -> dict[str, dict[str, OmittedTerm]]:
-    """Return by accelerometer what each term left out would move its K_II by.
-
-    Of a term that every run has anew, the runs' effects are combined as independent ones.
-
-    Parameters
-    ----------
-    views
-        Of all accelerometers of one fit.
-    """
-    terms = {
-        view.name: left_out_of(view.campaign, view.name) for view in views if view.k_ii is not None
-    }
-    # Accelerometers share the platform's terms, and all of them one set of columns.
-    every = list(dict.fromkeys(other for own in terms.values() for other in own))
-    if not every or not views[0].fit.prepared:
-        return {view.name: {} for view in views}
-    moved = sensitivities(views[0].fit, every)
-    result: dict[str, dict[str, OmittedTerm]] = {}
-    for view in views:
-        effects: dict[str, list[float]] = {}
-        for other in terms.get(view.name, ()):
-            effect = float(moved[view.k_ii, every.index(other)])
-            effects.setdefault(other.symbol, []).append(effect)
-        result[view.name] = {
-            symbol: OmittedTerm(
-                sensitivity=parts[0] if len(parts) == 1 else math.hypot(*parts),
-                unit=term(symbol).unit,
-            )
-            for symbol, parts in effects.items()
-        }
-    return result
 
 
 def _considered(view: AccelerometerView, index: int) -> dict[tuple[str, str], tuple[float, float]]:

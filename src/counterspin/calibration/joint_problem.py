@@ -2,7 +2,7 @@
 
 - `series_of`: the data
 - `model_of`: what is estimated, considered and uncertain
-- `left_out_of`: what the model says nothing of
+- `left_out_of`, `exact_inputs`: what the model says nothing of
 - `noise_of`: what is known of the noise
 """
 
@@ -25,6 +25,7 @@ from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.inputs import UNCERTAIN_INPUTS
 from counterspin.physics.shared_terms import PLATFORM_TERMS, term
 
 #: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
@@ -133,14 +134,27 @@ def _pair(quantity: Quantity | None) -> tuple[float, float]:
     return (quantity.value, quantity.u) if quantity else _NOTHING
 
 
-def _uncertain_inputs(campaign: Campaign) -> Mapping[str, float]:
-    inputs: dict[str, Quantity | None] = {
+def _inputs(campaign: Campaign) -> dict[str, float]:
+    """Return the standard uncertainty of each input; 0 where it is stated as exact."""
+    stated = {
         "centrifuge.radius": campaign.radius,
         "site.gravity": campaign.gravity,
         "site.latitude": campaign.latitude,
-        TIMING: campaign.timing_offset,
     }
-    return {name: q.u for name, q in inputs.items() if q is not None and q.u > 0.0}
+    if campaign.angle is not None:
+        stated[TIMING] = campaign.timing_offset or Quantity(0.0, 0.0, "s")
+    return {name: quantity.u for name, quantity in stated.items()}
+
+
+def _uncertain_inputs(campaign: Campaign) -> Mapping[str, float]:
+    return {name: u for name, u in _inputs(campaign).items() if u > 0.0}
+
+
+def exact_inputs(campaign: Campaign) -> dict[str, float]:
+    """Return the inputs that are stated as exact, with the uncertainty to be assumed of each."""
+    return {
+        name: UNCERTAIN_INPUTS[name].typical for name, u in _inputs(campaign).items() if u == 0.0
+    }
 
 
 def noise_of(campaign: Campaign) -> dict[str, NoiseRequest]:

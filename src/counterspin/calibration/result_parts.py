@@ -39,8 +39,10 @@ class Coefficient(ResultPart):
     u_noise, u_prior, u_considered
         Parts of `u` from the records' noise, from priors of estimated terms, and from considered
         terms and uncertain inputs; u^2 is the sum of their squares.
+    u_typical
+        `u` with what the model leaves out, and inputs stated as exact, at typical sizes.
     dof
-        Effective degrees of freedom; None is infinite. Intervals use Student's t.
+        Effective degrees of freedom of `u`; None is infinite. Intervals use Student's t.
     unit
         g-units, or SI for platform terms.
     estimated
@@ -52,6 +54,7 @@ class Coefficient(ResultPart):
     u_noise: float | None = None
     u_prior: float | None = None
     u_considered: float | None = None
+    u_typical: float | None = None
     dof: float | None = None
     unit: str
     estimated: bool
@@ -149,10 +152,24 @@ class Comparison(ResultPart):
 
 
 class OmittedTerm(ResultPart):
-    """A term that the model leaves out: what one unit of it would move K_II by, in g/g^2."""
+    """A term that the model leaves out, or an input that is stated as exact.
 
-    sensitivity: float
+    Attributes
+    ----------
+    sensitivity
+        What one unit of it would move K_II by, g/g^2; None where the model has no K_II.
+    unit
+        Its own.
+    typical
+        Standard uncertainty that is assumed of it.
+    moves
+        By coefficient: what one unit of it would move that by.
+    """
+
+    sensitivity: float | None
     unit: str
+    typical: float | None = None
+    moves: dict[str, float] = {}
 
 
 class Conformity(ResultPart):

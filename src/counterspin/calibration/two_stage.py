@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from counterspin.calibration.left_out import two_stage_omissions, with_typical
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result import described
@@ -28,7 +29,6 @@ from counterspin.calibration.two_stage_findings import (
     asked_only,
     confounded,
     findings,
-    omitted_terms,
     unmodelled,
 )
 from counterspin.calibration.two_stage_request import request_of
@@ -85,7 +85,10 @@ def two_stage(
     ignored = unmodelled(campaign, accelerometer)
     runs, second = _both_stages(observed, accelerometer, request, ignored)
     unknowns = _unknowns(campaign, second, request)
-    coefficients = _coefficients(campaign, accelerometer, second, unknowns)
+    exact = options.model == "exact"
+    omissions = two_stage_omissions(campaign, second, request) if exact else {}
+    estimates = _coefficients(campaign, accelerometer, second, unknowns)
+    coefficients = with_typical(estimates, omissions)
     walk = request.random_walk
     parabolas = [run.parabola for run in runs]
     result = AccelerometerResult(
@@ -95,7 +98,7 @@ def two_stage(
         confounded=confounded(second, unknowns),
         residual=_residual(parabolas, walk),
         noise=_noise_lines(parabolas, walk),
-        left_out=omitted_terms(second) if options.model == "exact" else {},
+        left_out=omissions,
         findings=findings(campaign, accelerometer.name, runs, second, coefficients, options.model),
         **described(accelerometer, coefficients),
     )

@@ -1,7 +1,7 @@
 """What a two-stage result must say beside its numbers: what they stand for, what they leave out.
 
 - `unmodelled`, `asked_only`: terms of which nothing is known
-- `confounded`, `omitted_terms`: what these would do
+- `confounded`: what is estimated in their place
 - `findings`: what speaks against it
 """
 
@@ -18,7 +18,6 @@ from counterspin.calibration.result_parts import (
     Coefficient,
     ConfoundedTerms,
     Finding,
-    OmittedTerm,
 )
 from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.inference.distributions import chi_square_tail
@@ -42,14 +41,6 @@ def unmodelled(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, .
     """Return the terms that nothing is known of beforehand, asked for or not."""
     others = [other.symbol for other in left_out_of(campaign, accelerometer.name)]
     return tuple(dict.fromkeys([*asked_only(campaign, accelerometer), *others]))
-
-
-def omitted_terms(second: SecondStage) -> dict[str, OmittedTerm]:
-    """Return what the terms would move K_II by of which nothing is known."""
-    return {
-        symbol: OmittedTerm(sensitivity=float(second.shift(symbol)[0]), unit=term(symbol).unit)
-        for symbol in second.ignored
-    }
 
 
 def confounded(second: SecondStage, estimates: Mapping[str, Coefficient]) -> list[ConfoundedTerms]:

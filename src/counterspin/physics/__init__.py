@@ -6,6 +6,7 @@ Modules, lowest first:
 - `angle_error`: how far that fit may be from the true angle, and the effect on the motion
 - `accelerometer`: mountings, the error model (Eq. 7) and the table of its terms
 - `shared_terms`: error terms of what carries the accelerometers
+- `inputs`: radius, gravity, latitude, timing, and how well they are known where nobody says
 - `motion`: exact position, velocity and specific force of the platform; harmful acceleration
 - `station`: where one reading is taken, at rest, on an arm or on a double turntable
 - `machine`: what centrifuge, fixture, dividing head, temperature and time do to it

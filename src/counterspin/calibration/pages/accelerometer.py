@@ -3,7 +3,7 @@
 - `accelerometer_blocks`: coefficients, what cannot be told apart, fit, noise, checks
 - `budget_blocks`: where the uncertainty of its coefficients comes from
 - `coefficient_table`, `in_field_units`: coefficients of any kind
-- `rests_on`: what cannot be told apart, and what is taken to be zero
+- `rests_on`, `left_out_sentence`: what cannot be told apart, and what the model leaves out
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from counterspin.calibration.findings import noticed_if_left_out
+from counterspin.calibration.left_out import decisive
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     BudgetLine,
@@ -57,7 +57,7 @@ def accelerometer_blocks(
     """Yield what was found; gravity in m/s^2 is for noise in micro-g, `details` as in a report."""
     yield Heading(f"Accelerometer {name}")
     yield coefficient_table({**accelerometer.coefficients, **accelerometer.second_unknown})
-    for sentence in rests_on(accelerometer):
+    for sentence in map(_confounded, accelerometer.confounded):
         yield Paragraph(sentence)
     yield Paragraph(_residual(accelerometer))
     if accelerometer.noise:
@@ -118,8 +118,14 @@ def in_field_units(coefficient: Coefficient) -> tuple[float | None, float | None
 
 def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
     """Return one row for each coefficient; the first column is its symbol, the second its words."""
+    with_typical = any(c.u_typical is not None for c in coefficients.values())
     rows = [
-        (*_names(symbol), *_cells(coefficient), _origin(coefficient))
+        (
+            *_names(symbol),
+            *_cells(coefficient),
+            *([_typical(coefficient)] if with_typical else []),
+            _origin(coefficient),
+        )
         for symbol, coefficient in coefficients.items()
     ]
     return Table(
@@ -129,6 +135,7 @@ def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
             Column("Value", "right"),
             Column("u (k = 1)"),
             Column("Unit"),
+            *([Column("u typical")] if with_typical else []),
             Column("u comes from", wraps=True),
         ),
         rows=tuple(rows),
@@ -156,6 +163,16 @@ def _cells(coefficient: Coefficient) -> tuple[str, str, str]:
     if both is None:
         return format_number(value, 17), f"± {format_number(u, 2)}", unit
     return both.value, f"± {both.u}", f"1e{both.exponent} {unit}" if both.exponent else unit
+
+
+def _typical(coefficient: Coefficient) -> str:
+    """Return the second uncertainty in the unit of the row, its power of ten included."""
+    value, u, _ = in_field_units(coefficient)
+    if coefficient.u_typical is None or value is None or u is None:
+        return ""
+    both = round_to_uncertainty(value, u) if u > 0.0 else None
+    scale = 10.0 ** -(both.exponent if both else 0) * field_unit(coefficient.unit)[1]
+    return f"± {format_uncertainty(coefficient.u_typical * scale)}"
 
 
 def _origin(coefficient: Coefficient) -> str:
@@ -197,21 +214,25 @@ def _confounded(confounded: ConfoundedTerms) -> str:
 def rests_on(accelerometer: AccelerometerResult) -> Iterator[str]:
     """Yield, in sentences, what the records cannot tell apart and what the model leaves out."""
     yield from map(_confounded, accelerometer.confounded)
-    if sentence := _left_out(accelerometer):
+    if sentence := left_out_sentence(accelerometer):
         yield sentence
 
 
-def _left_out(accelerometer: AccelerometerResult) -> str:
-    noticed = noticed_if_left_out(accelerometer)
-    if not noticed:
+def left_out_sentence(accelerometer: AccelerometerResult) -> str:
+    """Return what the model leaves out and what that does at its typical size; empty if nothing."""
+    listed = []
+    for name, effects in decisive(accelerometer).items():
+        moved, to_moved = field_unit(accelerometer.coefficients[name].unit)
+        parts = []
+        for effect in effects:
+            unit, factor = field_unit(effect.unit)
+            shift = format_number(effect.shift * to_moved, 2)
+            size = format_number(effect.size * factor, 2)
+            parts.append(f"{shift} {moved} ({effect.symbol}, {size} {unit})")
+        listed.append(f"{name} by {', '.join(parts)}")
+    if not listed:
         return ""
-    unit, factor = field_unit(accelerometer.coefficients["K_II"].unit)
-    terms = []
-    for symbol, omitted in noticed.items():
-        its_unit, its_factor = field_unit(omitted.unit)
-        shift = format_number(abs(omitted.sensitivity) / its_factor * factor, 2)
-        terms.append(f"1 {its_unit} of {symbol} by {shift} {unit}")
-    return f"Not in the model, and so not in u: K_II would move with {'; '.join(terms)}."
+    return f"Not in the model, and so not in u; typical sizes would move {'; '.join(listed)}."
 
 
 def _correlation(r: float) -> str:

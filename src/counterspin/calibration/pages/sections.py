@@ -31,6 +31,7 @@ from counterspin.reports.numbers import (
     format_estimate,
     format_interval,
     format_number,
+    format_uncertainty,
 )
 
 #: Titles of what a fit is judged by; other keys are their own.
@@ -126,6 +127,9 @@ def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool, stands: boo
         interval = format_interval(value, u, half, unit if in_g else "")
         dof = f", {format_count(coefficient.dof)} dof" if coefficient.dof is not None else ""
         text += f"   (95 %: {interval}{dof})"
+    if coefficient.u_typical is not None:
+        typical = format_uncertainty(coefficient.u_typical * field_unit(coefficient.unit)[1])
+        text += f"; ± {typical} {unit} with what the model leaves out at typical sizes"
     return Paragraph(text, "answer")
 
 

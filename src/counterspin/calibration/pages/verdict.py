@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Final
 
-from counterspin.calibration.findings import noticed_if_left_out, supports
+from counterspin.calibration.findings import supports
+from counterspin.calibration.pages.accelerometer import left_out_sentence
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.reports.blocks import Block, Paragraph
@@ -33,6 +34,9 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     """
     assert accelerometer.state is not None
     opening = f"{name} {_OPENINGS[accelerometer.state]}"
+    left_out = left_out_sentence(accelerometer)
+    if left_out and accelerometer.state == "good":
+        opening += " if what its model leaves out is nothing"
     speaks_for = "; ".join(supports(accelerometer))
     if accelerometer.findings:
         sentences = [f"{opening}: {accelerometer.findings[0].text}"]
@@ -44,11 +48,7 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
             sentences.append(f"In its favour: {speaks_for}.")
     else:
         sentences = [f"{opening}: {speaks_for}." if speaks_for else f"{opening}."]
-    if zero := noticed_if_left_out(accelerometer):
-        sentences.append(
-            f"It rests on these being zero, which the model leaves out: {', '.join(zero)}."
-        )
-    return " ".join(sentences)
+    return " ".join([*sentences, left_out] if left_out else sentences)
 
 
 def verdict_blocks(result: Result) -> Iterator[Block]:

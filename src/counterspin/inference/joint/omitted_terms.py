@@ -4,13 +4,13 @@ An estimate is only as good as the terms it considers. A term that is neither es
 considered moves the estimates by its size times their sensitivity to it, and nothing in the
 uncertainty says so; hence the sensitivities are worked out and shown.
 
-- `sensitivities`: d(estimate)/d(coefficient of a term left out)
+- `sensitivities`: d(estimate)/d(coefficient of a term left out, or an input)
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -26,8 +26,10 @@ from counterspin.inference.joint.unknowns import Considered, Unknowns
 _ROWS: Final = 3072
 
 
-def sensitivities(fit: JointFit, terms: Sequence[Considered]) -> Array:
-    """Return what one unit of each term would move each unknown by.
+def sensitivities(
+    fit: JointFit, terms: Sequence[Considered], inputs: Mapping[str, float] | None = None
+) -> Array:
+    """Return what one unit of each term or input would move each unknown by.
 
     Long records are thinned evenly, all by the same factor, with the white noise reduced so that
     runs, priors and walk keep their weights; that changes the sensitivities by a few per cent at
@@ -39,17 +41,24 @@ def sensitivities(fit: JointFit, terms: Sequence[Considered]) -> Array:
         The solved problem.
     terms
         Terms that its model leaves out, q of them.
+    inputs
+        Inputs that its model takes as exact, r of them, with any size above 0.
 
     Returns
     -------
     Array
-        Shape (p, q), in the unknown's unit per unit of the term.
+        Shape (p, q + r), in the unknown's unit per unit of the term or input.
     """
     series = [prepared.series for prepared in fit.prepared]
     step = max(1, math.ceil(sum(record.time.size for record in series) / _ROWS))
-    model = Unknowns(fit.model.unknowns, tuple(terms))
+    model = Unknowns(fit.model.unknowns, tuple(terms), inputs)
     scale_factors = {record.accelerometer: 1.0 for record in series}
-    thinned = prepare_columns([_thinned(record, step) for record in series], model, scale_factors)
+    thinned = prepare_columns(
+        [_thinned(record, step) for record in series],
+        model,
+        scale_factors,
+        fit.solution.estimate[: len(fit.model.unknowns)],
+    )
     noise = {
         name: replace(
             level,

@@ -96,10 +96,16 @@ class TwoStageRequest:
 
         A unit of a coefficient of degree n has a b2 in proportion to R^n g^(1-n).
         """
+        radius, gravity = self.from_relative(symbol, value)
+        return (radius * self.u_radius, gravity * self.u_gravity)
+
+    @staticmethod
+    def from_relative(symbol: str, value: float) -> tuple[float, float]:
+        """Return what relative errors of 1 of radius and gravity would move an estimate by."""
         if symbol not in TERMS:
             return (0.0, 0.0)
         degree = len(TERMS[symbol].factors)
-        return (degree * value * self.u_radius, (degree - 1) * value * self.u_gravity)
+        return (-degree * value, (degree - 1) * value)
 
 
 def credible_limit(symbol: str) -> float:

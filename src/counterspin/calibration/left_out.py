@@ -1,0 +1,186 @@
+"""What a model leaves out: terms, and inputs stated as exact, at their typical sizes.
+
+An uncertainty knows only of what the model has. What it says nothing of moves the estimates all the
+same, by its size times their sensitivity to it: hence a second uncertainty with all of that at
+typical sizes, and the terms by name that decide it.
+
+- `joint_omissions`, `two_stage_omissions`: what each would move the coefficients by
+- `with_typical`: coefficients with the second uncertainty
+- `decisive`, `Effect`: what moves a coefficient by more than its u
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.joint_problem import exact_inputs, left_out_of
+from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, OmittedTerm
+from counterspin.campaign.resolved import Campaign
+from counterspin.inference.joint.omitted_terms import sensitivities
+from counterspin.inference.two_stage.request import TwoStageRequest
+from counterspin.inference.two_stage.second_stage import SecondStage
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.inputs import UNCERTAIN_INPUTS
+from counterspin.physics.shared_terms import term
+
+
+def joint_omissions(views: Sequence[AccelerometerView]) -> dict[str, dict[str, OmittedTerm]]:
+    """Return by accelerometer what each thing left out would move its coefficients by.
+
+    Of a term that every run has anew, the runs' effects are combined as independent ones. Nothing
+    is said where readings were fitted beside records, or alone.
+
+    Parameters
+    ----------
+    views
+        Of all accelerometers of one fit.
+    """
+    campaign, fit = views[0].campaign, views[0].fit
+    if not fit.prepared or any(view.readings for view in views):
+        return {view.name: {} for view in views}
+    terms = {view.name: left_out_of(campaign, view.name) for view in views}
+    # Accelerometers share the platform's terms, and all of them one set of columns.
+    every = list(dict.fromkeys(other for own in terms.values() for other in own))
+    inputs = exact_inputs(campaign)
+    moved = sensitivities(fit, every, inputs)
+    omissions: dict[str, dict[str, OmittedTerm]] = {}
+    for view in views:
+        places = list(view.places.values())
+        by_symbol: dict[str, list[Array]] = {}
+        for other in terms[view.name]:
+            effect = moved[places, every.index(other)]
+            by_symbol.setdefault(other.symbol, []).append(effect)
+        for place, symbol in enumerate(inputs, start=len(every)):
+            by_symbol[symbol] = [moved[places, place]]
+        omissions[view.name] = {
+            symbol: _omitted(
+                campaign,
+                symbol,
+                view.places,
+                effects[0] if len(effects) == 1 else np.linalg.norm(effects, axis=0),
+            )
+            for symbol, effects in by_symbol.items()
+        }
+    return omissions
+
+
+def two_stage_omissions(
+    campaign: Campaign, second: SecondStage, request: TwoStageRequest
+) -> dict[str, OmittedTerm]:
+    """Return what the things of which nothing is known would move the second stage's estimates by.
+
+    Parameters
+    ----------
+    campaign
+        The description.
+    second
+        The second stage; it ignores these terms.
+    request
+        What was asked of it.
+    """
+    omissions = {
+        symbol: _omitted(campaign, symbol, second.symbols, second.shift(symbol))
+        for symbol in second.ignored
+    }
+    for place, symbol in enumerate(("centrifuge.radius", "site.gravity")):
+        if symbol not in exact_inputs(campaign):
+            continue
+        size = (campaign.radius, campaign.gravity)[place].value
+        effects = [
+            request.from_relative(name, second.estimate(name)[0])[place] / size
+            for name in second.symbols
+        ]
+        omissions[symbol] = _omitted(campaign, symbol, second.symbols, np.array(effects))
+    return omissions
+
+
+def _omitted(
+    campaign: Campaign, symbol: str, coefficients: Sequence[str] | Mapping[str, int], effects: Array
+) -> OmittedTerm:
+    moves = {
+        name: float(effect)
+        for name, effect in zip(coefficients, effects, strict=True)
+        if name in TERMS
+    }
+    known = UNCERTAIN_INPUTS.get(symbol)
+    return OmittedTerm(
+        sensitivity=moves.get("K_II"),
+        unit=known.unit if known else term(symbol).unit,
+        typical=known.typical if known else campaign.model.typical[symbol],
+        moves=moves,
+    )
+
+
+def with_typical(
+    coefficients: Mapping[str, Coefficient], omissions: Mapping[str, OmittedTerm]
+) -> dict[str, Coefficient]:
+    """Return coefficients with `u_typical`: u with all that is left out at its typical size.
+
+    Parameters
+    ----------
+    coefficients
+        Of one accelerometer.
+    omissions
+        What its model leaves out.
+    """
+    if not omissions:
+        return dict(coefficients)
+    return {
+        symbol: c.model_copy(
+            update={
+                "u_typical": math.hypot(
+                    c.u,
+                    *(
+                        omitted.moves.get(symbol, 0.0) * (omitted.typical or 0.0)
+                        for omitted in omissions.values()
+                    ),
+                )
+            }
+        )
+        if c.estimated and c.u is not None and symbol in TERMS
+        else c
+        for symbol, c in coefficients.items()
+    }
+
+
+@dataclass(frozen=True)
+class Effect:
+    """What one thing left out does to a coefficient at its typical size.
+
+    Attributes
+    ----------
+    symbol, size, unit
+        The term or input, and the standard uncertainty assumed of it.
+    shift
+        What it moves the coefficient by, in the coefficient's unit.
+    """
+
+    symbol: str
+    size: float
+    unit: str
+    shift: float
+
+
+def decisive(accelerometer: AccelerometerResult) -> dict[str, list[Effect]]:
+    """Return by coefficient, K_II first, what would move it by more than its u, the largest first.
+
+    Results of versions that did not state sizes are judged by those of today's table.
+    """
+    effects: dict[str, list[Effect]] = {}
+    for name in sorted(accelerometer.coefficients, key=lambda name: name != "K_II"):
+        c = accelerometer.coefficients[name]
+        if not c.estimated or not c.u:
+            continue
+        for symbol, omitted in accelerometer.left_out.items():
+            size = term(symbol).typical if omitted.typical is None else omitted.typical
+            moves = omitted.moves or {"K_II": omitted.sensitivity or 0.0}
+            shift = abs(moves.get(name, 0.0)) * size
+            if shift > c.u:
+                effects.setdefault(name, []).append(Effect(symbol, size, omitted.unit, shift))
+    return {name: sorted(own, key=lambda effect: -effect.shift) for name, own in effects.items()}
