@@ -26,6 +26,9 @@ from counterspin.reports.text import Report
 
 _LINES: Final = 6  #: of a budget
 
+#: Deviations from which on a fit that estimates a fault nearly always finds it (5 % each way).
+_FOUND: Final = 4.0
+
 #: How limits are changed that are no sizes.
 _CHANGES: Final = {"senses": "both senses instead", "fewest_rates": "one fewer"}
 
@@ -147,6 +150,7 @@ def _accelerometer(
     for symbol, lines in accelerometer.budget.items():
         if f"{name}.{symbol}" in sought:
             yield from _budget(result, name, symbol, lines)
+    yield from _faults(name, accelerometer)
 
 
 def _advice(result: PlanResult, terms: list[str]) -> str:
@@ -191,6 +195,52 @@ def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine])
             Column("Share of u^2", "right", wraps=True),
         ),
         tuple((*row, format_share(share)) for share, row in rows[:_LINES]),
+    )
+
+
+def _faults(name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
+    """Say what would move K_II unseen, and how much of it rests on a harmonic."""
+    if accelerometer.harmonic_share is None:
+        return
+    yield Heading(f"What these runs cannot notice of {name}")
+    unseen = [effect for effect in accelerometer.faults if not effect.noticed]
+    seen = [effect for effect in accelerometer.faults if effect.noticed]
+    if unseen:
+        yield Paragraph(
+            "Outside the model, at typical sizes, each by itself: it moves K_II by more than its "
+            "u, and the residuals look like noise. Found or open: if it were a term of the fit."
+        )
+        yield Table(
+            (
+                Column("What", wraps=True),
+                Column("Of", "right"),
+                Column("K_II by", "right"),
+                Column("As a term"),
+            ),
+            tuple(
+                (
+                    f"{effect.words} ({effect.symbol})",
+                    _in_field_unit(effect.size, effect.unit),
+                    f"{effect.ratio:.3g} u" if effect.ratio < 1e3 else f"{effect.ratio:.0f} u",
+                    "found" if effect.deviation > _FOUND else "open",
+                )
+                for effect in unseen
+            ),
+        )
+        yield Paragraph(
+            "Take what is known of them into model.considered, or into model.terms where the "
+            "records would find it, and plan again."
+        )
+    else:
+        yield Paragraph("Nothing outside the model moves K_II by more than its u unnoticed.")
+    if seen:
+        named = ", ".join(effect.symbol for effect in seen)
+        yield Paragraph(f"The residuals would show: {named}.")
+    share = accelerometer.harmonic_share
+    part = "Less than 0.1" if abs(share) < 1e-3 else format_number(100.0 * share, 2)
+    yield Paragraph(
+        f"{part} % of K_II rests on its second harmonic, which an eccentric encoder and imbalance "
+        "imitate; the rest on the mean of a_I^2.",
     )
 
 
@@ -255,7 +305,7 @@ def _requirements(result: PlanResult) -> Iterator[Block]:
 
 def _size(line: Requirement) -> str:
     if line.size is None:
-        return "no matter"
+        return "no limit"
     unit, factor = line.unit, 1.0
     if line.unit == "1":
         unit, factor = "ppm", 1e6
@@ -280,6 +330,11 @@ def _unit(name: str) -> str:
 def _spoken(name: str) -> str:
     owner, _, symbol = name.partition(".")
     return name if owner == "platform" else f"{symbol} of {owner}"
+
+
+def _in_field_unit(size: float, unit: str) -> str:
+    shown, factor = field_unit(unit)
+    return f"{format_number(size * factor, 2)} {shown}"
 
 
 def _u(predicted: Predicted) -> str:

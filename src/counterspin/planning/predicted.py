@@ -8,13 +8,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Final
 
 from counterspin.calibration.joint_parts import budget_lines, coefficient
 from counterspin.calibration.result_parts import ConfoundedTerms
 from counterspin.campaign.resolved import Campaign
+from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.accelerometer import TERMS
+from counterspin.planning.faults import faults_of, mean_square, square, watch
 from counterspin.planning.forecast import Forecast
-from counterspin.planning.result import PlannedAccelerometer, PlannedRun, Predicted
+from counterspin.planning.result import FaultEffect, PlannedAccelerometer, PlannedRun, Predicted
+
+#: Probability of failing the test of the residuals from which on a fault counts as noticed.
+_NEARLY_ALWAYS: Final = 0.95
 
 
 def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
@@ -28,6 +34,8 @@ def _accelerometer(prediction: Forecast, name: str) -> PlannedAccelerometer:
     coefficients = {symbol: _predicted(prediction, index) for symbol, index in own.items()}
     campaign = prediction.campaign
     others = [f"{other}." for other in campaign.accelerometers if other != name]
+    determined = "K_II" in coefficients and coefficients["K_II"].estimated
+    share, faults = _faults(prediction, name, own["K_II"]) if determined else (None, [])
     return PlannedAccelerometer(
         coefficients={s: coefficients[s] for s in campaign.model.terms if s in coefficients},
         budget={
@@ -46,7 +54,36 @@ def _accelerometer(prediction: Forecast, name: str) -> PlannedAccelerometer:
             for item in prediction.assessment.confounded
             if not any(t.startswith(other) for t in item.terms for other in others)
         ],
+        harmonic_share=share,
+        faults=faults,
     )
+
+
+def _faults(prediction: Forecast, name: str, k_ii: int) -> tuple[float, list[FaultEffect]]:
+    """Return what of K_II rests on the second harmonic, and which faults would move it."""
+    faults = faults_of(prediction.campaign, name)
+    watched = watch(prediction, [*faults, mean_square(name), square(name)])
+    *_, of_mean, of_square = (float(moved[k_ii, 0]) for moved in watched.moved)
+    u = float(prediction.fit.solution.u[k_ii])
+    effects = []
+    for place, fault in enumerate(faults):
+        shift = watched.shift(place, k_ii)
+        if shift > u:
+            detection = watched.detection(place, k_ii, name, SIGNIFICANCE)
+            effects.append(
+                FaultEffect(
+                    symbol=fault.symbol,
+                    words=fault.words,
+                    size=fault.size,
+                    unit=fault.unit,
+                    shift=shift,
+                    ratio=shift / u,
+                    deviation=watched.deviation(place, k_ii),
+                    detection=detection,
+                    noticed=detection >= _NEARLY_ALWAYS,
+                )
+            )
+    return 1.0 - of_mean / of_square, sorted(effects, key=lambda effect: -effect.shift)
 
 
 def platform_of(prediction: Forecast) -> dict[str, Predicted]:

@@ -15,11 +15,15 @@ from counterspin.calibration.joint_parts import unit_of
 from counterspin.campaign.resolved import Campaign, sample_count
 from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns
+from counterspin.planning.faults import ECCENTRICITY, IMBALANCE, watch
 from counterspin.planning.forecast import expected_values, forecast
 from counterspin.planning.result import Requirement
 
 #: A fault that adds this part of u in quadrature makes u grow by a twentieth.
 _ADDED: Final = math.sqrt(1.05**2 - 1.0)
+
+#: No centrifuge has larger faults; a length is a part of the radius.
+_LARGEST: Final = {"rad": 0.1, "s": 1.0, "1/s": 1e-2, "1": 0.1}
 
 
 def requirements_of(
@@ -69,6 +73,8 @@ def requirements_of(
     of_input = dict(zip(inputs, row[len(rotation) :], strict=True))
     rates = np.array([run.rate for run in campaign.runs])
     radius = next(key for key in inputs if key.endswith("radius"))
+    machine = watch(base, [ECCENTRICITY, IMBALANCE])
+    eccentricity, imbalance = (machine.sensitivity(fault, place) for fault in range(2))
     lines = [
         ("radius known to", of_input[radius], "m"),
         (
@@ -79,12 +85,23 @@ def requirements_of(
         ("rate known to, relative, the same for all runs", float(of_run[:, 1] @ rates), "1"),
         ("angle's zero, a new one in each run", _norm(of_run[:, 0]), "rad"),
         ("angle noise, a sample", _angle_noise(campaign, of_run, sampling_rate), "rad"),
+        (f"{ECCENTRICITY.words}, the same in all runs", eccentricity, "rad"),
+        (IMBALANCE.words, imbalance, "m"),
         ("clock of the angle against that of the output", of_input[TIMING], "s"),
     ]
+    largest = {**_LARGEST, "m": _LARGEST["1"] * campaign.radius.value}
     return words, [
-        Requirement(words=text, size=allowed / abs(sensitivity) if sensitivity else None, unit=unit)
+        Requirement(
+            words=text,
+            size=size if (size := _over(allowed, abs(sensitivity))) <= largest[unit] else None,
+            unit=unit,
+        )
         for text, sensitivity, unit in lines
     ]
+
+
+def _over(allowed: float, sensitivity: float) -> float:
+    return allowed / sensitivity if sensitivity > 0.0 else math.inf
 
 
 def _norm(values: Array) -> float:

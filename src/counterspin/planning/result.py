@@ -37,12 +37,52 @@ class Predicted(ResultPart):
     estimated: bool
 
 
+class FaultEffect(ResultPart):
+    """Something that the model leaves out, and that would move K_II by more than its u.
+
+    Attributes
+    ----------
+    symbol, words
+        As in the table of terms, or as it would stand there; what it is called.
+    size, unit
+        At which it is taken: a typical one where nothing is known.
+    shift
+        Of K_II, g/g^2, without sign; of parts with unknown phase the largest, of those that each
+        run has anew the root of the sum of squares.
+    ratio
+        The shift over u(K_II).
+    deviation
+        Standard deviations that the best test for it would see: a fit that estimates it.
+    detection
+        Probability that the residuals of the fit that leaves it out fail their test.
+    noticed
+        Whether they nearly always do.
+    """
+
+    symbol: str
+    words: str
+    size: float
+    unit: str
+    shift: float
+    ratio: float
+    deviation: float
+    detection: float
+    noticed: bool
+
+
 class PlannedAccelerometer(ResultPart):
-    """What the campaign will tell of one accelerometer."""
+    """What the campaign will tell of one accelerometer.
+
+    `harmonic_share` is the part of K_II's estimate that rests on the second harmonic of the
+    revolution, the rest being the mean of a_I^2; `faults` the largest first; both only where K_II
+    is estimated and determined.
+    """
 
     coefficients: dict[str, Predicted]
     budget: dict[str, list[BudgetLine]]
     confounded: list[ConfoundedTerms]
+    harmonic_share: float | None = None
+    faults: list[FaultEffect] = []
 
 
 class GoalResult(ResultPart):
@@ -80,7 +120,10 @@ class LimitResult(ResultPart):
 
 
 class Requirement(ResultPart):
-    """How large a fault of the centrifuge may be before u of the goal grows by a twentieth."""
+    """How large a fault of the centrifuge may be before u of the goal grows by a twentieth.
+
+    `size` is None where any size that can occur would do.
+    """
 
     words: str
     size: float | None

@@ -1,0 +1,70 @@
+"""How good the centrifuge must be."""
+
+import tomllib
+
+import pytest
+
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.starter import init
+from counterspin.planning.faults import ECCENTRICITY, IMBALANCE, watch
+from counterspin.planning.forecast import forecast
+from counterspin.planning.page import render_plan
+from counterspin.planning.plan import check, plan
+from counterspin.planning.toml_text import write_document
+from counterspin.reports.text import report_console
+
+SMALL = ('total_time = "700 s"', 'total_time = "240 s"')
+
+
+def test_requirements_make_u_a_twentieth_larger(starter, tmp_path):
+    planned = plan(starter(SMALL))
+    radius = next(line for line in planned.result.requirements if "radius" in line.words)
+    document = tomllib.loads(planned.document)
+    document["centrifuge"]["radius"] = f"2.5 ± {radius.size!r} m"
+    document["truth"]["Qx"] = {"K_II": "1e-4 g/g^2"}
+    (tmp_path / "campaign.toml").write_text(write_document(document), encoding="utf-8")
+    after = forecast(read_campaign(tmp_path)).u["Qx.K_II"]
+    before = planned.result.accelerometers["Qx"].coefficients["K_II"].u
+    # As large as the requirement is stated for, and u^2 grows by 1.05^2.
+    assert after / before == pytest.approx(1.05, rel=1e-3)
+
+
+def test_eccentricity_and_imbalance_at_which_u_is_a_twentieth_larger(starter):
+    force = [
+        SMALL,
+        ('displacement = "0.01 m"', 'specific_force = "1e-4 g"'),
+        ("bias = ", 'specific_force = { column = "f", unit = "m/s^2" }\nbias = '),
+    ]
+    planned = plan(starter(*force))
+    prediction = forecast(planned_campaign(planned, starter))
+    place = [u.name for u in prediction.fit.model.unknowns].index("Qx.K_II")
+    watched = watch(prediction, [ECCENTRICITY, IMBALANCE])
+    sizes = {line.words: line.size for line in planned.result.requirements}
+    for index, words in enumerate(("eccentric encoder", "imbalance")):
+        size = next(size for key, size in sizes.items() if words in key)
+        added = watched.sensitivity(index, place) * size / prediction.u["Qx.K_II"]
+        assert 1.0 + added**2 == pytest.approx(1.05**2, rel=1e-9)
+    # A second of arc would be far too much, where a force is recorded.
+    assert watched.shift(0, place) > 10.0 * prediction.u["Qx.K_II"]
+
+
+def planned_campaign(planned, starter):
+    """Return the campaign that a plan has written."""
+    file = starter().parent / "campaign.toml"
+    file.write_text(planned.document, encoding="utf-8")
+    return read_campaign(file)
+
+
+def test_sizes_that_cannot_occur_are_no_limit(tmp_path, capsys):
+    result = check(init(tmp_path / "example").parent)
+    sizes = {line.words: line.size for line in result.requirements}
+    # Of 1.8e6 rad and 1.7e5 s these runs need to know nothing.
+    assert sizes["angle's zero, a new one in each run"] is None
+    assert sizes["clock of the angle against that of the output"] is None
+    assert all(size is None or size < 1.0 for size in sizes.values())
+    console = report_console()
+    console.width = 120
+    console.print(render_plan(result))
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "angle's zero, a new one in each run no limit" in printed
+    assert "clock of the angle against that of the output no limit" in printed
