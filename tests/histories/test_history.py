@@ -195,9 +195,23 @@ def without_term():
     return made
 
 
+def contradicted(**more):
+    made = result(**more)
+    made["accelerometers"]["Qx"]["residual"] |= {"chi2": 6400.0, "dof": 100.0, "lack_of_fit_p": 0}
+    return made
+
+
+def test_a_misfit_that_was_accepted_has_its_place(tmp_path):
+    accepted = contradicted(state="contradicted", accepted_misfit="known play of the arm")
+    accepted["accelerometers"]["Qx"] |= {"state": "contradicted"}
+    found = history([stored(tmp_path, good=result(run="1"), other=accepted)])
+    assert len(only(found).points) == 2
+
+
 @pytest.mark.parametrize(
     ("document", "reason"),
     [
+        (contradicted(), "its records contradict it: The residuals are 8 times"),
         (result(date=None), "has no date"),
         (result(date="last spring"), 'its date "last spring" cannot be read'),
         (result(serial=None), "has no serial number"),

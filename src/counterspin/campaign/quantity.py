@@ -11,6 +11,7 @@ Where the site's gravity is given, m/s^2 and g convert into each other.
 - `Quantity`: value, standard uncertainty, unit
 - `parse`: text to `Quantity` in the unit that is wanted
 - `unit_factor`: the factor from one unit to another
+- `NUMBER`, `PLUS_MINUS`: patterns of a number and of the sign before an uncertainty
 """
 
 from __future__ import annotations
@@ -103,12 +104,12 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
 #: Sizes of measured quantities, in SI and g-units; squares of sizes outside could overflow.
 _SIZE_RANGE: Final = (1e-60, 1e60)
 
-_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_SIGN = r"\s*(?:±|\+/-|\+-)\s*"
-_QUANTITY = re.compile(rf"({_NUMBER})(?:{_SIGN}({_NUMBER}))?(?:\s+|(?=[^\d.\s]))(.*)")
-_BARE = re.compile(rf"{_NUMBER}(?:{_SIGN}{_NUMBER})?")
+NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+PLUS_MINUS: Final = r"\s*(?:±|\+/-|\+-)\s*"
+_QUANTITY = re.compile(rf"({NUMBER})(?:{PLUS_MINUS}({NUMBER}))?(?:\s+|(?=[^\d.\s]))(.*)")
+_BARE = re.compile(rf"{NUMBER}(?:{PLUS_MINUS}{NUMBER})?")
 # After a value: its unit, and an uncertainty with or without its own.
-_UNIT_TWICE = re.compile(rf"([^±]*?){_SIGN}({_NUMBER})\s*([^±]*)")
+_UNIT_TWICE = re.compile(rf"([^±]*?){PLUS_MINUS}({NUMBER})\s*([^±]*)")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)\b", re.IGNORECASE)
 # A name, perhaps with a power, the 1 of "1/s", or what joins them. Nothing else is evaluated.
 _FACTOR = re.compile(

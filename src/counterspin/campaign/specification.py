@@ -18,7 +18,7 @@ from typing import Annotated, Any, Final, get_args
 from pydantic import AfterValidator, PlainValidator
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
-from counterspin.campaign.quantity import parse
+from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.settings import SettingsSection, exact
 from counterspin.inference.conformity import DecisionRule, RuleName
 from counterspin.physics.accelerometer import TERMS
@@ -30,10 +30,9 @@ _PLATFORM_TERM_REFUSAL: Final = (
     "belongs to the platform; only an accelerometer's terms are specified"
 )
 
-_NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
-_RANGE = re.compile(rf"({_NUMBER})\s+to\s+({_NUMBER})\s*(\S.*)")
+_RANGE = re.compile(rf"({NUMBER})\s+to\s+({NUMBER})\s*(\S.*)")
 _BOUND = re.compile(r"(abs\s*)?(<=|>=)\s*(.*)")
-_TOLERANCE = re.compile(r"±|\+/-|\+-")
+_TOLERANCE = re.compile(PLUS_MINUS)
 
 
 @dataclass(frozen=True)

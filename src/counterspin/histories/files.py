@@ -14,6 +14,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
 from counterspin.errors import CampaignError, RecordError
 from counterspin.histories.result import UnusedResult
@@ -147,7 +148,7 @@ def _is_other(content: bytes) -> str | None:
 
 def _enter(file: Path, term: str, collected: Collected) -> None:
     try:
-        result = Result.read(file)
+        result = judge_result(Result.read(file))
     except RecordError as error:
         reason = str(error).removeprefix(f"{file}: ")
         collected.damaged.append(UnusedResult(file=str(file), reason=reason))
@@ -175,8 +176,8 @@ def _record(
         return f"has no {term}"
     if not coefficient.estimated or coefficient.value is None or not coefficient.u:
         return f"does not determine {term}"
-    if result.model == "as-printed":
-        return "is of the equations as printed, which return half the true K_II"
+    if (wrong := _wrong(result, name)) is not None:
+        return wrong
     if own is None and whole is None:
         return "has no serial number; state it in [accelerometers] or [campaign]"
     if isinstance(date, str):
@@ -199,6 +200,15 @@ def _record(
             if not input_file.endswith(".toml") and checksum.startswith("sha256:")
         ),
     )
+
+
+def _wrong(result: Result, name: str) -> str | None:
+    """Return why a result is not to be used at all, if it is not."""
+    if result.model == "as-printed":
+        return "is of the equations as printed, which return half the true K_II"
+    if refusal(result, [name]) is not None:
+        return f"its records contradict it: {result.accelerometers[name].findings[0].text}"
+    return None
 
 
 def _date(text: str | None) -> datetime | str:
