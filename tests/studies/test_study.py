@@ -15,6 +15,8 @@ from scipy import stats
 from counterspin import workers
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
+from counterspin.inference.joint.estimation import estimate
+from counterspin.studies import full_engine
 from counterspin.studies import work as study_work
 from counterspin.studies.analyses import analyses_of
 from counterspin.studies.choice import choose_engine, prepare
@@ -191,6 +193,54 @@ def test_uncertain_gravity_and_radius_are_in_u_as_calibrate_has_them(tmp_path, e
     k_ii, k_f = np.abs(found.estimate[:, 0])
     expected = [np.hypot(2e-3, 5e-4) * k_ii, 5e-4 * k_f]
     assert np.sqrt(found.u**2 - without.u**2)[:, 0] == pytest.approx(expected, rel=1e-6)
+
+
+def two_stage_part(folder, noise):
+    """Return the world, the truth and the engine of the two-stage analysis of a short plan."""
+    given = '[noise]\ndisplacement = "0.01 m"'
+    assert given in SHORT
+    analysis = '[study.analyses.two-stage]\nmethod = "two-stage"\n'
+    description = read_study(write(folder, SHORT.replace(given, noise) + analysis))
+    world, truth = world_and_truth(description)
+    (analysis,) = analyses_of(description)
+    return world, truth, choose_engine(world, truth, analysis, "auto")
+
+
+@pytest.mark.parametrize(
+    ("noise", "reason"),
+    [
+        ('acceleration = "1e-5 g/Hz^0.5"', "the noise that the analysis assumes is not white"),
+        ('acceleration = "estimate"', "the accelerometer's noise has to be found"),
+        ('timing = "1e-3 s"', "recorded time that the analysis assumes"),
+    ],
+)
+def test_analysis_that_assumes_other_noise_than_white_needs_whole_records(tmp_path, noise, reason):
+    _, truth, part = two_stage_part(tmp_path / "a", f'[noise]\ndisplacement = "0.01 m"\n{noise}')
+    assert part.kind == "full"
+    assert reason in part.words
+    draws = truth.draw(stream(3, 0, 0), 2)
+    found = part.engine.trials(draws, stream(3, 0, 1))
+    assert np.all(np.abs(found.estimate[0] - draws.mean("Qx", "K_II")) < 5.0 * found.u[0])
+    plain = two_stage_part(tmp_path / "b", '[noise]\ndisplacement = "0.01 m"')[2].engine
+    assert np.all(found.u[1] > 1.01 * plain.trials(draws, stream(3, 0, 1)).u[1])
+
+
+def test_study_claims_the_u_of_the_joint_fit_whole(tmp_path, monkeypatch):
+    """Noise that the records do not show is part of it."""
+    unstated = SHORT.replace('[noise]\ndisplacement = "0.01 m"', "")
+    text = unstated + '[study.analyses.joint]\nmethod = "joint"\n'
+    truth, ((made,),) = engines(write(tmp_path / "a", text), "auto")
+    estimates = []
+
+    def remembered(*arguments):
+        estimates.append(estimate(*arguments))
+        return estimates[-1]
+
+    monkeypatch.setattr(full_engine, "estimate", remembered)
+    found = made.trials(truth.draw(stream(3, 0, 0), 1), stream(3, 0, 1))
+    (fit,) = (one.fit for one in estimates)
+    assert fit.unseen
+    assert found.u[:, 0] == pytest.approx(fit.solution.u[list(made.rows)], rel=1e-12)
 
 
 def test_noise_levels_vary(tmp_path):

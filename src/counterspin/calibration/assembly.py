@@ -26,6 +26,7 @@ from counterspin.calibration.result_parts import (
     RunResult,
 )
 from counterspin.calibration.two_stage import two_stage
+from counterspin.calibration.two_stage_request import noise_found
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.joint.unknowns import ROTATION
 
@@ -125,8 +126,9 @@ def _in_two_stages(
     campaign: Campaign, observed: Sequence[ObservedRun], options: TwoStageOptions
 ) -> dict[str, Any]:
     campaign.require_records("the two-stage method")
+    noise = noise_found(campaign, observed)
     outcomes = {
-        name: two_stage(campaign, observed, accelerometer, options)
+        name: two_stage(campaign, observed, accelerometer, options, noise)
         for name, accelerometer in campaign.accelerometers.items()
     }
     return {

@@ -5,6 +5,7 @@ numbers of the result itself, ranks them and sets the states; pages only draw th
 
 - `judge_result`: a result with its findings and states
 - `refusal`: why a result may not be certified or applied
+- `hidden_noise`: the finding that most of u is noise that the records do not show
 - `lack_of_fit`: the finding that residuals are not noise; `equivalent_deviations`: its size
 - `supports`: what speaks for a result
 - `CONTRADICTS`, `TOO_LARGE`, `LARGEST_WALK`: the limits
@@ -33,6 +34,9 @@ CONTRADICTS: Final = 6.0
 
 #: Residuals so many times as large as the noise: the uncertainty is not of these records.
 TOO_LARGE: Final = 2.0
+
+#: Share of u^2 from which noise that the records do not show is spoken of.
+_HIDDEN_SHARE: Final = 0.5
 
 #: Largest credible white noise of an inertial accelerometer, g/Hz^0.5.
 LARGEST_WALK: Final = 5e-4
@@ -186,6 +190,18 @@ def _misfit(name: str, residual: Residual) -> Iterator[Finding]:
     )
     text = f"The residuals {what} (p = {format_number(p, 2)})."
     yield lack_of_fit(name, [text], residual)
+
+
+def hidden_noise(name: str, share: float) -> list[Finding]:
+    """Return a finding where noise that the records do not show is most of u^2 of K_II."""
+    if share < _HIDDEN_SHARE:
+        return []
+    text = (
+        f"{share:.0%} of u^2 of K_II is white noise of the accelerometer that the records do not "
+        "show and cannot exclude. If it is known, or known to be none, state it as acceleration "
+        "in [noise]; else record longer runs."
+    )
+    return [Finding(code="hidden-noise", subject=f"{name}.K_II", text=text, size=share)]
 
 
 def lack_of_fit(name: str, sentences: Sequence[str], residual: Residual) -> Finding:

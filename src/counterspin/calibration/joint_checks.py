@@ -10,23 +10,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Final
 
 from counterspin.calibration import two_stage
-from counterspin.calibration.findings import lack_of_fit
+from counterspin.calibration.findings import hidden_noise, lack_of_fit
 from counterspin.calibration.joint_parts import residual
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.readings import readings_fit
 from counterspin.calibration.result_parts import Comparison, Finding, Jackknife
+from counterspin.calibration.two_stage_request import walk_is_stated
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.joint import encoder
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
-
-#: Share of u^2 from which noise that the records do not show is spoken of.
-_HIDDEN_SHARE: Final = 0.5
 
 
 def jackknife(view: AccelerometerView) -> list[Jackknife]:
@@ -98,9 +95,10 @@ def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Compari
     index = view.k_ii
     if index is None:
         return None
+    found = {} if walk_is_stated(view.campaign) else view.estimate.components
     try:
         other, stage = two_stage.k_ii(
-            view.campaign, observed, view.accelerometer, TwoStageOptions()
+            view.campaign, observed, view.accelerometer, TwoStageOptions(), found
         )
     except (NotIdentifiableError, RecordError):
         return None
@@ -161,15 +159,7 @@ def hidden_walk(view: AccelerometerView) -> list[Finding]:
     if index is None or name not in view.fit.unseen:
         return []
     variance = float(view.fit.unseen[name][1][index, index])
-    share = variance / float(view.fit.solution.u[index]) ** 2
-    if share < _HIDDEN_SHARE:
-        return []
-    text = (
-        f"{share:.0%} of u^2 of K_II is white noise of the accelerometer that the records do not "
-        "show and cannot exclude. If it is known, or known to be none, state it as acceleration "
-        "in [noise]; else record longer runs."
-    )
-    return [Finding(code="hidden-noise", subject=f"{name}.K_II", text=text, size=share)]
+    return hidden_noise(name, variance / float(view.fit.solution.u[index]) ** 2)
 
 
 def unseen_ripple(view: AccelerometerView) -> list[Finding]:

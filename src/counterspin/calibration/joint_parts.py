@@ -1,6 +1,7 @@
 """The parts of a joint result that are read off the solution: values, budgets, correlations.
 
-- `coefficient`, `budget_lines`, `correlation`, `confounded`, `residual`, `noise_lines`
+- `coefficient`, `budget_lines`, `correlation`, `confounded`, `residual`, `noise_lines`,
+  `record_noise`
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from counterspin.inference.joint.budget import ENCODER, NOISE, UNSEEN, Line, bud
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.unknowns import ROTATION
+from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.variance_components import VarianceComponents
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import term
@@ -194,9 +197,14 @@ def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     """Return the noise used, component by component, given or estimated."""
     if not view.has_records:
         return readings_noise(view.readings)
-    noise = view.fit.noise[view.name]
     components = view.estimate.components.get(view.name)
-    observable = view.accelerometer.observable
+    return record_noise(view.fit.noise[view.name], components, view.accelerometer.observable)
+
+
+def record_noise(
+    noise: NoiseModel, components: VarianceComponents | None, observable: str
+) -> dict[str, NoiseLine]:
+    """Return noise of records, component by component, given or estimated."""
     unit = OBSERVABLES[observable]
     lines = {}
     for place, (part, label, its_unit) in enumerate(

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from counterspin.calibration.joint_parts import record_noise
 from counterspin.calibration.left_out import two_stage_omissions, with_typical
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
@@ -34,8 +35,11 @@ from counterspin.calibration.two_stage_findings import (
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.inference.distributions import chi_square_tail
+from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.variance_components import VarianceComponents
 from counterspin.inference.two_stage import strobes as strobing
-from counterspin.inference.two_stage.first_stage import Parabola, first_stage
+from counterspin.inference.two_stage.first_stage import Parabola
+from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
 from counterspin.physics.accelerometer import TERMS
@@ -57,6 +61,7 @@ def two_stage(
     observed: Sequence[ObservedRun],
     accelerometer: Accelerometer,
     options: TwoStageOptions,
+    found: Mapping[str, VarianceComponents],
 ) -> TwoStageOutcome:
     """Apply the two-stage method to one accelerometer.
 
@@ -68,6 +73,9 @@ def two_stage(
         The campaign's runs.
     options
         Model, weighting and so on.
+    found
+        Noise that the campaign does not state, by accelerometer: see
+        `counterspin.calibration.two_stage_request.noise_found`.
 
     Returns
     -------
@@ -81,23 +89,25 @@ def two_stage(
     RecordError
         If a run has too few strobes.
     """
+    components = found.get(accelerometer.name)
     request = request_of(campaign, accelerometer, options)
+    if components is not None:
+        request = request.with_noise(components.noise)
     ignored = unmodelled(campaign, accelerometer)
-    runs, second = _both_stages(observed, accelerometer, request, ignored)
+    runs, second = _both_stages(observed, accelerometer, request, ignored, components)
     unknowns = _unknowns(campaign, second, request)
     exact = options.model == "exact"
     omissions = two_stage_omissions(campaign, second, request) if exact else {}
     estimates = _coefficients(campaign, accelerometer, second, unknowns)
     coefficients = with_typical(estimates, omissions)
-    walk = request.random_walk
     parabolas = [run.parabola for run in runs]
     result = AccelerometerResult(
         coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
         second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
         correlation=_correlation(second, coefficients),
         confounded=confounded(second, unknowns),
-        residual=_residual(parabolas, walk),
-        noise=_noise_lines(parabolas, walk),
+        residual=_residual(parabolas, components),
+        noise=_noise_lines(parabolas, request, components),
         left_out=omissions,
         findings=findings(campaign, accelerometer.name, runs, second, coefficients, options.model),
         **described(accelerometer, coefficients),
@@ -112,10 +122,12 @@ def _both_stages(
     accelerometer: Accelerometer,
     request: TwoStageRequest,
     ignored: Sequence[str],
+    components: VarianceComponents | None,
 ) -> tuple[tuple[StrobedRun, ...], SecondStage]:
     """Strobe the runs of one accelerometer, fit parabolas and resolve them.
 
-    `ignored` are terms of which nothing is known and whose effects are wanted.
+    `ignored` are terms of which nothing is known and whose effects are wanted; `components` are
+    those of noise that was found.
     """
     runs = tuple(_strobed(run, accelerometer, request) for run in observed)
     second = second_stage(runs, accelerometer.mounting, request, ignored=ignored)
@@ -123,6 +135,8 @@ def _both_stages(
         # K_II grows with the rate's fourth power, and so along a drift that is now known.
         runs = tuple(_drifting(run, second.estimate(DRIFT)[0]) for run in runs)
         second = second_stage(runs, accelerometer.mounting, request, ignored=ignored)
+    if components is not None:
+        second = with_found_noise(second, runs, components)
     return runs, second
 
 
@@ -131,6 +145,7 @@ def k_ii(
     observed: Sequence[ObservedRun],
     accelerometer: Accelerometer,
     options: TwoStageOptions,
+    found: Mapping[str, VarianceComponents],
 ) -> tuple[Coefficient, SecondStage]:
     """Return the K_II of `two_stage` and where it comes from, without the rest of its result.
 
@@ -140,9 +155,12 @@ def k_ii(
         As `two_stage`.
     """
     # Whether K_II is alone depends on what was asked for beside it, and on nothing else.
+    components = found.get(accelerometer.name)
     request = request_of(campaign, accelerometer, options)
+    if components is not None:
+        request = request.with_noise(components.noise)
     ignored = asked_only(campaign, accelerometer)
-    _, second = _both_stages(observed, accelerometer, request, ignored)
+    _, second = _both_stages(observed, accelerometer, request, ignored, components)
     unknowns = _unknowns(campaign, second, request)
     return _coefficients(campaign, accelerometer, second, unknowns)["K_II"], second
 
@@ -164,7 +182,7 @@ def _strobed(
     else:
         angle = run.trajectory.spindle.angle(time)
         strobes = strobing.by_angle(time, angle, error, phase, count)
-    parabola = first_stage(strobes, request.sigma, request.random_walk)
+    parabola = request.first_stage(strobes, run.trajectory)
     return StrobedRun(run.run.name, run.trajectory, parabola, run.run.attitude)
 
 
@@ -175,28 +193,21 @@ def _unknowns(
     estimates = {}
     solution = second.solution
     for index, symbol in enumerate(second.symbols):
-        value = float(solution.estimate[index])
-        noise, prior, considered = (
+        value, _ = second.estimate(symbol)
+        u, dof = second.with_inputs(symbol, request)
+        prior, considered = (
             math.sqrt(float(part[index, index]))
-            for part in (
-                solution.covariance_noise,
-                solution.covariance_prior,
-                solution.covariance_considered,
-            )
+            for part in (solution.covariance_prior, solution.covariance_considered)
         )
-        considered = math.hypot(considered, *request.from_inputs(symbol, value))
-        u = math.hypot(noise, prior, considered)
-        # What does not come from the residuals has no degrees of freedom to lose (GUM G.4.1).
-        dof = float(second.dof[index]) * (u / noise) ** 4 if noise > 0.0 else math.inf
         limit = campaign.model.limits.get(symbol, math.inf)
         known = float(solution.prior_sd[index])
         ratio = symbol == RIPPLE and request.ripple == "ratio"
         estimates[symbol] = Coefficient(
             value=value,
             u=u,
-            u_noise=noise,
+            u_noise=float(second.u_noise[index]),
             u_prior=prior,
-            u_considered=considered,
+            u_considered=math.hypot(considered, *request.from_inputs(symbol, value)),
             dof=countable(dof),
             unit="1" if ratio else _unit(symbol),
             estimated=u < limit and not (math.isfinite(known) and u * u > 0.9 * known**2),
@@ -252,31 +263,36 @@ def _correlation(
     return Correlation(terms=[second.symbols[i] for i in chosen], matrix=matrix.tolist())
 
 
-def _residual(parabolas: Sequence[Parabola], walk: float) -> Residual:
+def _residual(parabolas: Sequence[Parabola], components: VarianceComponents | None) -> Residual:
     weighted = [p.residuals / p.strobes.noise_factor for p in parabolas]
     dof = sum(p.dof for p in parabolas)
     rms = math.sqrt(sum(float(np.sum(w**2)) for w in weighted) / dof)
-    if walk > 0.0 or any(p.sigma_from_residuals for p in parabolas):
+    if components is not None or any(p.sigma_from_residuals for p in parabolas):
         return Residual(rms=rms, unit="m", dof=dof)
     chi2 = sum(p.chi2 for p in parabolas)
     return Residual(rms=rms, unit="m", dof=dof, chi2=chi2, lack_of_fit_p=chi_square_tail(dof, chi2))
 
 
-def _noise_lines(parabolas: Sequence[Parabola], walk: float) -> dict[str, NoiseLine]:
+def _noise_lines(
+    parabolas: Sequence[Parabola],
+    request: TwoStageRequest,
+    components: VarianceComponents | None,
+) -> dict[str, NoiseLine]:
     estimated = parabolas[0].sigma_from_residuals
+    if components is not None and not estimated:
+        return record_noise(components.noise, components, "displacement")
     dof = sum(p.dof for p in parabolas)
     sigma = math.sqrt(sum(p.sigma**2 * p.dof for p in parabolas) / dof)
-    lines = {
-        "displacement": NoiseLine(
-            value=sigma,
-            u=sigma / math.sqrt(2.0 * dof) if estimated else None,
-            unit="m",
-            estimated=estimated,
-        )
-    }
-    if walk > 0.0:
-        lines["acceleration"] = NoiseLine(value=walk, unit="m/s^2/Hz^0.5", estimated=False)
-    return lines
+    white = NoiseLine(
+        value=sigma,
+        u=sigma / math.sqrt(2.0 * dof) if estimated else None,
+        unit="m",
+        estimated=estimated,
+    )
+    if components is not None:
+        return {**record_noise(components.noise, components, "displacement"), "displacement": white}
+    walk = NoiseModel(0.0, request.random_walk or 0.0)
+    return {"displacement": white, **record_noise(walk, None, "displacement")}
 
 
 def _parabola(parabola: Parabola) -> ParabolaResult:

@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.findings import CONTRADICTS, equivalent_deviations
+from counterspin.calibration.findings import CONTRADICTS, equivalent_deviations, hidden_noise
 from counterspin.calibration.joint_problem import left_out_of
 from counterspin.calibration.result_parts import (
     Coefficient,
@@ -124,6 +124,9 @@ def findings(
         text += f" (correlation {r:.4f})."
         gathered.append(Finding(code="collinear", subject=f"{name}.{a}", text=text, size=abs(r)))
     gathered += _misfit(name, runs, second)
+    unseen = second.solution.covariance_unseen
+    if unseen is not None:
+        gathered += hidden_noise(name, float(unseen[0, 0] / second.solution.u[0] ** 2))
     lost = sum(run.parabola.strobes.lost for run in runs)
     if lost:
         text = f"{lost} strobes fell into gaps of the record and were left out."

@@ -1,16 +1,23 @@
 """From a campaign to the two-stage method's request: what is known beforehand, which noise.
 
-- `request_of`
+- `request_of`: the request
+- `walk_is_stated`, `noise_found`: whether the accelerometers' noise is known; if not, what the
+  joint fit finds
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 
+from counterspin.calibration.joint_problem import model_of, noise_of, series_of
+from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.errors import NotIdentifiableError
+from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.noise.variance_components import VarianceComponents
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.strobes import strobe_angle
 
@@ -42,7 +49,6 @@ def request_of(
     model = campaign.model
     known: dict[str, Quantity] = dict(accelerometer.priors)
     known |= {s: q for s, q in model.priors.items() if s in (*model.terms, *model.considered)}
-    sigma, walk = _noise(campaign, options)
     return TwoStageRequest(
         model=options.model,
         priors={symbol: (quantity.value, quantity.u) for symbol, quantity in known.items()},
@@ -50,21 +56,46 @@ def request_of(
         nominal_angle=campaign.angle is None,
         ripple=options.ripple,
         weighted=options.weighted,
-        sigma=sigma,
-        random_walk=walk,
+        sigma=None if options.from_residuals else _sigma(campaign),
+        from_residuals=options.from_residuals,
+        random_walk=_number(campaign, "acceleration"),
+        timing=_number(campaign, "timing") or 0.0,
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
     )
 
 
-def _noise(campaign: Campaign, options: TwoStageOptions) -> tuple[float | None, float]:
-    """Return the displacement noise of a sample (None: from residuals) and the random walk."""
-    noise = campaign.noise
-    if noise is None or options.from_residuals:
-        return None, 0.0
-    walk = noise.acceleration if isinstance(noise.acceleration, float) else 0.0
-    step = noise.quantisation if isinstance(noise.quantisation, float) else 0.0
-    if not isinstance(noise.displacement, float):
-        return None, walk
-    sigma = math.hypot(noise.displacement, step / math.sqrt(12.0))
-    return sigma or None, walk
+def _sigma(campaign: Campaign) -> float | None:
+    """Return the displacement noise of a sample, m; None where it is not stated."""
+    white = _number(campaign, "displacement")
+    step = _number(campaign, "quantisation") or 0.0
+    return None if white is None else math.hypot(white, step / math.sqrt(12.0)) or None
+
+
+def _number(campaign: Campaign, component: str) -> float | None:
+    """Return a component of the stated noise; None where it is not a number."""
+    size = getattr(campaign.noise, component, None)
+    return size if isinstance(size, float) else None
+
+
+def walk_is_stated(campaign: Campaign) -> bool:
+    """Return whether the accelerometers' noise is a number in [noise], zero included."""
+    return _number(campaign, "acceleration") is not None
+
+
+def noise_found(
+    campaign: Campaign, observed: Sequence[ObservedRun]
+) -> Mapping[str, VarianceComponents]:
+    """Return each accelerometer's noise where the random walk is not stated; else nothing.
+
+    One sample a revolution tells little of it: it is that of the joint fit, from all samples.
+
+    Raises
+    ------
+    NotIdentifiableError, ConvergenceError
+        As `counterspin.inference.joint.estimation.estimate`.
+    """
+    if walk_is_stated(campaign):
+        return {}
+    series = series_of(campaign, observed)
+    return estimate(series, model_of(campaign), noise_of(campaign)).components

@@ -91,8 +91,8 @@ def demo(folder: Path | str = FOLDER) -> Demonstration:
         campaign=campaign,
         records=records,
         joint=joint(campaign, observed).accelerometers[accelerometer.name],
-        two_stage=two_stage(campaign, observed, accelerometer, TwoStageOptions()),
-        as_printed=two_stage(campaign, observed, accelerometer, _AS_PRINTED),
+        two_stage=two_stage(campaign, observed, accelerometer, TwoStageOptions(), {}),
+        as_printed=two_stage(campaign, observed, accelerometer, _AS_PRINTED, {}),
     )
 
 

@@ -56,11 +56,14 @@ class Analysis:
         The accelerometer of a two-stage analysis; empty for the joint fit of all.
     request
         What is asked of the method.
+    joint
+        The joint fit of the same campaign, which finds the noise that nobody states.
     """
 
     name: str
     owner: str
     request: TwoStageRequest | JointRequest
+    joint: JointRequest
 
 
 def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
@@ -75,9 +78,9 @@ def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
     analyses = []
     for described in study.analyses:
         name, options, campaign = described.name, described.two_stage, described.campaign
+        joint = JointRequest(model_of(campaign), noise_of(campaign))
         if options is None:
-            joint = JointRequest(model_of(campaign), noise_of(campaign))
-            analyses.append(Analysis(name, "", joint))
+            analyses.append(Analysis(name, "", joint, joint))
             continue
         if campaign.angle is None:
             raise NotIdentifiableError(
@@ -86,5 +89,5 @@ def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
             )
         for owner, accelerometer in campaign.accelerometers.items():
             request = request_of(campaign, accelerometer, options)
-            analyses.append(Analysis(name, owner, request))
+            analyses.append(Analysis(name, owner, request, joint))
     return tuple(analyses)

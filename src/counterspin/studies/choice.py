@@ -171,14 +171,14 @@ def _full(world: World, truth: StudyTruth, analysis: Analysis, words: str) -> En
     request, noise = analysis.request, _stream(world, analysis)
     if isinstance(request, TwoStageRequest):
         rows, reported = _reported(world, truth, analysis)
-        made = FullEngine(world, request, analysis.owner)
+        made = FullEngine(world, request, analysis.joint, analysis.owner)
         return EnginePart(made, "full", noise, words, rows, reported)
     unknowns = request.model.unknowns
     bounds = cramer_rao(world, truth, request.model)
     kept = tuple(place for place in request.reported if unknowns[place].name in bounds)
     lost = tuple(unknowns[place].name for place in request.reported if place not in kept)
     _, reported = _reported(world, truth, analysis, kept)
-    made, rows = FullEngine(world, request, rows=kept), tuple(range(len(kept)))
+    made, rows = FullEngine(world, request, request, rows=kept), tuple(range(len(kept)))
     return EnginePart(made, "full", noise, words, rows, reported, lost)
 
 

@@ -8,7 +8,6 @@ rotation that the joint fit has to find, and for terms with a kink.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,10 +15,11 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.inference.joint.estimation import estimate
-from counterspin.inference.two_stage.first_stage import first_stage
+from counterspin.inference.joint.series import Series
+from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage
-from counterspin.inference.two_stage.strobes import Strobes
+from counterspin.inference.two_stage.strobes import Strobes, by_angle, strobe_angle
 from counterspin.physics import simulation
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.motion import Trajectory
@@ -41,6 +41,8 @@ class FullEngine:
         What is simulated.
     request
         What is asked of the analysis.
+    joint
+        The joint fit that finds the noise that nobody states.
     owner
         The accelerometer of a two-stage analysis.
     rows
@@ -49,6 +51,7 @@ class FullEngine:
 
     world: World
     request: TwoStageRequest | JointRequest
+    joint: JointRequest
     owner: str = ""
     rows: tuple[int, ...] = ()
 
@@ -68,9 +71,8 @@ class FullEngine:
             return engine._joint(self.request, draws, generator)
         return engine._two_stage(self.request, draws, generator)
 
-    def _joint(
-        self, request: JointRequest, draws: Draws, generator: np.random.Generator
-    ) -> tuple[Sequence[float], Sequence[float], Sequence[float]]:
+    def _series(self, draws: Draws, generator: np.random.Generator) -> list[Series]:
+        """Return the records of all runs and accelerometers in one trial."""
         world = self.world
         series = []
         for run in range(len(world.runs)):
@@ -84,46 +86,73 @@ class FullEngine:
                 axis = world.mountings[name].turned(world.attitudes[run]).input_axis
                 error = signal - assumed.position(stamped) @ axis
                 series.append(world.series(run, name, identified, error))
-        estimated = estimate(series, request.model, request.noise)
+        return series
+
+    def _joint(
+        self, request: JointRequest, draws: Draws, generator: np.random.Generator
+    ) -> tuple[Sequence[float], Sequence[float], Sequence[float]]:
+        estimated = estimate(self._series(draws, generator), request.model, request.noise)
         solution, unknowns = estimated.fit.solution, estimated.fit.model.unknowns
         rows = list(self.rows)
-        u = np.sqrt(
-            np.diag(
-                solution.covariance_noise
-                + solution.covariance_prior
-                + solution.covariance_considered
-            )
-        )
         nominal = np.array([unknowns[i].nominal for i in rows])
-        return list(solution.estimate[rows] + nominal), list(u[rows]), list(estimated.dof[rows])
+        return (
+            list(solution.estimate[rows] + nominal),
+            list(solution.u[rows]),
+            list(estimated.dof[rows]),
+        )
 
     def _two_stage(
         self, request: TwoStageRequest, draws: Draws, generator: np.random.Generator
     ) -> tuple[Sequence[float], Sequence[float], Sequence[float]]:
-        world, name = self.world, self.owner
-        runs = []
-        for run in range(len(world.runs)):
-            spindle = draws.spindle(world.spindles[run], run)
-            strobed = world.strobed(run, name)
-            times = spindle.time_at(strobed.angles)
-            identified = self._identified(generator, run, spindle, world.times(run))
-            signal = self._recorded(draws, generator, run, name, spindle, times)
-            assumed = Trajectory(identified, world.radius, world.site)
-            error = signal - assumed.position(times) @ strobed.mounting.input_axis
-            readings = Strobes(times, error, np.ones_like(times), 0)
-            parabola = first_stage(readings, request.sigma, request.random_walk)
-            runs.append(StrobedRun(world.runs[run], assumed, parabola, world.attitudes[run]))
-        second = second_stage(runs, world.mountings[name], request, ignored=())
+        components = None
+        if request.random_walk is None:
+            series = self._series(draws, generator)
+            estimated = estimate(series, self.joint.model, self.joint.noise)
+            components = estimated.components[self.owner]
+            request = request.with_noise(components.noise)
+            readings = [record for record in series if record.accelerometer == self.owner]
+            runs = [self._strobed(record, request) for record in readings]
+        else:
+            runs = [
+                self._strobed_alone(run, request, draws, generator)
+                for run in range(len(self.world.runs))
+            ]
+        second = second_stage(runs, self.world.mountings[self.owner], request, ignored=())
+        if components is not None:
+            second = with_found_noise(second, runs, components)
         values, us, dofs = [], [], []
         for symbol in request.unknowns:
-            index = second.symbols.index(symbol)
-            value = float(second.solution.estimate[index])
-            u = math.hypot(float(second.solution.u[index]), *request.from_inputs(symbol, value))
-            noise = math.sqrt(float(second.solution.covariance_noise[index, index]))
+            value, _ = second.estimate(symbol)
+            u, dof = second.with_inputs(symbol, request)
             values.append(value)
             us.append(u)
-            dofs.append(float(second.dof[index]) * (u / noise) ** 4)
+            dofs.append(dof)
         return values, us, dofs
+
+    def _strobed_alone(
+        self, run: int, request: TwoStageRequest, draws: Draws, generator: np.random.Generator
+    ) -> StrobedRun:
+        """Return a run of which one reading is taken at each strobe."""
+        world, name = self.world, self.owner
+        spindle = draws.spindle(world.spindles[run], run)
+        strobed = world.strobed(run, name)
+        times = spindle.time_at(strobed.angles)
+        identified = self._identified(generator, run, spindle, world.times(run))
+        taken = world.noise.stamps(generator, times) if world.noise.timing > 0.0 else times
+        signal = self._recorded(draws, generator, run, name, spindle, taken)
+        assumed = Trajectory(identified, world.radius, world.site)
+        error = signal - assumed.position(times) @ strobed.mounting.input_axis
+        readings = Strobes(times, error, np.ones_like(times), 0)
+        parabola = request.first_stage(readings, assumed)
+        return StrobedRun(world.runs[run], assumed, parabola, world.attitudes[run])
+
+    def _strobed(self, record: Series, request: TwoStageRequest) -> StrobedRun:
+        """Return a run whose strobes are read from its whole record, as `calibrate` does."""
+        phase = strobe_angle(record.mounting.turned(record.attitude).input_axis)
+        angle = record.trajectory.spindle.angle(record.time)
+        strobes = by_angle(record.time, angle, record.error, phase)
+        parabola = request.first_stage(strobes, record.trajectory)
+        return StrobedRun(record.run, record.trajectory, parabola, record.attitude)
 
     def _identified(
         self,

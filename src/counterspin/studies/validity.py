@@ -44,6 +44,13 @@ def against_strobes(
     reasons = _against(world, truth)
     if world.noise.random_walk > 0.0:
         reasons.append("the accelerometer's noise is not white in displacement")
+    if request.random_walk is None:
+        reasons.append("the accelerometer's noise has to be found")
+    elif request.random_walk > 0.0:
+        reasons.append("the noise that the analysis assumes is not white in displacement")
+    speed = world.radius * max(abs(spindle.rate) for spindle in world.spindles)
+    if request.timing * speed > _LARGEST_OTHER_NOISE * _white(truth):
+        reasons.append("the noise of the recorded time that the analysis assumes is not negligible")
     asked = [s for s in (*request.unknowns, *request.considered) if s != RIPPLE]
     symbols = [s for o, many in truth.symbols.items() if o in ("", owner) for s in many]
     for symbol in sorted({*symbols, *asked}):

@@ -90,14 +90,28 @@ def walk_covariance(time, random_walk):
     return random_walk**2 * np.sum(product * w, axis=-1) * early / 2
 
 
-def test_random_walk_adds_its_covariance():
-    time = 3.0 + 2.0 * np.arange(40)
-    plain = first_stage(strobes(time), SIGMA)
-    walk = 2e-4
-    found = first_stage(strobes(time), SIGMA, walk)
-    expected = plain.covariance + plain.gain @ walk_covariance(time, walk) @ plain.gain.T
-    np.testing.assert_allclose(found.covariance, expected, rtol=1e-9)
+def test_random_walk_is_whitened():
+    rng = np.random.default_rng(5)
+    time, walk = 3.0 + 2.0 * np.arange(40), 2e-4
+    factor = rng.uniform(0.7, 1.0, 40)
+    error = rng.standard_normal(40)
+    plain = first_stage(strobes(time, error, factor), SIGMA)
+    found = first_stage(strobes(time, error, factor), SIGMA, walk)
+    covariance = np.diag((SIGMA * factor) ** 2) + walk_covariance(time, walk)
+    np.testing.assert_allclose(
+        found.covariance, found.gain @ covariance @ found.gain.T, rtol=1e-9, atol=0
+    )
+    x = np.vander(time, 3, increasing=True)
+    np.testing.assert_allclose(found.gain @ x, np.eye(3), atol=1e-9)
+    # b2 is the estimate of least variance.
+    inverse = np.linalg.inv(covariance)
+    least = np.linalg.inv(x.T @ inverse @ x)
+    assert found.u_b2 == pytest.approx(math.sqrt(least[2, 2]), rel=1e-9)
+    assert found.b2 == pytest.approx((least @ x.T @ inverse @ error)[2], rel=1e-7)
     assert found.u_b2 > 2 * plain.u_b2  # so that it is the walk that was tested
+    assert found.chi2 == pytest.approx(
+        error @ (inverse - inverse @ x @ least @ x.T @ inverse) @ error, rel=1e-7
+    )
 
 
 def test_random_walk_s_claim_is_the_scatter_of_brute_force():

@@ -4,4 +4,5 @@
 - `request`: model, priors and noise of one accelerometer
 - `first_stage`: a parabola through the strobes of one run (Eq. 16-18, 31)
 - `second_stage`: K_II from the curvatures of all runs (Eq. 19-27, 33-34)
+- `found_noise`: what the uncertainty of noise that was found does to K_II
 """

@@ -1,18 +1,24 @@
 """The first stage: a parabola through the strobes of one run (Eq. 16-18, 31).
 
 - `first_stage`, `Parabola`
+- `walk_covariance`: what white noise of the accelerometer makes of the strobes
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
+from counterspin.inference.noise.model import DISPLACEMENT, NoiseModel, make_whitener
 from counterspin.inference.two_stage.strobes import MINIMUM, Strobes
+
+#: A strobe is no block of samples: its extent, in parts of the time between two.
+_POINT: Final = 1e-9
 
 
 @dataclass(frozen=True)
@@ -32,7 +38,8 @@ class Parabola:
     dof
         Degrees of freedom of the residuals, m - 3.
     chi2
-        Sum of squared residuals, each divided by its strobe's standard deviation.
+        Sum of squared residuals, whitened: divided by its strobe's standard deviation, or by the
+        factor of their covariance where they have a random walk.
     residuals
         m, shape (m,).
     gain
@@ -65,8 +72,8 @@ class Parabola:
 def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float = 0.0) -> Parabola:
     """Fit the strobes with a parabola (Eq. 16-18) and give its uncertainty (Eq. 31).
 
-    The weights are those of white noise, as in the paper; a random walk of the accelerometer's
-    velocity, where one is given, enters the uncertainty only.
+    Without a random walk of the accelerometer's velocity the weights are those of white noise, as
+    in the paper; with one b2 is the generalised least-squares estimate.
 
     Parameters
     ----------
@@ -93,32 +100,54 @@ def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float
     powers = span ** -np.arange(3.0)
     scaled = np.vander(strobes.time / span, 3, increasing=True)
     weight = 1.0 / strobes.noise_factor
-    q, r = np.linalg.qr(scaled * weight[:, None])
-    gain: Array = powers[:, None] * np.linalg.solve(r, q.T * weight)
-    coefficients = gain @ strobes.error
-    residuals = strobes.error - np.vander(strobes.time, 3, increasing=True) @ coefficients
+    gain = powers[:, None] * _gain(scaled, weight)
+    residuals = strobes.error - np.vander(strobes.time, 3, increasing=True) @ (gain @ strobes.error)
     squares = float(np.sum((residuals * weight) ** 2))
     used = math.sqrt(squares / (m - 3)) if sigma is None else sigma
+    chi2 = squares / used**2 if used > 0.0 else math.nan
+    if random_walk > 0.0:
+        # Differences remove b0 and b1, and with them what the walk was before the first strobe.
+        whiten = make_whitener(
+            strobes.time,
+            DISPLACEMENT,
+            NoiseModel(used, random_walk),
+            strobes.noise_factor**-2.0,
+            _POINT * float(np.diff(strobes.time).min()),
+        )
+        square = whiten.apply(strobes.time**2)
+        b2_gain = whiten.apply(np.eye(m)).T @ square / (square @ square)
+        line = powers[:2, None] * _gain(scaled[:, :2], weight)
+        gain = np.vstack([line @ (np.eye(m) - np.outer(strobes.time**2, b2_gain)), b2_gain])
+        residuals = strobes.error - np.vander(strobes.time, 3, True) @ (gain @ strobes.error)
+        left = whiten.apply(strobes.error - strobes.time**2 * (b2_gain @ strobes.error))
+        chi2 = float(left @ left)
     spread = gain * (used * strobes.noise_factor)
     covariance = spread @ spread.T
     if random_walk > 0.0:
-        covariance += gain @ _integrated_walk(strobes.time, random_walk) @ gain.T
+        covariance += random_walk**2 * (gain @ walk_covariance(strobes.time) @ gain.T)
     return Parabola(
-        coefficients=coefficients,
+        coefficients=gain @ strobes.error,
         covariance=covariance,
         sigma=used,
         sigma_from_residuals=sigma is None,
         dof=m - 3,
-        chi2=squares / used**2 if used > 0.0 else math.nan,
+        chi2=chi2,
         residuals=residuals,
         gain=gain,
         strobes=strobes,
     )
 
 
-def _integrated_walk(time: Array, random_walk: float) -> Array:
-    """Return the covariance of a twice integrated white noise, m^2, shape (m, m)."""
+def _gain(columns: Array, weight: Array) -> Array:
+    """Return d(coefficients)/d(rows) of a weighted least-squares fit, shape (p, m)."""
+    q, r = np.linalg.qr(columns * weight[:, None])
+    gain: Array = np.linalg.solve(r, q.T * weight)
+    return gain
+
+
+def walk_covariance(time: Array) -> Array:
+    """Return the strobes' covariance by N^2: that of a twice integrated white noise, (m, m)."""
     earlier = np.minimum(time[:, None], time)
     later = np.maximum(time[:, None], time)
-    covariance: Array = random_walk**2 * earlier**2 * (later / 2.0 - earlier / 6.0)
+    covariance: Array = earlier**2 * (later / 2.0 - earlier / 6.0)
     return covariance

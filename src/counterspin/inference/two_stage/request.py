@@ -8,12 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Final, Literal
 
+from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.two_stage.first_stage import Parabola, first_stage
+from counterspin.inference.two_stage.strobes import Strobes
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.as_printed import RippleModel
+from counterspin.physics.motion import Trajectory
 from counterspin.physics.shared_terms import term
 
 DRIFT: Final = "spindle.drift"  #: second unknown where the nominal angle is the reference, 1/s
@@ -49,9 +53,15 @@ class TwoStageRequest:
         Weight the runs by sigma(b2), or not, as the paper does. Priors then count like runs of
         the mean sigma(b2).
     sigma
-        Standard deviation of a sample's displacement, m; None: from the residuals of each run.
+        Standard deviation of a sample's displacement, m; None: from the residuals of each run, or
+        from where the random walk is found.
+    from_residuals
+        Whether sigma is taken from the residuals of each run whatever else is known of it.
     random_walk
-        Coefficient N of the accelerometer's white noise, m/s^2/Hz^0.5.
+        Coefficient N of the accelerometer's white noise, m/s^2/Hz^0.5; None: not known, to be
+        found in whole records before anything can be resolved.
+    timing
+        Standard deviation of a time stamp, s.
     u_radius, u_gravity
         Relative standard uncertainties of radius and gravity.
     """
@@ -63,7 +73,9 @@ class TwoStageRequest:
     ripple: RippleModel = "amplitude"
     weighted: bool = True
     sigma: float | None = None
-    random_walk: float = 0.0
+    from_residuals: bool = False
+    random_walk: float | None = 0.0
+    timing: float = 0.0
     u_radius: float = 0.0
     u_gravity: float = 0.0
 
@@ -90,6 +102,22 @@ class TwoStageRequest:
         """What is taken as known: (value, standard uncertainty), K_I included."""
         known = {"K_F": (0.0, 0.0), "K_I": (TERMS["K_I"].nominal, 0.0), **self.priors}
         return {symbol: prior for symbol, prior in known.items() if symbol not in self.unknowns}
+
+    def with_noise(self, noise: NoiseModel) -> TwoStageRequest:
+        """Return the request with noise that was found, where it states none."""
+        if self.random_walk is not None:
+            return self
+        sigma = None if self.from_residuals else self.sigma or math.sqrt(noise.sample_variance)
+        return replace(self, sigma=sigma, random_walk=noise.random_walk)
+
+    def first_stage(self, strobes: Strobes, trajectory: Trajectory) -> Parabola:
+        """Return the first stage of a run with this noise.
+
+        At a strobe the displacement passes at R w: a time stamp's error shows with that.
+        """
+        passing = trajectory.radius * trajectory.spindle.rate
+        sigma = None if self.sigma is None else math.hypot(self.sigma, passing * self.timing)
+        return first_stage(strobes, sigma, self.random_walk or 0.0)
 
     def from_inputs(self, symbol: str, value: float) -> tuple[float, float]:
         """Return what uncertain radius and gravity add to the uncertainty of an estimate.

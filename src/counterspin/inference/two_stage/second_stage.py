@@ -117,6 +117,26 @@ class SecondStage:
         index = self.symbols.index(symbol)
         return float(self.solution.estimate[index]), float(self.solution.u[index])
 
+    @property
+    def u_noise(self) -> Array:
+        """What noise contributes to each unknown's standard uncertainty, shape (p,)."""
+        solution = self.solution
+        variance = np.diag(solution.covariance_noise)
+        if solution.covariance_unseen is not None:
+            variance = variance + np.diag(solution.covariance_unseen)
+        return np.sqrt(variance)
+
+    def with_inputs(self, symbol: str, request: TwoStageRequest) -> tuple[float, float]:
+        """Return u and its degrees of freedom, uncertain radius and gravity included.
+
+        What does not come from the residuals has no degrees of freedom to lose (GUM G.4.1).
+        """
+        value, u = self.estimate(symbol)
+        index = self.symbols.index(symbol)
+        noise = float(self.u_noise[index])
+        u = math.hypot(u, *request.from_inputs(symbol, value))
+        return u, float(self.dof[index]) * (u / noise) ** 4 if noise > 0.0 else math.inf
+
     def shift(self, symbol: str) -> Array:
         """Return what one unit of an ignored term moves each unknown by, shape (p,).
 

@@ -1,0 +1,108 @@
+"""Noise that was found: degrees of freedom and hidden walks, against resolving it again."""
+
+import math
+
+import numpy as np
+import pytest
+
+from counterspin.inference.noise.unseen_noise import Unseen, lengthened
+from counterspin.inference.noise.variance_components import VarianceComponents, effective_dof_of
+from counterspin.inference.two_stage.found_noise import with_found_noise
+from counterspin.inference.two_stage.request import TwoStageRequest
+from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage
+from counterspin.inference.two_stage.strobes import Strobes
+from counterspin.physics.accelerometer import QX
+from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.spindle import Spindle
+
+SITE = Site(9.8, 0.8)
+RATES = (1.5, 3.0, 6.0)
+PRIORS = {"K_III": (0.0, 1e-6)}
+
+
+def found(white, walk, *, estimated=("white", "random_walk"), unseen=None):
+    covariance = np.diag([1e-11, 0.0])
+    if walk:
+        covariance = np.array([[1e-11, -2e-13], [-2e-13, 4e-14]])
+    return VarianceComponents(
+        white=white,
+        random_walk=walk,
+        quantisation=0.0,
+        covariance=covariance,
+        estimated=estimated,
+        dropped=() if walk else ("random_walk",),
+        log_likelihoods={},
+        degrees_of_freedom=100.0,
+        evaluations=1,
+        converged=True,
+        unseen=unseen,
+    )
+
+
+def resolved(noise):
+    """Return runs and their second stage with this noise."""
+    request = TwoStageRequest(priors=PRIORS, random_walk=None).with_noise(noise)
+    runs = []
+    for rate in RATES:
+        motion = Trajectory(Spindle(rate), 2.5, SITE)
+        time = (math.pi / 2 + 2 * math.pi * np.arange(1, 21)) / rate
+        strobes = Strobes(time, np.zeros(20), np.linspace(0.8, 1.0, 20), lost=0)
+        runs.append(StrobedRun(str(rate), motion, request.first_stage(strobes, motion)))
+    return runs, second_stage(runs, QX, request)
+
+
+def test_degrees_of_freedom_are_those_of_resolving_with_other_noise():
+    components = found(0.01, 1e-3)
+    runs, second = resolved(components.noise)
+    wider = with_found_noise(second, runs, components)
+
+    def variances(noise):
+        return np.diag(resolved(noise)[1].solution.covariance_noise)
+
+    # The gains move with the noise, which at the optimum costs nothing of first order.
+    np.testing.assert_allclose(wider.dof, effective_dof_of(variances, components), rtol=1e-3)
+    assert np.isfinite(wider.dof).all()
+    assert wider.solution.covariance_unseen is None
+
+
+def test_a_walk_that_does_not_show_adds_what_it_adds_to_the_same_weights():
+    unseen = Unseen(np.array([1e-8, 1e-7, 1e-6]), np.array([0.5, 0.3, 0.2]))
+    components = found(0.01, 0.0, estimated=("white",), unseen=unseen)
+    runs, second = resolved(components.noise)
+    wider = with_found_noise(second, runs, components)
+    # The same gains on strobes with the walk's covariance, an integral over the white noise.
+    slope = np.zeros((2, 2))
+    for place, run in enumerate(runs):
+        time = run.parabola.strobes.time
+        nodes, weights = np.polynomial.legendre.leggauss(200)
+        moments = np.maximum(time[:, None] - time[-1] * (1 + nodes) / 2, 0.0)
+        walk = (moments * weights * time[-1] / 2) @ moments.T
+        curvature = run.parabola.gain[2]
+        slope += (
+            curvature @ walk @ curvature * np.outer(second.gain[:, place], second.gain[:, place])
+        )
+    level, _ = lengthened(unseen, np.diag(second.solution.covariance), np.diag(slope))
+    np.testing.assert_allclose(wider.solution.covariance_unseen, level * slope, rtol=1e-3)
+    noise = np.diag(second.solution.covariance_noise)
+    np.testing.assert_allclose(wider.u_noise, np.sqrt(noise + level * np.diag(slope)), rtol=1e-3)
+    assert (wider.u_noise > 1.1 * second.u_noise).any()
+    assert np.isfinite(wider.dof).all()
+
+
+def test_an_unknown_that_is_known_exactly_stays_so():
+    unseen = Unseen(np.array([1e-7]), np.array([1.0]))
+    components = found(0.01, 0.0, estimated=("white",), unseen=unseen)
+    request = TwoStageRequest(priors={"K_II": (2e-5, 0.0)}, random_walk=None)
+    request = request.with_noise(components.noise)
+    runs, _ = resolved(components.noise)
+    wider = with_found_noise(second_stage(runs, QX, request), runs, components)
+    assert wider.estimate("K_II") == (2e-5, 0.0)
+    assert wider.estimate("K_F")[1] > 0.0
+
+
+def test_noise_that_is_stated_is_not_replaced():
+    request = TwoStageRequest(sigma=0.02, random_walk=0.0)
+    assert request.with_noise(found(0.01, 1e-3).noise) is request
+    asked = TwoStageRequest(random_walk=None, from_residuals=True)
+    assert asked.with_noise(found(0.01, 1e-3).noise).sigma is None
+    assert asked.with_noise(found(0.01, 1e-3).noise).random_walk == pytest.approx(1e-3)
