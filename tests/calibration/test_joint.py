@@ -134,17 +134,20 @@ def test_the_json_is_what_the_contract_says(result, campaign, tmp_path):
     assert document["schema"] == 1
     assert document["method"] == "joint"
     assert document["model"] == "exact"
+    assert (document["state"], document["findings"]) == ("good", [])
+    assert document["accepted_misfit"] is None
     one = document["accelerometers"]["Qx"]
+    assert (one["state"], one["findings"]) == ("good", [])
     assert list(one["coefficients"]) == ["K_F", "K_I", "K_II", "K_III"]
     for c in one["coefficients"].values():
-        assert {"value", "u", "u_noise", "u_prior", "u_considered", "dof", "unit", "estimated"} == (
-            set(c)
-        )
+        uncertainties = {"u", "u_noise", "u_prior", "u_considered", "u_typical"}
+        assert set(c) == {"value", *uncertainties, "dof", "unit", "estimated"}
         assert type(c["estimated"]) is bool
         if c["estimated"]:
             parts = [c["u_noise"], c["u_prior"], c["u_considered"]]
             assert all(type(part) is float for part in [c["value"], c["u"], *parts])
             assert c["u"] == pytest.approx(math.hypot(*parts), rel=1e-12)
+            assert c["u_typical"] > c["u"]
             assert c["dof"] is None
     assert one["coefficients"]["K_II"]["unit"] == "g/g^2"
     terms, matrix = one["correlation"]["terms"], np.array(one["correlation"]["matrix"])
