@@ -41,15 +41,16 @@ def draw_the_plan() -> None:
     with tempfile.TemporaryDirectory() as folder:
         example = Path(folder) / "PLAN.toml"
         run("plan", "--init", example)
-        run("plan", example, "--figures", IMAGES)
+        run("plan", example, "--figures", IMAGES, "--overwrite")
 
 
 def write_the_examples() -> None:
     """Write report and certificate of the example result."""
     result, lab = EXAMPLES / "result.json", EXAMPLES / "LAB.toml"
     for name in ("report.html", "report.pdf"):
-        run("report", result, "-o", EXAMPLES / name, "--date", DATE)
+        run("report", result, "-o", EXAMPLES / name, "--date", DATE, "--overwrite")
     for name in ("certificate.xml", "certificate.pdf"):
+        (EXAMPLES / name).unlink(missing_ok=True)  # no command replaces a certificate
         run("certificate", result, lab, "-o", EXAMPLES / name)
 
 

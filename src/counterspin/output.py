@@ -1,5 +1,8 @@
-"""Files that appear whole or not at all.
+"""Files that appear whole or not at all, and take no other file's place.
 
+- `FileKind`: what a command writes, and how its own work is known again
+- `reserve`: refuse to write where a file would be lost
+- `holds`: a test of files for a mark
 - `write_whole`: one file
 - `write_text`: one file of text
 - `make_folder`: where they go
@@ -10,9 +13,85 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
 from counterspin.errors import CounterspinError
+
+#: How much of either end of a file is searched for a mark.
+_END: Final = 1 << 18
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """A kind of file that a command writes.
+
+    Attributes
+    ----------
+    words
+        What a message calls it, with its article.
+    recognises
+        Whether a file is of this kind.
+    """
+
+    words: str
+    recognises: Callable[[Path], bool]
+
+
+def reserve(path: Path, kind: Callable[[], FileKind], *, overwrite: bool = False) -> None:
+    """Refuse a place for an output where a file would be lost, before any work is done.
+
+    What is there is replaced only if it is of the same kind and `overwrite` asks for it: so no
+    input, campaign, record or other command's result can be lost to a slip. A device or a pipe
+    is no file, and takes what comes.
+
+    Parameters
+    ----------
+    path
+        The output.
+    kind
+        Returns what it will be; not called if nothing is there.
+    overwrite
+        Whether an earlier one of the same kind may be replaced.
+
+    Raises
+    ------
+    CounterspinError
+        If a file is in the way, or there is no such folder.
+    """
+    place = path.resolve()
+    if not place.exists():
+        if not place.parent.is_dir():
+            raise CounterspinError(f"{path}: cannot be written: there is no folder {path.parent}")
+        return
+    if place.is_dir():
+        raise CounterspinError(_refusal(path, IsADirectoryError()))
+    if not place.is_file():
+        return
+    expected = kind()
+    try:
+        same = expected.recognises(place)
+    except OSError:
+        same = False
+    if not same:
+        raise CounterspinError(
+            f"{path} exists and is not {expected.words}; it is not replaced: name another file"
+        )
+    if not overwrite:
+        raise CounterspinError(f"{path} exists; name another file, or give `overwrite=True`")
+
+
+def holds(mark: bytes) -> Callable[[Path], bool]:
+    """Return a test of files: whether these bytes are among the first or last 256 KiB."""
+
+    def test(path: Path) -> bool:
+        with path.open("rb") as file:
+            head = file.read(_END)
+            file.seek(max(file.seek(0, os.SEEK_END) - _END, 0))
+            return mark in head or mark in file.read()
+
+    return test
 
 
 def make_folder(folder: Path) -> None:

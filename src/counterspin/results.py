@@ -15,7 +15,7 @@ from typing import Annotated, Any, ClassVar, Final, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from counterspin.errors import RecordError
-from counterspin.output import write_text
+from counterspin.output import FileKind, write_text
 
 #: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
 _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
@@ -58,6 +58,21 @@ class ResultFile(ResultPart):
     def write(self, path: Path | str) -> None:
         """Write the JSON file, whole or not at all; raises CounterspinError if it cannot."""
         write_text(Path(path), self.to_json())
+
+    @classmethod
+    def file_kind(cls) -> FileKind:
+        """Return how a file of this class is known again: by the keys that it must have."""
+        fields = cls.model_fields.items()
+        needed = {field.alias or name for name, field in fields if field.is_required()}
+
+        def recognises(path: Path) -> bool:
+            try:
+                document = json.loads(path.read_bytes())
+            except (ValueError, RecursionError):
+                return False
+            return isinstance(document, dict) and needed <= set(document)
+
+        return FileKind(f"the file of a {cls.KIND}", recognises)
 
     @classmethod
     def read(cls, path: Path | str) -> Self:

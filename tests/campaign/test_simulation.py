@@ -216,12 +216,26 @@ def test_simulating_into_its_own_folder_leaves_the_description(tmp_path):
 @pytest.mark.parametrize("name", ["middle.csv", "campaign.toml"])
 def test_what_is_there_is_not_overwritten_unless_told_to(tmp_path, name):
     path = write(tmp_path, SMALL)
-    other = write(tmp_path / "made", "mine", name)
+    mine = "[truth.Qx]" if name.endswith("toml") else "mine"
+    other = write(tmp_path / "made", mine, name)
     with pytest.raises(CounterspinError, match=rf"{name} exists; .*`overwrite=True`"):
         simulate(path, tmp_path / "made")
-    assert contents(tmp_path / "made") == {name: b"mine"}
+    assert contents(tmp_path / "made") == {name: mine.encode()}
     simulate(path, tmp_path / "made", overwrite=True)
-    assert other.read_bytes() != b"mine"
+    assert other.read_bytes() != mine.encode()
+
+
+@pytest.mark.parametrize("text", ['schema = 1\n[site]\ngravity = "9.8 m/s^2"\n', "no TOML"])
+def test_a_measured_campaign_is_never_overwritten(tmp_path, text):
+    path = write(tmp_path, SMALL)
+    write(tmp_path / "made", text)
+    write(tmp_path / "made", "measured", "middle.csv")
+    with pytest.raises(CounterspinError, match=r"campaign\.toml is not of a simulated campaign"):
+        simulate(path, tmp_path / "made", overwrite=True)
+    assert contents(tmp_path / "made") == {
+        "campaign.toml": text.encode(),
+        "middle.csv": b"measured",
+    }
 
 
 def test_campaign_without_truth_cannot_be_simulated(tmp_path):

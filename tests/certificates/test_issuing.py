@@ -63,8 +63,8 @@ def test_the_laboratory_s_specification_goes_before_the_campaign_s(desk, capsys)
     assert [e.text for e in find(made, "//dcc:statement/dcc:conformity")] == ["fail"]
     # Without it, that of the result counts: up to 5e-5.
     write_lab(desk)
-    assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml")[0] == 0
-    made = (desk / "c.xml").read_bytes()
+    assert command(capsys, "r.json", "LAB.toml", "-o", "d.xml")[0] == 0
+    made = (desk / "d.xml").read_bytes()
     assert [e.text for e in find(made, "//dcc:statement/dcc:conformity")] == ["pass"]
 
 

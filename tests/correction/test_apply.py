@@ -151,7 +151,7 @@ def test_round_trip_through_files_of_both_kinds(folder, capsys):
     for source in ("in.parquet", "in.csv"):
         for target in ("out.csv", "out.parquet"):
             words = ["result.json", source, "--accelerometer", "Qx", "--input", "east"]
-            assert run(*words, "-o", target) == 0
+            assert run(*words, "-o", target, "--overwrite") == 0
             read = pl.read_csv if target.endswith("csv") else pl.read_parquet
             table = read(target)
             assert table.columns == ["t", "east", "east_corrected", "east_corrected_u"]
@@ -199,7 +199,8 @@ def test_other_axes_from_columns_constants_and_other_accelerometers(folder, caps
         {n.lower(): indicated(m, models[n], force) for n, m in MOUNTINGS.items()}
         | {"down": -force[:, 2], "north": force[:, 1]}
     ).write_csv("all.csv")
-    words = ["three.json", "all.csv", "--accelerometer", "Qx", "--input", "qx", "-o", "out.csv"]
+    words = ["three.json", "all.csv", "--accelerometer", "Qx", "--input", "qx"]
+    words += ["-o", "out.csv", "--overwrite"]
     ways = (
         ["--pendulous", "down", "--output-axis", "north"],
         ["--others", "Qy=qy, Qz=qz"],

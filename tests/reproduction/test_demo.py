@@ -86,7 +86,11 @@ def test_command_writes_what_it_says_and_may_be_repeated(tmp_path, monkeypatch, 
     assert max(map(len, first.splitlines())) <= 80
     value = r"(19\.9|20\.0)\d+ ± \S+"
     assert re.search(rf"^K_II +20 +{value} +{value} +(9\.9|10\.0)\d+ ± ", first, re.M)
-    assert cli.main(["demo"]) == 0
+    assert cli.main(["demo"]) == 1
+    assert (
+        "displacement.svg exists; name another file, or give --overwrite" in capsys.readouterr().err
+    )
+    assert cli.main(["demo", "--overwrite"]) == 0
     assert capsys.readouterr().out == first
 
 

@@ -25,7 +25,7 @@ from counterspin.campaign.resolved import (
     StatedNoise,
     sample_count,
 )
-from counterspin.campaign.toml_file import DESCRIPTION_NAME
+from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_whole
@@ -86,6 +86,11 @@ def simulate(
     targets = _targets(campaign, folder)
     description = folder / DESCRIPTION_NAME
     own = description.exists() and description.samefile(campaign.path)
+    if description.exists() and not own and not _is_simulated(description):
+        raise CounterspinError(
+            f"{description} is not of a simulated campaign; its files are not replaced: simulate "
+            "into another folder"
+        )
     in_the_way = [path for path in (*targets, *([] if own else [description])) if path.exists()]
     if in_the_way and not overwrite:
         raise CounterspinError(
@@ -102,6 +107,13 @@ def simulate(
     if not own:
         write_whole(description, partial(shutil.copyfile, campaign.path))
     return targets
+
+
+def _is_simulated(description: Path) -> bool:
+    try:
+        return "truth" in load_document(description)
+    except CampaignError:
+        return False
 
 
 def _refuse_long_runs(campaign: Campaign, sampling_rate: float) -> None:

@@ -27,7 +27,7 @@ from counterspin.certificates.reading import Certified, read_certificate
 from counterspin.certificates.schema import check_schema
 from counterspin.certificates.signature import read_signer, sign, verify
 from counterspin.certificates.statements import Verdicts
-from counterspin.errors import CampaignError, RecordError
+from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.output import write_whole
 from counterspin.reports.blocks import Block, Heading, Paragraph
 from counterspin.reports.numbers import format_number
@@ -91,6 +91,11 @@ def issue_certificate(
     """
     if output.suffix.lower() not in FORMATS:
         raise CampaignError("certificate", [f"{output}: name the file .xml or .pdf"])
+    if output.is_file():
+        raise CounterspinError(
+            f"{output} exists; a certificate replaces no file, least of all an issued one: name "
+            "another"
+        )
     if (key is None) != (cert is None):
         raise CampaignError("certificate", ["`key` and `cert` are given together"])
     result = Result.read(result_file)

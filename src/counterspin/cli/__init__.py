@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
 from errno import ENOSPC
 
 from cyclopts import App, CycloptsError
@@ -69,11 +70,21 @@ def _unforeseen(error: Exception) -> str:
     )
 
 
+def _let_go_of_output() -> None:
+    """Drop what standard output has not taken: at the end it would be tried, and fail, again."""
+    with suppress(OSError, ValueError, AttributeError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit status: 0 done, 1 failed, 2 wrong usage."""
     words = sys.argv[1:] if arguments is None else arguments
     try:
         app(words, exit_on_error=False, print_error=False, result_action="return_value")
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except CounterspinError as error:
         complain(spoken(str(error), app, words))
         return error.exit_status
@@ -85,12 +96,13 @@ def main(arguments: list[str] | None = None) -> int:
         complain(str(stop) or "stopped")
         return 130
     except BrokenPipeError:
-        sys.stderr.close()
+        _let_go_of_output()
         return 0
     except Exception as error:
         # Never a traceback for a user; with this variable set, one for whoever mends it.
         if os.environ.get("COUNTERSPIN_DEBUG"):
             raise
+        _let_go_of_output()
         complain(_unforeseen(error))
         return 1
     return 0

@@ -50,6 +50,7 @@ def apply(
     output: OutputFolder,
     column: Annotated[str | None, Parameter(name="--input")] = None,
     forces: Forces = _ALONE,
+    overwrite: bool = False,
 ) -> None:
     """Correct indicated specific force for a calibrated accelerometer.
 
@@ -65,6 +66,8 @@ def apply(
         File to write: the table and two more columns, corrected force and its uncertainty.
     column
         The column to correct; may be left out where only one is possible.
+    overwrite
+        Replace an earlier corrected file; never another file.
     """
     from counterspin.calibration.result import Result
     from counterspin.correction.apply import ApplyOptions
@@ -85,6 +88,7 @@ def apply(
             others=parse_others(forces.others),
             force=forces.force,
         ),
+        overwrite=overwrite,
     )
     report_console().print(render_application(done))
 

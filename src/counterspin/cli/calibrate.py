@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
-from counterspin.cli.words import JsonFile, group
+from counterspin.cli.words import NOT_SAVED, Saved, group
 from counterspin.errors import CounterspinError
 
 if TYPE_CHECKING:
     from counterspin.calibration.options import TwoStageOptions
+    from counterspin.output import FileKind
 
 _CONTRADICTED: Final = "the records contradict the result"
 _WHAT_TO_DO: Final = (
@@ -89,7 +90,7 @@ def calibrate(
     directory: Path,
     /,
     *more: Path,
-    json: JsonFile = None,
+    saved: Saved = NOT_SAVED,
     estimation: Estimation = _USUAL,
     printed: Printed = _BRIEF,
     accept_misfit: str | None = None,
@@ -103,8 +104,6 @@ def calibrate(
         The campaign's folder, or its campaign.toml.
     more
         Further campaigns: a summary of all is printed, and a failing one stops no other.
-    json
-        Write the result to this file too.
     accept_misfit
         The reason for which the result is to be used even if the records contradict it.
     """
@@ -120,8 +119,11 @@ def calibrate(
         from_residuals=estimation.sigma == "residuals",
     )
     if more:
-        calibrate_several((directory, *more), json, estimation.method, options, accept_misfit, crew)
+        calibrate_several(
+            (directory, *more), saved, estimation.method, options, accept_misfit, crew
+        )
         return
+    saved.reserve(_result_kind)
     with progress() as advance:
         result = run(
             directory,
@@ -134,28 +136,33 @@ def calibrate(
     from counterspin.calibration.pages.terminal import print_result
     from counterspin.reports.text import report_console
 
-    print_result(result, report_console(), budget=printed.budget, details=printed.details)
-    if json is not None:
-        # Last: a file that cannot be written must not cost the report as well.
-        result.write(json)
+    with saved.written(result):
+        print_result(result, report_console(), budget=printed.budget, details=printed.details)
     if result.state == "contradicted" and result.accepted_misfit is None:
         raise CounterspinError(f"{_CONTRADICTED}: {result.findings[0].text} {_WHAT_TO_DO}")
 
 
+def _result_kind() -> FileKind:
+    from counterspin.calibration.result import Result
+
+    return Result.file_kind()
+
+
 def calibrate_several(
     directories: tuple[Path, ...],
-    json: Path | None,
+    saved: Saved,
     method: Literal["joint", "two-stage"],
     options: TwoStageOptions,
     accept_misfit: str | None,
     crew: BatchWorkers,
 ) -> None:
     """Calibrate campaigns one by one, print a summary, and raise if any failed."""
-    from counterspin.calibration.batch import calibrate_many
+    from counterspin.calibration.batch import BatchResult, calibrate_many
     from counterspin.calibration.pages.batch import render_batch
     from counterspin.reports.progress import work_progress
     from counterspin.reports.text import report_console
 
+    saved.reserve(BatchResult.file_kind)
     with work_progress("Campaigns") as advance:
         batch = calibrate_many(
             directories,
@@ -166,9 +173,8 @@ def calibrate_several(
             cluster=crew.cluster,
             progress=advance,
         )
-    if json is not None:
-        batch.write(json)
-    report_console().print(render_batch(batch))
+    with saved.written(batch):
+        report_console().print(render_batch(batch))
     if batch.failed:
         raise CounterspinError(
             f"{len(batch.failed)} of {len(batch.campaigns)} campaigns could not be calibrated"

@@ -12,6 +12,7 @@ def demo(
     *,
     output: OutputFolder = Path("counterspin-demo"),
     figure: Literal["svg", "png", "pdf"] = "svg",
+    overwrite: bool = False,
 ) -> None:
     """Simulate and calibrate the paper's plan: truth beside each method, and a figure.
 
@@ -21,14 +22,19 @@ def demo(
         Folder for the campaign, its records and the figure.
     figure
         Format of the figure.
+    overwrite
+        Replace an earlier demonstration.
     """
-    from counterspin.reports.charts import save
+    from counterspin.output import reserve
+    from counterspin.reports.charts import file_kind, save
     from counterspin.reports.text import report_console
     from counterspin.reproduction.demo import demo as run
     from counterspin.reproduction.demo_page import demonstration_plots, render_demonstration
 
-    shown = run(output)
     drawn = output / f"displacement.{figure}"
+    if drawn.exists():
+        reserve(drawn, lambda: file_kind(drawn), overwrite=overwrite)
+    shown = run(output, overwrite=overwrite)
     save(demonstration_plots(shown), drawn)
     report_console().print(render_demonstration(shown))
     say(

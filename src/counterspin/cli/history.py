@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.words import JsonFile
+from counterspin.cli.words import NOT_SAVED, Saved
 from counterspin.errors import CampaignError, CounterspinError
 
 
@@ -12,7 +12,7 @@ def history(
     *paths: Path,
     term: str = "K_II",
     serial: str | None = None,
-    json: JsonFile = None,
+    saved: Saved = NOT_SAVED,
     figure: Path | None = None,
 ) -> None:
     """Follow a coefficient of each instrument through its results: drift, and whether they agree.
@@ -25,26 +25,27 @@ def history(
         The coefficient.
     serial
         Only the instrument with this serial number.
-    json
-        Write the history to this file too.
     figure
         Draw a control chart of one instrument: .svg, .png or .pdf.
     """
     from counterspin.histories.history import history as run
     from counterspin.histories.page import history_plots, render_history
-    from counterspin.reports.charts import check_format, save
+    from counterspin.histories.result import History
+    from counterspin.output import reserve
+    from counterspin.reports.charts import check_format, file_kind, save
     from counterspin.reports.text import report_console
 
     if not paths:
         raise CampaignError("history", ["give result files, or folders that hold them"])
     if figure is not None:
         check_format(figure)
+        reserve(figure, lambda: file_kind(figure), overwrite=saved.overwrite)
+    saved.reserve(History.file_kind)
     result = run(paths, term=term, serial=serial)
-    report_console().print(render_history(result))
-    if json is not None:
-        result.write(json)
-    if figure is not None:
-        save(history_plots(result), figure)
+    with saved.written(result):
+        if figure is not None:
+            save(history_plots(result), figure)
+        report_console().print(render_history(result))
     if result.damaged:
         raise CounterspinError(
             f"{len(result.damaged)} of the files are results that cannot be read; the history is "

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
-from counterspin.cli.words import JsonFile, OutputFile, group, say, shell_word
+from counterspin.cli.words import NOT_SAVED, OutputFile, Saved, group, say, shell_word
 from counterspin.errors import CampaignError
 
 
@@ -35,7 +36,7 @@ def plan(
     check: Path | None = None,
     init: Path | None = None,
     output: OutputFile = None,
-    json: JsonFile = None,
+    saved: Saved = NOT_SAVED,
     figures: Path | None = None,
     unsaid: Unsaid = _NOTHING,
 ) -> None:
@@ -51,17 +52,18 @@ def plan(
         In place of a plan: write a commented example to this file.
     output
         Folder for the planned campaign's campaign.toml, ready for recording and for `simulate`.
-    json
-        Write the result to this file too.
     figures
         Folder for figures: u against time, against the highest rate, and its sources.
     """
     from counterspin.campaign.settings import exact
-    from counterspin.planning.figures import save_figures
+    from counterspin.output import reserve
+    from counterspin.planning.figures import FIGURES, save_figures
     from counterspin.planning.page import render_plan
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search
-    from counterspin.planning.plan import write_campaign, write_example
+    from counterspin.planning.plan import refuse_other_campaign, write_campaign, write_example
+    from counterspin.planning.result import PlanResult
+    from counterspin.reports.charts import file_kind
     from counterspin.reports.progress import progress
     from counterspin.reports.text import report_console
 
@@ -71,6 +73,12 @@ def plan(
         say(f"Wrote {write_example(init)}. Edit it, or try it:")
         say(f"  counterspin plan {shell_word(init)}")
         return
+    saved.reserve(PlanResult.file_kind)
+    for place in () if figures is None else [figures / name for name in FIGURES]:
+        if place.exists():
+            reserve(place, partial(file_kind, place), overwrite=saved.overwrite)
+    if output is not None:
+        refuse_other_campaign(output)
     if check is not None:
         if output is not None or figures is not None:
             raise CampaignError("plan", ["--output and --figures need a plan, not --check"])
@@ -86,9 +94,8 @@ def plan(
         with progress(words=words) as advance:
             planned = search(file, curves=figures is not None, progress=advance)
         result = planned.result
-    if json is not None:
-        result.write(json)
-    report_console().print(render_plan(result))
+    with saved.written(result):
+        report_console().print(render_plan(result))
     if output is not None:
         written = write_campaign(planned, output)
         say("", f"Wrote {written}. Record its runs, or try them:")

@@ -14,6 +14,7 @@ def report(
     output: OutputFile = None,
     identifier: str | None = None,
     date: str | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write the full report of a result: answer, checks, budget, residuals, origin.
 
@@ -27,15 +28,24 @@ def report(
         What it is known by; else it follows from the result.
     date
         When it was made, such as 2026-03-01; else SOURCE_DATE_EPOCH or now.
+    overwrite
+        Replace an earlier report; never another file.
     """
     from counterspin.calibration.pages.full_report import document
-    from counterspin.calibration.pages.publishing import check_format, issue_date, write_report
+    from counterspin.calibration.pages.publishing import (
+        check_format,
+        file_kind,
+        issue_date,
+        write_report,
+    )
     from counterspin.calibration.result import Result
+    from counterspin.output import reserve
     from counterspin.reports.text import Report, report_console
 
     issued = issue_date(date)
     if output is not None:
         check_format(output)
+        reserve(output, lambda: file_kind(output), overwrite=overwrite)
     if source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml"):
         result = Result.read(source)
     else:

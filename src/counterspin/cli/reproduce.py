@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from counterspin.cli.words import JsonFile
+from counterspin.cli.words import NOT_SAVED, Saved
 
 
-def reproduce(*, json: JsonFile = None) -> None:
-    """Recompute the paper's figures beside what is printed, and say why they differ.
-
-    Parameters
-    ----------
-    json
-        Write all figures to this file too.
-    """
+def reproduce(*, saved: Saved = NOT_SAVED) -> None:
+    """Recompute the paper's figures beside what is printed, and say why they differ."""
     from counterspin.reports.text import report_console
     from counterspin.reproduction.comparison import reproduce as run
     from counterspin.reproduction.page import render_reproduction
+    from counterspin.reproduction.result import Reproduction
 
+    saved.reserve(Reproduction.file_kind)
     reproduction = run()
-    if json is not None:
-        reproduction.write(json)
-    report_console().print(render_reproduction(reproduction))
+    with saved.written(reproduction):
+        report_console().print(render_reproduction(reproduction))

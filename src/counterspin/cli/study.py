@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from counterspin.cli.words import JsonFile, OutputFile, group
+from counterspin.cli.words import NOT_SAVED, OutputFile, Saved, group
 
 
 @group
@@ -57,7 +57,7 @@ def study(
     output: OutputFile = None,
     keep_trials: bool = False,
     resume: bool = False,
-    json: JsonFile = None,
+    saved: Saved = NOT_SAVED,
 ) -> None:
     """Try analyses on many simulated campaigns: bias, scatter, and whether claims hold.
 
@@ -71,14 +71,14 @@ def study(
         Write every trial to trials.parquet in that folder.
     resume
         Go on with the study that was begun in that folder.
-    json
-        Write the result to this file too.
     """
     from counterspin.reports.progress import work_progress
     from counterspin.reports.text import report_console
     from counterspin.studies.page import render_study
+    from counterspin.studies.result import StudyResult
     from counterspin.studies.study import study as run
 
+    saved.reserve(StudyResult.file_kind)
     with work_progress("Trials") as advance:
         result = run(
             campaign,
@@ -92,13 +92,12 @@ def study(
             resume=resume,
             progress=advance,
         )
-    if json is not None:
-        result.write(json)
-    if output is not None:
-        from counterspin.studies.page import write_figures
+    with saved.written(result):
+        if output is not None:
+            from counterspin.studies.page import write_figures
 
-        write_figures(result, output)
-    report_console().print(render_study(result))
+            write_figures(result, output)
+        report_console().print(render_study(result))
     if not result.complete:
         more = "" if output is None else "; the same command with --resume goes on"
         raise KeyboardInterrupt(f"stopped{more}")

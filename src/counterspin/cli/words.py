@@ -1,6 +1,7 @@
 """Words that several commands share, and what is said below them in the words of a command line.
 
 - `OutputFolder`, `OutputFile`, `JsonFile`: options of the same name and meaning
+- `Saved`: where a result is written, and whether it may take the place of an earlier one
 - `group`: decorates a class whose fields are options of a command
 - `shell_word`: a path as it may be typed into a shell
 - `say`, `complain`: lines to standard output and standard error, safe for any terminal
@@ -11,14 +12,21 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
-from typing import Annotated, Final, TextIO
+from typing import TYPE_CHECKING, Annotated, Final, TextIO
 
 from cyclopts import App, Parameter
 
+from counterspin.errors import CounterspinError
+from counterspin.output import FileKind, reserve
 from counterspin.reports.typography import speakable, visible
+
+if TYPE_CHECKING:
+    from counterspin.results import ResultFile
 
 OutputFolder = Annotated[Path, Parameter(name=["--output", "-o"])]
 OutputFile = Annotated[Path | None, Parameter(name=["--output", "-o"])]
@@ -26,6 +34,47 @@ JsonFile = Annotated[Path | None, Parameter(name="--json")]
 
 #: Makes each field of a class an option of the command that has it as a parameter.
 group = Parameter(name="*")
+
+
+@group
+@dataclass(frozen=True)
+class Saved:
+    """Where a command's result is written.
+
+    Parameters
+    ----------
+    json
+        Write the result to this file too.
+    overwrite
+        Replace files that an earlier run of this command has written; never others.
+    """
+
+    json: JsonFile = None
+    overwrite: bool = False
+
+    def reserve(self, kind: Callable[[], FileKind]) -> None:
+        """Refuse a place where a file would be lost, before there is a result to lose."""
+        if self.json is not None:
+            reserve(self.json, kind, overwrite=self.overwrite)
+
+    @contextmanager
+    def written(self, result: ResultFile) -> Iterator[None]:
+        """Write a result before anything is printed; where it cannot be, print all the same."""
+        failure = None
+        if self.json is not None:
+            try:
+                result.write(self.json)
+            except CounterspinError as error:
+                failure = error
+        try:
+            yield
+        finally:
+            if failure is not None:
+                raise failure
+
+
+#: No result is written.
+NOT_SAVED: Final = Saved()
 
 #: Function named in a message -> what the command line has in its place.
 _COMMANDS: Final = {

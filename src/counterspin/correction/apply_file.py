@@ -19,7 +19,7 @@ from counterspin.calibration.result import Result
 from counterspin.campaign.quantity import unit_factor
 from counterspin.correction.apply import ApplyOptions, Correction, apply, instrument_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
-from counterspin.output import write_whole
+from counterspin.output import FileKind, holds, reserve, write_whole
 from counterspin.physics.inversion import NotInvertibleError
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.formats import open_columns, refusals
@@ -32,6 +32,9 @@ _SEPARATORS: Final[Mapping[str, str | None]] = {
     ".tsv": "\t",
     ".parquet": None,
 }
+
+#: What is written is known again by the names of its new columns.
+_CORRECTED: Final = FileKind("a file that counterspin corrected", holds(b"_corrected_u"))
 
 
 @dataclass(frozen=True)
@@ -87,6 +90,7 @@ def apply_file(
     *,
     column: str | None = None,
     options: ApplyOptions | None = None,
+    overwrite: bool = False,
 ) -> CorrectedFile:
     """Correct a column of a file and write the file's columns and two more.
 
@@ -103,6 +107,8 @@ def apply_file(
         only one that is named nowhere else.
     options
         As `apply`, with columns in the place of arrays.
+    overwrite
+        Whether an earlier corrected file may be replaced; nothing else is.
 
     Returns
     -------
@@ -125,6 +131,7 @@ def apply_file(
         raise CampaignError(str(output), [f"must end in one of {', '.join(_SEPARATORS)}"])
     if output.exists() and source.exists() and output.samefile(source):
         raise CampaignError(str(output), ["is the input; a record is not overwritten"])
+    reserve(output, lambda: _CORRECTED, overwrite=overwrite)
     options = options or ApplyOptions()
     others: dict[str, Any] = dict(options.others)
     for name in (accelerometer, *others):

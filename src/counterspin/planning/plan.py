@@ -209,6 +209,14 @@ def check(
     )
 
 
+def refuse_other_campaign(folder: Path) -> Path:
+    """Return the description's place in a folder; CounterspinError if there is one already."""
+    target = folder / DESCRIPTION_NAME
+    if target.exists():
+        raise CounterspinError(f"{target} exists; choose another folder")
+    return target
+
+
 def write_campaign(planned: Planned, folder: Path) -> Path:
     """Write the campaign's description into a folder.
 
@@ -217,9 +225,7 @@ def write_campaign(planned: Planned, folder: Path) -> Path:
     CounterspinError
         If there is a description already, or the folder cannot be written.
     """
-    target = folder / DESCRIPTION_NAME
-    if target.exists():
-        raise CounterspinError(f"{target} exists; choose another folder")
+    target = refuse_other_campaign(folder)
     make_folder(folder)
     write_text(target, planned.document)
     return target

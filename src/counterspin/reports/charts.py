@@ -3,6 +3,7 @@
 The same picture gives the same text and the same file, byte for byte.
 
 - `svg`: one picture, without prolog, to stand in a page or on paper
+- `file_kind`: how its own pictures are known again
 - `save`, `check_format`: pictures below each other in a file: SVG, PNG or PDF
 
 `svg` draws no title, for whoever shows the picture sets it in words; it is the SVG's ``<title>``,
@@ -27,7 +28,7 @@ from pathlib import Path
 from typing import Final, Literal, cast
 
 from counterspin.errors import CounterspinError
-from counterspin.output import write_whole
+from counterspin.output import FileKind, holds, write_whole
 from counterspin.reports.blocks import Picture
 from counterspin.reports.drawing import COLOURS_OF_PAPER, drawn, settings
 from counterspin.reports.typography import typeset_block
@@ -46,6 +47,19 @@ _METADATA: Final[Mapping[str, dict[str, str | None]]] = {
     ".png": {"Software": "counterspin"},
     ".pdf": {"Creator": "counterspin", "Producer": None, "CreationDate": None},
 }
+
+
+#: Where that stands in a file of each kind.
+_MARKS: Final = {
+    ".svg": b"<dc:title>counterspin",
+    ".png": b"Software\0counterspin",
+    ".pdf": b"/Creator (counterspin)",
+}
+
+
+def file_kind(path: Path) -> FileKind:
+    """Return what `save` writes under a name, so that its own pictures are known again."""
+    return FileKind("a figure that counterspin drew", holds(_MARKS[check_format(path)]))
 
 
 def check_format(path: Path) -> str:

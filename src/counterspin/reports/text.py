@@ -37,6 +37,12 @@ _STYLES: Final[dict[Style, str]] = {
 }
 
 
+class _Console(Console):
+    def on_broken_pipe(self) -> None:
+        """Leave it to the caller; rich itself would end the process."""
+        raise BrokenPipeError
+
+
 def report_console(file: TextIO | None = None, *, error: bool = False) -> Console:
     """Return a console for reports.
 
@@ -52,7 +58,7 @@ def report_console(file: TextIO | None = None, *, error: bool = False) -> Consol
     Console
         As wide as the terminal; 100 columns where there is none, unless ``COLUMNS`` says else.
     """
-    made = Console(file=file, stderr=error, highlight=False, emoji=False)
+    made = _Console(file=file, stderr=error, highlight=False, emoji=False)
     if not made.is_terminal and "COLUMNS" not in os.environ:
         made.width = _PLAIN_WIDTH
     return made

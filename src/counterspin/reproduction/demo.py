@@ -63,14 +63,15 @@ class Demonstration:
         return coefficients
 
 
-def demo(folder: Path | str = FOLDER) -> Demonstration:
+def demo(folder: Path | str = FOLDER, *, overwrite: bool = False) -> Demonstration:
     """Simulate the paper's plan (its Tables 1 and 2, section 2.3) and calibrate it.
 
     Parameters
     ----------
     folder
-        For ``campaign.toml`` and its records; made if it is not there. An earlier demonstration
-        in it is replaced.
+        For ``campaign.toml`` and its records; made if it is not there.
+    overwrite
+        Whether an earlier demonstration in it may be replaced.
 
     Returns
     -------
@@ -84,7 +85,7 @@ def demo(folder: Path | str = FOLDER) -> Demonstration:
     folder = Path(folder)
     _write_description(folder)
     campaign = read_campaign(folder)
-    records = simulate(campaign, folder, overwrite=True)
+    records = simulate(campaign, folder, overwrite=overwrite)
     observed = tuple(observe(campaign))
     (accelerometer,) = campaign.accelerometers.values()
     return Demonstration(

@@ -1,6 +1,6 @@
 """A report as a file: HTML, PDF or Markdown, by the ending of its name.
 
-- `write_report`: a result's report to a file
+- `write_report`: a result's report to a file; `file_kind`: how its own are known again
 - `issue_date`: when it is said to have been made
 """
 
@@ -14,11 +14,30 @@ from typing import Final
 from counterspin.calibration.pages.full_report import document, identifier_of
 from counterspin.calibration.result import Result
 from counterspin.errors import CampaignError
-from counterspin.output import write_text, write_whole
+from counterspin.output import FileKind, holds, write_text, write_whole
 from counterspin.reports.blocks import Paragraph
 
 #: Endings of the files that are written.
 FORMATS: Final = (".html", ".pdf", ".md")
+
+
+#: What stands in a report of each.
+_MARKS: Final = {
+    ".html": b'name="generator" content="counterspin',
+    ".pdf": b"counterspin",
+    ".md": b"counterspin calibrate",
+}
+
+
+def file_kind(path: Path) -> FileKind:
+    """Return what `write_report` writes under a name, so that its own reports are known again."""
+    marked, attached = holds(_MARKS[check_format(path)]), holds(b"/EmbeddedFile")
+
+    def recognises(place: Path) -> bool:
+        # A certificate's PDF says the same of its making, and carries its XML.
+        return place.suffix.lower() == path.suffix.lower() and marked(place) and not attached(place)
+
+    return FileKind("a report of counterspin", recognises)
 
 
 def check_format(path: Path) -> str:

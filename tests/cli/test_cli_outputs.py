@@ -1,0 +1,182 @@
+"""No command loses a file: neither its inputs, nor another's work, nor its own result."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from campaigns import SMALL, write
+from results import result
+
+from certificates import write_lab
+from counterspin import cli
+from counterspin.campaign.simulation import simulate
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples" / "three-rate"
+
+#: What a laboratory may have: none of it is ever replaced by another thing.
+KEPT = {
+    "campaign.toml": "a campaign",
+    "slow.csv": "a record",
+    "LAB.toml": "the laboratory's file",
+    "r.json": "a result",
+    "history.json": "another command's result",
+    "report.md": "a report",
+    "issued.xml": "a certificate",
+    "issued.pdf": "a certificate on paper",
+    "notes.txt": "notes",
+}
+
+#: Command with an output -> which of these it may replace, being of its own making.
+WRITERS = {
+    ("calibrate", "camp", "--json"): {"r.json"},
+    ("history", "r.json", "--json"): {"history.json"},
+    ("reproduce", "--json"): set(),
+    ("plan", "PLAN.toml", "--json"): set(),
+    ("study", "camp", "--trials", "2", "--json"): set(),
+    ("report", "r.json", "-o"): {"report.md"},
+    ("apply", "r.json", "camp/slow.csv", "--accelerometer", "Qx", "-o"): set(),
+}
+
+
+@pytest.fixture(scope="module")
+def desk(tmp_path_factory):
+    """Return a folder with one file of each kind."""
+    folder = tmp_path_factory.mktemp("desk")
+    simulate(write(folder, SMALL, "plan.toml"), folder / "camp")
+    for name in ("campaign.toml", "slow.csv"):
+        shutil.copy(folder / "camp" / name, folder)
+    dated = result().model_copy(update={"details": {"date": "2026-01-14"}})
+    dated.write(folder / "r.json")
+    write_lab(folder)
+    shutil.copy(EXAMPLES / "certificate.xml", folder / "issued.xml")
+    shutil.copy(EXAMPLES / "certificate.pdf", folder / "issued.pdf")
+    (folder / "notes.txt").write_text("mine")
+    assert cli.main(["history", f"{folder}/r.json", "--json", f"{folder}/history.json"]) == 0
+    assert cli.main(["report", f"{folder}/r.json", "-o", f"{folder}/report.md"]) == 0
+    assert cli.main(["plan", "--init", f"{folder}/PLAN.toml"]) == 0
+    return folder
+
+
+@pytest.fixture
+def here(desk, tmp_path, monkeypatch):
+    shutil.copytree(desk, tmp_path / "desk")
+    monkeypatch.chdir(tmp_path / "desk")
+    return tmp_path / "desk"
+
+
+def contents(folder):
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.mark.parametrize("words", WRITERS, ids=lambda words: words[0] + words[-1])
+def test_no_file_of_another_kind_is_replaced(words, here, capsys):
+    before = contents(here)
+    for name in KEPT.keys() - WRITERS[words]:
+        for more in ([], ["--overwrite"]):
+            assert cli.main([*words, name, *more]) in (1, 2), name
+            told = capsys.readouterr()
+            assert name in told.err
+            assert "internal" not in told.err
+            assert told.out == ""  # refused before any work
+    assert contents(here) == before
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_a_certificate_replaces_nothing(name, here, capsys):
+    before = contents(here)
+    assert cli.main(["certificate", "r.json", "LAB.toml", "-o", name]) in (1, 2)
+    assert name in capsys.readouterr().err
+    for what in ("certificate", "plan"):
+        assert cli.main([what, "--init", name]) == 1
+        assert f"{name} exists" in capsys.readouterr().err
+    assert contents(here) == before
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["calibrate", "camp", "--json", "new.json"],
+        ["calibrate", "camp", "camp", "--json", "new.json"],
+        ["history", "r.json", "--json", "new.json", "--figure", "new.svg"],
+        ["report", "r.json", "-o", "new.html"],
+        ["report", "r.json", "-o", "new.pdf"],
+        ["apply", "r.json", "indicated.csv", "--accelerometer", "Qx", "-o", "new.csv"],
+        ["apply", "r.json", "indicated.csv", "--accelerometer", "Qx", "-o", "new.parquet"],
+        ["simulate", "plan.toml", "-o", "new"],
+    ],
+    ids=lambda words: f"{words[0]} {words[-1]}",
+)
+def test_an_earlier_output_is_replaced_if_asked_for(words, here, capsys):
+    (here / "indicated.csv").write_text("Qx\n0.5\n1.0\n")
+    assert cli.main(words) == 0
+    before = contents(here)
+    capsys.readouterr()
+    assert cli.main(words) == 1
+    told = capsys.readouterr()
+    assert "exists; " in told.err
+    assert "give --overwrite" in told.err
+    assert contents(here) == before
+    assert cli.main([*words, "--overwrite"]) == 0
+
+
+@pytest.mark.parametrize("figure", ["svg", "png", "pdf"])
+def test_a_demonstration_and_its_figure_are_known_again(figure, here, capsys):
+    words = ["demo", "-o", "shown", "--figure", figure]
+    assert cli.main(words) == 0
+    assert cli.main(words) == 1
+    assert "exists; name another file, or give --overwrite" in capsys.readouterr().err
+    assert cli.main([*words, "--overwrite"]) == 0
+    drawn = here / "shown" / f"displacement.{figure}"
+    drawn.write_bytes(b"not counterspin's")
+    assert cli.main([*words, "--overwrite"]) == 1
+    assert "is not a figure that counterspin drew" in capsys.readouterr().err
+
+
+def test_the_input_is_not_replaced_by_its_correction(here, capsys):
+    (here / "indicated.csv").write_text("Qx\n0.5\n1.0\n")
+    words = ["apply", "r.json", "indicated.csv", "--accelerometer", "Qx", "-o", "new.csv"]
+    assert cli.main(words) == 0
+    before = contents(here)
+    (here / "link.csv").symlink_to("new.csv")
+    for output in ("new.csv", "link.csv"):
+        again = ["apply", "r.json", "new.csv", "--accelerometer", "Qx", "-o", output, "--overwrite"]
+        assert cli.main([*again, "--input", "Qx"]) == 2
+        assert "is the input" in capsys.readouterr().err
+    (here / "link.csv").unlink()
+    assert contents(here) == before
+
+
+def test_a_folder_that_is_not_there_is_told_before_the_work(here, capsys):
+    assert cli.main(["calibrate", "camp", "--json", "none/r.json"]) == 1
+    told = capsys.readouterr()
+    assert "none/r.json: cannot be written: there is no folder none" in told.err
+    assert told.out == ""
+
+
+def test_a_result_that_cannot_be_written_is_printed_all_the_same(here, capsys):
+    (here / "full.json").symlink_to("/dev/full")
+    assert cli.main(["calibrate", "camp", "--json", "full.json"]) == 1
+    told = capsys.readouterr()
+    assert "full.json: cannot be written" in told.err
+    assert "K_II" in told.out
+
+
+@pytest.mark.parametrize("way", ["full", "broken"])
+def test_a_result_is_written_before_it_is_printed(way, here):
+    """A full device behind standard output, and a reader that has gone away."""
+    command = f"{sys.executable} -m counterspin calibrate camp --json new.json"
+    command += " > /dev/full" if way == "full" else " | true"
+    run = subprocess.run(
+        ["bash", "-c", f"{command}; exit ${{PIPESTATUS[0]}}"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert cli.main(["report", "new.json", "-o", "new.md"]) == 0
+    if way == "full":
+        assert run.returncode == 1
+        assert run.stderr == "counterspin: the output cannot be written: there is no space left\n"
+    else:
+        assert (run.returncode, run.stderr) == (0, "")
