@@ -8,7 +8,7 @@ import pytest
 from counterspin.physics.accelerometer import QX, TERMS
 from counterspin.physics.inputs import UNCERTAIN_INPUTS
 from counterspin.physics.observation import parabola
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR, PLATFORM_TERMS
+from counterspin.physics.shared_terms import DEGREE_PER_HOUR, SHARED_TERMS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "physics.md").read_text(encoding="utf-8")
 
@@ -42,12 +42,12 @@ def test_accelerometer_table_lists_exactly_the_terms():
     assert rows_between("terms") == expected
 
 
-def test_platform_table_lists_exactly_the_terms():
+def test_shared_table_lists_exactly_the_terms():
     expected = [
         [f"`{row.symbol}`", row.unit, row.words, f"{row.limit:.4g}", f"{row.typical:.4g}"]
-        for row in PLATFORM_TERMS.values()
+        for row in SHARED_TERMS.values()
     ]
-    assert rows_between("platform terms") == expected
+    assert rows_between("shared terms") == expected
 
 
 def test_inputs_are_those_of_the_code():

@@ -26,7 +26,7 @@ The physics, from the ground up:
 
 - `Spindle`, `Ripple`, `fit_spindle`: the angle of the spindle (Eq. 1-4) and its identification
 - `Site`, `Trajectory`: place, velocity, specific force of the platform
-- `Mounting`, `QX`, `QY`, `QZ`: axes of an accelerometer; `TERMS`, `PLATFORM_TERMS`: the error terms
+- `Mounting`, `QX`, `QY`, `QZ`: axes of an accelerometer; `TERMS`, `SHARED_TERMS`: the error terms
 - `indicated`: what it indicates (Eq. 7)
 - `reference`: what a perfect system records; `columns`: the error per unit of each coefficient
 
@@ -110,7 +110,7 @@ if TYPE_CHECKING:
     from counterspin.physics.motion import Trajectory as Trajectory
     from counterspin.physics.observation import columns as columns
     from counterspin.physics.observation import reference as reference
-    from counterspin.physics.shared_terms import PLATFORM_TERMS as PLATFORM_TERMS
+    from counterspin.physics.shared_terms import SHARED_TERMS as SHARED_TERMS
     from counterspin.physics.spindle import Ripple as Ripple
     from counterspin.physics.spindle import Spindle as Spindle
     from counterspin.physics.spindle import fit_spindle as fit_spindle
@@ -155,7 +155,7 @@ _OFFERED = {
     "physics.accelerometer": ("QX", "QY", "QZ", "TERMS", "Mounting", "indicated"),
     "physics.motion": ("Site", "Trajectory"),
     "physics.observation": ("columns", "reference"),
-    "physics.shared_terms": ("PLATFORM_TERMS",),
+    "physics.shared_terms": ("SHARED_TERMS",),
     "physics.spindle": ("Ripple", "Spindle", "fit_spindle"),
     "calibration.pages.publishing": ("write_report",),
     "calibration.pages.terminal": ("print_result",),

@@ -485,6 +485,65 @@ def test_other_observables_show_the_same_truth(tmp_path, key, unit, noise):
         assert found.accelerometers[name].two_stage is None
 
 
+@pytest.mark.parametrize(
+    ("table", "terms", "expected"),
+    [
+        (
+            '[truth.centrifuge]\nstretch = "5e-7 s^2/m"\nimbalance.1.cos = "20 um"\n'
+            'imbalance.2.sin = "-9 um"\n',
+            '"centrifuge.stretch", "centrifuge.imbalance"',
+            {
+                "centrifuge.stretch": 5e-7,
+                "centrifuge.imbalance.1.cos": 2e-5,
+                "centrifuge.imbalance.1.sin": 0.0,
+                "centrifuge.imbalance.2.cos": 0.0,
+                "centrifuge.imbalance.2.sin": -9e-6,
+            },
+        ),
+        (
+            '[truth.encoder]\nharmonic.1.sin = "2 arcsec"\nharmonic.2.cos = "-1 arcsec"\n',
+            '"encoder.harmonic.1", "encoder.harmonic.2"',
+            {
+                "encoder.harmonic.1.cos": 0.0,
+                "encoder.harmonic.1.sin": 2 * math.radians(1 / 3600),
+                "encoder.harmonic.2.cos": -math.radians(1 / 3600),
+                "encoder.harmonic.2.sin": 0.0,
+            },
+        ),
+        (
+            '[truth.platform]\ng2_sensitivity.north = "0.05 deg/h/g^2"\n',
+            '"platform.g2_sensitivity.north"',
+            {"platform.g2_sensitivity.north": 0.05 * math.radians(1) / 3600},
+        ),
+    ],
+    ids=["radius", "encoder", "drift"],
+)
+def test_errors_of_the_machine_are_found_and_leave_the_coefficients_alone(
+    tmp_path, table, terms, expected
+):
+    text = changed(
+        BASE,
+        (
+            'displacement = { column = "east_m", unit = "m" }',
+            'velocity = { column = "e", unit = "m/s" }',
+        ),
+        (
+            'displacement = { column = "north_m", unit = "m" }',
+            'velocity = { column = "n", unit = "m/s" }',
+        ),
+        ('displacement = "0.01 m"', 'velocity = "1e-4 m/s"'),
+        ('"K_III"]', f'"K_III", {terms}]'),
+        ("[truth.noise]", f"{table}[truth.noise]"),
+    )
+    found = calibrate(simulated(tmp_path, text))
+    assert_true(found)
+    for symbol, value in expected.items():
+        c = found.platform[symbol]
+        assert c.estimated
+        assert abs(c.value - value) < 4 * c.u, symbol
+        assert value == 0.0 or abs(value) > 10 * c.u, symbol
+
+
 def test_a_ripple_that_a_noisy_encoder_hides_is_in_the_budget(tmp_path):
     """Taken as it was found, the rotation would put K_II fifteen of its u and more off."""
     text = changed(

@@ -13,7 +13,7 @@ from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import QX, QY, TERMS
 from counterspin.physics.motion import Site
-from counterspin.physics.shared_terms import PLATFORM_TERMS, term
+from counterspin.physics.shared_terms import SHARED_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
 
 BASE = (
@@ -116,7 +116,7 @@ def test_resolves_everything_to_si(tmp_path):
     assert campaign.noise.timing == "estimate"
     assert campaign.noise.angle == 0.0
     assert campaign.model.terms == ("K_F", "K_I", "K_II", "K_III")
-    assert campaign.model.limits == {s: term(s).limit for s in (*TERMS, *PLATFORM_TERMS)}
+    assert campaign.model.limits == {s: term(s).limit for s in (*TERMS, *SHARED_TERMS)}
     one, two = campaign.runs
     assert (one.name, one.rate) == ("run1", pytest.approx(math.pi / 2, rel=1e-15))
     assert (two.record, two.rate) == (
@@ -443,7 +443,7 @@ def test_truth_of_a_simulation(tmp_path):
         pytest.approx(-math.pi * 1.0001, rel=1e-15), 2e-6, (), math.pi / 2
     )
     arcsec = math.pi / 648000
-    assert one.truth.platform == pytest.approx(
+    assert one.truth.shared == pytest.approx(
         {
             "platform.tilt.north": arcsec,
             "platform.drift.north": 0.01 * arcsec,
@@ -451,7 +451,7 @@ def test_truth_of_a_simulation(tmp_path):
         },
         rel=1e-14,
     )
-    assert two.truth.platform["platform.tilt.north"] == pytest.approx(2 * arcsec, rel=1e-14)
+    assert two.truth.shared["platform.tilt.north"] == pytest.approx(2 * arcsec, rel=1e-14)
 
 
 def test_truth_changes_nothing_that_a_calibration_reads(tmp_path):
@@ -566,3 +566,43 @@ def test_reading_a_campaign_imports_nothing_heavy(tmp_path):
 def test_a_record_given_for_a_campaign_is_named(tmp_path):
     with pytest.raises(CampaignError, match=r"run1\.csv: a record, not a campaign; give the"):
         read_campaign(tmp_path / "run1.csv")
+
+
+# --- errors of the path ---------------------------------------------------------------------------
+
+
+def test_a_stretch_of_the_centrifuge_is_considered_unless_it_is_estimated(tmp_path):
+    stretched = ('radius = "2.5 ± 1e-5 m"', 'radius = "2.5 ± 1e-5 m"\nstretch = "0 ± 5e-9 s^2/m"')
+    model = read_campaign(write(tmp_path, edited(stretched))).model
+    assert model.considered == ("centrifuge.stretch",)
+    assert model.priors["centrifuge.stretch"].u == 5e-9
+    asked = ('"K_III"]', '"K_III", "centrifuge.stretch"]')
+    model = read_campaign(write(tmp_path, edited(stretched, asked))).model
+    assert model.considered == ()
+    assert model.terms[-1] == "centrifuge.stretch"
+    twice = ("[model.priors]", '[model.priors]\n"centrifuge.stretch" = "0 ± 1e-9 s^2/m"')
+    (problem,) = problems_of(tmp_path, edited(stretched, asked, twice))
+    assert problem.startswith('model.priors."centrifuge.stretch": is given in [centrifuge] too')
+
+
+def test_errors_of_an_encoder_need_a_recorded_angle(tmp_path):
+    asked = ('"K_III"]', '"K_III", "encoder.harmonic.1"]')
+    unrecorded = ('angle = { column = "angle", unit = "deg" }', "")
+    (problem,) = problems_of(tmp_path, edited(asked, unrecorded))
+    assert problem == "model.terms: has errors of the encoder, but no angle is recorded"
+    assert read_campaign(write(tmp_path, edited(asked))).model.terms[-2:] == (
+        "encoder.harmonic.1.cos",
+        "encoder.harmonic.1.sin",
+    )
+
+
+def test_truth_of_the_path(tmp_path):
+    tables = '[truth.centrifuge]\nstretch = "4e-9 s^2/m"\nimbalance.2.sin = "3 um"\n'
+    tables += '[truth.encoder]\nharmonic.1.cos = "1 arcsec"\n'
+    (first, _) = read_campaign(write(tmp_path, f"{BASE}{SIMULATED}\n{tables}")).runs
+    assert first.truth.shared["centrifuge.stretch"] == 4e-9
+    assert first.truth.shared["centrifuge.imbalance.2.sin"] == pytest.approx(3e-6, rel=1e-14)
+    assert first.truth.shared["encoder.harmonic.1.cos"] == pytest.approx(math.radians(1 / 3600))
+    wrong = tables.replace("imbalance.2", "imbalance.3")
+    (problem,) = problems_of(tmp_path, f"{BASE}{SIMULATED}\n{wrong}")
+    assert problem.startswith("truth.centrifuge.imbalance.3: unknown key")

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from counterspin.campaign.quantity import ADVICE, UNITS, Quantity, parse, unit_factor
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.shared_terms import SHARED_TERMS
 
 G = 9.8066
 UNCERTAINTY = st.one_of(st.just(0.0), st.floats(min_value=1e-50, max_value=1e50))
@@ -131,7 +131,7 @@ def test_every_advised_unit_is_accepted(wanted):
 
 
 def test_every_unit_of_the_term_table_has_advice():
-    assert {row.unit for row in [*TERMS.values(), *PLATFORM_TERMS.values()]} <= set(ADVICE)
+    assert {row.unit for row in [*TERMS.values(), *SHARED_TERMS.values()]} <= set(ADVICE)
 
 
 @given(FINITE, UNCERTAINTY, st.sampled_from(sorted(ADVICE)))

@@ -144,7 +144,7 @@ def test_all_mistakes_at_once_by_key():
         "specification.K_II: '5e-5 g/g^2' is no specification",
         'specification.K_IV: no term is called "K_IV"; did you mean "K_I',
         'specification.decisionrule: no term is called "decisionrule"; did you mean "deci',
-        'specification."platform.tilt": belongs to the platform',
+        'specification."platform.tilt": belongs to the machine',
         'specification.Qz: no accelerometer is called "Qz"',
         "specification.Qx.K_F: ",
         'specification.Qx.bias: no term is called "bias"',
@@ -170,7 +170,7 @@ def test_all_mistakes_at_once_by_key():
         ({"guard_factor": "1", "K_F": "<= 1 g"}, "specification.guard_factor: must be a number"),
         ({"guard_factor": {"a": 1}, "K_F": "<= 1 g"}, "specification.guard_factor: must be a num"),
         ({"platform.drift.up": "<= 1 deg/h"}, 'specification."platform.drift.up": belongs to'),
-        ({"platform": {"tilt": "<= 1 arcsec"}}, "specification.platform: belongs to the platform"),
+        ({"platform": {"tilt": "<= 1 arcsec"}}, "specification.platform: belongs to the machine"),
     ],
 )
 def test_single_mistakes(table, line):

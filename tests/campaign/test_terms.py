@@ -9,7 +9,7 @@ from counterspin.campaign.terms import BARE_NAMES, acts, resolve_model, rows_of
 from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.observation import parabola
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.shared_terms import SHARED_TERMS
 
 LEVEL = np.eye(3)
 OBLIQUE = Mounting.from_axes([1.0, 1.0, 0.0], "down")
@@ -135,7 +135,9 @@ def test_terms_must_name_an_accelerometer_coefficient():
 
 
 def test_every_platform_term_has_a_bare_name():
-    assert {row.symbol for rows in BARE_NAMES.values() for row in rows} == set(PLATFORM_TERMS)
+    assert {row.symbol for rows in BARE_NAMES.values() for row in rows} == {
+        symbol for symbol in SHARED_TERMS if symbol != "centrifuge.stretch"
+    }
 
 
 def test_a_sensitivity_that_acts_leaves_a_mean_at_some_start_angle():
@@ -173,3 +175,25 @@ def test_typical_sizes_may_be_changed():
     assert model.typical["platform.tilt.north"] == pytest.approx(2 * ARCSEC, rel=1e-14)
     assert model.typical["platform.tilt.up"] == pytest.approx(np.radians(1.0), rel=1e-14)
     assert model.typical["K_PP"] == TERMS["K_PP"].typical < TERMS["K_PP"].limit
+
+
+def test_names_of_the_path_mean_harmonics_and_their_quadratures():
+    assert expanded("encoder.harmonic.3", {"Qx": QX}) == "cos sin"
+    assert expanded("centrifuge.imbalance", {"Qx": QX}) == "1.cos 1.sin 2.cos 2.sin"
+    model, _, problems = resolve(
+        {"Qx": QX},
+        terms=["K_II", "centrifuge.imbalance"],
+        priors={"centrifuge.imbalance": "0 ± 2 um", "centrifuge.imbalance.2": "0 ± 1 um"},
+        typical={"encoder.harmonic.1": "3 arcsec", "encoder": {"harmonic": "2 arcsec"}},
+    )
+    assert problems == []
+    assert [prior.u for prior in model.priors.values()] == [2e-6, 2e-6, 1e-6, 1e-6]
+    for harmonic, arcsec in ((1, 3.0), (4, 2.0)):
+        size = model.typical[f"encoder.harmonic.{harmonic}.cos"]
+        assert size == pytest.approx(arcsec * ARCSEC, rel=1e-14)
+
+
+def test_the_path_does_not_show_along_the_vertical():
+    assert "no component" in expanded("encoder.harmonic", {"Qz": QZ})
+    assert not acts(SHARED_TERMS["centrifuge.stretch"], QZ, LEVEL)
+    assert acts(SHARED_TERMS["centrifuge.stretch"], QY, LEVEL)

@@ -12,10 +12,9 @@ from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import ORDERS
 from counterspin.planning.design import Design, RunType
 from counterspin.planning.faults import (
-    ECCENTRICITY,
-    IMBALANCE,
     faults_of,
     mean_square,
+    of_path,
     square,
     watch,
 )
@@ -49,6 +48,10 @@ def predict(starter):
         return forecast(search.campaign(design))
 
     return made
+
+
+ECCENTRICITY = of_path("encoder.harmonic.1")
+IMBALANCE = of_path("centrifuge.imbalance.1")
 
 
 def place_of(prediction, name="Qx.K_II"):

@@ -6,7 +6,7 @@ import pytest
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.starter import init
-from counterspin.planning.faults import ECCENTRICITY, IMBALANCE, watch
+from counterspin.planning.faults import of_path, watch
 from counterspin.planning.forecast import forecast
 from counterspin.planning.page import render_plan
 from counterspin.planning.plan import check, plan
@@ -38,7 +38,8 @@ def test_eccentricity_and_imbalance_at_which_u_is_a_twentieth_larger(starter):
     planned = plan(starter(*force))
     prediction = forecast(planned_campaign(planned, starter))
     place = [u.name for u in prediction.fit.model.unknowns].index("Qx.K_II")
-    watched = watch(prediction, [ECCENTRICITY, IMBALANCE])
+    paths = ("encoder.harmonic.1", "centrifuge.imbalance.1")
+    watched = watch(prediction, [of_path(symbol) for symbol in paths])
     sizes = {line.words: line.size for line in planned.result.requirements}
     for index, words in enumerate(("eccentric encoder", "imbalance")):
         size = next(size for key, size in sizes.items() if words in key)

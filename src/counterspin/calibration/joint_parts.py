@@ -32,7 +32,7 @@ from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.variance_components import VarianceComponents
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import term
+from counterspin.physics.shared_terms import SHARED_TERMS, symbol_of, term
 
 _UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True)) | {
     "centrifuge.radius": "m",
@@ -157,11 +157,11 @@ def confounded(view: AccelerometerView) -> list[ConfoundedTerms]:
 
 
 def confounded_platform(assessment: Assessment) -> list[ConfoundedTerms]:
-    """Return the sets of platform terms alone, those of a run's own rotation left out."""
+    """Return the sets of shared terms alone, those of a run's own rotation left out."""
     return [
         _written(item, "")
         for item in assessment.confounded
-        if all("platform." in symbol for symbol in item.terms)
+        if all(symbol_of(name) in SHARED_TERMS for name in item.terms)
     ]
 
 

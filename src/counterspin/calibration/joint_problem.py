@@ -26,7 +26,7 @@ from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, 
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.inputs import UNCERTAIN_INPUTS
-from counterspin.physics.shared_terms import PLATFORM_TERMS, term
+from counterspin.physics.shared_terms import SHARED_TERMS, term
 
 #: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
 _ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
@@ -121,7 +121,9 @@ def left_out_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
         for row in TERMS.values()
         if row.symbol not in known
     ]
-    for row in PLATFORM_TERMS.values():
+    for row in SHARED_TERMS.values():
+        if campaign.angle is None and row.symbol.startswith("encoder."):
+            continue
         reached = [run for run in campaign.runs if acts(row, accelerometer.mounting, run.attitude)]
         if row.symbol not in known and reached:
             owners = [run.name for run in reached] if row.per_run else [""]

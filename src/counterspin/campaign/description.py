@@ -49,7 +49,13 @@ from counterspin.campaign.settings import (
     exact,
 )
 from counterspin.campaign.specification import Specifications, resolve_specifications
-from counterspin.campaign.terms import DEFAULT_TERMS, about_nominal, resolve_model
+from counterspin.campaign.terms import (
+    DEFAULT_TERMS,
+    about_nominal,
+    refuse_encoder,
+    resolve_model,
+    with_stretch,
+)
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, description_file, load_document
 from counterspin.campaign.truth import TRUTH_TABLES, resolve_run_truth, resolve_simulation
 from counterspin.errors import CampaignError
@@ -172,6 +178,10 @@ class _DescriptionReader:
             model, priors = resolve_model(
                 settings, mountings, attitudes, given, problems=problems, gravity=gravity
             )
+            if not readings and centrifuge is not None and centrifuge.stretch is not None:
+                model = with_stretch(model, centrifuge.stretch, problems)
+            if records is not None and records.angle is None:
+                refuse_encoder(model, problems)
         simulation = self._simulation(noise) if self.simulated else None
         specifications = self._specifications()
         if problems.lines:

@@ -16,6 +16,7 @@ from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
 from counterspin.physics.machine import MACHINE_TERMS, machine_term
+from counterspin.physics.shared_terms import SHARED_TERMS
 
 #: What a name of the machine's terms begins with.
 _FAMILIES: Final = ("centrifuge.", "fixture.", "head.")
@@ -188,7 +189,10 @@ def _symbols(readings: Sequence[Reading]) -> tuple[str, ...]:
 
 
 def _is_machine(name: str) -> bool:
-    return name.startswith(_FAMILIES) or machine_term(name) is not None
+    if machine_term(name) is not None:
+        return True
+    shown_by_records = any(f"{symbol}.".startswith(f"{name}.") for symbol in SHARED_TERMS)
+    return name.startswith(_FAMILIES) and not shown_by_records
 
 
 def _expand(name: str, known: Iterable[str]) -> tuple[str, ...]:

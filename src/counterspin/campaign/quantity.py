@@ -99,6 +99,7 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
     "rad/s/g": ("a gyro g-sensitivity", "deg/h/g, rad/s/g"),
     "rad/s/g^2": ("a gyro g^2-sensitivity", "deg/h/g^2, rad/s/g^2"),
     "rad/g": ("a compliance", "arcsec/g, rad/g"),
+    "s^2/m": ("a stretch per acceleration", "s^2/m, ppm/g"),
 }
 
 #: Sizes of measured quantities, in SI and g-units; squares of sizes outside could overflow.

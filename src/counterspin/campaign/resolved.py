@@ -122,12 +122,12 @@ class ErrorModel:
     Attributes
     ----------
     terms
-        Symbols to estimate; bare platform names are resolved to the components that act.
+        Symbols to estimate; bare names are resolved to the components that act.
     considered
         Symbols that are not estimated but whose prior enters the uncertainty.
     priors
-        Platform symbol -> prior, SI (tilt: one of each run). Those of accelerometer terms are
-        in `Accelerometer.priors`.
+        Symbol of a shared term -> prior, SI (tilt: one of each run). Those of accelerometer terms
+        are in `Accelerometer.priors`.
     limits
         Every symbol of the term tables -> its largest credible size, in the table's unit.
     typical
@@ -149,12 +149,12 @@ class RunTruth:
     ----------
     spindle
         The true motion of the spindle.
-    platform
-        Platform symbol -> true value, SI; those that are zero are left out.
+    shared
+        Symbol of a shared term -> true value, SI; those that are zero are left out.
     """
 
     spindle: Spindle
-    platform: Mapping[str, float]
+    shared: Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False)

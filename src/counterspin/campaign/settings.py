@@ -29,7 +29,7 @@ from pydantic import (
 from counterspin.campaign.attitude import attitude_rows, read_direction
 from counterspin.campaign.quantity import Quantity, parse, unit_factor
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.shared_terms import SHARED_TERMS
 
 #: Ending of a record file -> its format.
 RECORD_FORMATS: Final = {
@@ -353,30 +353,43 @@ class SpindleTruthSettings(SettingsSection):
     rate_error: Annotated[Ratio, AfterValidator(_rate_error)] | None = None
 
 
-def _platform_kind(kind: str) -> type[SettingsSection]:
-    rows = [row for row in PLATFORM_TERMS.values() if row.kind == kind]
-    units = {row.symbol.rpartition(".")[2]: row.unit for row in rows}
-    return create_model(f"True_{kind}", __base__=SettingsSection, **_keys(units, read_exactly))
+def _truth_tables(name: str, units: dict[str, str]) -> type[SettingsSection]:
+    """Return a table with a key for each name; of a name with dots, tables within it."""
+    tables: dict[str, dict[str, str]] = {}
+    leaves: dict[str, str] = {}
+    for key, unit in units.items():
+        head, _, rest = key.partition(".")
+        if rest:
+            tables.setdefault(head, {})[rest] = unit
+        else:
+            leaves[key] = unit
+    fields = _keys(leaves, read_exactly) | {
+        key: (_truth_tables(f"{name}_{key}", inner) | None, None) for key, inner in tables.items()
+    }
+    return create_model(name, __base__=SettingsSection, **fields)
 
 
-_PLATFORM_TRUTH_TABLES: Final = {
-    kind: _platform_kind(kind)
-    for kind in dict.fromkeys(row.kind for row in PLATFORM_TERMS.values())
-}
+def _shared_units(family: str) -> dict[str, str]:
+    """Return the units of the shared terms of a family, by their names within it."""
+    return {
+        symbol.removeprefix(family): row.unit
+        for symbol, row in SHARED_TERMS.items()
+        if symbol.startswith(family)
+    }
+
 
 #: [truth.platform]: ``tilt.north``, ``drift.up``, ``g_sensitivity.zx`` and so on.
-PlatformTruthSettings = create_model(
-    "PlatformTruthSettings",
-    __base__=SettingsSection,
-    **{kind: (keys | None, None) for kind, keys in _PLATFORM_TRUTH_TABLES.items()},  # type: ignore[call-overload]
-)
-
+PlatformTruthSettings = _truth_tables("PlatformTruthSettings", _shared_units("platform."))
+#: [truth.centrifuge]: ``stretch``, ``imbalance.1.cos`` and so on.
+CentrifugeTruthSettings = _truth_tables("CentrifugeTruthSettings", _shared_units("centrifuge."))
+#: [truth.encoder]: ``harmonic.1.cos`` and so on.
+EncoderTruthSettings = _truth_tables("EncoderTruthSettings", _shared_units("encoder."))
 
 #: ``truth`` of one run: what differs from [truth.spindle], and the run's own tilt.
 RunTruthSettings = create_model(
     "RunTruthSettings",
     __base__=SpindleTruthSettings,
-    **{"tilt": (_PLATFORM_TRUTH_TABLES["tilt"] | None, None)},  # type: ignore[call-overload]
+    **{"tilt": (_truth_tables("True_tilt", _shared_units("platform.tilt.")) | None, None)},  # type: ignore[call-overload]
 )
 
 

@@ -31,6 +31,7 @@ from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_whole
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import Trajectory
+from counterspin.physics.path_errors import encoder_error
 
 #: How the record of each ending is written.
 WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
@@ -183,14 +184,15 @@ def simulate_run(
     columns = {campaign.time.column: _noisy(generator, times, noise.timing) / campaign.time.factor}
     if campaign.angle is not None:
         late = campaign.timing_offset.value if campaign.timing_offset else 0.0
-        angle = _noisy(generator, run.truth.spindle.angle(times + late), noise.angle)
+        angle = run.truth.spindle.angle(times + late)
+        angle = _noisy(generator, angle + encoder_error(run.truth.shared, angle), noise.angle)
         columns[campaign.angle.column] = angle / campaign.angle.factor
     for name, accelerometer in campaign.accelerometers.items():
         signal = simulation.recorded(
             trajectory,
             accelerometer.mounting,
             truth.coefficients.get(name, {}),
-            run.truth.platform,
+            run.truth.shared,
             times,
             accelerometer.observable,
             attitude=run.attitude,

@@ -22,12 +22,11 @@ from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.settings import SettingsSection, exact
 from counterspin.inference.conformity import DecisionRule, RuleName
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 _FORMS: Final = '"abs <= A UNIT", "<= A UNIT", ">= A UNIT", "A to B UNIT" or "V ± T UNIT"'
 
 _PLATFORM_TERM_REFUSAL: Final = (
-    "belongs to the platform; only an accelerometer's terms are specified"
+    "belongs to the machine; only an accelerometer's terms are specified"
 )
 
 _RANGE = re.compile(rf"({NUMBER})\s+to\s+({NUMBER})\s*(\S.*)")
@@ -230,7 +229,7 @@ def _terms(
     specifications = {}
     for symbol, text in raw.items():
         if symbol not in TERMS:
-            if symbol in PLATFORM_TERMS or symbol.split(".")[0] == "platform":
+            if symbol.split(".")[0] in ("platform", "centrifuge", "encoder"):
                 message = _PLATFORM_TERM_REFUSAL
             else:
                 message = f'no term is called "{symbol}"' + did_you_mean(symbol, known)

@@ -13,6 +13,7 @@ order, in any of the runs' attitudes, with the paper's start angle of zero:
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 from typing import Any, Final
 
@@ -24,35 +25,50 @@ from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.resolved import ErrorModel
 from counterspin.campaign.settings import ModelSettings, exact
 from counterspin.physics.accelerometer import TERMS, Mounting
-from counterspin.physics.shared_terms import PLATFORM_TERMS, PlatformTerm, term
+from counterspin.physics.shared_terms import (
+    SHARED_TERMS,
+    MotionTerm,
+    PlatformTerm,
+    SharedTerm,
+    term,
+)
 
 #: The model of a campaign without [model] terms: the paper's.
 DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
 
-#: Bare platform name -> the rows it stands for.
-BARE_NAMES: Final[Mapping[str, tuple[PlatformTerm, ...]]] = {
-    f"platform.{kind}": tuple(row for row in PLATFORM_TERMS.values() if row.kind == kind)
-    for kind in dict.fromkeys(row.kind for row in PLATFORM_TERMS.values())
-}
+
+def _bare_names() -> dict[str, tuple[SharedTerm, ...]]:
+    names: dict[str, list[SharedTerm]] = {}
+    for symbol, row in SHARED_TERMS.items():
+        parts = symbol.split(".")
+        for length in range(2, len(parts)):
+            names.setdefault(".".join(parts[:length]), []).append(row)
+    return {name: tuple(rows) for name, rows in names.items()}
+
+
+#: Bare name, such as ``platform.tilt`` or ``encoder.harmonic.1`` -> the rows it stands for.
+BARE_NAMES: Final[Mapping[str, tuple[SharedTerm, ...]]] = _bare_names()
 
 _NORTH: Final = np.array([0.0, 1.0, 0.0])
 _UP: Final = np.array([0.0, 0.0, 1.0])
 _ROUNDING: Final = 1e-9  #: of a unit vector; above roundoff, below any angle of a mounting
 
 
-def acts(row: PlatformTerm, mounting: Mounting, attitude: Array) -> bool:
-    """Return whether a platform term reaches an accelerometer to first order in some run.
+def acts(row: SharedTerm, mounting: Mounting, attitude: Array) -> bool:
+    """Return whether a shared term reaches an accelerometer to first order in some run.
 
     Parameters
     ----------
     row
-        The platform term.
+        The term.
     mounting
         The accelerometer's axes while the platform is level.
     attitude
         Rows: where the platform's axes point in the run, shape (3, 3).
     """
     input_axis = mounting.turned(attitude).input_axis
+    if isinstance(row, MotionTerm):
+        return float(np.linalg.norm(input_axis[:2])) > _ROUNDING
     if row.kind == "compliance":
         return float(np.linalg.norm(np.cross(attitude[row.axis], input_axis))) > _ROUNDING
     return _leaves_a_mean(row, input_axis, attitude, None)
@@ -60,11 +76,11 @@ def acts(row: PlatformTerm, mounting: Mounting, attitude: Array) -> bool:
 
 def rows_of(
     name: str, mountings: Iterable[Mounting], attitudes: Iterable[Array]
-) -> tuple[PlatformTerm, ...]:
+) -> tuple[SharedTerm, ...]:
     """Return what a bare name stands for.
 
-    These are the components that leave an acceleration, in any run that starts at angle zero, in
-    any accelerometer: one that does not average out and that depends on the run.
+    Of the platform these are the components that leave an acceleration, in any run that starts at
+    angle zero, in any accelerometer: one that does not average out and that depends on the run.
 
     Parameters
     ----------
@@ -73,14 +89,14 @@ def rows_of(
     mountings, attitudes
         Of the campaign's accelerometers and runs.
     """
-    pairs = [
-        (m.turned(attitude).input_axis, attitude) for m, attitude in product(mountings, attitudes)
-    ]
-    return tuple(
-        row
-        for row in BARE_NAMES[name]
-        if any(_leaves_a_mean(row, axis, attitude, _NORTH) for axis, attitude in pairs)
-    )
+    pairs = list(product(mountings, attitudes))
+
+    def meant(row: SharedTerm, mounting: Mounting, attitude: Array) -> bool:
+        if isinstance(row, MotionTerm):
+            return acts(row, mounting, attitude)
+        return _leaves_a_mean(row, mounting.turned(attitude).input_axis, attitude, _NORTH)
+
+    return tuple(row for row in BARE_NAMES[name] if any(meant(row, *pair) for pair in pairs))
 
 
 def _leaves_a_mean(
@@ -167,6 +183,34 @@ def resolve_model(
     return ErrorModel(terms, considered, platform, limits, typical), accelerometers
 
 
+def with_stretch(model: ErrorModel, stretch: Quantity, problems: Problems) -> ErrorModel:
+    """Return a model with the stretch of [centrifuge], considered if it is not estimated.
+
+    Parameters
+    ----------
+    model
+        As [model] has it.
+    stretch
+        Relative growth of the radius per acceleration, s^2/m.
+    problems
+        Where mistakes are noted.
+    """
+    symbol = "centrifuge.stretch"
+    if symbol in model.priors:
+        problems.add(("model", "priors", symbol), "is given in [centrifuge] too; keep one")
+    considered = model.considered
+    if symbol not in (*model.terms, *considered):
+        considered = (*considered, symbol)
+    return replace(model, considered=considered, priors={**model.priors, symbol: stretch})
+
+
+def refuse_encoder(model: ErrorModel, problems: Problems) -> None:
+    """Note terms of an encoder that records nothing."""
+    for key, symbols in (("terms", model.terms), ("considered", model.considered)):
+        if any(symbol.startswith("encoder.") for symbol in symbols):
+            problems.add(("model", key), "has errors of the encoder, but no angle is recorded")
+
+
 def _expand(
     name: str,
     path: Path,
@@ -174,7 +218,7 @@ def _expand(
     attitudes: Sequence[Array],
     problems: Problems,
 ) -> tuple[str, ...]:
-    if name in TERMS or name in PLATFORM_TERMS:
+    if name in TERMS or name in SHARED_TERMS:
         return (name,)
     if name not in BARE_NAMES:
         _unknown(name, path, problems)
@@ -190,7 +234,7 @@ def _expand(
 
 
 def _unknown(name: str, path: Path, problems: Problems) -> None:
-    known = [*TERMS, *BARE_NAMES, *PLATFORM_TERMS]
+    known = [*TERMS, *BARE_NAMES, *SHARED_TERMS]
     hint = did_you_mean(name, known)
     if "known:" in hint:
         hint = f"; known: {', '.join([*TERMS, *BARE_NAMES])}"
@@ -208,6 +252,11 @@ def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
+def _widest_first(names: Iterable[str]) -> list[str]:
+    """Return names in an order in which narrower ones overwrite wider ones."""
+    return sorted(names, key=lambda name: -len(BARE_NAMES.get(name, ())))
+
+
 def _resolve_priors(
     raw: Mapping[str, Any],
     given: Mapping[str, Mapping[str, Quantity]],
@@ -219,15 +268,14 @@ def _resolve_priors(
     platform: dict[str, Quantity] = {}
     merged = {name: dict(priors) for name, priors in given.items()}
     flat = _flat(raw)
-    # Wide platform names first, so that the narrower ones overwrite them.
-    for key in sorted(flat, key=lambda name: name not in BARE_NAMES):
+    for key in _widest_first(flat):
         path = ("model", "priors", key)
         owner, _, last = key.rpartition(".")
         if owner in given and last in TERMS:
             symbols, owners = {last}, [owner]
         elif key in TERMS:
             symbols, owners = {key}, [name for name in given if f"{name}.{key}" not in flat]
-        elif key in PLATFORM_TERMS:
+        elif key in SHARED_TERMS:
             symbols, owners = {key}, []
         elif key in BARE_NAMES:
             symbols, owners = {row.symbol for row in BARE_NAMES[key]}, []
@@ -242,7 +290,7 @@ def _resolve_priors(
             problems.add(path, "is not used; add the term to model.terms or model.considered")
         if prior is None:
             continue
-        if symbols <= set(PLATFORM_TERMS):
+        if symbols <= set(SHARED_TERMS):
             platform |= dict.fromkeys(sorted(symbols & used), prior)
         for name in owners:
             if last in given[name]:
@@ -282,7 +330,7 @@ def _require_priors(
             if symbol in TERMS
             else []
             if symbol in platform
-            else ["the platform"]
+            else ["the machine"]
         )
         if lacking:
             problems.add(
@@ -298,16 +346,16 @@ def _resolve_sizes(
     """Return every term's largest credible size (``limits``) or its ``typical`` one."""
     attribute = {"limits": "limit", "typical": "typical"}[kind]
     sizes = {
-        symbol: float(getattr(row, attribute))
-        for symbol, row in {**TERMS, **PLATFORM_TERMS}.items()
+        symbol: float(getattr(row, attribute)) for symbol, row in {**TERMS, **SHARED_TERMS}.items()
     }
-    for key, text in sorted(_flat(raw).items(), key=lambda item: item[0] not in BARE_NAMES):
+    flat = _flat(raw)
+    for key in _widest_first(flat):
         path = ("model", kind, key)
         symbols = [row.symbol for row in BARE_NAMES.get(key, ())] or [key]
         if symbols[0] not in sizes:
             _unknown(key, path, problems)
             continue
-        size = problems.attempt(path, exact, text, term(symbols[0]).unit, gravity)
+        size = problems.attempt(path, exact, flat[key], term(symbols[0]).unit, gravity)
         if size is not None and size <= 0.0:
             problems.add(path, "must be greater than zero")
         elif size is not None:

@@ -10,7 +10,7 @@ Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are re
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
@@ -24,19 +24,29 @@ from counterspin.campaign.resolved import (
 from counterspin.campaign.settings import (
     ESTIMATE,
     AccelerometerTruthSettings,
+    CentrifugeTruthSettings,
+    EncoderTruthSettings,
     NoiseSettings,
     PlatformTruthSettings,
     RippleSettings,
     RunTruthSettings,
+    SettingsSection,
     SimulationSettings,
     SpindleTruthSettings,
 )
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS, term
+from counterspin.physics.shared_terms import SHARED_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
 
 #: Tables of [truth] that are not accelerometers, and so no names for one.
-TRUTH_TABLES: Final = ("spindle", "platform", "noise")
+TRUTH_TABLES: Final = ("spindle", "platform", "centrifuge", "encoder", "noise")
+
+#: Table of [truth] -> its keys, of the errors that all accelerometers share.
+_SHARED_TABLES: Final[Mapping[str, type[SettingsSection]]] = {
+    "platform": PlatformTruthSettings,
+    "centrifuge": CentrifugeTruthSettings,
+    "encoder": EncoderTruthSettings,
+}
 
 #: A true coefficient may be this many times its largest credible size.
 _TRUTH_MARGIN: Final = 5.0
@@ -115,7 +125,7 @@ def resolve_run_truth(
     path: Path,
     problems: Problems,
 ) -> RunTruth | None:
-    """Resolve the true spindle and platform of one run; the run's own values take precedence.
+    """Resolve the true spindle and machine of one run; the run's own values take precedence.
 
     Parameters
     ----------
@@ -131,11 +141,12 @@ def resolve_run_truth(
     common = problems.check(
         SpindleTruthSettings, raw_truth.get("spindle", {}), ("truth", "spindle")
     )
-    platform = problems.check(
-        PlatformTruthSettings, raw_truth.get("platform", {}), ("truth", "platform")
-    )
+    shared = {
+        family: problems.check(model, raw_truth.get(family, {}), ("truth", family))
+        for family, model in _SHARED_TABLES.items()
+    }
     own: Any = problems.check(RunTruthSettings, raw_run_truth, path)
-    if common is None or platform is None or own is None:
+    if common is None or None in shared.values() or own is None:
         return None
 
     def first(key: str, default: Any) -> Any:
@@ -149,15 +160,22 @@ def resolve_run_truth(
     )
     spindle = Spindle(true_rate, first("drift", 0.0), ripples, first("start_angle", 0.0))
     values: dict[str, float] = {}
-    for symbol, row in PLATFORM_TERMS.items():
-        component = symbol.rpartition(".")[2]
-        # A run's own `drift` is the spindle's; of the platform's errors it has the tilt only.
-        tables = (own.tilt if row.kind == "tilt" else None, getattr(platform, row.kind))
-        stated = (getattr(table, component) for table in tables if table is not None)
-        value = next((v for v in stated if v is not None), 0.0)
-        if value != 0.0:
+    for symbol, row in SHARED_TERMS.items():
+        family, *keys = symbol.split(".")
+        # A run's own `drift` is the spindle's; of the shared errors it has the tilt only.
+        own_value = _stated(own, keys) if row.kind == "tilt" else None
+        value = _stated(shared[family], keys) if own_value is None else own_value
+        if value:
             values[symbol] = value
     return RunTruth(spindle, values)
+
+
+def _stated(table: Any, keys: Sequence[str]) -> float | None:
+    """Return what stands in nested tables, or None."""
+    for key in keys:
+        table = None if table is None else getattr(table, key)
+    value: float | None = table
+    return value
 
 
 def _ripple(entry: RippleSettings, rate: float, path: Path, problems: Problems) -> Ripple:
@@ -190,7 +208,7 @@ def unfit(campaign: Campaign) -> list[str]:
         if run.truth is None:
             continue
         place = f'truth of runs[{index}] ("{run.name}")'
-        for symbol, value in run.truth.platform.items():
+        for symbol, value in run.truth.shared.items():
             problems += _incredible(f"{place}, {symbol}", symbol, value, limits)
         problems += [f"{place}: {words}" for words in _unsteady(run.truth.spindle, run.duration)]
     return problems

@@ -29,7 +29,7 @@ from counterspin.certificates.lab import Lab
 from counterspin.certificates.statements import quantity_id
 from counterspin.certificates.units import SiUnit, si_unit, to_si
 from counterspin.inference.conformity import COVERAGE
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.shared_terms import SHARED_TERMS
 
 
 def measurement_results(lab: Lab, result: Result) -> Element:
@@ -82,7 +82,7 @@ def _conditions(lab: Lab, result: Result) -> Iterator[Element]:
     platform = {
         symbol: c
         for symbol, c in result.platform.items()
-        if symbol in PLATFORM_TERMS and wording.is_determined(c)
+        if symbol in SHARED_TERMS and wording.is_determined(c)
     }
     if platform:
         yield _condition(
@@ -114,7 +114,7 @@ def _platform_term(symbol: str, coefficient: Coefficient, gravity: float) -> Ele
     return dcc(
         "quantity",
         text("name", symbol),
-        rich("description", PLATFORM_TERMS[symbol].words),
+        rich("description", SHARED_TERMS[symbol].words),
         real(
             to_si(coefficient.value, coefficient.unit, gravity),
             si_unit(coefficient.unit)[0],

@@ -27,7 +27,7 @@ from counterspin.histories.result import (
 )
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.shared_terms import SHARED_TERMS
 
 _YEAR: Final = timedelta(days=365.25)
 
@@ -95,8 +95,8 @@ def history(
 
 
 def _unknown(term: str) -> str:
-    if term in PLATFORM_TERMS:
-        return f'"{term}" belongs to the platform; a history is of an accelerometer\'s term'
+    if term in SHARED_TERMS:
+        return f'"{term}" belongs to the machine; a history is of an accelerometer\'s term'
     return f'no term is called "{term}"{did_you_mean(term, TERMS)}'
 
 

@@ -11,6 +11,7 @@ Modules, lowest first:
 - `station`: where one reading is taken, at rest, on an arm or on a double turntable
 - `machine`: what centrifuge, fixture, dividing head, temperature and time do to it
 - `quadrature`: single and double time integrals along a trajectory, to rounding
+- `path_errors`: an unbalanced spindle, an arm that stretches, an eccentric encoder
 - `observation`: columns, the displacement per unit of each coefficient
 - `inversion`: the error model's inverse, from an indication to the specific force
 - `correction`: accelerometers corrected together, and how uncertain that leaves them

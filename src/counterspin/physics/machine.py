@@ -19,6 +19,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import MOTION_TERMS
 from counterspin.physics.station import Station
 
 
@@ -64,6 +65,9 @@ class MachineTerm:
         return bool(self.multiplies)
 
 
+#: Shown by records as well as by readings.
+_STRETCH: Final = MOTION_TERMS["centrifuge.stretch"]
+
 _EVERYWHERE: Final = ("arm", "counter-rotating", "static")
 _ABOUT: Final = ("east", "north", "outward", "forward", "up")
 
@@ -72,7 +76,9 @@ MACHINE_TERMS: Final[Mapping[str, MachineTerm]] = {
     row.symbol: row
     for row in (
         MachineTerm("centrifuge.radius.MOUNTING", "m", 0.1, 1e-3, "radius of a mounting"),
-        MachineTerm("centrifuge.stretch", "s^2/m", 1e-5, 4.6e-9, "stretch of the arm"),
+        MachineTerm(
+            _STRETCH.symbol, _STRETCH.unit, _STRETCH.limit, _STRETCH.typical, _STRETCH.words
+        ),
         MachineTerm("centrifuge.droop", "rad s^2", 1e-3, 1e-8, "droop of the arm", ("arm",)),
         *(
             MachineTerm(

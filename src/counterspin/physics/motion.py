@@ -65,18 +65,24 @@ class Trajectory:
         Distance of the platform from the spindle axis, m.
     site
         Where the centrifuge stands.
+    stretch
+        Relative growth of the radius per centripetal acceleration, s^2/m.
+    imbalance
+        (n, c, s): the radius is longer by c cos n theta + s sin n theta, m.
     """
 
     spindle: Spindle
     radius: float
     site: Site
+    stretch: float = 0.0
+    imbalance: tuple[tuple[int, float, float], ...] = ()
 
     def at(self, t: Array) -> Motion:
         """Return the motion at times in s, shape (n,)."""
         return Motion(self, t)
 
     def position(self, t: Array) -> Array:
-        """Return R (cos theta, sin theta, 0) in m, shape (n, 3)."""
+        """Return r (cos theta, sin theta, 0) in m, shape (n, 3); r is the radius where exact."""
         return self.at(t).position
 
     def velocity(self, t: Array) -> Array:
@@ -135,17 +141,46 @@ class Motion:
         return self.trajectory.spindle.angular_rate(self.t)
 
     @cached_property
+    def _growth(self) -> tuple[Array, Array, Array] | None:
+        """Radius less the trajectory's, m, and its time derivatives; None where there is none."""
+        trajectory, w = self.trajectory, self._rate
+        if trajectory.stretch == 0.0 and not trajectory.imbalance:
+            return None
+        spindle = trajectory.spindle
+        theta, alpha = spindle.angle(self.t), spindle.angular_acceleration(self.t)
+        growth, speed, curve = np.zeros((3, *self.t.shape))
+        for n, c, s in trajectory.imbalance:
+            cos, sin = np.cos(n * theta), np.sin(n * theta)
+            slope, bend = n * (s * cos - c * sin), -(n**2) * (c * cos + s * sin)
+            growth += c * cos + s * sin
+            speed += w * slope
+            curve += alpha * slope + w**2 * bend
+        scale = trajectory.stretch * trajectory.radius**2
+        growth += scale * w**2
+        speed += 2.0 * scale * w * alpha
+        curve += 2.0 * scale * (alpha**2 + w * spindle.angular_jerk(self.t))
+        return growth, speed, curve
+
+    @cached_property
     def position(self) -> Array:
         """m, from the spindle axis."""
         cos, sin = self._outward
-        return self.trajectory.radius * _vectors(cos, sin)
+        position: Array = self.trajectory.radius * _vectors(cos, sin)
+        if self._growth is not None:
+            position += _vectors(self._growth[0] * cos, self._growth[0] * sin)
+        return position
 
     @cached_property
     def velocity(self) -> Array:
         """m/s, relative to the Earth."""
         cos, sin = self._outward
         speed = self.trajectory.radius * self._rate
-        return _vectors(-speed * sin, speed * cos)
+        velocity = _vectors(-speed * sin, speed * cos)
+        if self._growth is not None:
+            growth, outward, _ = self._growth
+            forward = growth * self._rate
+            velocity += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
+        return velocity
 
     @cached_property
     def acceleration(self) -> Array:
@@ -153,7 +188,13 @@ class Motion:
         cos, sin = self._outward
         squared, alpha = self._rate**2, self.trajectory.spindle.angular_acceleration(self.t)
         inward = _vectors(squared * cos + alpha * sin, squared * sin - alpha * cos)
-        return -self.trajectory.radius * inward
+        acceleration: Array = -self.trajectory.radius * inward
+        if self._growth is not None:
+            growth, speed, curve = self._growth
+            outward = curve - growth * squared
+            forward = 2.0 * speed * self._rate + growth * alpha
+            acceleration += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
+        return acceleration
 
     @cached_property
     def harmful_acceleration(self) -> Array:

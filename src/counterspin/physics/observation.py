@@ -23,7 +23,8 @@ from counterspin.arrays import Array
 from counterspin.physics import quadrature
 from counterspin.physics.accelerometer import Mounting, Term
 from counterspin.physics.motion import Motion, Trajectory
-from counterspin.physics.shared_terms import PlatformTerm, term
+from counterspin.physics.path_errors import path_change
+from counterspin.physics.shared_terms import MotionTerm, PlatformTerm, SharedTerm, term
 
 #: How often each observable integrates the specific force.
 ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}
@@ -110,7 +111,8 @@ def columns(
     linear = {i: vector for i, row in enumerate(rows) if (vector := shown.along(row)) is not None}
     bias = [i for i, row in enumerate(rows) if row.symbol == "K_F"]
     kinked = [i for i, row in enumerate(rows) if isinstance(row, Term) and "|I|" in row.factors]
-    smooth = [i for i in range(len(rows)) if i not in (*linear, *bias, *kinked)]
+    path = [i for i, row in enumerate(rows) if isinstance(row, MotionTerm)]
+    smooth = [i for i in range(len(rows)) if i not in (*linear, *bias, *kinked, *path)]
     result = np.empty((len(rows), times.size))
     result[bias] = trajectory.site.gravity * times**order / max(1, order)
     if kinked:
@@ -119,7 +121,11 @@ def columns(
         result[smooth], force = shown.smooth([rows[i] for i in smooth], bool(linear))
         for i, vector in linear.items():
             result[i] = vector @ force
-    result[[i for i, row in enumerate(rows) if isinstance(row, PlatformTerm)]] *= scale_factor
+    for i in path:
+        row = rows[i]
+        assert isinstance(row, MotionTerm)
+        result[i] = path_change(row, trajectory, times, order) @ shown.input_axis
+    result[[i for i, row in enumerate(rows) if not isinstance(row, Term)]] *= scale_factor
     return result.T
 
 
@@ -162,19 +168,24 @@ class _Shown:
         self._order = order
         self._duration = max(float(times.max(initial=0.0)), np.finfo(float).tiny)
 
-    def along(self, row: Term | PlatformTerm) -> Array | None:
+    @property
+    def input_axis(self) -> Array:
+        """The input axis in the run's attitude, east-north-up, shape (3,)."""
+        return self._axes.input_axis
+
+    def along(self, row: Term | SharedTerm) -> Array | None:
         """Return the vector whose product with the specific force is the term, if there is one."""
         if isinstance(row, Term):
             if len(row.factors) != 1:
                 return None
             axis: Array = row.sign * self._axes.matrix["IPO".index(row.factors[0])]
             return axis
-        if row.kind != "tilt":
+        if not isinstance(row, PlatformTerm) or row.kind != "tilt":
             return None
         # (-psi x f) . I = f . (psi x I)
         return np.cross(np.eye(3)[row.axis], self._axes.input_axis)
 
-    def smooth(self, rows: Sequence[Term | PlatformTerm], with_force: bool) -> tuple[Array, Array]:
+    def smooth(self, rows: Sequence[Term | SharedTerm], with_force: bool) -> tuple[Array, Array]:
         """Return the integrals of terms, (k, n), and where wanted of the force, (3, n)."""
         if self._order == 0:
             motion = self._trajectory.at(self._times)
@@ -186,7 +197,7 @@ class _Shown:
             return integrals, np.empty((0, self._times.size))
         return integrals[2:], self._double_integral_of_force(integrals[:2])
 
-    def kinked(self, rows: Sequence[Term | PlatformTerm]) -> Array:
+    def kinked(self, rows: Sequence[Term | SharedTerm]) -> Array:
         """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
         motion, along = self._trajectory, self._axes.input_axis
         if self._order == 0:
@@ -195,7 +206,7 @@ class _Shown:
         return self._integrals(rows, self._edges(breaks))
 
     def _integrals(
-        self, rows: Sequence[Term | PlatformTerm], edges: Array, with_path: bool = False
+        self, rows: Sequence[Term | SharedTerm], edges: Array, with_path: bool = False
     ) -> Array:
         """Return the integrals of terms, before them if wanted those of the path, east and north.
 
@@ -212,7 +223,7 @@ class _Shown:
     def _edges(self, breaks: Array | None = None) -> Array:
         return quadrature.panel_edges(self._trajectory.spindle, self._duration, breaks)
 
-    def _integrands(self, rows: Sequence[Term | PlatformTerm], motion: Motion) -> Array:
+    def _integrands(self, rows: Sequence[Term | SharedTerm], motion: Motion) -> Array:
         """Return what the terms integrate, m/s^2 per unit coefficient and K_I, shape (k, m)."""
         sensed = _Sensed(motion, self._axes, self._attitude)
         values = np.empty((len(rows), motion.t.size))
@@ -249,10 +260,11 @@ class _Sensed:
         self._attitude = attitude
         self._gravity = motion.trajectory.site.gravity
 
-    def integrand(self, row: Term | PlatformTerm) -> Array:
+    def integrand(self, row: Term | SharedTerm) -> Array:
         """Return what a term integrates, m/s^2 per unit coefficient and K_I, shape (m,)."""
         if isinstance(row, Term):
             return self._gravity * row.evaluate(self._a_ipo)
+        assert isinstance(row, PlatformTerm)  # errors of the path are no integrals
         integrand: Array = self._turn(row) * self._turned[row.axis]
         return integrand
 
@@ -322,6 +334,8 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
         vertical = float(matrix[1, 2]) ** row.factors.count("P")  # a_P is -1 with P down
         horizontal = force ** sum(factor != "P" for factor in row.factors)
         return 0.5 * gravity * row.sign * vertical * horizontal * _mean_of_harmonics(row.factors)
+    if isinstance(row, MotionTerm):
+        return 0.0  # the path comes back to where it was after each revolution
     seen = np.cross(np.eye(3)[row.axis], matrix[0])
     if row.kind == "tilt":
         return 0.5 * gravity * float(seen[2])

@@ -1,7 +1,9 @@
-"""Errors that all accelerometers share: of the platform that carries them.
+"""Errors that all accelerometers share: of what carries them.
 
 - `PlatformTerm`, `PLATFORM_TERMS`: the platform's attitude and its gyros
-- `term`: the row of any table with a symbol
+- `MotionTerm`, `MOTION_TERMS`: the path on which the centrifuge carries the platform
+- `SharedTerm`, `SHARED_TERMS`: both
+- `term`: the row of any table with a symbol; `symbol_of`: the symbol in an unknown's name
 """
 
 from __future__ import annotations
@@ -138,7 +140,97 @@ PLATFORM_TERMS: Final[Mapping[str, PlatformTerm]] = {
 }
 
 
-def term(symbol: str) -> Term | PlatformTerm:
+@dataclass(frozen=True)
+class MotionTerm:
+    """One error of the path: the centrifuge's radius, or the angle that its encoder records.
+
+    With the spindle's angle theta and the radius R, the platform is at the distance
+    R (1 + stretch R w^2) + sum of c cos n theta + s sin n theta from the axis, and the encoder
+    records theta + sum of c cos n theta + s sin n theta. The errors are those of the machine, the
+    same in every run.
+
+    Attributes
+    ----------
+    symbol
+        Such as ``centrifuge.imbalance.1.cos``.
+    kind
+        ``stretch``, ``imbalance`` or ``encoder``.
+    harmonic, quadrature
+        n, and ``cos`` or ``sin``; 0 and empty for the stretch.
+    unit, limit, typical
+        As of `PlatformTerm`.
+    words
+        What it is called.
+    """
+
+    symbol: str
+    kind: str
+    harmonic: int
+    quadrature: str
+    unit: str
+    limit: float
+    typical: float
+    words: str
+
+    nominal = 0.0
+    per_run = False
+
+    @property
+    def of_harmonic(self) -> str:
+        """What both quadratures are called together."""
+        return self.words.partition(" (")[0]
+
+
+_TIMES: Final = ("once", "twice", "three times", "four times")
+
+SharedTerm = PlatformTerm | MotionTerm
+
+MOTION_TERMS: Final[Mapping[str, MotionTerm]] = {
+    row.symbol: row
+    for row in (
+        MotionTerm(
+            "centrifuge.stretch", "stretch", 0, "", "s^2/m", 1e-5, 4.6e-9, "stretch of the arm"
+        ),
+        *(
+            MotionTerm(
+                f"centrifuge.imbalance.{n}.{wave}",
+                "imbalance",
+                n,
+                wave,
+                "m",
+                1e-3,
+                1e-6,
+                f"imbalance, radius varying {_TIMES[n - 1]} a revolution ({wave}ine)",
+            )
+            for n in (1, 2)
+            for wave in ("cos", "sin")
+        ),
+        *(
+            MotionTerm(
+                f"encoder.harmonic.{n}.{wave}",
+                "encoder",
+                n,
+                wave,
+                "rad",
+                1e-3,
+                _ARCSEC,
+                f"error of an eccentric encoder, {_TIMES[n - 1]} a revolution ({wave}ine)",
+            )
+            for n in (1, 2, 3, 4)
+            for wave in ("cos", "sin")
+        ),
+    )
+}
+
+SHARED_TERMS: Final[Mapping[str, SharedTerm]] = {**PLATFORM_TERMS, **MOTION_TERMS}
+
+
+def symbol_of(name: str) -> str:
+    """Return the term in the name of an unknown: ``K_II`` of ``Qx.K_II``."""
+    return name if name in SHARED_TERMS else name.partition(".")[2] or name
+
+
+def term(symbol: str) -> Term | SharedTerm:
     """Return the row of the table with this symbol.
 
     Raises
@@ -146,8 +238,8 @@ def term(symbol: str) -> Term | PlatformTerm:
     ValueError
         If there is no such term; the message lists those there are.
     """
-    row = TERMS.get(symbol) or PLATFORM_TERMS.get(symbol)
+    row = TERMS.get(symbol) or SHARED_TERMS.get(symbol)
     if row is None:
-        known = ", ".join([*TERMS, *PLATFORM_TERMS])
+        known = ", ".join([*TERMS, *SHARED_TERMS])
         raise ValueError(f"no term is called {symbol!r}; known: {known}")
     return row

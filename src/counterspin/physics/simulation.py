@@ -19,6 +19,7 @@ from counterspin.arrays import Array
 from counterspin.physics import observation, quadrature
 from counterspin.physics.accelerometer import Mounting, indicated
 from counterspin.physics.motion import Trajectory
+from counterspin.physics.path_errors import true_trajectory
 from counterspin.physics.shared_terms import PLATFORM_TERMS
 
 
@@ -69,7 +70,7 @@ def recorded(
     trajectory: Trajectory,
     mounting: Mounting,
     coefficients: Mapping[str, float],
-    platform: Mapping[str, float],
+    shared: Mapping[str, float],
     times: Array,
     observable: str = "displacement",
     *,
@@ -77,18 +78,19 @@ def recorded(
 ) -> Array:
     """Return what the system records along one input axis, without noise.
 
-    The navigation computer knows its position and velocity at t = 0 exactly.
+    The navigation computer knows its position and velocity at t = 0 exactly. What an encoder
+    records beside it is `counterspin.physics.path_errors.encoder_error`.
 
     Parameters
     ----------
     trajectory, attitude
-        As for `observation.columns`.
+        As for `observation.columns`; the true angle.
     mounting
         The accelerometer's axes in the level attitude.
     coefficients
         Accelerometer terms by symbol, g-units; those not named are nominal.
-    platform
-        Platform terms by symbol, SI.
+    shared
+        Terms of platform and motion by symbol, SI.
     times
         s, not negative, shape (n,).
     observable
@@ -101,6 +103,8 @@ def recorded(
     """
     order = observation.ORDERS[observable]
     axes = mounting.turned(attitude)
+    trajectory = true_trajectory(trajectory, shared)
+    platform = {symbol: value for symbol, value in shared.items() if symbol in PLATFORM_TERMS}
     g = trajectory.site.gravity
     scale_error = coefficients.get("K_I", 1.0) - 1.0
 

@@ -91,6 +91,14 @@ class Spindle:
             alpha = alpha + ripple.amplitude * n_w0 * np.cos(n_w0 * t + ripple.phase)
         return alpha
 
+    def angular_jerk(self, t: Array) -> Array:
+        """Return the derivative of the angular acceleration in rad/s^3; same shape as `t` in s."""
+        jerk = np.zeros_like(t)
+        for ripple in self.ripples:
+            n_w0 = ripple.harmonic * self.rate
+            jerk = jerk - ripple.amplitude * n_w0**2 * np.sin(n_w0 * t + ripple.phase)
+        return jerk
+
     def time_at(self, angle: Array) -> Array:
         """Return the times in s at which the spindle passes the given angles in rad.
 

@@ -1,11 +1,10 @@
 """Faults that a campaign's model leaves out, and what each would do to its estimates unseen.
 
-A fault is a term of the table that is neither estimated nor considered, at its typical size, or
-something of the centrifuge that is in no model: an eccentric encoder, imbalance, an arm that
-stretches, a bias that heating changes. Each moves the estimates, and leaves something in the
+A fault is a term of the table that is neither estimated nor considered, at its typical size, or a
+bias that heating changes. Each moves the estimates, and leaves something in the
 residuals; where that is too little, the plan cannot notice it.
 
-- `Fault`, `faults_of`, `ECCENTRICITY`, `IMBALANCE`: what may be wrong
+- `Fault`, `faults_of`, `of_path`: what may be wrong
 - `square`, `mean_square`: K_II itself in the same form, and without its harmonics
 - `watch`, `Watched`: what a campaign's fit would make of faults
 """
@@ -25,15 +24,11 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Considered, Unknowns
-from counterspin.physics import observation
-from counterspin.physics.angle_error import displaced
-from counterspin.physics.shared_terms import term
+from counterspin.physics.shared_terms import MOTION_TERMS, MotionTerm, term
 from counterspin.planning.forecast import Forecast
 
 #: What a record shows of one unit of a fault: shape (n, k); None where nothing.
 Columns = Callable[[Series], Array | None]
-
-_ARCSECOND: Final = math.pi / 648000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,22 +187,49 @@ def _left(fit: JointFit, known: int) -> tuple[Array, dict[str, Array]]:
 
 
 def faults_of(campaign: Campaign, name: str) -> list[Fault]:
-    """Return what may be wrong for an accelerometer: terms left out, and the centrifuge."""
+    """Return what may be wrong for an accelerometer: what its model leaves out."""
     by_symbol: dict[str, list[Considered]] = {}
     for left_out in left_out_of(campaign, name):
-        by_symbol.setdefault(left_out.symbol, []).append(left_out)
+        by_symbol.setdefault(_family(left_out.symbol), []).append(left_out)
     terms = [
         Fault(
             symbol,
-            term(symbol).words,
-            campaign.model.typical[symbol],
-            term(symbol).unit,
+            _words(parts[0].symbol),
+            campaign.model.typical[parts[0].symbol],
+            term(parts[0].symbol).unit,
             tuple(_of_term(part, campaign) for part in parts),
-            random=len(parts) > 1,
+            random=term(parts[0].symbol).per_run,
         )
         for symbol, parts in by_symbol.items()
     ]
-    return [*terms, *_MACHINE]
+    return [*terms, _HEATING]
+
+
+def of_path(symbol: str) -> Fault:
+    """Return an error of the path, both quadratures: such as ``encoder.harmonic.1``."""
+    rows = [row for row in MOTION_TERMS.values() if _family(row.symbol) == symbol]
+    return Fault(
+        symbol,
+        _words(rows[0].symbol),
+        rows[0].typical,
+        rows[0].unit,
+        tuple(_seen(row.symbol) for row in rows),
+    )
+
+
+def _family(symbol: str) -> str:
+    """Return a term's symbol, without the quadrature of a harmonic."""
+    row = MOTION_TERMS.get(symbol)
+    return symbol.removesuffix(f".{row.quadrature}") if row is not None else symbol
+
+
+def _words(symbol: str) -> str:
+    row = term(symbol)
+    return row.of_harmonic if isinstance(row, MotionTerm) else row.words
+
+
+def _seen(symbol: str) -> Columns:
+    return lambda series: series.columns([symbol], 1.0)[:, 0]
 
 
 def square(name: str) -> Fault:
@@ -245,68 +267,6 @@ def _of_term(part: Considered, campaign: Campaign) -> Columns:
     return columns
 
 
-def _horizontal(series: Series, change: Callable[[Array], Array]) -> Array:
-    """Return the part along the input axis of a horizontal change, averaged over the blocks."""
-    axis = series.mounting.turned(series.attitude).input_axis[:2]
-    return observation.over_blocks(lambda t: change(t) @ axis, series.time, series.spread)
-
-
-def _eccentricity(harmonic: int, phase: float) -> Columns:
-    """Return what one radian of an encoder's harmonic shows: the reference goes along with it."""
-
-    def columns(series: Series) -> Array:
-        motion = series.trajectory
-
-        def change(t: Array) -> Array:
-            angle, rate = motion.spindle.angle(t), motion.spindle.angular_rate(t)
-            inside, speed = harmonic * angle + phase, harmonic * rate
-            wave = (np.cos(inside), -speed * np.sin(inside), -(speed**2) * np.cos(inside))
-            q, first, second = (part[:, None] for part in wave)
-            turned = displaced((q, first, second), angle, rate, np.zeros_like(t), series.order)
-            return np.asarray(-motion.radius * turned[:, 0])
-
-        return _horizontal(series, change)
-
-    return columns
-
-
-def _imbalance(harmonic: int, phase: float) -> Columns:
-    """Return what one metre of a radius that varies with the angle shows."""
-
-    def columns(series: Series) -> Array:
-        spindle = series.trajectory.spindle
-
-        def change(t: Array) -> Array:
-            angle, rate = spindle.angle(t), spindle.angular_rate(t)
-            # cos(n th + phase) outward is half the sum of two vectors that turn evenly.
-            total = np.zeros((t.size, 2))
-            for turns, sign in ((1 + harmonic, 1.0), (1 - harmonic, -1.0)):
-                inside = turns * angle + sign * phase
-                speed = turns * rate
-                position = np.stack([np.cos(inside), np.sin(inside)], -1)
-                quarter = np.stack([-np.sin(inside), np.cos(inside)], -1)
-                of_order = {
-                    2: position,
-                    1: speed[:, None] * quarter,
-                    0: -(speed[:, None] ** 2) * position,
-                }
-                total += 0.5 * of_order[series.order]
-            return total
-
-        return _horizontal(series, change)
-
-    return columns
-
-
-def _stretch(series: Series) -> Array:
-    """Return what a radius shows that grows by 1 for each m/s^2."""
-    motion = series.trajectory
-    force = motion.radius * motion.spindle.rate**2
-    step = 1e-3 * motion.radius
-    longer = series.reference(replace(motion, radius=motion.radius + step))
-    return np.asarray((longer - series.reference()) * (motion.radius * force / step))
-
-
 def _heating(series: Series) -> Array:
     """Return what a bias shows that grows by 1 g for each g^2 of the centripetal force."""
     motion = series.trajectory
@@ -314,44 +274,6 @@ def _heating(series: Series) -> Array:
     return np.asarray(force**2 * series.columns(["K_F"], 1.0)[:, 0])
 
 
-_PHASES: Final = (0.0, -0.5 * math.pi)  #: cosine and sine
-
-ECCENTRICITY: Final = Fault(
-    "encoder.harmonic.1",
-    "eccentric encoder, once a revolution",
-    _ARCSECOND,
-    "rad",
-    tuple(_eccentricity(1, phase) for phase in _PHASES),
-)
-IMBALANCE: Final = Fault(
-    "centrifuge.imbalance.1",
-    "imbalance, radius varying once a revolution",
-    1e-6,
-    "m",
-    tuple(_imbalance(1, phase) for phase in _PHASES),
-)
-_MACHINE: Final = (
-    ECCENTRICITY,
-    *(
-        Fault(
-            f"encoder.harmonic.{n}",
-            f"encoder's error, {n} times a revolution",
-            _ARCSECOND,
-            "rad",
-            tuple(_eccentricity(n, phase) for phase in _PHASES),
-        )
-        for n in (2, 3, 4)
-    ),
-    IMBALANCE,
-    Fault(
-        "centrifuge.imbalance.2",
-        "radius varying twice a revolution",
-        1e-6,
-        "m",
-        tuple(_imbalance(2, phase) for phase in _PHASES),
-    ),
-    Fault("centrifuge.stretch", "stretch of the arm", 4.6e-9, "s^2/m", (_stretch,)),
-    Fault(
-        "K_F.heating", "bias that grows with the square of the force", 1e-7, "g/g^2", (_heating,)
-    ),
+_HEATING: Final = Fault(
+    "K_F.heating", "bias that grows with the square of the force", 1e-7, "g/g^2", (_heating,)
 )

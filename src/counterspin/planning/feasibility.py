@@ -20,7 +20,7 @@ from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.budget import budget
-from counterspin.physics.shared_terms import term
+from counterspin.physics.shared_terms import symbol_of, term
 from counterspin.planning.design import Predictor, RunType
 from counterspin.planning.forecast import forecast, setup_of
 from counterspin.planning.relaxation import relax
@@ -137,7 +137,7 @@ def unreachable(search: Search) -> CounterspinError:
     u = dict(zip(search.predictor.names, search.predictor.u(best.design), strict=True))
     goal: Mapping[str, float] = search.plan.goal.sizes
     name = max(goal, key=lambda key: u[key] / goal[key])
-    unit = term(name.split(".", 1)[1] if not name.startswith("platform") else name).unit
+    unit = term(symbol_of(name)).unit
     prediction = forecast(search.campaign(best.design))
     index = [unknown.name for unknown in prediction.fit.model.unknowns].index(name)
     shares: dict[str, float] = {}

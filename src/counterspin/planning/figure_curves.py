@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.inference.joint.budget import budget
-from counterspin.physics.shared_terms import term
+from counterspin.physics.shared_terms import symbol_of, term
 from counterspin.planning.design import Design
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan_file import Plan
@@ -80,7 +80,7 @@ def curves_of(
             by_rate.append(float(search.predictor.u(best.design)[place]))
     return Curves(
         coefficient=name,
-        unit=term(name.split(".", 1)[1] if not name.startswith("platform") else name).unit,
+        unit=term(symbol_of(name)).unit,
         time=Curve(x=times, u=by_time),
         rate=Curve(x=rates, u=by_rate),
         sources=_sources(search, design, name, factors(_RATE_FACTORS[0], 1.0)),

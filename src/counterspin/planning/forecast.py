@@ -217,7 +217,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
 def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unknown]) -> Array:
     """Return what is expected of unknowns, less nominal: the truth, else the prior, else none."""
     truth = campaign.simulation.truth.coefficients if campaign.simulation else {}
-    platform = {run.name: run.truth.platform for run in campaign.runs if run.truth is not None}
+    platform = {run.name: run.truth.shared for run in campaign.runs if run.truth is not None}
     values = []
     for unknown in unknowns:
         known = truth.get(unknown.owner, {}).get(unknown.symbol)

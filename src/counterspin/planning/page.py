@@ -12,7 +12,7 @@ from typing import Final
 
 from counterspin.calibration.result_parts import BudgetLine
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.shared_terms import SHARED_TERMS, symbol_of, term
 from counterspin.planning.result import (
     GoalResult,
     PlannedAccelerometer,
@@ -156,9 +156,13 @@ def _accelerometer(
 def _advice(result: PlanResult, terms: list[str]) -> str:
     """Return what would separate terms: the other sense, other rates, another attitude."""
     rates = [run.rate for run in result.runs]
-    platform = [PLATFORM_TERMS[term] for term in terms if term in PLATFORM_TERMS]
-    own = [TERMS[term] for term in terms if term in TERMS]
-    if own and min(rates) * max(rates) > 0.0 and any(row.kind != "tilt" for row in platform):
+    platform = [SHARED_TERMS[symbol] for symbol in terms if symbol in SHARED_TERMS]
+    own = [TERMS[symbol] for symbol in terms if symbol in TERMS]
+    if (
+        own
+        and min(rates) * max(rates) > 0.0
+        and any(row.kind in ("drift", "g_sensitivity") for row in platform)
+    ):
         # Drift and g-sensitivity change their sign with the sense, the accelerometer's do not.
         return "The other sense of the spin separates them."
     one_rate = max(map(abs, rates)) < 1.001 * min(map(abs, rates))
@@ -323,13 +327,12 @@ def _first(result: PlanResult) -> str:
 
 
 def _unit(name: str) -> str:
-    row = PLATFORM_TERMS.get(name) or TERMS[name.rpartition(".")[2]]
-    return row.unit
+    return term(symbol_of(name)).unit
 
 
 def _spoken(name: str) -> str:
-    owner, _, symbol = name.partition(".")
-    return name if owner == "platform" else f"{symbol} of {owner}"
+    symbol = symbol_of(name)
+    return name if symbol == name else f"{symbol} of {name.removesuffix(f'.{symbol}')}"
 
 
 def _in_field_unit(size: float, unit: str) -> str:

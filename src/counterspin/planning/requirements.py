@@ -15,7 +15,7 @@ from counterspin.calibration.joint_parts import unit_of
 from counterspin.campaign.resolved import Campaign, sample_count
 from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns
-from counterspin.planning.faults import ECCENTRICITY, IMBALANCE, watch
+from counterspin.planning.faults import of_path, watch
 from counterspin.planning.forecast import expected_values, forecast
 from counterspin.planning.result import Requirement
 
@@ -73,7 +73,8 @@ def requirements_of(
     of_input = dict(zip(inputs, row[len(rotation) :], strict=True))
     rates = np.array([run.rate for run in campaign.runs])
     radius = next(key for key in inputs if key.endswith("radius"))
-    machine = watch(base, [ECCENTRICITY, IMBALANCE])
+    faults = [of_path(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]
+    machine = watch(base, faults)
     eccentricity, imbalance = (machine.sensitivity(fault, place) for fault in range(2))
     lines = [
         ("radius known to", of_input[radius], "m"),
@@ -85,8 +86,8 @@ def requirements_of(
         ("rate known to, relative, the same for all runs", float(of_run[:, 1] @ rates), "1"),
         ("angle's zero, a new one in each run", _norm(of_run[:, 0]), "rad"),
         ("angle noise, a sample", _angle_noise(campaign, of_run, sampling_rate), "rad"),
-        (f"{ECCENTRICITY.words}, the same in all runs", eccentricity, "rad"),
-        (IMBALANCE.words, imbalance, "m"),
+        (f"{faults[0].words}, the same in all runs", eccentricity, "rad"),
+        (faults[1].words, imbalance, "m"),
         ("clock of the angle against that of the output", of_input[TIMING], "s"),
     ]
     largest = {**_LARGEST, "m": _LARGEST["1"] * campaign.radius.value}

@@ -32,7 +32,7 @@ from counterspin.campaign.toml_file import description_file, load_document
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS, term
+from counterspin.physics.shared_terms import SHARED_TERMS, term
 from counterspin.studies.draws import OTHERS, RADIUS, Varying
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
@@ -264,13 +264,13 @@ def _names(
         return [(owner, last)]
     if key in TERMS:
         return [(name, key) for name in campaign.accelerometers]
-    if key in PLATFORM_TERMS or key in OTHERS:
+    if key in SHARED_TERMS or key in OTHERS:
         return [("", key)]
     if key in BARE_NAMES:
         mountings = [a.mounting for a in campaign.accelerometers.values()]
         rows = rows_of(key, mountings, [run.attitude for run in campaign.runs])
         return [("", row.symbol) for row in rows]
-    known = [*OTHERS, *TERMS, *BARE_NAMES, *PLATFORM_TERMS]
+    known = [*OTHERS, *TERMS, *BARE_NAMES, *SHARED_TERMS]
     hint = did_you_mean(key, known)
     if "known:" in hint:
         hint = f"; known: {', '.join([*OTHERS, *TERMS, *BARE_NAMES])}"

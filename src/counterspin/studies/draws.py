@@ -197,7 +197,7 @@ class StudyTruth:
             for name, coefficients in campaign.simulation.truth.coefficients.items()
             for symbol, value in coefficients.items()
         }
-        platforms = [run.truth.platform for run in campaign.runs if run.truth]
+        platforms = [run.truth.shared for run in campaign.runs if run.truth]
         for symbol in dict.fromkeys(symbol for platform in platforms for symbol in platform):
             fixed["", symbol] = np.array([platform.get(symbol, 0.0) for platform in platforms])
         for quantity in varying:

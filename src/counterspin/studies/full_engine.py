@@ -8,7 +8,7 @@ rotation that the joint fit has to find, and for terms with a kink.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from counterspin.inference.two_stage.strobes import Strobes, by_angle, strobe_an
 from counterspin.physics import simulation
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.motion import Trajectory
+from counterspin.physics.path_errors import encoder_error
 from counterspin.physics.spindle import Spindle, fit_spindle
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import Draws, of_run
@@ -79,7 +80,9 @@ class FullEngine:
             spindle = draws.spindle(world.spindles[run], run)
             times = world.times(run)
             stamped = world.noise.stamps(generator, times)
-            identified = self._identified(generator, run, spindle, stamped, times)
+            identified = self._identified(
+                generator, run, spindle, _shared(draws, run), stamped, times
+            )
             for name in world.mountings:
                 signal = self._recorded(draws, generator, run, name, spindle, times)
                 assumed = Trajectory(identified, world.radius, world.site)
@@ -137,7 +140,9 @@ class FullEngine:
         spindle = draws.spindle(world.spindles[run], run)
         strobed = world.strobed(run, name)
         times = spindle.time_at(strobed.angles)
-        identified = self._identified(generator, run, spindle, world.times(run))
+        identified = self._identified(
+            generator, run, spindle, _shared(draws, run), world.times(run)
+        )
         taken = world.noise.stamps(generator, times) if world.noise.timing > 0.0 else times
         signal = self._recorded(draws, generator, run, name, spindle, taken)
         assumed = Trajectory(identified, world.radius, world.site)
@@ -159,6 +164,7 @@ class FullEngine:
         generator: np.random.Generator,
         run: int,
         true: Spindle,
+        shared: Mapping[str, float],
         stamped: Array,
         times: Array | None = None,
     ) -> Spindle:
@@ -166,10 +172,11 @@ class FullEngine:
         world = self.world
         if not world.angle_recorded:
             return Spindle(world.spindles[run].rate)
-        if world.noise.angle == 0.0 and world.noise.timing == 0.0:
-            return true
         angle = true.angle(stamped if times is None else times)
-        recorded = world.noise.angles(generator, angle)
+        misread = encoder_error(shared, angle)
+        if world.noise.angle == 0.0 and world.noise.timing == 0.0 and not misread.any():
+            return true
+        recorded = world.noise.angles(generator, angle + misread)
         return fit_spindle(stamped, recorded, world.spindles[run].rate).spindle
 
     def _recorded(
@@ -182,19 +189,26 @@ class FullEngine:
         times: Array,
     ) -> Array:
         """Return the noisy displacement at the times."""
-        coefficients, platform = {}, {}
-        for (owner, symbol), values in draws.values.items():
-            value = float(of_run(values, run)[0])
-            if symbol in TERMS and owner == name:
-                coefficients[symbol] = value
-            elif not owner:
-                platform[symbol] = value
+        coefficients = {
+            symbol: float(of_run(values, run)[0])
+            for (owner, symbol), values in draws.values.items()
+            if symbol in TERMS and owner == name
+        }
         signal = simulation.recorded(
             Trajectory(spindle, float(draws.radius[0]), self.world.site),
             self.world.mountings[name],
             coefficients,
-            platform,
+            _shared(draws, run),
             times,
             attitude=self.world.attitudes[run],
         )
         return self.world.noise.displacements(generator, times, signal)
+
+
+def _shared(draws: Draws, run: int) -> dict[str, float]:
+    """Return what all accelerometers share in a run of a single trial."""
+    return {
+        symbol: float(of_run(values, run)[0])
+        for (owner, symbol), values in draws.values.items()
+        if not owner
+    }

@@ -26,7 +26,7 @@ from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
 from counterspin.physics.accelerometer import Mounting, Term
 from counterspin.physics.motion import Site
-from counterspin.physics.shared_terms import PlatformTerm, term
+from counterspin.physics.shared_terms import MotionTerm, PlatformTerm, SharedTerm, term
 from counterspin.physics.spindle import TURN, Spindle
 
 _PANELS: Final = 2
@@ -99,6 +99,8 @@ def obstacle(symbol: str) -> str | None:
     row = term(symbol)
     if isinstance(row, Term):
         return "has a kink" if "|I|" in row.factors else None
+    if isinstance(row, MotionTerm):
+        return "changes the path"
     # Its turn before the first strobe is an integral without a closed form.
     return "has no closed form" if row.kind == "g2_sensitivity" else None
 
@@ -272,7 +274,7 @@ class _Force:
 
 def _effect(
     motion: StrobedMotion,
-    row: Term | PlatformTerm,
+    row: Term | SharedTerm,
     field: _Force,
     weight: Array,
     gain: Array,
@@ -287,6 +289,7 @@ def _effect(
             return _linear(motion, axis, field, weight, gain)
         a_ipo = np.stack([field.along(axis) for axis in axes.matrix]) / g
         return _weighted(weight, g * row.evaluate(a_ipo))
+    assert isinstance(row, PlatformTerm)
     if row.kind == "tilt":
         return _linear(motion, np.cross(np.eye(3)[row.axis], axes.input_axis), field, weight, gain)
     arm = np.cross(motion.attitude[row.axis], axes.input_axis)

@@ -21,7 +21,8 @@ from counterspin.arrays import Array
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest, credible_limit
 from counterspin.physics import as_printed
-from counterspin.physics.shared_terms import PlatformTerm, term
+from counterspin.physics.accelerometer import Term
+from counterspin.physics.shared_terms import term
 from counterspin.studies.draws import Draws, of_run
 from counterspin.studies.noise import curvature_noise, residual_variances
 from counterspin.studies.strobed_effects import StrobedMotion, effects
@@ -136,7 +137,7 @@ class TwoStageEngine:
         for owner, symbol in self.true:
             size = of_run(draws.values[owner, symbol], run)
             row = term(symbol)
-            size = size * k_i if isinstance(row, PlatformTerm) else size - row.nominal
+            size = size * k_i if not isinstance(row, Term) else size - row.nominal
             total = total + size * effect[self.symbols.index(symbol)]
         return total
 
@@ -190,7 +191,7 @@ class TwoStageEngine:
         """Return d(b2)/d(unknown) of every run, shape (runs, n or 1)."""
         request = self.request
         if request.model == "exact":
-            platform = isinstance(term(symbol), PlatformTerm)
+            platform = not isinstance(term(symbol), Term)
             effect: Array = assumed[self.symbols.index(symbol)]
             return effect * request.scale_factor if platform else effect
         rates = np.array([motion.spindle.rate for motion in self.motions])

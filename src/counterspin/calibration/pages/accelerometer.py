@@ -26,7 +26,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.inference.diagnostics import AGREEMENT
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.shared_terms import SHARED_TERMS
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
@@ -148,7 +148,7 @@ def _names(symbol: str) -> tuple[str, str]:
     bare, bracket, run = symbol.partition(" (")
     if (machine := machine_term(bare)) is not None:
         return symbol, machine[0].words + (f" {machine[1]}" if machine[1] else "")
-    row = TERMS.get(bare) or PLATFORM_TERMS.get(bare)
+    row = TERMS.get(bare) or SHARED_TERMS.get(bare)
     return (symbol, row.words + bracket + run) if row else _SPINDLE.get(bare, (symbol, ""))
 
 
@@ -203,9 +203,7 @@ def _confounded(confounded: ConfoundedTerms) -> str:
     )
     if confounded.value is None:
         return text + "."
-    row = TERMS.get(confounded.terms[0]) or PLATFORM_TERMS.get(
-        confounded.terms[0].partition(" (")[0]
-    )
+    row = TERMS.get(confounded.terms[0]) or SHARED_TERMS.get(confounded.terms[0].partition(" (")[0])
     unit, factor = field_unit(row.unit if row else "")
     u = None if confounded.u is None else confounded.u * factor
     return f"{text} = {format_estimate(confounded.value * factor, u, unit)}."

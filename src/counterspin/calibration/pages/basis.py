@@ -14,7 +14,7 @@ from typing import Final
 from counterspin.calibration.options import TwoStageOptions, acceptance_words, command_words
 from counterspin.calibration.result import Result
 from counterspin.physics.accelerometer import TERMS, Term
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.shared_terms import MOTION_TERMS, PLATFORM_TERMS
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import format_number
 
@@ -41,10 +41,16 @@ def model_blocks(result: Result) -> Iterator[Block]:
     platform = dict.fromkeys(
         [*result.platform, *(symbol for run in result.runs.values() for symbol in run.terms)]
     )
-    if rows := [PLATFORM_TERMS[symbol] for symbol in platform if symbol in PLATFORM_TERMS]:
+    if turns := [symbol for symbol in platform if symbol in PLATFORM_TERMS]:
         yield Paragraph(
-            "The platform's small attitude error ψ turns what is sensed, f − ψ × f, and grows by "
-            f"dψ/dt = drift + D f/g; taken into account: {_list(row.symbol for row in rows)}."
+            "The platform's small attitude error turns what is sensed, f − ψ × f; it is "
+            "ψ = tilt + ∫ (drift + D f/g + E |f|²/g²) dt + C f/g. Taken into account: "
+            f"{_list(turns)}."
+        )
+    if paths := [symbol for symbol in platform if symbol in MOTION_TERMS]:
+        yield Paragraph(
+            "Errors of the path, by which the platform is not where radius and recorded angle say: "
+            f"{_list(paths)}."
         )
     observables = {
         accelerometer.observable or "displacement"

@@ -18,7 +18,7 @@ from counterspin.inference.joint.inputs import input_column, rotation_column
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Unknowns
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.shared_terms import SHARED_TERMS
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Prepared:
         ]
         ratio = scale_factor / self.scale_factor
         shown = {
-            symbol: ratio * column if symbol in PLATFORM_TERMS else column
+            symbol: ratio * column if symbol in SHARED_TERMS else column
             for symbol, column in zip(terms, columns, strict=False)
             # What the encoder leaves open depends on the estimate.
             if symbol not in encoder.SYMBOLS

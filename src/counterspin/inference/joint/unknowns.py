@@ -15,6 +15,7 @@ from counterspin.inference.joint.series import Series
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
+from counterspin.physics.shared_terms import SHARED_TERMS
 
 #: Rotation of a run as unknowns, where no angle is recorded: rad, rad/s, 1/s.
 ROTATION: Final = ("spindle.start_angle", "spindle.rate", "spindle.drift")
@@ -65,7 +66,7 @@ class Unknown:
         """Return whether the unknown can show in a series."""
         if self.symbol in TERMS:
             return self.owner == series.accelerometer
-        if machine_term(self.symbol) is not None:
+        if self.symbol not in SHARED_TERMS and machine_term(self.symbol) is not None:
             return False  # it shows in readings
         return self.owner in ("", series.run)
 

@@ -1,0 +1,116 @@
+"""Errors of the path: the centrifuge does not carry the platform where the recorded angle says.
+
+A spindle out of balance and an arm that stretches change the radius; an eccentric encoder records
+another angle than the spindle's. Neither is in the reference, so both show in every record.
+
+- `true_trajectory`: the path of a machine with these errors, without linearisation
+- `encoder_error`: what its encoder adds to the angle
+- `path_change`: what one of them does, to first order
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.physics.angle_error import displaced
+from counterspin.physics.motion import Trajectory
+from counterspin.physics.shared_terms import MOTION_TERMS, MotionTerm
+
+
+def true_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Trajectory:
+    """Return the path with the radius's errors, where there are any.
+
+    Parameters
+    ----------
+    trajectory
+        On the circle.
+    shared
+        Shared terms by symbol, SI; those that do not change the radius are left alone.
+    """
+    rows = {MOTION_TERMS[s]: value for s, value in shared.items() if s in MOTION_TERMS}
+    imbalance = tuple(
+        (row.harmonic, value, 0.0) if row.quadrature == "cos" else (row.harmonic, 0.0, value)
+        for row, value in rows.items()
+        if row.kind == "imbalance" and value != 0.0
+    )
+    stretch = sum(value for row, value in rows.items() if row.kind == "stretch")
+    if not imbalance and stretch == 0.0:
+        return trajectory
+    return replace(trajectory, stretch=stretch, imbalance=imbalance)
+
+
+def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
+    """Return the recorded angle less the true one in rad, shape (n,).
+
+    Parameters
+    ----------
+    shared
+        Shared terms by symbol, SI.
+    angle
+        The true angle, rad, shape (n,).
+    """
+    total = np.zeros_like(angle)
+    for symbol, value in shared.items():
+        row = MOTION_TERMS.get(symbol)
+        if row is not None and row.kind == "encoder" and value != 0.0:
+            wave = np.cos if row.quadrature == "cos" else np.sin
+            total += value * wave(row.harmonic * angle)
+    return total
+
+
+def path_change(row: MotionTerm, trajectory: Trajectory, times: Array, order: int) -> Array:
+    """Return the true motion less that of the circle at the recorded angle.
+
+    Parameters
+    ----------
+    row
+        The error.
+    trajectory
+        The circle, at the recorded angle.
+    times
+        s, shape (n,).
+    order
+        2 for the position, 1 for the velocity, 0 for the specific force.
+
+    Returns
+    -------
+    Array
+        Per unit of the term, in east-north-up, shape (n, 3).
+    """
+    if row.kind == "encoder":
+        return _turned_back(row, trajectory, times, order)
+    # The motion is linear in the radius: a whole unit of the error shows its derivative.
+    moved = true_trajectory(trajectory, {row.symbol: 1.0}).at(times)
+    circle = trajectory.at(times)
+    change: Array
+    if order == 2:
+        change = moved.position - circle.position
+    elif order == 1:
+        change = moved.velocity - circle.velocity
+    else:
+        change = moved.specific_force - circle.specific_force
+    return change
+
+
+def _turned_back(row: MotionTerm, trajectory: Trajectory, times: Array, order: int) -> Array:
+    """Return what the encoder's error makes of the motion: the true angle is behind by it."""
+    spindle, n = trajectory.spindle, row.harmonic
+    angle, rate = spindle.angle(times), spindle.angular_rate(times)
+    acceleration = spindle.angular_acceleration(times)
+    cos, sin = np.cos(n * angle), np.sin(n * angle)
+    # wave and its derivative by the angle's n-fold
+    wave, slope = (cos, -sin) if row.quadrature == "cos" else (sin, cos)
+    curve = (n * rate) ** 2 * wave - n * acceleration * slope
+    turned = (-wave[:, None], -(n * rate * slope)[:, None], curve[:, None])
+
+    def change(order: int) -> Array:
+        level = trajectory.radius * displaced(turned, angle, rate, acceleration, order)[:, 0]
+        return np.column_stack([level, np.zeros(times.size)])
+
+    if order > 0:
+        return change(order)
+    return change(0) + 2.0 * np.cross(trajectory.site.earth_rotation, change(1))

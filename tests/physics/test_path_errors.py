@@ -1,0 +1,174 @@
+"""Errors of the path: against sympy's derivatives of the path, and against the motion itself."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from counterspin.physics.accelerometer import QX, QY
+from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.observation import ORDERS, columns, parabola, reference
+from counterspin.physics.path_errors import encoder_error, true_trajectory
+from counterspin.physics.shared_terms import MOTION_TERMS
+from counterspin.physics.simulation import recorded
+from counterspin.physics.spindle import Ripple, Spindle
+
+SITE = Site(9.8066, 0.7985)
+SPINDLE = Spindle(-2.4, 3e-4, (Ripple(1, 4e-3, 0.8), Ripple(2, 3e-3, -1.0)), start_angle=0.5)
+TRAJECTORY = Trajectory(SPINDLE, 2.5, SITE)
+TIMES = np.linspace(0.0, 9.0, 181)
+
+ERRORS = {
+    "centrifuge.stretch": 2e-4,
+    "centrifuge.imbalance.1.cos": 3e-3,
+    "centrifuge.imbalance.1.sin": -2e-3,
+    "centrifuge.imbalance.2.cos": 1e-3,
+    "centrifuge.imbalance.2.sin": 4e-3,
+}
+
+
+def path_by_sympy():
+    """Position, velocity and acceleration of the path, differentiated from its definition."""
+    t = sp.symbols("t", real=True)
+    w0 = SPINDLE.rate
+    theta = SPINDLE.start_angle + w0 * t + SPINDLE.drift * w0 * t**2 / 2
+    for r in SPINDLE.ripples:
+        n_w0 = r.harmonic * w0
+        theta -= r.amplitude / n_w0 * (sp.cos(n_w0 * t + r.phase) - math.cos(r.phase))
+    rate = sp.diff(theta, t)
+    radius = 2.5 * (1 + ERRORS["centrifuge.stretch"] * 2.5 * rate**2)
+    for symbol, value in ERRORS.items():
+        parts = symbol.split(".")
+        if parts[1] == "imbalance":
+            radius += value * getattr(sp, parts[3])(int(parts[2]) * theta)
+    place = [radius * sp.cos(theta), radius * sp.sin(theta)]
+    return [
+        np.column_stack([sp.lambdify(t, sp.diff(x, t, order), "numpy")(TIMES) for x in place])
+        for order in range(3)
+    ]
+
+
+def test_the_path_is_that_of_its_definition():
+    motion = true_trajectory(TRAJECTORY, ERRORS).at(TIMES)
+    got = (motion.position, motion.velocity, motion.acceleration)
+    for value, expected in zip(got, path_by_sympy(), strict=True):
+        np.testing.assert_allclose(value[:, :2], expected, rtol=0, atol=1e-13)
+        assert not value[:, 2].any()
+
+
+def test_without_errors_the_path_is_the_circle():
+    assert true_trajectory(TRAJECTORY, {"platform.tilt.north": 1e-3}) is TRAJECTORY
+    assert true_trajectory(TRAJECTORY, {"encoder.harmonic.1.cos": 1e-3}) is TRAJECTORY
+
+
+@pytest.mark.parametrize("observable", ORDERS)
+@pytest.mark.parametrize("mounting", [QX, QY], ids=["Qx", "Qy"])
+def test_columns_of_the_radius_are_what_the_simulation_shows_of_it(mounting, observable):
+    """A perfect accelerometer shows all of it, at any size: the motion is linear in the radius."""
+    table = columns(TRAJECTORY, mounting, list(ERRORS), TIMES, observable)
+    signal = recorded(TRAJECTORY, mounting, {}, ERRORS, TIMES, observable)
+    expected = signal - reference(TRAJECTORY, mounting, TIMES, observable)
+    np.testing.assert_allclose(
+        table @ np.array(list(ERRORS.values())), expected, rtol=0, atol=2e-12
+    )
+    # What is recorded through a scale factor is larger by it.
+    scaled = columns(TRAJECTORY, mounting, list(ERRORS), TIMES, observable, scale_factor=1.25)
+    np.testing.assert_allclose(scaled, 1.25 * table, rtol=1e-14)
+
+
+@pytest.mark.parametrize("observable", ORDERS)
+@pytest.mark.parametrize("symbol", [s for s in MOTION_TERMS if s.startswith("encoder")])
+def test_columns_of_the_encoder_are_derivatives_of_what_is_computed_from_its_angle(
+    symbol, observable
+):
+    """The record against the reference of a spindle that turns as the encoder says."""
+    step = 1e-4
+    row = MOTION_TERMS[symbol]
+
+    def misread(size):
+        """Return the true motion less the reference's, whose angle is theta + size wave(theta)."""
+        t = sp.symbols("t", real=True)
+        theta = 0.5 - 2.4 * t + 0.01 * sp.sin(1.3 * t)
+        wave = getattr(sp, row.quadrature)(row.harmonic * theta)
+        order = 2 - ORDERS[observable]
+        change = []
+        for angle in (theta, theta + size * wave):
+            place = [2.5 * sp.cos(angle), 2.5 * sp.sin(angle)]
+            motion = [sp.lambdify(t, sp.diff(x, t, order), "numpy")(TIMES) for x in place]
+            if order == 2:
+                v = [sp.lambdify(t, sp.diff(x, t), "numpy")(TIMES) for x in place]
+                motion[0] = motion[0] - 2.0 * SITE.earth_rotation[2] * v[1]
+            change.append(motion[0])
+        return change[0] - change[1]
+
+    # The same rotation for counterspin, about the recorded angle.
+    spindle = Spindle(-2.4, 0.0, (), 0.5)
+    moving = replace(TRAJECTORY, spindle=spindle)
+
+    class Swinging(Spindle):
+        def angle(self, t):
+            return 0.5 - 2.4 * t + 0.01 * np.sin(1.3 * t)
+
+        def angular_rate(self, t):
+            return -2.4 + 0.013 * np.cos(1.3 * t)
+
+        def angular_acceleration(self, t):
+            return -0.0169 * np.sin(1.3 * t)
+
+    moving = replace(moving, spindle=Swinging(-2.4))
+    derivative = (misread(step) - misread(-step)) / (2 * step)
+    got = columns(moving, QX, [symbol], TIMES, observable)[:, 0]
+    np.testing.assert_allclose(got, derivative, rtol=0, atol=2e-6 * np.abs(got).max())
+
+
+def test_what_an_eccentric_encoder_records():
+    angle = np.linspace(-7.0, 7.0, 101)
+    shared = {"encoder.harmonic.1.sin": 3e-6, "encoder.harmonic.2.cos": -1e-6, "K_F": 1.0}
+    expected = 3e-6 * np.sin(angle) - 1e-6 * np.cos(2 * angle)
+    np.testing.assert_allclose(encoder_error(shared, angle), expected, rtol=0, atol=1e-20)
+
+
+def test_closed_forms_at_constant_rate():
+    """An error of the first harmonic stands in the second, with a constant beside it."""
+    rate, radius, phase = 2.0, 2.5, 0.7
+    steady = Trajectory(Spindle(rate), radius, SITE)
+    theta = rate * TIMES
+    weights = np.array([math.cos(phase), math.sin(phase)])
+    imbalance = [f"centrifuge.imbalance.1.{wave}" for wave in ("cos", "sin")]
+    got = columns(steady, QX, imbalance, TIMES) @ weights
+    expected = 0.5 * (np.cos(2 * theta - phase) + math.cos(phase))
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-14)
+    # The recorded angle is ahead by sin(theta + phase): the reference is, the record is not.
+    eccentric = [f"encoder.harmonic.1.{wave}" for wave in ("sin", "cos")]
+    got = columns(steady, QX, eccentric, TIMES) @ weights
+    expected = -0.5 * radius * (np.cos(2 * theta + phase) - math.cos(phase))
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-14)
+    got = columns(steady, QX, ["centrifuge.stretch"], TIMES)[:, 0]
+    np.testing.assert_allclose(got, radius**2 * rate**2 * np.cos(theta), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("symbol", MOTION_TERMS)
+def test_no_error_of_the_path_has_a_parabola(symbol):
+    steady = Trajectory(Spindle(2.0), 2.5, Site(9.8, 0.8, earth_rate=0.0))
+    turns = math.pi * np.arange(1, 6)
+    position = columns(steady, QX, [symbol], turns)[:, 0]
+    np.testing.assert_allclose(position - position[0], 0.0, atol=1e-12)
+    assert parabola(symbol, QX, 2.0, 2.5, 9.8) == 0.0
+
+
+def test_imbalance_and_the_same_harmonic_of_the_encoder_are_one_but_for_the_start():
+    """The first harmonics turn with twice the angle, in every accelerometer and observable."""
+    steady = Trajectory(Spindle(2.0), 2.5, Site(9.8, 0.8, earth_rate=0.0))
+    for mounting in (QX, QY):
+        for observable in ("displacement", "velocity"):
+            shown = columns(
+                steady,
+                mounting,
+                ["centrifuge.imbalance.1.cos", "encoder.harmonic.1.sin"],
+                TIMES,
+                observable,
+            )
+            sum_of_both = 2.5 * shown[:, 0] + shown[:, 1]
+            np.testing.assert_allclose(sum_of_both, sum_of_both[0], rtol=0, atol=1e-12)
