@@ -313,7 +313,7 @@ def test_wrong_usage(tmp_path, capsys):
     assert "2 mistakes" in told
     assert told.count("there is no such file or folder") == 2
     stored(tmp_path, a=result())
-    for term, words in (("K_IV", "no term is called"), ("platform.tilt.up", "to the platform")):
+    for term, words in (("K_IV", "no term is called"), ("platform.tilt.up", "to the machine")):
         assert main(["history", str(tmp_path), "--term", term]) == 2
         assert words in capsys.readouterr().err
 

@@ -22,7 +22,7 @@ from counterspin.inference.identifiability import assess
 from counterspin.inference.readings import solve_readings
 from counterspin.physics.accelerometer import TERMS
 
-TRIALS = 4000 if os.environ.get("COUNTERSPIN_FULL") else 120
+TRIALS = 4000 if os.environ.get("COUNTERSPIN_FULL") else 300
 SIGMA = 2e-6
 
 
