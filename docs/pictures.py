@@ -44,6 +44,13 @@ def draw_the_plan() -> None:
         run("plan", example, "--figures", IMAGES, "--overwrite")
 
 
+def calibrate_the_example() -> None:
+    """Simulate the example campaign and write its result."""
+    with tempfile.TemporaryDirectory() as folder:
+        run("simulate", EXAMPLES / "campaign.toml", "-o", folder)
+        run("calibrate", folder, "--json", EXAMPLES / "result.json")
+
+
 def write_the_examples() -> None:
     """Write report and certificate of the example result."""
     result, lab = EXAMPLES / "result.json", EXAMPLES / "LAB.toml"
@@ -78,5 +85,6 @@ if __name__ == "__main__":
     IMAGES.mkdir(exist_ok=True)
     draw_the_demonstration()
     draw_the_plan()
+    calibrate_the_example()
     write_the_examples()
     photograph_the_report()

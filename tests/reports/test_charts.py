@@ -38,7 +38,7 @@ every_theme = pytest.mark.parametrize("theme", ["light", "page"])
 
 
 def words(text):
-    return [node.text for node in ET.fromstring(text).iter(f"{NAMESPACE}text")]
+    return ["".join(node.itertext()) for node in ET.fromstring(text).iter(f"{NAMESPACE}text")]
 
 
 def number_pairs(path):
@@ -134,6 +134,21 @@ def test_words_are_words_and_taken_as_they_are():
     x_label, y_label, label = sorted(odd)
     plot = Plot("", x_label, y_label, (PlotSeries(label, (0.0, 1.0), (0.0, 1.0)),))
     assert odd <= set(words(svg(plot)))
+
+
+def test_symbols_have_their_index_below_the_line():
+    plot = Plot("", "K_II of a_run, ug", "K_I.csv and E_n", (PlotSeries("", (0.0,), (0.0,)),))
+    x_label, y_label = (
+        node
+        for node in ET.fromstring(svg(plot)).iter(f"{NAMESPACE}text")
+        if "of" in "".join(node.itertext()) or "and" in "".join(node.itertext())
+    )
+    assert "".join(x_label.itertext()) == "KII of a_run, ug"
+    assert "".join(y_label.itertext()) == "K_I.csv and En"
+    index, rest = x_label.iter(f"{NAMESPACE}tspan")
+    assert (index.text, rest.text) == ("II", " of a_run, ug")
+    assert float(index.get("dy")) == -float(rest.get("dy")) > 0.0
+    assert float(index.get("font-size")) < 9.0
 
 
 def test_letters_that_matplotlib_lacks_and_xml_forbids():

@@ -14,6 +14,8 @@ import pytest
 from pages import page
 from pypdf import PdfReader
 
+from counterspin.reports.blocks import Column, Table
+
 sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
 
 CHROMIUM = os.environ.get("COUNTERSPIN_CHROMIUM") or shutil.which("chromium")
@@ -290,8 +292,8 @@ def test_the_cursor_reads_the_values(desk):
     )
     place, band, mean, out = (text.split(": ")[1] for text in texts.all_inner_texts())
     assert float(place) == pytest.approx(600.0, abs=2.0)
-    assert re.fullmatch(r"-5\.\d+ to 5\.\d+", band)
-    assert abs(float(mean)) <= 1.0
+    assert re.fullmatch(r"−5\.\d+ to 5\.\d+", band)
+    assert abs(float(mean.replace("−", "-"))) <= 1.0
     assert float(out) == 4000.0
 
 
@@ -306,3 +308,38 @@ def test_without_a_script_all_is_there(browser, report):
             tab.locator("figure .still svg:visible").count() == tab.locator("figure").count() == 5
         )
         assert tab.locator("button:visible").count() == 0
+
+
+# Phone
+
+
+def test_a_table_wider_than_a_phone_says_so_and_keeps_the_names_of_its_rows(browser, tmp_path):
+    path = tmp_path / "report.html"
+    columns = (Column("Run"), *(Column(f"Quantity {n}", "right") for n in range(9)))
+    wide = Table(columns, (("run1", *(f"{n}.12345" for n in range(9))),))
+    narrow = Table((Column("Run"), Column("n")), (("run1", "1"),))
+    path.write_text(page(made=[wide, narrow]), encoding="utf-8")
+    for viewport, more in ((PHONE, [True, False]), (DESK, [False, False])):
+        with opened(browser, path, viewport=viewport) as (tab, _, wrong):
+            boxes = tab.locator(".scroll")
+            tab.wait_for_timeout(100)
+            said = boxes.evaluate_all(
+                "all => all.map(b => getComputedStyle(b, '::after').content.includes('columns'))"
+            )
+            assert said == more
+            if more[0]:
+                boxes.first.evaluate("box => { box.scrollLeft = 1e4; }")
+                name = boxes.first.locator("tbody th").bounding_box()
+                assert 0.0 <= name["x"] < 40.0
+            assert wrong == []
+
+
+def test_a_symbol_is_seen_with_its_index_and_copied_as_it_is_typed(desk):
+    answer = desk.locator(".answer").first
+    assert answer.inner_text().startswith("K_II of Qx")
+    letter, index = answer.evaluate(
+        """a => ["strong", "sub"].map(
+            name => parseFloat(getComputedStyle(a.querySelector(name)).fontSize))"""
+    )
+    assert index < letter
+    assert answer.locator("sub i").first.evaluate("i => i.getBoundingClientRect().width") == 0

@@ -181,6 +181,23 @@ def test_long_table_goes_on_under_the_same_header():
         assert sum(f"run{row} {row}.000417 {row}.100417" in page for page in text) == 1
 
 
+def test_long_table_begins_where_some_of_its_rows_have_room():
+    counts = []
+    for lines in range(34, 48):
+        found = reader(*(Paragraph("x") for _ in range(lines)), long_table(20))
+        first = next(text for page in found.pages if "run0 " in (text := words(page)))
+        counts.append(sum(f"run{row} {row}." in first for row in range(20)))
+    # Wherever on the page the table happens to stand, which differs between these.
+    assert min(counts) >= 3
+    assert len(set(counts)) > 3
+
+
+def test_symbols_have_an_index():
+    text = words(reader(Paragraph("K_II of a_run"), Table((Column("K_F"),), (("K_I",),))).pages[0])
+    assert "KII of a_run" in text
+    assert "KF KI" in text
+
+
 def test_short_table_stays_in_one_piece():
     for lines in range(30, 48, 3):
         found = reader(*(Paragraph("x") for _ in range(lines)), long_table(10))

@@ -33,6 +33,8 @@ from counterspin.reports.typography import speakable, typeset, typeset_block, vi
         ("by 29 ug/g^2.", "by 29 µg/g²."),
         ("0.0080 ug. 3 ug", "0.0080 µg. 3 µg"),
         ("ug.csv", "ug.csv"),
+        ("-32.78 (-5 to -.5), K_I - 0.159 z = -1e-5", "−32.78 (−5 to −.5), K_I − 0.159 z = −10⁻⁵"),
+        ("2026-03-01, run-1, a-2, Student-t, 1-2", "2026-03-01, run-1, a-2, Student-t, 1-2"),
         # Not numbers, or not such ones.
         ("run1e5.csv", "run1e5.csv"),
         ("file.1e5", "file.1e5"),

@@ -74,14 +74,19 @@ def _trace(view: AccelerometerView, index: int, run: ObservedRun) -> Trace:
             break
     interval = float(np.median(np.diff(kept.time)))
     normal, ordered = normal_quantiles(whitened, _QUANTILES)
-    frequency, power = smoothed_spectrum(periodogram, whitened.size * interval, _BANDS)
+    frequency, power, lines = smoothed_spectrum(periodogram, whitened.size * interval, _BANDS)
+    (rms,) = _rounded(np.sqrt([np.mean(residual**2)]))
     return Trace(
+        rows=residual.size,
+        rms=rms,
         time=_rounded(time, 6),
         low=_rounded(low),
         high=_rounded(high),
         left_out=_left_out(view, index, run),
         by_angle=Fold(**dict(zip(("low", "mean", "high"), map(_gaps, folded), strict=True))),
-        spectrum=Spectrum(frequency=_rounded(frequency), power=_rounded(power)),
+        spectrum=Spectrum(
+            frequency=_rounded(frequency), power=_rounded(power), lines=lines.tolist()
+        ),
         quantiles=Quantiles(normal=_rounded(normal), found=_rounded(ordered)),
     )
 

@@ -251,10 +251,14 @@ class Fold(ResultPart):
 
 
 class Spectrum(ResultPart):
-    """Spectrum of whitened residuals; frequency in Hz, power 1 for white noise."""
+    """Spectrum of whitened residuals; frequency in Hz, power 1 for white noise.
+
+    `lines` counts those of the periodogram of which each power is the mean.
+    """
 
     frequency: list[float]
     power: list[float]
+    lines: list[int] = []
 
 
 class Quantiles(ResultPart):
@@ -269,6 +273,8 @@ class Trace(ResultPart):
 
     Attributes
     ----------
+    rows, rms
+        How many residuals there are, and their root mean square in the observable's unit.
     time
         Middle of each stretch, s from the start of the run.
     low, high
@@ -281,6 +287,8 @@ class Trace(ResultPart):
         Of the whitened residuals.
     """
 
+    rows: int | None = None
+    rms: float | None = None
     time: list[float]
     low: list[float]
     high: list[float]

@@ -85,7 +85,8 @@ class PlotSeries:
         Drawn in the colour of warnings.
     colour
         Place in the row of colours and markers; None: the next one. Series of the same thing, such
-        as points and the curve through them, or a run in several plots, share a colour.
+        as points and the curve through them, or a run in several plots, share a colour. "muted":
+        what others are compared with.
     """
 
     label: str
@@ -95,7 +96,7 @@ class PlotSeries:
     high: tuple[float | None, ...] | None = None
     kind: Literal["line", "points", "band", "columns"] = "line"
     stands_out: bool = False
-    colour: int | None = None
+    colour: int | Literal["muted"] | None = None
 
 
 @dataclass(frozen=True)

@@ -23,15 +23,16 @@ import hashlib
 import io
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Final, Literal, cast
 
 from counterspin.errors import CounterspinError
 from counterspin.output import FileKind, holds, write_whole
-from counterspin.reports.blocks import Picture
+from counterspin.reports.blocks import Picture, Plot
 from counterspin.reports.drawing import COLOURS_OF_PAPER, drawn, settings
-from counterspin.reports.typography import typeset_block
+from counterspin.reports.typography import SYMBOL, typeset_block
 
 Theme = Literal["light", "page"]
 
@@ -40,6 +41,8 @@ _DRAWN: Final = {name: f"#01{index:02x}fe" for index, name in enumerate(COLOURS_
 _NAMES: Final = {colour: name for name, colour in _DRAWN.items()}
 
 _FONT_OF_PAPER: Final = "'Libertinus Serif', 'DejaVu Sans', serif"
+
+_HEIGHT_ON_PAPER: Final = 0.8
 
 #: What a file of each kind says of its making; a date would make every file another.
 _METADATA: Final[Mapping[str, dict[str, str | None]]] = {
@@ -114,6 +117,9 @@ def svg(picture: Picture, *, theme: Theme = "light") -> str:
         An ``<svg>`` element that fills the width it is given. Its ids differ from those of every
         other picture.
     """
+    if theme == "light" and isinstance(picture, Plot):
+        # A page of paper holds more of them, and less of it stays empty.
+        picture = replace(picture, height=_HEIGHT_ON_PAPER * picture.height)
     with settings(_DRAWN):
         figure = drawn([picture], _DRAWN, titled=False)
         stream = io.StringIO()
@@ -144,6 +150,7 @@ def _cleaned(text: str, picture: Picture, theme: Theme) -> str:
 
     text = re.sub(r"<[^>]+>", cleaned_tag, text)
     text = re.sub(r"\n *<g>\n *</g>", "", text)
+    text = re.sub(r"(<text [^>]*>)([^<]*)(?=</text>)", _with_indices, text)
     head, _, body = text.partition(">")
     box = re.search(r'viewBox="[^"]*"', head)
     assert box is not None
@@ -153,6 +160,13 @@ def _cleaned(text: str, picture: Picture, theme: Theme) -> str:
         f'width="100%" {box[0]} role="img" stroke-linejoin="round"{font}>\n'
         f" <title>{escape(_printable(picture.title), quote=False)}</title>{_printable(body)}"
     )
+
+
+def _with_indices(found: re.Match[str]) -> str:
+    """Return words of a picture with K_II and the like as a letter and its index."""
+    lowered = r'\1<tspan dy="2" font-size="6.5">\2</tspan><tspan dy="-2">'
+    words, count = re.subn(rf"(?<![\w.]){SYMBOL}", lowered, found[2])
+    return found[1] + words + "</tspan>" * count
 
 
 def _colour(name: str, theme: Theme) -> str:

@@ -201,7 +201,7 @@ def colours_in_row(rows: Sequence[PlotSeries]) -> list[int | None]:
     places: list[int | None] = []
     taken = 0
     for row in rows:
-        if row.stands_out:
+        if row.stands_out or row.colour == "muted":
             places.append(None)
         elif row.colour is not None:
             places.append(row.colour % len(COLOURS))

@@ -21,6 +21,7 @@ from markupsafe import Markup
 
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, Plot, Table
 from counterspin.reports.charts import svg
+from counterspin.reports.typography import SYMBOL
 from counterspin.reports.zoomable import can_zoom, plot_data
 
 
@@ -50,6 +51,7 @@ def html(
         autoescape=True, loader=FunctionLoader(_asset), undefined=StrictUndefined
     )
     environment.filters["equation"] = _equation
+    environment.filters["symbols"] = _symbols
     return environment.get_template("report.html.jinja").render(
         title=title,
         heading=None if has_heading else title,
@@ -175,6 +177,15 @@ def _answer(text: str) -> dict[str, str]:
 
 def _equation(text: str) -> Markup:
     """Return an equation with K_II and the like set as a letter and its index."""
-    escaped = str(Markup.escape(text))
-    index = r"(?<![\w.])([^\W\d_])_([A-Za-z]+)(?![A-Za-z_]|\.\w)"
-    return Markup(re.sub(index, r"\1<sub>\2</sub>", escaped))
+    return _indexed(text, r"([^\W\d_])_([A-Za-z]+)(?![A-Za-z_]|\.\w)")
+
+
+def _symbols(text: str) -> Markup:
+    """Return prose with the symbols of coefficients set as a letter and its index."""
+    return _indexed(text, SYMBOL)
+
+
+def _indexed(text: str, symbol: str) -> Markup:
+    # The underscore is not seen, but found and copied: K_II.
+    index = r"\1<sub><i>_</i>\2</sub>"
+    return Markup(re.sub(rf"(?<![\w.]){symbol}", index, str(Markup.escape(text))))

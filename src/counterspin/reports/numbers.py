@@ -33,9 +33,12 @@ _FIELD_UNITS: Final = {
     "g": ("ug", _MICRO),
     "g/g^2": ("ug/g^2", _MICRO),
     "g/g^3": ("ug/g^3", _MICRO),
+    "g/g^4": ("ug/g^4", _MICRO),
     "rad": ("arcsec", 1.0 / _ARCSECOND),
+    "rad/g": ("arcsec/g", 1.0 / _ARCSECOND),
     "rad/s": ("deg/h", 1.0 / DEGREE_PER_HOUR),
     "rad/s/g": ("deg/h/g", 1.0 / DEGREE_PER_HOUR),
+    "rad/s/g^2": ("deg/h/g^2", 1.0 / DEGREE_PER_HOUR),
     "1/s": ("ppm/h", 3600.0 * _MICRO),
 }
 

@@ -1,7 +1,8 @@
 """Text as it is shown: numbers and units as in print, and nothing that acts on a terminal.
 
-- `typeset`: ``2.7 x 1e-5 ug/g^2`` to ``2.7 × 10⁻⁵ µg/g²``
+- `typeset`: ``-2.7 x 1e-5 ug/g^2`` to ``−2.7 × 10⁻⁵ µg/g²``
 - `typeset_block`: the same in all words of a block
+- `SYMBOL`: what is set as a letter and its index
 - `visible`: characters that control a terminal, as what they are called
 - `speakable`: the same text for a stream that cannot write ±
 """
@@ -13,6 +14,9 @@ from dataclasses import replace
 from typing import Final
 
 from counterspin.reports.blocks import Bars, Block, Heading, HeatMap, Paragraph, Plot, Table
+
+#: A coefficient or score in prose, such as K_II: the letter and its index.
+SYMBOL: Final = r"([KE])_([A-Z]{1,3}|\d|n)(?!\w|\.\w)"
 
 _RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
@@ -44,18 +48,20 @@ _ASCII: Final = {
 _RAISED_DIGITS: Final = re.compile("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+")
 _LOWERED: Final = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
 
+#: Signs of numbers; a hyphen within a word, a name or a date is none.
+_SIGN: Final = re.compile(r"(?<![^\s(\[=±×])-(?=\.?\d)|(?<= )-(?= \d)")
 _CROSS: Final = re.compile(r"(?<=[\d)]) x (?=10[⁻⁰-⁹¹²³])")
 
 
 def typeset(text: str) -> str:
     """Return a text with its powers of ten, exponents and micro signs set as in print.
 
-    Words and other numbers stay as they are; a minus sign too, so that numbers can be copied.
+    Words and other numbers stay as they are.
     """
     text = _POWER.sub(lambda found: "10" + found[1].translate(_RAISED), text)
     text = _TIMES_POWER.sub(lambda found: f"{found[1]} × 10{found[2].translate(_RAISED)}", text)
     text = _EXPONENT.sub(lambda found: found[1].translate(_RAISED), text)
-    return _CROSS.sub(" × ", _MICRO.sub("µg", text))
+    return _SIGN.sub("−", _CROSS.sub(" × ", _MICRO.sub("µg", text)))
 
 
 def typeset_block(block: Block) -> Block:

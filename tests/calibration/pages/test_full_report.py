@@ -1,5 +1,6 @@
 """The full report says all that a result holds, in the order in which one reads."""
 
+import math
 import shlex
 
 import pytest
@@ -99,8 +100,8 @@ def test_every_picture_of_a_full_result_is_there():
         "Residuals of Qx, slow",
         "Residuals of Qx, fast",
         "Mean residual of Qx over the revolution",
-        "Spectrum of the whitened residuals of Qx; white noise is 1",
-        "Whitened residuals of Qx beside a normal distribution",
+        "Spectrum of the whitened residuals of Qx",
+        "Whitened residuals of Qx less those of a normal distribution",
         "Ripple of the rate by harmonic; bars: 95 %",
     ]
 
@@ -150,7 +151,7 @@ def test_degrees_of_freedom_are_counted_whole_and_units_are_in_print():
 
 
 def test_words_alone_have_no_empty_chapters():
-    picture = next(residual_plots("Qx", result().accelerometers["Qx"]))
+    picture = next(residual_plots("Qx", result().accelerometers["Qx"], result().runs))
     one, two, deep, said = Heading("1"), Heading("2"), Heading("3", 3), Paragraph("words")
     assert without_pictures([one, deep, picture, two, said]) == [two, said]
     assert without_pictures([one, picture, deep, said, two, picture]) == [one, deep, said]
@@ -166,7 +167,7 @@ def test_the_identifier_is_the_result_s_own():
 
 
 def test_residuals_keep_outliers_and_are_in_millimetres():
-    first = next(residual_plots("Qx", result().accelerometers["Qx"]))
+    first = next(residual_plots("Qx", result().accelerometers["Qx"], result().runs))
     assert first.zoom
     band, outliers = first.series
     assert band.low == (-10.0, -20.0, -15.0)
@@ -178,16 +179,60 @@ def test_residuals_keep_outliers_and_are_in_millimetres():
 
 def test_many_runs_share_several_plots():
     traces = {f"run{i}": trace() for i in range(8)}
-    plots = list(residual_plots("Qx", result(traces=traces).accelerometers["Qx"]))
+    plots = list(residual_plots("Qx", result(traces=traces).accelerometers["Qx"], {}))
     assert len(plots) == 8 + 2 * 3
     labels = [s.label for p in plots if "over the revolution" in p.title for s in p.series]
     assert labels == list(traces)
 
 
 def test_a_part_of_the_revolution_without_samples_is_a_gap():
-    fold = list(residual_plots("Qx", result().accelerometers["Qx"]))[2]
+    fold = list(residual_plots("Qx", result().accelerometers["Qx"], result().runs))[2]
     assert fold.series[0].x == (90.0, 270.0)
     assert fold.series[0].y == (1.0, None)
+
+
+def test_a_run_has_its_colour_in_every_picture():
+    found = result(traces={"fast": trace(rows=3, rms=0.01), "slow": trace(rows=900, rms=0.02)})
+    colours = {"fast": set(), "slow": set()}
+    pictures = [*residual_plots("Qx", found.accelerometers["Qx"], found.runs)]
+    for plot in [*pictures, ripple_plot(found.runs)]:
+        for series in plot.series:
+            run = series.label or plot.title.rpartition(", ")[2]
+            run = plot.title.rpartition(", ")[2] if run.startswith("samples") else run
+            if run in colours and series.colour != "muted":
+                colours[run].add(series.colour)
+    assert colours == {"slow": {0}, "fast": {1}}
+
+
+def test_residuals_are_drawn_with_their_rms_and_say_what_they_are():
+    found = result(traces={"slow": trace(rows=3, rms=0.01)})
+    found.runs["slow"].counts["block"] = 7
+    first = next(residual_plots("Qx", found.accelerometers["Qx"], found.runs))
+    band, upper, lower, _ = first.series
+    assert band.label == "means of 7 samples, smallest to largest"
+    assert (upper.label, upper.y, lower.y) == ("± 2 rms", (20.0, 20.0), (-20.0, -20.0))
+
+
+def test_spectrum_has_the_band_of_white_noise():
+    spectrum = {"frequency": [0.1, 1.0], "power": [0.9, 1.1], "lines": [1, 100]}
+    found = result(traces={"slow": trace(spectrum=spectrum)})
+    plots = list(residual_plots("Qx", found.accelerometers["Qx"], found.runs))
+    (plot,) = (plot for plot in plots if plot.title.startswith("Spectrum"))
+    band, _ = plot.series
+    # One line is exponential; a mean of a hundred nearly normal, with standard deviation 0.1.
+    assert band.low[0] == pytest.approx(-math.log(0.975), rel=1e-12)
+    assert band.high[0] == pytest.approx(-math.log(0.025), rel=1e-12)
+    assert (band.low[1], band.high[1]) == pytest.approx((0.8136, 1.2053), abs=2e-4)
+
+
+def test_quantiles_are_drawn_less_the_normal_ones_with_a_band():
+    found = result(traces={"slow": trace(rows=400)})
+    *_, plot = residual_plots("Qx", found.accelerometers["Qx"], found.runs)
+    band, series = plot.series
+    assert series.y == pytest.approx((0.2, 0.1, 0.3))
+    # The median of n normal samples has the standard deviation sqrt(pi/2/n).
+    assert band.high[1] == pytest.approx(1.96 * math.sqrt(math.pi / 2 / 400), rel=1e-12)
+    assert band.low == pytest.approx([-height for height in band.high])
 
 
 def test_the_jackknife_shows_what_each_shift_may_be():

@@ -49,9 +49,10 @@ def test_an_angle_that_rounding_takes_to_the_next_revolution_is_still_in_this_on
 def test_spectrum_has_the_power_of_its_samples(n):
     """Parseval: the lines' powers, both signs, add up to the sum of squares less the ends'."""
     x = np.random.default_rng(n).standard_normal(n)
-    frequency, power = smoothed_spectrum(
+    frequency, power, each = smoothed_spectrum(
         periodogram(x), n * 0.5, 10**6
     )  # every line in a band of its own
+    assert (each == 1).all()
     lines = (n - 1) // 2
     np.testing.assert_allclose(frequency, np.arange(1, lines + 1) / (n * 0.5))
     ends = x.sum() ** 2 / n
@@ -63,7 +64,8 @@ def test_spectrum_has_the_power_of_its_samples(n):
 def test_spectrum_of_a_line_stands_in_its_band():
     n, interval, cycles = 4096, 0.02, 200
     x = np.sin(2 * np.pi * cycles * np.arange(n) / n)
-    frequency, power = smoothed_spectrum(periodogram(x), n * interval, 60)
+    frequency, power, each = smoothed_spectrum(periodogram(x), n * interval, 60)
+    assert each.sum() == (n - 1) // 2
     peak = int(np.argmax(power))
     assert frequency[peak] == pytest.approx(cycles / (n * interval), rel=0.1)
     assert np.delete(power, peak).max() < 1e-20
@@ -72,7 +74,7 @@ def test_spectrum_of_a_line_stands_in_its_band():
 def test_white_noise_has_power_one():
     n = 100_000
     x = np.random.default_rng(1).standard_normal(n)
-    _, power = smoothed_spectrum(periodogram(x), float(n), 10)
+    _, power, _ = smoothed_spectrum(periodogram(x), float(n), 10)
     # The last band holds more than half of the n/2 lines, each with standard deviation 1.
     assert power[-1] == pytest.approx(1.0, abs=4.0 / np.sqrt(n / 4))
 

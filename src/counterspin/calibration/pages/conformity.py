@@ -23,8 +23,9 @@ from counterspin.reports.numbers import (
 _COLUMNS = (
     Column("Accelerometer"),
     Column("Term"),
-    Column("Estimate", wraps=True),
-    Column("Specification", wraps=True),
+    Column("Estimate"),
+    Column("Tolerance"),
+    Column("Unit"),
     Column("Verdict"),
     Column("Conforms with", "right", wraps=True),
     Column("Risk", "right"),
@@ -54,7 +55,8 @@ def conformity_blocks(result: Result) -> Iterator[Block]:
                 name,
                 symbol,
                 _estimate(coefficient),
-                verdict.specification,
+                _tolerance(verdict),
+                field_unit(verdict.unit)[0],
                 verdict.verdict,
                 "-" if verdict.probability is None else format_probability(verdict.probability),
                 "-" if verdict.risk is None else format_probability(verdict.risk),
@@ -103,8 +105,20 @@ def rule_in_words(verdict: Conformity) -> str:
 def _estimate(coefficient: Coefficient | None) -> str:
     if coefficient is None or not coefficient.estimated:
         return "-"
-    value, u, unit = in_field_units(coefficient)
-    return format_estimate(value, u, unit)
+    value, u, _ = in_field_units(coefficient)
+    return format_estimate(value, u)
+
+
+def _tolerance(verdict: Conformity) -> str:
+    """Return the tolerance limits in the unit in which the estimate is shown."""
+    _, factor = field_unit(verdict.unit)
+    low, high = (
+        None if limit is None else format_number(limit * factor, 9)
+        for limit in (verdict.low, verdict.high)
+    )
+    if low is None:
+        return f"at most {high}"
+    return f"at least {low}" if high is None else f"{low} to {high}"
 
 
 def _band(verdict: Conformity) -> str:

@@ -63,7 +63,7 @@ def _chapters(result: Result) -> Iterator[Block]:
         yield from accelerometer_blocks(name, accelerometer, result.inputs.gravity, details=True)
         yield from _drawn(jackknife_plot(name, accelerometer), correlation_map(name, accelerometer))
         yield from _budget(name, accelerometer)
-        plots = list(residual_plots(name, accelerometer))
+        plots = list(residual_plots(name, accelerometer, result.runs))
         if plots:
             yield Heading(f"Residuals of {name}", 3)
             yield from plots

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 from counterspin.calibration.result_parts import AccelerometerResult, RunResult, Trace
@@ -97,38 +98,64 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
     )
 
 
-def residual_plots(name: str, accelerometer: AccelerometerResult) -> Iterator[Plot]:
-    """Yield the pictures of an accelerometer's residuals; none where none were kept."""
+def residual_plots(
+    name: str, accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
+) -> Iterator[Plot]:
+    """Yield the pictures of an accelerometer's residuals; none where none were kept.
+
+    Parameters
+    ----------
+    name, accelerometer
+        Whose.
+    runs
+        Of the whole result; each has a colour, which is its own in all pictures.
+    """
     unit, factor = _SMALL.get(accelerometer.residual.unit, (accelerometer.residual.unit, 1.0))
-    for run, trace in accelerometer.traces.items():
-        yield _over_time(name, run, trace, unit, factor)
-    traces = list(accelerometer.traces.items())
+    places = {run: place for place, run in enumerate(dict.fromkeys([*runs, *accelerometer.traces]))}
+    traces = [
+        _Drawn(run, places[run], trace, runs[run].counts.get("block", 1) if run in runs else 1)
+        for run, trace in accelerometer.traces.items()
+    ]
+    for trace in traces:
+        yield _over_time(name, trace, unit, factor)
     for first in range(0, len(traces), _CURVES):
-        runs = traces[first : first + _CURVES]
-        yield from _over_angle(name, runs, unit, factor)
-        yield from _spectra(name, runs)
-        yield from _quantiles(name, runs)
+        some = traces[first : first + _CURVES]
+        yield from _over_angle(name, some, unit, factor)
+        yield from _spectra(name, some)
+        yield from _quantiles(name, some)
 
 
-def _over_time(name: str, run: str, trace: Trace, unit: str, factor: float) -> Plot:
+@dataclass(frozen=True)
+class _Drawn:
+    """The residuals of a run, its colour and the samples in each mean that was fitted."""
+
+    run: str
+    colour: int
+    trace: Trace
+    block: int
+
+
+def _over_time(name: str, drawn: _Drawn, unit: str, factor: float) -> Plot:
+    trace = drawn.trace
     time = tuple(trace.time)
-    low = tuple(value * factor for value in trace.low)
-    high = tuple(value * factor for value in trace.high)
+    low, high = _scaled(trace.low, factor), _scaled(trace.high, factor)
     middle = tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True))
-    series = [PlotSeries("smallest to largest", time, middle, low, high, kind="band")]
+    what = f"means of {drawn.block} samples" if drawn.block > 1 else "samples"
+    words = f"{what}, smallest to largest" if low != high else what
+    series = [PlotSeries(words, time, middle, low, high, kind="band", colour=drawn.colour)]
+    if trace.rms is not None:
+        # Two standard deviations, if the model is right.
+        label, ends = "± 2 rms", (time[0], time[-1])
+        for height in (2.0 * factor * trace.rms, -2.0 * factor * trace.rms):
+            series.append(PlotSeries(label, ends, (height, height), colour="muted"))
+            label = ""
     if trace.left_out:
         times, values = zip(*trace.left_out, strict=True)
-        series.append(
-            PlotSeries(
-                "left out as outliers",
-                tuple(times),
-                tuple(value * factor for value in values),
-                kind="points",
-                stands_out=True,
-            )
-        )
+        left_out = _scaled(values, factor)
+        words = "left out as outliers"
+        series.append(PlotSeries(words, tuple(times), left_out, kind="points", stands_out=True))
     return Plot(
-        title=f"Residuals of {name}, {run}",
+        title=f"Residuals of {name}, {drawn.run}",
         x_label="time, s",
         y_label=f"residual, {unit}",
         series=tuple(series),
@@ -137,21 +164,15 @@ def _over_time(name: str, run: str, trace: Trace, unit: str, factor: float) -> P
     )
 
 
-def _over_angle(
-    name: str, runs: Sequence[tuple[str, Trace]], unit: str, factor: float
-) -> Iterator[Plot]:
+def _over_angle(name: str, traces: Sequence[_Drawn], unit: str, factor: float) -> Iterator[Plot]:
     series = []
-    for run, trace in runs:
-        if trace.by_angle is not None:
-            mean = trace.by_angle.mean
+    for drawn in traces:
+        if drawn.trace.by_angle is not None:
+            mean = drawn.trace.by_angle.mean
             step = 360.0 / len(mean)
-            series.append(
-                PlotSeries(
-                    run,
-                    tuple((part + 0.5) * step for part in range(len(mean))),
-                    tuple(None if value is None else value * factor for value in mean),
-                )
-            )
+            places = tuple((part + 0.5) * step for part in range(len(mean)))
+            heights = tuple(None if value is None else value * factor for value in mean)
+            series.append(PlotSeries(drawn.run, places, heights, colour=drawn.colour))
     if series:
         yield Plot(
             title=f"Mean residual of {name} over the revolution",
@@ -162,46 +183,105 @@ def _over_angle(
         )
 
 
-def _spectra(name: str, runs: Sequence[tuple[str, Trace]]) -> Iterator[Plot]:
-    series = [
-        PlotSeries(run, tuple(trace.spectrum.frequency), tuple(trace.spectrum.power))
-        for run, trace in runs
-        if trace.spectrum is not None and len(trace.spectrum.frequency) > 1
+def _spectra(name: str, traces: Sequence[_Drawn]) -> Iterator[Plot]:
+    spectra = [
+        (drawn, drawn.trace.spectrum)
+        for drawn in traces
+        if drawn.trace.spectrum is not None and len(drawn.trace.spectrum.frequency) > 1
     ]
-    if series:
-        yield Plot(
-            title=f"Spectrum of the whitened residuals of {name}; white noise is 1",
-            x_label="frequency, Hz",
-            y_label="power",
-            series=tuple(series),
-            levels=(1.0,),
-            log_x=True,
-            log_y=True,
+    if not spectra:
+        return
+    series = []
+    # Of the run with the fewest lines, for which it is widest.
+    drawn, spectrum = min(spectra, key=lambda pair: sum(pair[1].lines))
+    if spectrum.lines:
+        low, high = _white_noise(spectrum.lines)
+        series.append(
+            PlotSeries(
+                f"white noise, 95 % ({drawn.run})",
+                tuple(spectrum.frequency),
+                tuple(0.5 * (a + b) for a, b in zip(low, high, strict=True)),
+                low,
+                high,
+                kind="band",
+                colour="muted",
+            )
         )
+    series += [
+        PlotSeries(drawn.run, tuple(spectrum.frequency), tuple(spectrum.power), colour=drawn.colour)
+        for drawn, spectrum in spectra
+    ]
+    yield Plot(
+        title=f"Spectrum of the whitened residuals of {name}",
+        x_label="frequency, Hz",
+        y_label="power, of white noise",
+        series=tuple(series),
+        levels=(1.0,),
+        log_x=True,
+        log_y=True,
+    )
 
 
-def _quantiles(name: str, runs: Sequence[tuple[str, Trace]]) -> Iterator[Plot]:
-    kept = [(run, trace.quantiles) for run, trace in runs if trace.quantiles is not None]
-    if kept:
-        reach = math.ceil(max(max(map(abs, quantiles.normal)) for _, quantiles in kept))
-        yield Plot(
-            title=f"Whitened residuals of {name} beside a normal distribution",
-            x_label="quantile of the normal distribution",
-            y_label="whitened residual",
-            series=(
-                PlotSeries("normal", (-reach, reach), (-reach, reach)),
-                *(
-                    PlotSeries(run, tuple(quantiles.normal), tuple(quantiles.found), kind="points")
-                    for run, quantiles in kept
-                ),
-            ),
+def _white_noise(lines: Sequence[int]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return between which powers means of so many lines of white noise are, 19 times in 20."""
+    from scipy.special import gammaincinv
+
+    # The power of a line is chi-square with two degrees of freedom, over two.
+    ends = (gammaincinv(lines, level) / lines for level in (0.025, 0.975))
+    low, high = (tuple(end.tolist()) for end in ends)
+    return low, high
+
+
+def _quantiles(name: str, traces: Sequence[_Drawn]) -> Iterator[Plot]:
+    kept = [(drawn, drawn.trace.quantiles) for drawn in traces if drawn.trace.quantiles is not None]
+    if not kept:
+        return
+    series = []
+    rows, fewest = min(
+        ((drawn.trace.rows or math.inf, drawn) for drawn, _ in kept), key=lambda pair: pair[0]
+    )
+    if math.isfinite(rows) and fewest.trace.quantiles is not None:
+        normal = tuple(fewest.trace.quantiles.normal)
+        half = tuple(_spread(z, rows) for z in normal)
+        words = f"normal distribution, 95 % ({fewest.run})"
+        low = tuple(-h for h in half)
+        series.append(
+            PlotSeries(words, normal, (0.0,) * len(normal), low, half, "band", colour="muted")
         )
+    # Less the quantiles of the normal distribution, beside which all would look like one line.
+    series += [
+        PlotSeries(
+            drawn.run,
+            tuple(quantiles.normal),
+            tuple(a - b for a, b in zip(quantiles.found, quantiles.normal, strict=True)),
+            colour=drawn.colour,
+        )
+        for drawn, quantiles in kept
+    ]
+    yield Plot(
+        title=f"Whitened residuals of {name} less those of a normal distribution",
+        x_label="quantile of the normal distribution",
+        y_label="residual less quantile",
+        series=tuple(series),
+        levels=(0.0,),
+    )
+
+
+def _spread(z: float, rows: float) -> float:
+    """Return the half width, 95 %, of the quantile z of so many normal samples (for many)."""
+    below = 0.5 * math.erfc(-z / math.sqrt(2.0))
+    density = math.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi)
+    return _COVERAGE_FACTOR * math.sqrt(below * (1.0 - below) / rows) / density
+
+
+def _scaled(values: Sequence[float], factor: float) -> tuple[float, ...]:
+    return tuple(value * factor for value in values)
 
 
 def ripple_plot(runs: Mapping[str, RunResult]) -> Plot | None:
     """Return the ripples found in the runs, in parts per million of the rate; None without any."""
     series = []
-    for name, run in runs.items():
+    for place, (name, run) in enumerate(runs.items()):
         if run.ripples:
             scale = 1e6 / abs(run.rate)
             amplitudes = [ripple.amplitude * scale for ripple in run.ripples]
@@ -214,6 +294,7 @@ def ripple_plot(runs: Mapping[str, RunResult]) -> Plot | None:
                     low=tuple(a - w for a, w in zip(amplitudes, widths, strict=True)),
                     high=tuple(a + w for a, w in zip(amplitudes, widths, strict=True)),
                     kind="points",
+                    colour=place,
                 )
             )
     if not series:

@@ -12,6 +12,7 @@ import math
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from counterspin.arrays import Array
 from counterspin.inference.distributions import normal_cdf, normal_quantile
@@ -65,8 +66,10 @@ def over_revolution(angle: Array, values: Array, parts: int) -> tuple[Array, Arr
     return low, mean, high
 
 
-def smoothed_spectrum(power: Array, length: float, count: int) -> tuple[Array, Array]:
-    """Return frequencies (Hz) and mean power in at most `count` bands; 1 is white noise.
+def smoothed_spectrum(
+    power: Array, length: float, count: int
+) -> tuple[Array, Array, NDArray[np.intp]]:
+    """Return frequencies (Hz), mean power and lines of at most `count` bands; 1 is white noise.
 
     The bands are equally wide on a logarithmic scale.
 
@@ -82,7 +85,7 @@ def smoothed_spectrum(power: Array, length: float, count: int) -> tuple[Array, A
     edges = np.unique(np.geomspace(1.0, power.size + 1.0, count + 1).astype(np.intp))
     first, width = edges[:-1], np.diff(edges)
     frequency = (first + 0.5 * (width - 1)) / length
-    return frequency, np.add.reduceat(power[: edges[-1] - 1], first - 1) / width
+    return frequency, np.add.reduceat(power[: edges[-1] - 1], first - 1) / width, width
 
 
 def normal_quantiles(whitened: Array, count: int) -> tuple[Array, Array]:

@@ -35,7 +35,8 @@
   };
 
   const format = (value, digits) =>
-    value == null || !Number.isFinite(value) ? "–" : String(Number(value.toPrecision(digits)));
+    value == null || !Number.isFinite(value)
+      ? "–" : String(Number(value.toPrecision(digits))).replace(/^-/, "−");
 
   // An array comes as whole numbers and the size of one step.
   const read = (packed) =>
@@ -43,6 +44,12 @@
 
   const within = (points, low, high) =>
     points.x.flatMap((x, i) => (x >= low && x <= high && points.y[i] !== null ? [i] : []));
+
+  // Tables that are wider than their box say so
+
+  const moved = new ResizeObserver((boxes) => boxes.forEach(({ target }) =>
+    target.classList.toggle("more", target.scrollWidth > target.clientWidth + 1)));
+  document.querySelectorAll(".scroll").forEach((box) => moved.observe(box));
 
   // A plot: lines and bands are uPlot's, points and levels are drawn here, over them
 
@@ -211,17 +218,17 @@
     const readout = make("ul", { class: "readout" });
     const place = make("b", {});
     readout.append(make("li", {}, `${plot.x_label}: `, place));
-    for (const entry of legend) {
+    for (const entry of legend.filter((one) => one.label)) {
       const dots = entry.kind === "points" ? "dots" : "";
       entry.shown = make("b", {});
       const swatch = make("i", { class: dots, style: `background: var(${entry.colour})` });
-      readout.append(make("li", {}, swatch, `${entry.label}${entry.label && ": "}`, entry.shown));
+      readout.append(make("li", {}, swatch, `${entry.label}: `, entry.shown));
     }
     const read = (u) => {
       const { left, idx } = u.cursor;
       const over = left >= 0 && idx != null;
       place.textContent = over ? format(u.posToVal(left, "x"), 6) : "–";
-      for (const entry of legend) {
+      for (const entry of legend.filter((one) => one.label)) {
         const values = over ? entry.value(u, left) : null;
         entry.shown.textContent = values ? values.map((one) => format(one, 4)).join(" to ") : "–";
       }
