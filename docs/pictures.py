@@ -48,7 +48,7 @@ def calibrate_the_example() -> None:
     """Simulate the example campaign and write its result."""
     with tempfile.TemporaryDirectory() as folder:
         run("simulate", EXAMPLES / "campaign.toml", "-o", folder)
-        run("calibrate", folder, "--json", EXAMPLES / "result.json")
+        run("calibrate", folder, "--json", EXAMPLES / "result.json", "--overwrite")
 
 
 def write_the_examples() -> None:
