@@ -4,7 +4,7 @@ Every error that counterspin raises on purpose is a `CounterspinError`. The comm
 its message as one short paragraph and ends with `exit_status`; Python users catch the class.
 
 - `CampaignError`: the campaign file or the command's words are wrong (exit status 2)
-- `RecordError`: a record cannot be used as it is (exit status 1)
+- `RecordError`: a record cannot be used as it is (exit status 1); `DamagedFileError` is one
 - `NotIdentifiableError`: the data cannot determine what is asked (exit status 1)
 - `ConvergenceError`: an iteration did not settle (exit status 1)
 """
@@ -48,6 +48,10 @@ class CampaignError(CounterspinError):
 
 class RecordError(CounterspinError):
     """A record file is missing, damaged or not physically possible."""
+
+
+class DamagedFileError(RecordError):
+    """A file of which its reader could make nothing."""
 
 
 class NotIdentifiableError(CounterspinError):

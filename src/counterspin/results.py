@@ -15,6 +15,7 @@ from typing import Annotated, Any, ClassVar, Final, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from counterspin.errors import RecordError
+from counterspin.input import read_file
 from counterspin.output import FileKind, write_text
 
 #: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
@@ -85,7 +86,7 @@ class ResultFile(ResultPart):
         """
         path = Path(path)
         try:
-            document = json.loads(path.read_text(encoding="utf-8"), parse_constant=_not_a_number)
+            document = json.loads(read_file(path).decode("utf-8"), parse_constant=_not_a_number)
         except OSError as error:
             raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
         except (ValueError, RecursionError) as error:

@@ -3,9 +3,11 @@
 import math
 from pathlib import Path
 
+import h5py
 import numpy as np
 import polars as pl
 import pytest
+from scipy.io import savemat
 
 from counterspin.errors import RecordError
 from counterspin.records.amplitude import Swing
@@ -35,6 +37,12 @@ def lines(columns: dict[str, np.ndarray], separator: str = ",") -> list[str]:
 def write(path: Path, columns: dict[str, np.ndarray] | list[str]) -> Path:
     if path.suffix == ".parquet":
         pl.DataFrame(columns).write_parquet(path)
+    elif path.suffix == ".mat":
+        savemat(path, columns, do_compression=True)
+    elif path.suffix == ".h5":
+        with h5py.File(path, "w") as file:
+            for name, values in columns.items():
+                file[name] = values
     else:
         text = columns if isinstance(columns, list) else lines(columns)
         path.write_text("\n".join(text) + "\n", encoding="utf-8")

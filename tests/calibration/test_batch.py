@@ -11,7 +11,9 @@ import threading
 import time
 from contextlib import suppress
 from importlib.resources import files
+from pathlib import Path
 
+import clusters
 import pytest
 from clusters import dask_cluster
 
@@ -74,27 +76,33 @@ def of_pool():
     return [child.pid for child in multiprocessing.active_children()]
 
 
+@pytest.fixture(scope="module", autouse=True)
+def gated():
+    """Let the workers that tests start wait at a campaign's gate."""
+    folder = Path(clusters.__file__).parent / "gate"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(folder), prepend=os.pathsep)
+        yield
+
+
 class Held:
     """A campaign that keeps whoever reads its description waiting, and kills him."""
 
     def __init__(self, folder, real, workers, times):
         shutil.copytree(real, folder)
-        self.description = folder / "campaign.toml"
-        self.real = self.description.rename(folder / "real.toml")
+        self.gate = folder / "gate"
         self.workers, self.times, self.killed = workers, times, 0
-        os.mkfifo(self.description)
+        os.mkfifo(self.gate)
         threading.Thread(target=self._kill, daemon=True).start()
 
     def _kill(self):
         while self.killed < self.times:
             # Opening waits for a reader.
-            held = os.open(self.description, os.O_WRONLY)
+            held = os.open(self.gate, os.O_WRONLY)
             self.killed += 1
-            self.description.unlink()
-            if self.killed == self.times:
-                self.real.rename(self.description)
-            else:
-                os.mkfifo(self.description)
+            self.gate.unlink()
+            if self.killed < self.times:
+                os.mkfifo(self.gate)
             for pid in self.workers():
                 # A pool that has lost one worker ends the others itself, perhaps before we do.
                 with suppress(ProcessLookupError):
@@ -124,7 +132,7 @@ def test_campaign_whose_workers_die_is_reported_and_stops_no_other(folders, tmp_
 
 
 @pytest.fixture(scope="module")
-def cluster():
+def cluster(gated):
     """One worker: which of several has a campaign in hand could not be told before it dies."""
     # Loaded before its settings are changed: when a change ends, all settings go that came with it.
     pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")

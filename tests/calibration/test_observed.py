@@ -69,3 +69,23 @@ def test_a_radius_that_is_far_off_is_refused(recorded, radius):
     folder, text, _ = recorded
     with pytest.raises(RecordError, match="the radius"):
         list(observe(campaign_of(folder, changed(text, ('"2.5 m"', f'"{radius}"')))))
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("plain")
+    simulate(campaign_of(folder, SMALL), folder)
+    return folder
+
+
+@pytest.mark.parametrize("name", ["copy.csv", "copy.parquet", "sub/../slow.csv"])
+def test_the_same_record_twice_is_refused(plain, tmp_path, name):
+    (tmp_path / "sub").mkdir()
+    record = pl.read_csv(plain / "slow.csv")
+    for file in plain.glob("*.csv"):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    record.write_csv(tmp_path / "copy.csv")
+    record.write_parquet(tmp_path / "copy.parquet")
+    again = f'[[runs]]\nname = "again"\nrate = "0.25 rev/s"\nrecord = "{name}"\n\n[simulation]'
+    with pytest.raises(RecordError, match=r"holds the same samples as .*slow\.csv"):
+        list(observe(campaign_of(tmp_path, changed(SMALL, ("[simulation]", again)))))

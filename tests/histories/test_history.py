@@ -4,6 +4,7 @@ import copy
 import inspect
 import json
 import math
+import os
 import re
 from pathlib import Path
 
@@ -422,3 +423,19 @@ def test_page_has_every_key():
         assert listed == [field.alias or key for key, field in model.model_fields.items()]
     verdicts = history_result.Verdict.__args__
     assert all(f"| `{verdict}` |" in page for verdict in verdicts)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files here")
+def test_hidden_files_and_pipes_are_no_results(tmp_path):
+    folder = stored(tmp_path, good=result(), **{".tmpx1y2": result(2.6e-5)})
+    stored(tmp_path / ".git", index=result(2.5e-5))
+    os.mkfifo(folder / "pipe.json")
+    found = history([folder])
+    assert len(only(found).points) == 1
+    (hidden,) = found.left_out
+    assert hidden.file.endswith(".tmpx1y2.json")
+    assert "is hidden, as what an interrupted command leaves behind" in hidden.reason
+    (pipe,) = found.damaged
+    assert "it is a pipe, not a file" in pipe.reason
+    # One that is named is meant as a result.
+    assert len(only(history([folder / ".tmpx1y2.json"])).points) == 1

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from record_files import ANGLE, RATE, SIGNAL, read, refusal, table, write
+from record_files import ANGLE, RATE, SIGNAL, TIME, read, refusal, table, write
 
 from counterspin.records.amplitude import Swing
 
@@ -53,3 +53,43 @@ def test_a_wave_that_noise_hides_is_no_reason_to_refuse(tmp_path):
     # What the records do show is told all the same.
     message = refusal(path, swings={"Qx": Swing(0.1, "m/s^2")})
     assert "where the radius and the input axis make 0.1 m/s^2" in message
+
+
+def growing(n=3000, noise=1e-5):
+    """What errors make along the spindle's axis: a wave that grows from nothing, and a trend."""
+    columns = table(n=n, noise=0.0)
+    time, rng = columns[TIME], np.random.default_rng(8)
+    wave = 1e-4 * time * np.cos(columns[ANGLE]) + 9.8 + 1e-3 * time**2
+    columns[SIGNAL] = wave + noise * rng.standard_normal(n)
+    return columns
+
+
+@pytest.mark.parametrize("noise", [1e-6, 1e-5, 1e-4, 1e-3])
+def test_a_wave_along_the_spindles_axis_may_grow(tmp_path, noise):
+    read(write(tmp_path / "run.csv", growing(noise=noise)), swings={})
+
+
+@pytest.mark.parametrize("factor", [1e3, 9.80665])
+def test_a_wave_along_the_spindles_axis_does_not_jump(tmp_path, factor):
+    columns = growing()
+    columns[SIGNAL][1500:] *= factor
+    message = refusal(write(tmp_path / "run.csv", columns), swings={})
+    assert "changes its unit" in message
+    assert abs(int(message.split("line ")[1].split(":")[0]) - 1502) <= 2
+
+
+def test_a_weak_wave_of_few_samples_keeps_its_unit(tmp_path):
+    # 13 samples a revolution tell the wave's size to a quarter of itself.
+    for seed in range(40):
+        columns = table(n=400, step=2 / 13, noise=0.0)
+        rng = np.random.default_rng(seed)
+        columns[SIGNAL] = 0.05 * np.cos(columns[ANGLE]) + 0.009 * rng.standard_normal(400)
+        read(write(tmp_path / "run.csv", columns), swings={"Qx": Swing(0.05, "m")})
+
+
+@pytest.mark.parametrize("part", [0.72, 0.8, 0.88, 0.95])
+def test_the_last_revolution_may_be_incomplete(tmp_path, part):
+    # A trend that the fitted parabola does not follow passes for a wave in part of a revolution.
+    columns = table(n=int(100 * (6 + part)), noise=0.0)
+    columns[SIGNAL] = 0.05 * np.cos(columns[ANGLE]) + 0.02 * columns[TIME] ** 3
+    read(write(tmp_path / "run.csv", columns), swings={"Qx": Swing(0.05, "m")})

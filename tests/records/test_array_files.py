@@ -1,7 +1,14 @@
 """Record files of HDF5 and MATLAB."""
 
+import re
+from pathlib import Path
+
 import h5py
-from record_files import TIME, refusal, table
+import numpy as np
+import pytest
+import scipy.sparse
+from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
+from scipy.io import savemat
 
 
 def test_datasets_without_any_space(tmp_path):
@@ -16,3 +23,100 @@ def test_columns_of_different_length(tmp_path):
         for name, values in table().items():
             file[name] = values[: 900 if name == TIME else None]
     assert "length" in refusal(tmp_path / "run.h5")
+
+
+def bomb(path):
+    """Write columns that pack to a thousandth of themselves."""
+    zeros = np.zeros(5_000_000)
+    if path.suffix == ".mat":
+        savemat(path, dict.fromkeys((TIME, ANGLE, SIGNAL), zeros), do_compression=True)
+    else:
+        with h5py.File(path, "w") as file:
+            for name in (TIME, ANGLE, SIGNAL):
+                file.create_dataset(name, shape=(10**12,), dtype="f8", chunks=(1000,))
+    return path
+
+
+@pytest.mark.parametrize("name", ["run.mat", "run.h5"])
+def test_columns_that_no_file_of_this_size_holds(tmp_path, name):
+    message = refusal(bomb(tmp_path / name))
+    assert re.search(r"its \d+ bytes say that they hold \d+ bytes of numbers", message)
+
+
+def hdf5(path, signal=None):
+    """Write a file whose signal is left to the caller."""
+    columns = table()
+    with h5py.File(path, "w") as file:
+        file[TIME], file[ANGLE] = columns[TIME], columns[ANGLE]
+        if signal is not None:
+            signal(file, columns[SIGNAL])
+    return path
+
+
+def outside(file, values):
+    raw = Path(file.filename).with_suffix(".raw")
+    raw.write_bytes(values.tobytes())
+    where = [(str(raw), 0, h5py.h5f.UNLIMITED)]
+    file.create_dataset(SIGNAL, shape=values.shape, dtype="f8", external=where)
+
+
+def virtual(file, values):
+    other = Path(file.filename).with_suffix(".other")
+    with h5py.File(other, "w") as second:
+        second["x"] = values
+    layout = h5py.VirtualLayout(shape=values.shape, dtype="f8")
+    layout[:] = h5py.VirtualSource(str(other), "x", shape=values.shape)
+    file.create_virtual_dataset(SIGNAL, layout)
+
+
+def external_link(file, values):
+    other = Path(file.filename).with_suffix(".other")
+    with h5py.File(other, "w") as second:
+        second["x"] = values
+    file[SIGNAL] = h5py.ExternalLink(str(other), "x")
+
+
+def inner_link(file, values):
+    file["y"] = values
+    file[SIGNAL] = h5py.SoftLink("/y")
+
+
+@pytest.mark.parametrize(
+    ("signal", "words"),
+    [
+        (outside, "stand in another file"),
+        (virtual, "stand in another file"),
+        (external_link, f"'{SIGNAL}' is a link"),
+        (inner_link, f"'{SIGNAL}' is a link"),
+    ],
+)
+def test_numbers_that_stand_elsewhere_are_refused(tmp_path, signal, words):
+    # The checksum would be of the shell alone.
+    assert words in refusal(hdf5(tmp_path / "run.h5", signal))
+
+
+def test_what_is_beside_the_columns_does_not_matter(tmp_path):
+    columns = table()
+    savemat(tmp_path / "run.mat", {**columns, "s": scipy.sparse.eye(5).tocsc(), "c": {"a": 1.0}})
+
+    def with_dates(file, values):
+        file[SIGNAL] = values
+        # A type that NumPy has not.
+        space = h5py.h5s.create_simple((3,))
+        h5py.h5d.create(file.id, b"stamp", h5py.h5t.UNIX_D32LE, space)
+        file["far"] = h5py.ExternalLink("nowhere.h5", "x")
+
+    hdf5(tmp_path / "run.h5", with_dates)
+    for name in ("run.mat", "run.h5"):
+        np.testing.assert_array_equal(read(tmp_path / name).signals["Qx"], columns[SIGNAL])
+
+
+def test_columns_of_other_kinds_are_named(tmp_path):
+    def dates(file, values):
+        space = h5py.h5s.create_simple(values.shape)
+        h5py.h5d.create(file.id, SIGNAL.encode(), h5py.h5t.UNIX_D32LE, space)
+
+    assert f"'{SIGNAL}' does not hold numbers" in refusal(hdf5(tmp_path / "run.h5", dates))
+    columns = table()
+    savemat(tmp_path / "run.mat", {**columns, SIGNAL: scipy.sparse.csc_matrix(columns[SIGNAL])})
+    assert f"'{SIGNAL}' does not hold numbers" in refusal(tmp_path / "run.mat")

@@ -134,3 +134,13 @@ def test_a_rate_that_is_not_the_runs(tmp_path, change, words):
     columns = table()
     change(columns)
     assert words in refusal(write(tmp_path / "run.csv", columns))
+
+
+@pytest.mark.parametrize("angle", [True, False])
+def test_a_gap_across_which_no_rotation_can_be_followed(tmp_path, angle):
+    columns = table()
+    columns[TIME][-1] = 1e5  # 50 000 revolutions: the whole trajectory would have to be computed
+    columns[ANGLE] = RATE * columns[TIME]
+    options = {} if angle else {"angle": None}
+    message = refusal(write(tmp_path / "run.csv", columns), **options)
+    assert "line 1001: no row for 99980 s, 4.999e+04 revolutions" in message

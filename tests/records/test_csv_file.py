@@ -84,3 +84,32 @@ def test_comments_in_a_long_record_cost_no_row(tmp_path):
     for _ in range(5):
         record = read(path, block=None)
         np.testing.assert_array_equal(record.time, columns[TIME])
+
+
+@pytest.mark.parametrize("line", ['"{}', '{}"', '{},"'])
+def test_a_quotation_mark_that_stands_alone(tmp_path, line):
+    text = lines(table())
+    text[500] = line.format(text[500])
+    message = refusal(write(tmp_path / "run.csv", text))
+    assert "line 501: a quotation mark lacks the one that closes it" in message
+
+
+def test_notes_of_several_lines_among_comments(tmp_path):
+    text = [f'{line},"a note, with\na second line"' for line in lines(table())]
+    text[0] = lines(table())[0] + ",note"
+    text.insert(300, "# a comment")
+    np.testing.assert_array_equal(read(write(tmp_path / "run.csv", text)).time, table()[TIME])
+
+
+@pytest.mark.parametrize("line", [1, 500, 1000])
+def test_short_lines_lack_cells(tmp_path, line):
+    text = lines(table())
+    text[line] = text[line].split(",")[0]
+    record = read(write(tmp_path / "run.csv", text))
+    assert record.report.empty == {TIME: 0, ANGLE: 1, SIGNAL: 1}
+
+
+def test_a_line_without_end(tmp_path):
+    text = lines(table())
+    text[500] = "1" * 200_000
+    assert "line 501: the line has more than" in refusal(write(tmp_path / "run.csv", text))

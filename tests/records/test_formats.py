@@ -1,11 +1,18 @@
 """Record files of every format."""
 
+import os
+import sys
+from pathlib import Path
+
 import h5py
 import numpy as np
 import pytest
 from record_files import ANGLE, SIGNAL, TIME, read, refusal, table, write
 from scipy.io import savemat
 
+from counterspin.errors import DamagedFileError, RecordError
+from counterspin.records.column_file import ColumnFile
+from counterspin.records.formats import open_columns
 from counterspin.records.record import ColumnSpec
 
 
@@ -55,3 +62,116 @@ def test_missing_column_lists_those_present(tmp_path, name):
     assert "'eastt_m'" in message
     assert f"'{TIME}', '{ANGLE}', '{SIGNAL}'" in message
     assert "Did you mean 'east_m'?" in message
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat"])
+@pytest.mark.parametrize("names", [("run[1]", "run1"), ("run*", "runs"), ("run?", "runs")])
+def test_no_name_is_a_pattern(tmp_path, suffix, names):
+    # Beside it stands a file that the pattern would match.
+    for name, n in zip(names, (1000, 2000), strict=True):
+        write(tmp_path / f"{name}{suffix}", table(n=n))
+    assert len(read(tmp_path / f"{names[0]}{suffix}").time) == 1000
+    (tmp_path / f"{names[0]}{suffix}").unlink()
+    assert "no such file" in refusal(tmp_path / f"{names[0]}{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5"])
+def test_no_folder_is_a_pattern(tmp_path, suffix):
+    for name, n in (("camp[1]", 1000), ("camp1", 2000)):
+        (tmp_path / name).mkdir()
+        write(tmp_path / name / f"run{suffix}", table(n=n))
+    assert len(read(tmp_path / "camp[1]" / f"run{suffix}").time) == 1000
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files here")
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5", ".mat"])
+def test_what_is_no_file_is_not_read(tmp_path, suffix):
+    os.mkfifo(tmp_path / f"run{suffix}")
+    assert "it is a pipe, not a file" in refusal(tmp_path / f"run{suffix}")
+    (tmp_path / f"zero{suffix}").symlink_to("/dev/zero")
+    assert "it is a device, not a file" in refusal(tmp_path / f"zero{suffix}")
+
+
+@pytest.mark.parametrize("name", ["a\0b.csv", "a\0b.parquet", "x" * 300 + ".h5"])
+def test_names_that_no_file_can_have(tmp_path, name):
+    assert "cannot be read" in refusal(tmp_path / name)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names are text elsewhere")
+@pytest.mark.parametrize(
+    ("suffix", "readable"), [(".csv", False), (".parquet", False), (".h5", True)]
+)
+def test_a_folder_whose_name_is_no_text(tmp_path, suffix, readable):
+    folder = Path(os.fsdecode(os.fsencode(tmp_path) + b"/\xff"))
+    folder.mkdir()
+    write(tmp_path / f"run{suffix}", table()).rename(folder / f"run{suffix}")
+    if readable:
+        assert len(read(folder / f"run{suffix}").time) == 1000
+    else:
+        assert "the path is no text in UTF-8" in refusal(folder / f"run{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".h5"])
+@pytest.mark.parametrize("how", ["replaced", "rewritten"])
+def test_a_file_that_changes_while_it_is_read(tmp_path, suffix, how):
+    path = write(tmp_path / f"run{suffix}", table())
+    other = write(tmp_path / f"other{suffix}", table(n=2000))
+    file = open_columns(path)
+    with file:
+        pass
+    file = open_columns(path)
+    if how == "replaced":
+        other.replace(path)
+    else:
+        path.write_bytes(other.read_bytes())
+    with pytest.raises(RecordError, match="changed while it was read"), file:
+        pass
+
+
+@pytest.mark.parametrize(
+    # After a damaged file of these formats the reader's process is started again.
+    ("suffix", "files"),
+    [(".csv", 40), (".parquet", 8), (".h5", 8), (".mat", 4)],
+)
+def test_damaged_files_are_refused_and_nothing_else(tmp_path, suffix, files):
+    whole = write(tmp_path / f"whole{suffix}", table(n=400)).read_bytes()
+    rng = np.random.default_rng(7)
+    path = tmp_path / f"run{suffix}"
+    messages = []
+    for _ in range(files):
+        content = bytearray(whole)
+        for place in rng.integers(0, len(content), rng.integers(1, 6)):
+            content[place] ^= 1 << int(rng.integers(8))
+        path.write_bytes(content[: rng.integers(1, len(content)) if rng.random() < 0.2 else None])
+        try:
+            read(path)
+        except RecordError as error:
+            messages.append(str(error))
+    assert messages
+    assert all(message.startswith(str(path)) for message in messages)
+
+
+@pytest.mark.parametrize(
+    "error", [KeyError("x"), OverflowError(), RuntimeError("a\nb"), MemoryError(), OSError("no")]
+)
+def test_whatever_a_reader_raises_names_the_file_and_how_far_it_came(tmp_path, error):
+    class Failing(ColumnFile):
+        def _require(self, wanted):
+            raise error
+
+        def _batches(self, wanted):
+            yield {"a": np.zeros(12)}
+            raise error
+
+        def _table(self):
+            raise error
+
+    path = tmp_path / "run.csv"
+    path.write_text("a\n", "utf-8")
+    with path.open("rb") as stream, Failing(path, stream) as file:
+        file.names = ["a"]
+        for call in (lambda: file.require(["a"]), file.table):
+            with pytest.raises(DamagedFileError, match=r"run\.csv: the file"):
+                call()
+        with pytest.raises(DamagedFileError, match=r"run\.csv: the file.* after row 12"):
+            list(file.batches(["a"]))

@@ -55,3 +55,20 @@ def test_what_cannot_be_averaged_is_told(tmp_path, t, f, rate, message):
     path = write(tmp_path, np.asarray(t), np.asarray(f))
     with pytest.raises(RecordError, match=message):
         mean_of_record(path, TIME, SIGNAL, rate)
+
+
+def test_the_line_of_a_fault_counts_empty_cells(tmp_path):
+    t = np.arange(100) * 0.1
+    t[60] = 0.0
+    f = np.ones(100)
+    f[[10, 20]] = np.nan
+    with pytest.raises(RecordError, match="line 62: time does not run forward"):
+        mean_of_record(write(tmp_path, t, f), TIME, SIGNAL, 0.0)
+
+
+def test_a_record_without_rows_and_one_with_comments(tmp_path):
+    path = write(tmp_path, np.arange(100) * 0.1, np.ones(100))
+    path.write_text("# before\n" + path.read_text("utf-8").replace("5.0,", "# here\n5.0,"), "utf-8")
+    assert mean_of_record(path, TIME, SIGNAL, 0.0).samples == 100
+    with pytest.raises(RecordError, match="no rows"):
+        mean_of_record(write(tmp_path, np.empty(0), np.empty(0)), TIME, SIGNAL, 0.0)

@@ -1,8 +1,28 @@
 """Record files of Parquet."""
 
-from record_files import SIGNAL, refusal, table, write
+import re
+from datetime import datetime
+
+import numpy as np
+import polars as pl
+from record_files import ANGLE, SIGNAL, TIME, read, refusal, table, write
 
 
 def test_text_column_of_parquet(tmp_path):
     columns = {**table(), SIGNAL: ["x"] * 1000}
     assert "String" in refusal(write(tmp_path / "run.parquet", columns))
+
+
+def test_columns_that_no_file_of_this_size_holds(tmp_path):
+    pl.DataFrame(dict.fromkeys((TIME, ANGLE, SIGNAL), np.zeros(5_000_000))).write_parquet(
+        tmp_path / "run.parquet"
+    )
+    message = refusal(tmp_path / "run.parquet")
+    assert re.search(r"its \d+ bytes say that they hold 120000000 bytes of numbers", message)
+
+
+def test_columns_of_other_types_beside_do_not_matter(tmp_path):
+    columns = table()
+    beside = {"when": [datetime(2026, 1, 1)] * 1000, "note": ["x"] * 1000}
+    record = read(write(tmp_path / "run.parquet", {**columns, **beside}))
+    np.testing.assert_array_equal(record.signals["Qx"], columns[SIGNAL])

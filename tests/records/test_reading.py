@@ -4,7 +4,19 @@ import math
 
 import numpy as np
 import pytest
-from record_files import ANGLE, RATE, SIGNAL, TIME, dense, lines, read, refusal, table, write
+from record_files import (
+    ANGLE,
+    RADIUS,
+    RATE,
+    SIGNAL,
+    TIME,
+    dense,
+    lines,
+    read,
+    refusal,
+    table,
+    write,
+)
 
 from counterspin.records.record import ColumnSpec
 
@@ -82,3 +94,63 @@ def test_more_than_five_percent_empty(tmp_path, column):
     assert f"'{column}' has 51 empty cells in 1000 rows" in refusal(path)
     columns[column][60] = table()[column][60]
     read(write(path, columns))
+
+
+@pytest.mark.parametrize("end", ["first", "last", "both"])
+@pytest.mark.parametrize("dense", [False, True])
+def test_rows_that_stand_alone_are_left_out(tmp_path, end, dense):
+    columns = table(n=20_000, step=0.0005) if dense else table()
+    n = len(columns[TIME])
+    gap = 6.0  # three revolutions
+    lone = {"first": [0, 1], "last": [n - 1], "both": [0, n - 1]}[end]
+    if end != "last":
+        columns[TIME][[place for place in lone if place < 2]] -= gap
+    if end != "first":
+        columns[TIME][-1] += gap
+    columns[ANGLE] = RATE * columns[TIME]
+    columns[SIGNAL][lone] += 0.4
+    record = read(write(tmp_path / "run.parquet", columns))
+    rest = {name: np.delete(values, lone) for name, values in columns.items()}
+    without = read(write(tmp_path / "rest.parquet", rest))
+    assert record.report.lone == len(lone)
+    assert "alone beyond a gap" in " ".join(record.report.notes())
+    assert record.report.rows == n
+    np.testing.assert_array_equal(record.time, without.time)
+    np.testing.assert_array_equal(record.signals["Qx"], without.signals["Qx"])
+    assert record.start_time == without.start_time
+
+
+def test_rows_beyond_a_gap_that_are_more_than_a_few_are_kept(tmp_path):
+    columns = table()
+    columns[TIME][-40:] += 6.0
+    columns[ANGLE] = RATE * columns[TIME]
+    columns[SIGNAL] = RADIUS * np.cos(columns[ANGLE])
+    record = read(write(tmp_path / "run.csv", columns))
+    assert record.report.lone == 0
+    assert len(record.time) == 1000
+
+
+def test_fewer_rows_than_can_follow_the_rotation(tmp_path):
+    columns = table(n=100, step=2.0 * 30.01)
+    options = {"swings": {}, "angle": None}
+    assert "too few to follow" in refusal(write(tmp_path / "run.csv", columns), **options)
+
+
+def test_the_line_of_a_fault_counts_the_rows_left_out_before_it(tmp_path):
+    columns = table()
+    columns[TIME][0] -= 6.0
+    columns[ANGLE] = RATE * columns[TIME]
+    columns[SIGNAL][600] += 1.0
+    record = read(write(tmp_path / "run.csv", columns))
+    assert [outlier.row for outlier in record.report.listed] == [601]
+
+
+@pytest.mark.parametrize("size", [1e120, 1e305])
+def test_values_that_no_instrument_measures(tmp_path, size):
+    columns = table()
+    columns[ANGLE][1::2] *= size
+    refusal(write(tmp_path / "run.csv", columns))
+    columns = table()
+    columns[SIGNAL] *= size
+    message = refusal(write(tmp_path / "run.csv", columns), swings={})
+    assert f"column '{SIGNAL}' holds values up to" in message

@@ -33,6 +33,9 @@ from counterspin.inference.joint.unknowns import ROTATION
 #: More outliers than this part of a run's samples are worth a warning.
 _MANY_OUTLIERS: Final = 0.05
 
+#: A record that lasts less than this part of what the campaign states is asked about.
+_COMPLETE_PART: Final = 0.9
+
 #: A rate that differs by more than this part from the nominal one is another rate.
 _OTHER_RATE: Final = 1e-3
 
@@ -75,6 +78,7 @@ def calibration(
     estimated["findings"] += [
         *_other_rates(observed),
         *_many_outliers(estimated["runs"], len(campaign.accelerometers)),
+        *_odd_ends(observed),
     ]
     result = Result(
         method=method,
@@ -241,6 +245,30 @@ def _other_rates(observed: Sequence[ObservedRun]) -> list[Finding]:
                 f"{run.run.rate:.6f} rad/s; the recorded angle is what counts."
             )
             findings.append(Finding(code="other-rate", subject=name, text=text, size=off))
+    return findings
+
+
+def _odd_ends(observed: Sequence[ObservedRun]) -> list[Finding]:
+    """Return the runs whose record ends early, or with rows that stand alone."""
+    findings = []
+    for run in observed:
+        name, stated = run.run.name, run.run.duration
+        lasts = float(run.record.time[-1] - run.record.time[0])
+        if stated is not None and lasts < _COMPLETE_PART * stated:
+            text = (
+                f"{name}: the record lasts {lasts:.4g} s, the campaign states {stated:.4g} s. Is "
+                "the record complete?"
+            )
+            findings.append(
+                Finding(code="short-record", subject=name, text=text, size=stated / lasts)
+            )
+        if lone := run.record.report.lone:
+            rows = "1 row stands" if lone == 1 else f"{lone} rows stand"
+            text = (
+                f"{name}: {rows} alone at an end of the record, beyond a gap; left out. Look at "
+                "the record."
+            )
+            findings.append(Finding(code="lone-rows", subject=name, text=text, size=lone))
     return findings
 
 

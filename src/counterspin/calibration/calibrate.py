@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import import_module
 from pathlib import Path
@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, get_args
 
 from counterspin.calibration.options import Method, TwoStageOptions
 from counterspin.campaign.checksums import Checksums
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, RecordError
+from counterspin.records.isolation import is_isolated, prepare
 
 if TYPE_CHECKING:
     from counterspin.calibration.observed import ObservedRun
@@ -66,12 +67,13 @@ def calibrate(
         raise CampaignError("calibrate", ["accept_misfit: give the reason in words"])
     with Checksums() as checksums, ThreadPoolExecutor(1) as beside:
         if isinstance(where, Path | str):
-            checksums.expect(where)
+            for record in checksums.expect(where):
+                prepare(record)
         # Loaded only now: checksums need none of it, and are taken on another core meanwhile.
         from counterspin.campaign.description import Campaign, read_campaign
 
         campaign = where if isinstance(where, Campaign) else read_campaign(where)
-        beside.submit(_load)
+        beside.submit(_load, campaign)
         observed = _observed(campaign, progress)
         from counterspin.calibration.assembly import calibration
 
@@ -80,15 +82,16 @@ def calibrate(
             observed,
             method,
             options or TwoStageOptions(),
-            lambda: _by_name(campaign, checksums),
+            lambda: _by_name(campaign, observed, checksums),
             accept_misfit,
         )
 
 
-def _load() -> None:
+def _load(campaign: Campaign) -> None:
     """Load beside the first record what the reading needs, then what comes after it."""
-    for name in ("polars", "counterspin.calibration.assembly"):
-        import_module(name)
+    if not all(is_isolated(run.record) for run in campaign.runs):
+        import_module("polars")
+    import_module("counterspin.calibration.assembly")
 
 
 def _refuse_mixed(method: str, options: TwoStageOptions | None) -> None:
@@ -119,11 +122,22 @@ def _observed(
     return tuple(observed)
 
 
-def _by_name(campaign: Campaign, checksums: Checksums) -> dict[str, str]:
+def _by_name(
+    campaign: Campaign, observed: Sequence[ObservedRun], checksums: Checksums
+) -> dict[str, str]:
     """Return file name -> checksum, of the description and of every record."""
+    for run in observed:
+        if checksums.identity(run.run.record) != run.record.identity:
+            raise RecordError(
+                f"{run.run.record}: the file was changed while the campaign was calibrated; the "
+                "result would state the checksum of another. Wait until it is complete."
+            )
     files = [campaign.path, *(run.record for run in campaign.runs), *campaign.tables]
     names = (_name(campaign, file) for file in files)
-    return dict(zip(names, checksums.of(files), strict=True))
+    by_name = dict(zip(names, checksums.of(files), strict=True))
+    if campaign.checksum is not None:
+        by_name[_name(campaign, campaign.path)] = campaign.checksum
+    return by_name
 
 
 def _name(campaign: Campaign, file: Path) -> str:

@@ -6,14 +6,18 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from counterspin.arrays import Array
 from counterspin.campaign.resolved import Accelerometer, Campaign, Channel, Run
 from counterspin.campaign.settings import OBSERVABLES
+from counterspin.errors import RecordError
 from counterspin.physics import observation
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
@@ -82,21 +86,39 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
     Raises
     ------
     RecordError
-        If a record cannot be used; the message names file and line.
+        If a record cannot be used, with file and line, or is the record of an earlier run too.
     """
     columns = RecordColumns(
         _column(campaign.time),
         _column(campaign.angle) if campaign.angle else None,
         {name: _column(a.channel) for name, a in campaign.accelerometers.items()},
     )
+    first_with: dict[bytes, Run] = {}
     for run in campaign.runs:
         swings = {
             name: swing
             for name, accelerometer in campaign.accelerometers.items()
             if (swing := _swing(campaign, run, accelerometer)) is not None
         }
-        motion = Motion(run.rate, swings)
-        yield observe_run(campaign, run, read_record(run.record, columns, motion))
+        record = read_record(run.record, columns, Motion(run.rate, swings))
+        samples = _samples_digest(record)
+        earlier = first_with.setdefault(samples, run)
+        if earlier is not run:
+            raise RecordError(
+                f"{run.record}: holds the same samples as {earlier.record} (runs {earlier.name} "
+                f"and {run.name}). A record counts once: remove one of the runs, or give its own "
+                "record."
+            )
+        yield observe_run(campaign, run, record)
+
+
+def _samples_digest(record: Record) -> bytes:
+    """Return what two records have in common only if all their samples are the same."""
+    digest = hashlib.sha256()
+    for values in (record.time, record.angle, *record.signals.values()):
+        if values is not None:
+            digest.update(np.ascontiguousarray(values).data)
+    return digest.digest()
 
 
 def _swing(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> Swing | None:

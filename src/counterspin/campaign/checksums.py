@@ -18,6 +18,7 @@ from typing import Final
 
 from counterspin.campaign.toml_file import description_file, load_document
 from counterspin.errors import CampaignError
+from counterspin.input import FileIdentity, open_file
 
 #: Niceness of the thread: nothing waits for a checksum before the end.
 _NICENESS: Final = 10
@@ -30,7 +31,7 @@ class Checksums:
 
     def __init__(self) -> None:
         self._worker = ThreadPoolExecutor(1, initializer=_step_back)
-        self._taken: dict[Path, Future[str]] = {}
+        self._taken: dict[Path, Future[tuple[str, FileIdentity | None]]] = {}
         self._given_up = threading.Event()
         self._buffer = bytearray()  # filled with zeros by whoever needs it first, and kept
 
@@ -46,45 +47,57 @@ class Checksums:
         self._given_up.set()
         self._worker.shutdown(cancel_futures=True)
 
-    def expect(self, where: Path | str) -> None:
+    def expect(self, where: Path | str) -> list[Path]:
         """Begin with the files that a campaign seems to have, before its description is checked.
 
         Parameters
         ----------
         where
             The campaign's folder or its description; what is wrong with it is for others to say.
+
+        Returns
+        -------
+        list
+            The records that it seems to have.
         """
         with suppress(CampaignError, OSError, TypeError, ValueError, LookupError):
             file = description_file(where).absolute()
             runs = load_document(file)["runs"]
-            self._begin([file, *(file.parent / run["record"] for run in runs)])
+            records = [file.parent / run["record"] for run in runs]
+            self._begin([file, *records])
+            return records
+        return []
 
     def of(self, files: Iterable[Path]) -> list[str]:
         """Return the checksums of files, such as ``sha256:9f86...``, or ``unreadable``."""
         asked = list(files)
         self._begin(asked)
-        return [self._taken[file].result() for file in asked]
+        return [self._taken[file].result()[0] for file in asked]
+
+    def identity(self, file: Path) -> FileIdentity | None:
+        """Return which file the checksum is of; None of one that is unreadable or was changed."""
+        self._begin([file])
+        return self._taken[file].result()[1]
 
     def _begin(self, files: Iterable[Path]) -> None:
         for file in files:
             if file not in self._taken:
                 self._taken[file] = self._worker.submit(self._take, file)
 
-    def _take(self, file: Path) -> str:
+    def _take(self, path: Path) -> tuple[str, FileIdentity | None]:
         digest = hashlib.sha256()
         try:
-            # What is no file, such as a device, may have no end.
-            if not file.is_file():
-                return "unreadable"
-            with file.open("rb", buffering=0) as stream:
+            with open_file(path) as file:
+                before = FileIdentity.of(file.fileno())
                 self._buffer = self._buffer or bytearray(_BUFFER_BYTES)
                 buffer = memoryview(self._buffer)
-                while (read := stream.readinto(buffer)) and not self._given_up.is_set():
+                while (read := file.readinto(buffer)) and not self._given_up.is_set():
                     digest.update(buffer[:read])
+                after = FileIdentity.of(file.fileno())
         except OSError:
             # Reading the record says what is wrong with the file, and says it better.
-            return "unreadable"
-        return f"sha256:{digest.hexdigest()}"
+            return "unreadable", None
+        return f"sha256:{digest.hexdigest()}", before if before == after else None
 
 
 def _step_back() -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -56,7 +57,12 @@ from counterspin.campaign.terms import (
     resolve_model,
     with_stretch,
 )
-from counterspin.campaign.toml_file import DESCRIPTION_NAME, description_file, load_document
+from counterspin.campaign.toml_file import (
+    CAMPAIGN_ADVICE,
+    DESCRIPTION_NAME,
+    description_file,
+    load_with_checksum,
+)
 from counterspin.campaign.truth import TRUTH_TABLES, resolve_run_truth, resolve_simulation
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import TERMS, Mounting
@@ -97,12 +103,12 @@ def read_campaign(path: Path | str) -> Campaign:
         raise CampaignError(
             str(file), [f"a record, not a campaign; give the folder that holds {DESCRIPTION_NAME}"]
         )
-    raw = load_document(file)
+    raw, checksum = load_with_checksum(file, CAMPAIGN_ADVICE)
     problems = Problems(raw)
     campaign = resolve_campaign(raw, file, problems)
     if campaign is None:
         raise CampaignError(str(file), problems.lines)
-    return campaign
+    return replace(campaign, checksum=checksum)
 
 
 def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> Campaign | None:

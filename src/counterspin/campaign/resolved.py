@@ -261,6 +261,9 @@ class Campaign:
         `comment`), only what is there.
     specifications
         Tolerance limits of the coefficients; None if the file states none.
+    checksum
+        SHA-256 of the description as it was read, such as ``sha256:9f86...``; None if it was made
+        otherwise.
     """
 
     title: str
@@ -284,6 +287,7 @@ class Campaign:
     machine: MachineModel = field(default_factory=MachineModel)
     reference_temperature: float | None = None
     tables: tuple[Path, ...] = ()
+    checksum: str | None = None
 
     def require_records(self, what: str) -> None:
         """Raise CampaignError if there is no record, which `what` needs, or a reading beside."""

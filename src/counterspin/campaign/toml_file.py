@@ -1,17 +1,25 @@
 """TOML files, read with errors that say where.
 
-- `load_document`: a file's tables
+- `load_document`: a file's tables; `load_with_checksum`: and the checksum of what was read
 - `description_file`: the description's file of a campaign
 """
 
 from __future__ import annotations
 
+import hashlib
 import re
 import tomllib
 from pathlib import Path
 from typing import Any, Final
 
 from counterspin.errors import CampaignError
+from counterspin.input import read_file
+
+#: What to do where no campaign is.
+CAMPAIGN_ADVICE: Final = "`counterspin init DIR` makes a campaign to start from"
+
+#: No TOML file has more bytes.
+_TEXT_BYTES: Final = 20_000_000
 
 DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
 
@@ -22,10 +30,13 @@ def description_file(where: Path | str) -> Path:
     return given / DESCRIPTION_NAME if given.is_dir() else given
 
 
-def load_document(
-    file: Path, advice: str = "`counterspin init DIR` makes a campaign to start from"
-) -> dict[str, Any]:
-    """Return a TOML document; `advice` is for a file that is not there.
+def load_document(file: Path, advice: str = CAMPAIGN_ADVICE) -> dict[str, Any]:
+    """Return a TOML document; as `load_with_checksum`."""
+    return load_with_checksum(file, advice)[0]
+
+
+def load_with_checksum(file: Path, advice: str) -> tuple[dict[str, Any], str]:
+    """Return a TOML document and its checksum; `advice` is for a file that is not there.
 
     Raises
     ------
@@ -33,8 +44,9 @@ def load_document(
         If the file is missing, cannot be read, is not UTF-8 or not TOML.
     """
     try:
+        content = read_file(file, _TEXT_BYTES)
         # Editors on Windows put a byte-order mark before the text; TOML knows none.
-        return tomllib.loads(file.read_text(encoding="utf-8-sig"))
+        document = tomllib.loads(content.decode("utf-8-sig"))
     except FileNotFoundError:
         problem = f"there is no such file; {advice}"
     except UnicodeDecodeError:
@@ -46,4 +58,6 @@ def load_document(
         what, where = (place[1], place[2]) if place else (str(error), "TOML")
         what = what[:1].lower() + what[1:]
         problem = f"{where}: {what}; text such as a quantity is written in quotation marks"
+    else:
+        return document, f"sha256:{hashlib.sha256(content).hexdigest()}"
     raise CampaignError(str(file), [problem])

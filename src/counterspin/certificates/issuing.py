@@ -28,6 +28,7 @@ from counterspin.certificates.schema import check_schema
 from counterspin.certificates.signature import read_signer, sign, verify
 from counterspin.certificates.statements import Verdicts
 from counterspin.errors import CampaignError, CounterspinError, RecordError
+from counterspin.input import read_file
 from counterspin.output import write_whole
 from counterspin.reports.blocks import Block, Heading, Paragraph
 from counterspin.reports.numbers import format_number
@@ -193,7 +194,7 @@ def check_certificate(
         If schema or cert cannot be used.
     """
     try:
-        data = path.read_bytes()
+        data = read_file(path)
     except OSError as error:
         raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
     if schema is not None:

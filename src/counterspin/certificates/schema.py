@@ -93,7 +93,7 @@ def _main_file(schema: Path) -> Path:
         return schema
     if not schema.is_dir():
         raise CounterspinError(f"{schema}: there is no such file or folder")
-    schemas = [path for path in sorted(schema.rglob("*.xsd")) if _space(path) == DCC]
+    schemas = [path for path in _schema_files(schema) if _space(path) == DCC]
     if len(schemas) == 1:
         return schemas[0]
     what = "several schemas of DCC, give one of them" if schemas else "no schema of DCC (dcc.xsd)"
@@ -115,9 +115,14 @@ class _Local(etree.Resolver):  # type: ignore[misc]  # lxml carries no types
         return None
 
 
+def _schema_files(folder: Path) -> list[Path]:
+    # A pipe of that name would be waited for.
+    return sorted(path for path in folder.rglob("*.xsd") if path.is_file())
+
+
 def _imports(folders: list[Path]) -> dict[str, Path]:
     """Return for every address that a schema in the folders imports the file that answers it."""
-    paths = [path for folder in folders for path in sorted(folder.rglob("*.xsd"))]
+    paths = [path for folder in folders for path in _schema_files(folder)]
     by_space = {space: path for path in reversed(paths) if (space := _space(path)) is not None}
     places = {}
     for path in paths:

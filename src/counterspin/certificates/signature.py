@@ -13,6 +13,7 @@ from typing import Any, Final
 
 from counterspin.certificates.elements import Element
 from counterspin.errors import CounterspinError, RecordError
+from counterspin.input import read_file
 
 _SIGNATURE: Final = "{http://www.w3.org/2000/09/xmldsig#}Signature"
 
@@ -144,6 +145,6 @@ def _read_certificates(path: Path) -> list[Any]:
 
 def _read(path: Path) -> bytes:
     try:
-        return path.read_bytes()
+        return read_file(path)
     except OSError as error:
         raise CounterspinError(f"{path}: cannot be read ({error.strerror})") from error

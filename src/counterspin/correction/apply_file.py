@@ -21,9 +21,7 @@ from counterspin.correction.apply import ApplyOptions, Correction, apply, instru
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.output import FileKind, holds, reserve, write_whole
 from counterspin.physics.inversion import NotInvertibleError
-from counterspin.records.column_file import ColumnFile
-from counterspin.records.formats import open_columns, refusals
-from counterspin.records.pieces import joined
+from counterspin.records.tables import locate, read_numbers, read_table
 
 #: Ending of the output -> what parts its cells; None for Parquet.
 _SEPARATORS: Final[Mapping[str, str | None]] = {
@@ -136,9 +134,7 @@ def apply_file(
     others: dict[str, Any] = dict(options.others)
     for name in (accelerometer, *others):
         instrument_of(result, name)  # a wrong name is refused before the file is searched for it
-    file = open_columns(source)
-    with refusals(source):
-        table = file.table()
+    table = read_table(source)
     given: dict[str, Any] = {
         name: text
         for name in ("pendulous", "output_axis")
@@ -147,8 +143,7 @@ def apply_file(
     used = [text for text in (*given.values(), *others.values()) if text in table.columns]
     column = column or _guessed(source, table, accelerometer, used)
     names = {column, *used, *others.values()}
-    with refusals(source):
-        values = _values(file, sorted(names))
+    values = read_numbers(source, sorted(names))
     new = (f"{column}_corrected", f"{column}_corrected_u")
     for name in new:
         if name in table.columns:
@@ -163,7 +158,7 @@ def apply_file(
             result, accelerometer, values[column], replace(options, others=columns, **forces)
         )
     except NotInvertibleError as error:
-        where = file.locate(error.row)
+        where = locate(source, error.row)
         raise CounterspinError(f"{source}, {where}: the indication {error.reason}") from error
     report = _report(output, column, values[column], correction, result.inputs.gravity)
     added = [
@@ -187,15 +182,6 @@ def _guessed(source: Path, table: pl.DataFrame, accelerometer: str, used: list[s
             f"has {', '.join(table.columns)}"
         ],
     )
-
-
-def _values(file: ColumnFile, names: list[str]) -> Mapping[str, Array]:
-    file.require(names)
-    file.look_closely()
-    batches = list(file.batches(names))
-    if not batches:
-        raise RecordError(f"{file.path}: the file has no rows.")
-    return joined(batches)
 
 
 def _constant(name: str, text: str, columns: list[str]) -> str:

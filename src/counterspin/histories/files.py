@@ -18,9 +18,12 @@ from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
 from counterspin.errors import CampaignError, RecordError
 from counterspin.histories.result import UnusedResult
+from counterspin.input import read_file
 
 #: Keys of every result, whatever its schema; other JSON files in a folder are not results.
 _RESULT_KEYS: Final = {"method", "accelerometers", "provenance"}
+
+_HIDDEN_REASON: Final = "is hidden, as what an interrupted command leaves behind; delete it"
 
 _SUMMARY_REASON: Final = "is a summary of several campaigns; write a result for each"
 
@@ -98,8 +101,11 @@ def collect(paths: Sequence[Path], term: str) -> Collected:
         raise CampaignError("history", missing)
     collected, seen = Collected(), dict[str, str]()
     for file, named in _files(paths):
+        if not named and file.name.startswith("."):
+            collected.left_out.append(UnusedResult(file=str(file), reason=_HIDDEN_REASON))
+            continue
         try:
-            content = file.read_bytes()
+            content = read_file(file)
         except OSError as error:
             collected.damaged.append(
                 UnusedResult(file=str(file), reason=f"cannot be read ({error.strerror})")
@@ -125,12 +131,19 @@ def _files(paths: Sequence[Path]) -> Iterator[tuple[Path, bool]]:
     """Yield each file once, and whether it was named itself."""
     seen = set()
     for path in paths:
-        inside = sorted(path.rglob("*.json")) if path.is_dir() else [path]
+        inside = sorted(_results_inside(path)) if path.is_dir() else [path]
         for file in inside:
             if file.is_dir() or file.resolve() in seen:
                 continue
             seen.add(file.resolve())
             yield file, not path.is_dir()
+
+
+def _results_inside(folder: Path) -> Iterator[Path]:
+    """Yield the JSON files of a folder and of its subfolders, without those that are hidden."""
+    for file in folder.rglob("*.json"):
+        if not any(part.startswith(".") for part in file.relative_to(folder).parts[:-1]):
+            yield file
 
 
 def _is_other(content: bytes) -> str | None:

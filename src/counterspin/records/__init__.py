@@ -7,4 +7,6 @@
   the order in which a record passes them
 - `mean`: the mean of a record over whole revolutions
 - `report`: what was found on the way
+- `tables`: a file as a table, for those who add columns to it
+- `isolation`: the process of its own in which native code reads
 """

@@ -1,8 +1,14 @@
-"""The unit of a signal: its wave of one period a revolution must keep its amplitude.
+"""The unit of a signal: its wave of one period a revolution must be the motion's, throughout.
 
-The amplitude of an accelerometer's signal on a centrifuge follows from the radius and the rate
-alone, so a change of unit in the middle of a record, a dead channel or a wrong unit in the
-campaign description shows in it at once, long before a fit would misreport it.
+The amplitude of the signal of an accelerometer that lies across the spindle axis follows from the
+radius and the rate alone, so a change of unit in the middle of a record, a dead channel, or a
+wrong unit, sign or axis in the campaign description shows in it at once, long before a fit would
+misreport it. Along the spindle axis the wave is that of the errors: small, and free to grow.
+
+- `Swing`: the wave that the motion makes
+- `waves`: the waves of a signal, revolution by revolution
+- `change_of_unit`, `switch`: where they change, by revolution and by sample
+- `against_reference`: whether they are the motion's
 """
 
 from __future__ import annotations
@@ -14,6 +20,10 @@ import numpy as np
 
 #: Fewest samples from which one revolution's amplitude is taken.
 _FEWEST_SAMPLES = 12
+#: Standard deviations of an amplitude by which it must differ from the others to be refused.
+_CHANGE_SDS = 8.0
+#: A revolution that lacks more than the rest of its samples tells wave and trend badly apart.
+_WHOLE_PART = 0.9
 #: An amplitude that differs from the others by this factor or more is refused.
 _CHANGE_RATIO = 2.0
 
@@ -22,6 +32,9 @@ _DEVIATIONS = 5.0
 
 #: Standard deviation of a Gaussian over its median absolute deviation.
 _MAD = 1.4826
+
+#: Amplitudes of three revolutions differ by less than this factor where they are steady.
+_STEADY_RATIO = 1.2
 
 #: Ratios that come of a mistaken unit, and the units' names.
 _UNIT_RATIOS = (
@@ -66,6 +79,8 @@ class Waves:
         (m, 5) of cos, sin, 1, u, u^2, where u is the angle from `centre` over pi.
     centre, deviation
         (m,) rad, mean angle; standard deviation of the residuals.
+    u_amplitude
+        (m,), of either part of the amplitude.
     first, last
         (m,) int, the first and last sample.
     """
@@ -73,6 +88,7 @@ class Waves:
     coefficients: np.ndarray
     centre: np.ndarray
     deviation: np.ndarray
+    u_amplitude: np.ndarray
     first: np.ndarray
     last: np.ndarray
 
@@ -112,10 +128,9 @@ def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
     bins, th, s = bins[order], angle[order], signal[order]
     edges = np.flatnonzero(np.diff(bins, prepend=-1))
     sizes = np.diff(edges, append=len(bins))
-    # An incomplete last revolution carries too little of the wave.
-    enough = (
-        sizes >= max(_FEWEST_SAMPLES, 0.7 * float(np.median(sizes))) if len(sizes) else sizes > 0
-    )
+    # An incomplete revolution tells the wave badly from the trend.
+    least = _WHOLE_PART * float(np.median(sizes)) if len(sizes) else 0.0
+    enough = sizes >= max(_FEWEST_SAMPLES, least)
     edges, sizes = edges[enough], sizes[enough]
     index = edges[:, None] + np.arange(sizes.max(initial=0))
     valid = np.arange(sizes.max(initial=0)) < sizes[:, None]
@@ -128,7 +143,10 @@ def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
     fitted = np.linalg.solve(normal, transposed @ s[..., None])
     rest = s - (functions @ fitted)[..., 0]
     deviation = np.sqrt((rest**2).sum(axis=1) / np.maximum(sizes - 5, 1))
-    return Waves(fitted[..., 0], centre, deviation, order[edges], order[edges + sizes - 1])
+    spread = np.linalg.inv(normal)[:, :2, :2]
+    u_amplitude = deviation * np.sqrt(np.trace(spread, axis1=1, axis2=2) / 2)
+    first, last = order[edges], order[edges + sizes - 1]
+    return Waves(fitted[..., 0], centre, deviation, u_amplitude, first, last)
 
 
 @dataclass(frozen=True)
@@ -140,31 +158,49 @@ class UnitChange:
     words: str
 
 
-def change_of_unit(fitted: Waves) -> UnitChange | None:
+def change_of_unit(fitted: Waves, *, may_grow: bool) -> UnitChange | None:
     """Find where the amplitude of a signal's wave changes by a factor.
 
     None where all is well, or where the signal has no wave to judge by.
+
+    Parameters
+    ----------
+    fitted
+        The signal's waves.
+    may_grow
+        Whether the wave may be that of errors, which grows with time: only a sudden change between
+        steady amplitudes is one of the unit then.
     """
     size = np.abs(fitted.amplitude)
     if len(size) < 3:
         return None
     # One of the amplitudes, not the middle of two: half the record may be in either unit.
     usual = float(np.sort(size)[len(size) // 2])
-    if not usual > 5 * float(np.median(fitted.deviation)):
+    clear = _CHANGE_SDS * float(np.median(fitted.u_amplitude))
+    if not usual > clear:
         return None
     ratio = size / usual
     odd = (ratio > _CHANGE_RATIO) | (ratio < 1 / _CHANGE_RATIO)
+    odd &= np.abs(size - usual) > clear
     if not odd.any():
         return None
     turn = int(np.flatnonzero(odd != odd[0])[0])
+    if may_grow and not (_steady(size[:turn][-4:-1]) and _steady(size[turn + 1 : turn + 4])):
+        return None
     # The revolution in which the unit changes is a mixture of both: take those beside it.
     before, after = max(turn - 2, 0), min(turn + 1, len(size) - 1)
     factor = float(size[after] / size[before])
+    if may_grow and 1 / _CHANGE_RATIO <= factor <= _CHANGE_RATIO:
+        return None
     near, off = _nearest_units(factor)
     words = f"its wave of one period a revolution changes by a factor of {factor:.4g}"
     if off < 0.02:
         words += f", as between {near}"
     return UnitChange(before, after, words)
+
+
+def _steady(sizes: np.ndarray) -> bool:
+    return len(sizes) == 3 and float(sizes.max()) < _STEADY_RATIO * float(sizes.min())
 
 
 def _nearest_units(factor: float) -> tuple[str, float]:

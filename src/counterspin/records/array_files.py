@@ -1,18 +1,21 @@
 """Record files of named arrays: HDF5, and MATLAB in either of its formats.
 
 - `Hdf5File`: datasets at the root or in one group; `group/name` names any other
-- `MatlabFile`: variables of a .mat file up to version 7 (from 7.3 on they are HDF5)
+- `MatlabFile`: variables of a .mat file up to version 7
+- `matlab_or_hdf5`: a .mat file of any version; from 7.3 on they are HDF5
 
 A column is an array with one dimension larger than 1; MATLAB keeps it as a column or a row.
 """
 
 from __future__ import annotations
 
+import struct
+import zlib
 from abc import abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import numpy as np
 
@@ -25,6 +28,14 @@ if TYPE_CHECKING:
 
 #: Rows read at a time (24 MB for three columns).
 _BATCH_ROWS = 1_000_000
+#: The end of MATLAB's header -> the order of bytes; its length; the type of what is compressed.
+_BYTE_ORDERS = {b"IM": "<", b"MI": ">"}
+_MATLAB_HEADER = 128
+_MATLAB_COMPRESSED = 15
+#: MATLAB's classes of arrays that hold numbers.
+_MATLAB_NUMBERS = {"double", "single", "logical"} | {
+    f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)
+}
 
 
 class ArrayFile(ColumnFile):
@@ -34,84 +45,119 @@ class ArrayFile(ColumnFile):
     def _arrays(self, wanted: Sequence[str]) -> AbstractContextManager[Mapping[str, Any]]:
         """Open the wanted arrays; they have a dtype and a shape, and can be sliced."""
 
-    def require(self, wanted: Sequence[str]) -> None:
-        """Raise `RecordError` unless the wanted arrays are columns of numbers, equally long."""
-        super().require(wanted)
-        with self._arrays(wanted) as arrays:
-            lengths = {}
-            for name in wanted:
-                array = arrays[name]
-                if array.dtype.kind not in "fiu":
-                    raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
-                # HDF5 has datasets without any space, whose shape is None.
-                if array.shape is None or array.size != max(array.shape, default=0):
-                    raise RecordError(
-                        f"{self.path}: '{name}' has the shape {array.shape}; one column is needed."
-                    )
-                lengths[name] = array.size
+    @abstractmethod
+    def _shape(self, name: str) -> tuple[int, ...] | None:
+        """Return an array's shape; RecordError unless it holds numbers, in this very file."""
+
+    def _require(self, wanted: Sequence[str]) -> None:
+        lengths = {}
+        for name in wanted:
+            shape = self._shape(name)
+            size = 0 if shape is None else int(np.prod(shape, dtype=object))
+            # HDF5 has datasets without any space, whose shape is None.
+            if shape is None or size != max(shape, default=0):
+                raise RecordError(
+                    f"{self.path}: '{name}' has the shape {shape}; one column is needed."
+                )
+            lengths[name] = size
         if len(set(lengths.values())) > 1:
             listed = ", ".join(f"'{name}' {length}" for name, length in lengths.items())
             raise RecordError(f"{self.path}: the columns differ in length: {listed}.")
+        self._require_bytes(8 * sum(lengths.values()))
 
-    def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
-        """Yield slices of the arrays."""
+    def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         with self._arrays(wanted) as arrays:
-            length = max((arrays[name].size for name in wanted), default=0)
+            for name, array in arrays.items():
+                if array.dtype.kind not in "fiu":
+                    raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
+            length = max((array.size for array in arrays.values()), default=0)
             for start in range(0, length, _BATCH_ROWS):
                 stop = min(start + _BATCH_ROWS, length)
-                yield {name: _slice(arrays[name], start, stop) for name in wanted}
+                yield {name: _slice(array, start, stop) for name, array in arrays.items()}
 
-    def table(self) -> pl.DataFrame:
+    def _table(self) -> pl.DataFrame:
         """Return all arrays of the file, which must be columns of numbers, equally long."""
         import polars as pl
 
-        self.require(self.names)
-        return pl.DataFrame(joined(list(self.batches(self.names)) or [{}]))
+        self._require(self.names)
+        return pl.DataFrame(joined(list(self._batches(self.names)) or [{}]))
 
 
 class Hdf5File(ArrayFile):
     """Datasets of an HDF5 file."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
         import h5py
 
-        self.path = path
+        super().__init__(path, stream)
         if not h5py.is_hdf5(path):
             raise RecordError(f"{path}: this is not an HDF5 file.")
-        with self._datasets() as datasets:
-            self.names = list(datasets)
+        with h5py.File(path, "r") as file:
+            full: list[str] = []
+            # Links are not followed, neither in the file nor out of it.
+            file.visititems(
+                lambda name, item: full.append(name) if isinstance(item, h5py.Dataset) else None
+            )
+        groups = {name.rpartition("/")[0] for name in full}
+        short = len(groups) == 1
+        self._full = {name.rpartition("/")[2] if short else name: name for name in full}
+        self.names = list(self._full)
 
-    @contextmanager
-    def _arrays(self, wanted: Sequence[str]) -> Iterator[Mapping[str, Any]]:
-        with self._datasets() as datasets:
-            yield {name: datasets[name] for name in wanted}
-
-    @contextmanager
-    def _datasets(self) -> Iterator[dict[str, Any]]:
+    def _shape(self, name: str) -> tuple[int, ...] | None:
         import h5py
 
         with h5py.File(self.path, "r") as file:
-            datasets: dict[str, Any] = {}
-            file.visititems(
-                lambda name, item: datasets.update({name: item}) if hasattr(item, "dtype") else None
-            )
-            groups = {name.rpartition("/")[0] for name in datasets}
-            if len(groups) == 1:
-                yield {name.rpartition("/")[2]: item for name, item in datasets.items()}
-            else:
-                yield datasets
+            dataset = file[self._full[name]]
+            # The checksum would be of this file, the numbers from another.
+            if dataset.is_virtual or dataset.external:
+                raise RecordError(
+                    f"{self.path}: the numbers of '{name}' stand in another file. Write a file "
+                    "that holds them itself."
+                )
+            kind = dataset.id.get_type().get_class()
+            if kind not in (h5py.h5t.INTEGER, h5py.h5t.FLOAT):
+                raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
+            shape: tuple[int, ...] | None = dataset.shape
+            return shape
+
+    @contextmanager
+    def _arrays(self, wanted: Sequence[str]) -> Iterator[Mapping[str, Any]]:
+        import h5py
+
+        with h5py.File(self.path, "r") as file:
+            yield {name: file[self._full[name]] for name in wanted}
+
+    def _missing_words(self, missing: Sequence[str]) -> str:
+        import h5py
+
+        with h5py.File(self.path, "r") as file:
+            for name in missing:
+                if isinstance(file.get(name, getlink=True), h5py.ExternalLink | h5py.SoftLink):
+                    return f"'{name}' is a link; write a file that holds the column itself."
+        return super()._missing_words(missing)
 
 
 class MatlabFile(ArrayFile):
     """Variables of a MATLAB file up to version 7."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
         from scipy.io import whosmat
 
-        self.path = path
+        super().__init__(path, stream)
+        self._require_bytes(_inflated_bytes(stream))
+        try:
+            variables = whosmat(stream)
+        except (ValueError, TypeError, NotImplementedError) as error:
+            raise RecordError(f"{path}: this is not a MATLAB file: {error}.") from None
+        self._variables = {name: (tuple(shape), kind) for name, shape, kind in variables}
+        self.names = list(self._variables)
         self._loaded: dict[str, np.ndarray] = {}
-        with _damage_named(path):
-            self.names = [name for name, _, _ in whosmat(path)]
+
+    def _shape(self, name: str) -> tuple[int, ...]:
+        shape, kind = self._variables[name]
+        if kind not in _MATLAB_NUMBERS:
+            raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
+        return shape
 
     @contextmanager
     def _arrays(self, wanted: Sequence[str]) -> Iterator[Mapping[str, Any]]:
@@ -120,17 +166,42 @@ class MatlabFile(ArrayFile):
         # The format has no way to read part of a variable.
         missing = [name for name in wanted if name not in self._loaded]
         if missing:
-            with _damage_named(self.path):
-                self._loaded |= loadmat(self.path, variable_names=missing)
-        yield self._loaded
+            self._stream.seek(0)
+            self._loaded |= loadmat(self._stream, variable_names=missing)
+        yield {name: self._loaded[name] for name in wanted}
 
 
-@contextmanager
-def _damage_named(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except (ValueError, TypeError, NotImplementedError) as error:
-        raise RecordError(f"{path}: this is not a MATLAB file: {error}.") from None
+def matlab_or_hdf5(path: Path, stream: BinaryIO) -> ArrayFile:
+    """Open a .mat file, which from version 7.3 on is an HDF5 file."""
+    import h5py
+
+    return Hdf5File(path, stream) if h5py.is_hdf5(path) else MatlabFile(path, stream)
+
+
+def _inflated_bytes(stream: BinaryIO) -> int:
+    """Return how long the compressed variables of a .mat file of version 5 to 7 say they are.
+
+    SciPy inflates a variable to get past it. A file is a header of 128 bytes and then elements: a
+    type and a size of 4 bytes each, and the content, which for type 15 inflates to an element.
+    """
+    stream.seek(0)
+    order = _BYTE_ORDERS.get(stream.read(_MATLAB_HEADER)[-2:])
+    total = 0
+    while order is not None and len(tag := stream.read(8)) == 8:
+        kind, size = struct.unpack(f"{order}II", tag)
+        if kind == 0:
+            break  # no element
+        here = stream.tell()
+        if kind == _MATLAB_COMPRESSED:
+            try:
+                inside = zlib.decompressobj().decompress(stream.read(min(size, 256)), 8)
+            except zlib.error:
+                break  # SciPy says so
+            if len(inside) == 8:
+                total += struct.unpack(f"{order}II", inside)[1]
+        stream.seek(here + size)
+    stream.seek(0)
+    return total
 
 
 def _slice(array: Any, start: int, stop: int) -> np.ndarray:

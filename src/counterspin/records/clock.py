@@ -36,6 +36,8 @@ _ENCODER_STEP_RAD = 1e-3
 _GAP_STEPS = 1.5
 #: The part of the advance across a gap by which the rate may have changed meanwhile.
 _GAP_RATE_CHANGE = 1e-3
+#: Revolutions of a gap beyond which that is a quarter of one, and the angle's turns are lost.
+_GAP_REVOLUTIONS = 250
 
 
 @dataclass
@@ -140,7 +142,7 @@ class Clock:
         RecordError
             Time runs backwards, a value is infinite, or the clock or the angle jumps.
         """
-        accepted = self._accept_whole(first_row, piece) or self._accept_rows(first_row, piece)
+        accepted = self._accept_whole(piece) or self._accept_rows(first_row, piece)
         good = accepted.piece
         if len(good):
             last = -1 if accepted.rows is None else int(accepted.rows[-1])
@@ -154,7 +156,7 @@ class Clock:
         return accepted
 
     def _accept_whole(  # noqa: PLR0911 - each test hands over to the row-by-row judgement
-        self, first_row: int, piece: Piece
+        self, piece: Piece
     ) -> Accepted | None:
         """Take the piece as it stands, if nothing in it needs attention (NaN fails every test)."""
         time, angle = piece.time, piece.angle
@@ -165,7 +167,7 @@ class Clock:
         if not (shortest > 0 and longest < _GAP_STEPS * self.step):
             return None
         unevenness = max(longest / self.step - 1, 1 - shortest / self.step)
-        gone = time[0] - self._last_time if first_row else self.step
+        gone = self.step if math.isnan(self._last_time) else time[0] - self._last_time
         if not 0 < gone < _GAP_STEPS * self.step:
             return None
         if angle is None:
@@ -187,7 +189,7 @@ class Clock:
             if not (np.abs(advance[odd] + _TURN * more - usual) <= tolerance).all():
                 return None
             breaks, turns = np.append(breaks, odd + 1), np.append(turns, np.cumsum(more))
-        if first_row:
+        if not math.isnan(self._last_time):
             expected = self._last_angle + self.rate * gone
             before = float(np.round((expected - angle[0]) / _TURN))
             if abs(float(angle[0]) + _TURN * before - expected) > tolerance:
@@ -218,7 +220,7 @@ class Clock:
         has_time = ~np.isnan(time)
         self.findings.empty_time += int((~has_time).sum())
         rows = np.flatnonzero(has_time)
-        before = self._last_time if first_row else math.nan
+        before = self._last_time
         steps = np.diff(time[rows], prepend=before)
         if (steps < 0).any():
             place = int(np.flatnonzero(steps < 0)[0])
@@ -229,7 +231,7 @@ class Clock:
                 "after the record's start.",
             )
         rows = self._drop_repeats(piece, rows, steps)
-        self._note_gaps(time[rows], before)
+        self._note_gaps(first_row + rows, time[rows], before)
         if piece.angle is not None:
             has_number = ~np.isnan(piece.angle[rows])
             self.findings.empty_angle += int((~has_number).sum())
@@ -257,12 +259,19 @@ class Clock:
         self.findings.differing += int(differ.sum())
         return np.delete(rows, again)
 
-    def _note_gaps(self, time: np.ndarray, before: float) -> None:
+    def _note_gaps(self, rows: np.ndarray, time: np.ndarray, before: float) -> None:
         steps = np.diff(time, prepend=before)
         for place in np.flatnonzero(steps > _GAP_STEPS * self.step):
+            length = float(steps[place])
+            turns = length * abs(self.rate) / _TURN
+            if turns > _GAP_REVOLUTIONS:
+                raise self._fail(
+                    int(rows[place]),
+                    f"no row for {length:.6g} s, {turns:.4g} revolutions; the rotation cannot be "
+                    "followed that long. Cut the record here.",
+                )
             self.findings.gap_count += 1
             if len(self.findings.gaps) < LISTED:
-                length = float(steps[place])
                 self.findings.gaps.append(Gap(float(time[place]) - length, length))
 
     def _follow(

@@ -1,24 +1,83 @@
 """What all record files have in common, whatever their format.
 
 - `ColumnFile`: named columns, in batches, with the place of each row in the file
+- `record_errors`: the boundary around every format's reader: whatever it raises is a `RecordError`
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import TracebackType
+from typing import TYPE_CHECKING, BinaryIO, Self
 
-from counterspin.errors import RecordError
-from counterspin.records.pieces import Columns
+from counterspin.errors import CounterspinError, DamagedFileError, RecordError
+from counterspin.input import FileIdentity
+from counterspin.records.pieces import Columns, column_rows
 
 if TYPE_CHECKING:
     import polars as pl
 
+#: A cell's values of 8 bytes may take this many times the file's size, packed as they may be: an
+#: even clock packs into nothing, but noise does not.
+_UNPACKED_RATIO = 200
+#: Bytes that the values of any file may take.
+_UNPACKED_BYTES = 64_000_000
+#: Characters of a library's complaint that a message repeats.
+_REASON_LENGTH = 150
+
+
+@contextmanager
+def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
+    """Turn whatever a reader raises into a `RecordError` that names the file.
+
+    Parameters
+    ----------
+    path
+        The file.
+    where
+        Says how far reading has come, such as ``" after row 12"``; nothing as long as is unknown.
+    """
+    try:
+        yield
+    except (CounterspinError, KeyboardInterrupt, SystemExit, GeneratorExit):
+        raise
+    except PermissionError:
+        raise RecordError(f"{path}: the file cannot be read; check its permissions.") from None
+    except FileNotFoundError:
+        raise RecordError(f"{path}: there is no such file.") from None
+    except OSError as error:
+        if error.errno is None:  # a library's
+            raise DamagedFileError(_damage_words(path, where(), error)) from error
+        raise RecordError(f"{path}: the file cannot be read{where()}: {error.strerror}.") from None
+    except MemoryError:
+        raise DamagedFileError(
+            f"{path}: the file asks for more memory than there is{where()}."
+        ) from None
+    # Polars turns a panic into an exception that is no `Exception`.
+    except BaseException as error:
+        raise DamagedFileError(_damage_words(path, where(), error)) from error
+
+
+def _damage_words(path: Path, where: str, error: BaseException) -> str:
+    text = next(iter(str(error).splitlines()), "") or type(error).__name__
+    text = text.rstrip(".") if len(text) <= _REASON_LENGTH else text[:_REASON_LENGTH] + "..."
+    return f"{path}: the file is damaged{where}: {text}."
+
 
 class ColumnFile(ABC):
-    """The named columns of one record file.
+    """The named columns of one record file, opened.
+
+    A context manager: on leaving, what was read must still be the file's content.
+
+    Parameters
+    ----------
+    path
+        The file; nothing in its name is a pattern.
+    stream
+        The file, opened.
 
     Attributes
     ----------
@@ -26,29 +85,52 @@ class ColumnFile(ABC):
         The file.
     names
         All its columns.
+    identity
+        Which file this is.
     """
 
-    path: Path
-    names: list[str]
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        self.path = path
+        self.names: list[str] = []
+        self.identity = FileIdentity.of(stream.fileno())
+        self._stream = stream
+
+    def __enter__(self) -> Self:
+        """Return the file."""
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Close the file; RecordError if it is no longer what it was when it was opened."""
+        self._stream.close()
+        if isinstance(error, Exception) or error is None:
+            with record_errors(self.path):
+                if FileIdentity.of(self.path) != self.identity:
+                    raise RecordError(
+                        f"{self.path}: the file was changed while it was read. Wait until it is "
+                        "complete."
+                    )
 
     def require(self, wanted: Sequence[str]) -> None:
         """Raise `RecordError` unless the file has the wanted columns and they can hold numbers."""
         missing = [name for name in wanted if name not in self.names]
-        if not missing:
-            return
-        from difflib import get_close_matches
+        if missing:
+            raise RecordError(f"{self.path}: {self._missing_words(missing)}")
+        with record_errors(self.path):
+            self._require(wanted)
 
-        close = get_close_matches(missing[0], self.names, n=1)
-        words = f"there is no column {quoted(missing)}; the file has {quoted(self.names)}."
-        if close:
-            words += f" Did you mean '{close[0]}'?"
-        raise RecordError(f"{self.path}: {words}")
-
-    @abstractmethod
     def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         """Yield the wanted columns, which `require` has passed, in consecutive batches."""
+        rows = 0
+        with record_errors(self.path, lambda: f" after row {rows}" if rows else ""):
+            for batch in self._batches(wanted):
+                yield batch
+                rows += column_rows(batch)
 
-    @abstractmethod
     def table(self) -> pl.DataFrame:
         """Return the whole file as it stands, cells of text remaining text.
 
@@ -57,14 +139,43 @@ class ColumnFile(ABC):
         RecordError
             The file is not a table.
         """
+        with record_errors(self.path):
+            return self._table()
+
+    def locate(self, row: int) -> str:
+        """Say where data row `row` (counted from 0) stands in the file."""
+        return f"row {row + 1}"
 
     def look_closely(self) -> bool:
         """Read with more patience from now on, if there is such a way that was not taken yet."""
         return False
 
-    def locate(self, row: int) -> str:
-        """Say where data row `row` (counted from 0) stands in the file."""
-        return f"row {row + 1}"
+    @abstractmethod
+    def _require(self, wanted: Sequence[str]) -> None:
+        """As `require`, of columns that are there."""
+
+    @abstractmethod
+    def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
+        """As `batches`."""
+
+    @abstractmethod
+    def _table(self) -> pl.DataFrame:
+        """As `table`."""
+
+    def _missing_words(self, missing: Sequence[str]) -> str:
+        from difflib import get_close_matches
+
+        words = f"there is no column {quoted(missing)}; the file has {quoted(self.names)}."
+        close = get_close_matches(missing[0], self.names, n=1)
+        return words + (f" Did you mean '{close[0]}'?" if close else "")
+
+    def _require_bytes(self, needed: int) -> None:
+        """Refuse columns of numbers, before they are read, that no file of this size can hold."""
+        if needed > _UNPACKED_BYTES + _UNPACKED_RATIO * self.identity.size:
+            raise DamagedFileError(
+                f"{self.path}: the file is damaged: its {self.identity.size} bytes say that they "
+                f"hold {needed} bytes of numbers."
+            )
 
 
 def quoted(names: Sequence[str], cap: int = 20) -> str:
@@ -76,3 +187,16 @@ def quoted(names: Sequence[str], cap: int = 20) -> str:
 def frame_columns(frame: pl.DataFrame) -> Columns:
     """Return the columns of a frame as arrays."""
     return {column.name: column.to_numpy() for column in frame.get_columns()}
+
+
+def plain_path(path: Path) -> str:
+    """Return a path as polars takes it literally; RecordError if it is no text in UTF-8."""
+    text = str(path.absolute())
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        shown = text.encode(errors="replace").decode()
+        raise RecordError(
+            f"{shown}: the path is no text in UTF-8; give the folder another name."
+        ) from None
+    return text

@@ -7,19 +7,20 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from itertools import count, islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 from counterspin.errors import RecordError
-from counterspin.records.column_file import ColumnFile, frame_columns
+from counterspin.records.column_file import ColumnFile, frame_columns, plain_path
 from counterspin.records.pieces import Columns
 
 if TYPE_CHECKING:
     import polars as pl
 
-#: No line of column names is longer.
-_HEADER_BYTES = 100_000
+#: No line is longer.
+_LINE_BYTES = 100_000
+_FORM = "A .csv file holds a line of column names and lines of numbers."
 #: What counts as an empty cell of a CSV file, in lower case and without surrounding blanks.
 _EMPTY_WORDS = ("", "nan")
 
@@ -27,39 +28,47 @@ _EMPTY_WORDS = ("", "nan")
 class CsvFile(ColumnFile):
     """A text table with a header line; cells parted by comma, semicolon or tab; '#' comments."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
+        super().__init__(path, stream)
         self._closely = False
         self._find_header()
 
-    def require(self, wanted: Sequence[str]) -> None:
-        """Raise `RecordError` unless the header has each of the wanted names, and once."""
-        super().require(wanted)
+    def _lines(self) -> Iterator[tuple[int, bytes]]:
+        """Yield the numbers and bytes of the lines."""
+        self._stream.seek(0)
+        with open(self._stream.fileno(), "rb", closefd=False) as file:
+            for number in count(1):
+                line = file.readline(_LINE_BYTES + 1)
+                if len(line) > _LINE_BYTES:
+                    raise RecordError(
+                        f"{self.path}, line {number}: the line has more than {_LINE_BYTES} bytes. "
+                        f"{_FORM}"
+                    )
+                if not line:
+                    return
+                yield number, line
+
+    def _require(self, wanted: Sequence[str]) -> None:
         for name in wanted:
             if self.names.count(name) > 1:
                 raise RecordError(f"{self.path}: two columns of the header are named '{name}'.")
 
     def _find_header(self) -> None:
-        number = blank = 0
-        with self.path.open("rb") as file:
-            for raw in file:
-                number += 1
-                line = raw.decode("utf-8-sig", errors="replace").strip("\r\n")
-                odd = "\ufffd" in line or any(c < " " and c != "\t" for c in line)
-                if odd or len(raw) > _HEADER_BYTES:
-                    raise RecordError(
-                        f"{self.path}, line {number}: this is not text in UTF-8; a .csv file holds "
-                        "a line of column names and lines of numbers."
-                    )
-                if line.strip() and not line.startswith("#"):
-                    break
-            else:
-                raise RecordError(f"{self.path}: the file has no header line and no rows.")
-            for raw in file:
-                # Among the rows a blank line is a row of empty cells; here it stops the parser.
-                if raw.strip():
-                    break
-                blank += 1
+        blank = 0
+        numbered = self._lines()
+        for number, raw in numbered:
+            line = raw.decode("utf-8-sig", errors="replace").strip("\r\n")
+            if "\ufffd" in line or any(c < " " and c != "\t" for c in line):
+                raise RecordError(f"{self.path}, line {number}: this is not text in UTF-8. {_FORM}")
+            if line.strip() and not line.startswith("#"):
+                break
+        else:
+            raise RecordError(f"{self.path}: the file has no header line and no rows.")
+        for _, raw in numbered:
+            # Among the rows a blank line is a row of empty cells; here it stops the parser.
+            if raw.strip():
+                break
+            blank += 1
         self._before_rows = number + blank
         # The delimiter is the one that the header uses most; a lone column has none.
         self._separator = max(",;\t", key=line.count)
@@ -83,13 +92,15 @@ class CsvFile(ColumnFile):
             for place, name in enumerate(self.names)
         }
         return pl.scan_csv(
-            self.path,
+            plain_path(self.path),
             separator=self._separator,
             has_header=False,  # read above: blanks around the names are no part of them
             skip_lines=self._before_rows,
             comment_prefix="#" if comments else None,
             schema=schema,
             encoding="utf8-lossy",
+            glob=False,
+            missing_columns="insert",  # where the first row is short, as in any other
         ).select(wanted)
 
     def _text(self, wanted: Sequence[str]) -> pl.LazyFrame:
@@ -97,17 +108,23 @@ class CsvFile(ColumnFile):
 
         return self._scan(wanted, pl.String(), comments=True)
 
-    def table(self) -> pl.DataFrame:
+    def _table(self) -> pl.DataFrame:
         """Return every column of the file as text; comments are left out."""
-        self.require(self.names)
-        return self._text(self.names).collect()
+        import polars as pl
+
+        self._require(self.names)
+        try:
+            return self._text(self.names).collect()
+        except pl.exceptions.PolarsError:
+            self._refuse_bad_lines()
+            raise
 
     def look_closely(self) -> bool:
         """Look out for comments, blanks around numbers and text from now on, at twice the time."""
         before, self._closely = self._closely, True
         return not before
 
-    def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
+    def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         """Yield batches of the columns.
 
         Raises
@@ -137,12 +154,7 @@ class CsvFile(ColumnFile):
     def _refuse_bad_cells(self, wanted: Sequence[str]) -> None:
         import polars as pl
 
-        number, width = self._widest_line()
-        if width > len(self.names):
-            raise RecordError(
-                f"{self.path}, line {number}: the line has {width} cells, "
-                f"the header names {len(self.names)}."
-            )
+        self._refuse_bad_lines()
         text = pl.all().str.strip_chars()
         bad = text.cast(pl.Float64(), strict=False).is_null() & ~text.str.to_lowercase().is_in(
             list(_EMPTY_WORDS)
@@ -168,25 +180,33 @@ class CsvFile(ColumnFile):
             f"where a number belongs.{hint}"
         )
 
-    def _widest_line(self) -> tuple[int, int]:
-        """Return the first line with more cells than the header, or the last line."""
-        number, width = 0, 0
-        with self.path.open(encoding="utf-8", errors="replace", newline="") as file:
-            for number, line in enumerate(file, start=1):
-                if line.count(self._separator) < len(self.names) or line.startswith("#"):
-                    continue
-                width = len(next(csv.reader([line.rstrip("\r\n")], delimiter=self._separator)))
+    def _refuse_bad_lines(self) -> None:
+        """Refuse a line with too many cells, or a quotation mark that is never closed."""
+        opened = 0  # the line at which a quoted cell begins that has not ended yet
+        for number, raw in self._lines():
+            line = raw.decode("utf-8", errors="replace").rstrip("\r\n")
+            if line.startswith("#") and not opened:
+                continue
+            if line.count('"') % 2:
+                opened = 0 if opened else number
+            elif not opened and line.count(self._separator) >= len(self.names):
+                width = len(next(csv.reader([line], delimiter=self._separator)))
                 if width > len(self.names):
-                    return number, width
-        return number, 0
+                    raise RecordError(
+                        f"{self.path}, line {number}: the line has {width} cells, "
+                        f"the header names {len(self.names)}."
+                    )
+        if opened:
+            raise RecordError(
+                f"{self.path}, line {opened}: a quotation mark lacks the one that closes it."
+            )
 
     def locate(self, row: int) -> str:
         """Say on which line, as a text editor counts them, data row `row` stands."""
         # A comment takes a line and is no row; only a pass over the file tells where they are.
-        with self.path.open("rb") as file:
-            body = islice(enumerate(file, start=1), self._before_rows, None)
-            data = (number for number, line in body if not line.startswith(b"#"))
-            number = next(islice(data, row, None), row + self._before_rows + 1)
+        body = islice(self._lines(), self._before_rows, None)
+        data = (number for number, line in body if not line.startswith(b"#"))
+        number = next(islice(data, row, None), row + self._before_rows + 1)
         return f"line {number}"
 
 

@@ -1,7 +1,7 @@
 """Record files, whatever their format: CSV, Parquet, HDF5 and MATLAB files look alike from here.
 
 - `open_columns`: a `ColumnFile` for a file, by its ending
-- `refusals`: what the system refuses becomes a `RecordError`
+- `RECORD_FORMATS`: the endings
 
 A `ColumnFile` yields columns in batches of float64 arrays (an empty cell is NaN) and says where a
 row stands in the file, in the words a person needs to find it: the line of a text editor for CSV,
@@ -10,69 +10,52 @@ the row else. Nothing here judges the numbers; `reading` does.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from pathlib import Path
+from typing import BinaryIO, Final
 
 from counterspin.errors import RecordError
-from counterspin.records.array_files import Hdf5File, MatlabFile
-from counterspin.records.column_file import ColumnFile
+from counterspin.input import FileIdentity, open_file
+from counterspin.records.array_files import Hdf5File, matlab_or_hdf5
+from counterspin.records.column_file import ColumnFile, record_errors
 from counterspin.records.csv_file import CsvFile
 from counterspin.records.parquet_file import ParquetFile
 
-
-def open_columns(path: Path) -> ColumnFile:
-    """Open a record file.
-
-    Parameters
-    ----------
-    path
-        A file ending in .csv, .txt, .tsv, .parquet, .h5, .hdf5 or .mat.
-
-    Raises
-    ------
-    RecordError
-        The file is missing, unreadable, empty, or of an unknown kind.
-    """
-    reader = _READERS.get(path.suffix.lower())
-    if reader is None:
-        known = ", ".join(sorted(_READERS))
-        raise RecordError(f"{path}: a record file ends in one of {known}; this one does not.")
-    with refusals(path):
-        if not path.exists():
-            raise RecordError(f"{path}: there is no such file.")
-        if path.is_dir():
-            raise RecordError(f"{path}: this is a directory; a record is a file.")
-        if path.stat().st_size == 0:
-            raise RecordError(f"{path}: the file is empty.")
-        return reader(path)
-
-
-@contextmanager
-def refusals(path: Path) -> Iterator[None]:
-    """Turn what the system refuses while a file is read into a `RecordError`."""
-    try:
-        yield
-    except PermissionError:
-        raise RecordError(f"{path}: the file cannot be read; check its permissions.") from None
-    except OSError as error:
-        reason = error.strerror or str(error).splitlines()[0]
-        raise RecordError(f"{path}: the file cannot be read: {reason}.") from None
-
-
-def _matlab(path: Path) -> ColumnFile:
-    """Open a .mat file, which from version 7.3 on is an HDF5 file."""
-    import h5py
-
-    return Hdf5File(path) if h5py.is_hdf5(path) else MatlabFile(path)
-
-
-_READERS: dict[str, Callable[[Path], ColumnFile]] = {
+#: Ending of a record file, in lower case -> what opens it.
+RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO], ColumnFile]]] = {
     ".csv": CsvFile,
     ".txt": CsvFile,
     ".tsv": CsvFile,
     ".parquet": ParquetFile,
     ".h5": Hdf5File,
     ".hdf5": Hdf5File,
-    ".mat": _matlab,
+    ".mat": matlab_or_hdf5,
 }
+
+
+def open_columns(path: Path) -> ColumnFile:
+    """Open a record file, as a context manager.
+
+    Parameters
+    ----------
+    path
+        An ordinary file with one of the endings `RECORD_FORMATS`.
+
+    Raises
+    ------
+    RecordError
+        The file is missing, unreadable, empty, or of an unknown kind.
+    """
+    opener = RECORD_FORMATS.get(path.suffix.lower())
+    if opener is None:
+        raise RecordError(
+            f"{path}: a record file ends in one of {', '.join(RECORD_FORMATS)}; this one does not."
+        )
+    with record_errors(path), ExitStack() as stack:
+        stream = stack.enter_context(open_file(path))
+        if FileIdentity.of(stream.fileno()).size == 0:
+            raise RecordError(f"{path}: the file is empty.")
+        file = opener(path, stream)
+        stack.pop_all()
+        return file

@@ -13,9 +13,8 @@ from typing import Final
 import numpy as np
 
 from counterspin.errors import RecordError
-from counterspin.records.formats import open_columns, refusals
-from counterspin.records.pieces import joined
 from counterspin.records.record import ColumnSpec
+from counterspin.records.tables import locate, read_numbers
 
 #: Stretches of a record whose means scatter; the fewest, and the most.
 _STRETCHES: Final = (8, 64)
@@ -69,21 +68,16 @@ def mean_of_record(path: Path, time: ColumnSpec, signal: ColumnSpec, rate: float
         If the file cannot be read, time does not run forward, more than 5 % is empty, or it is
         shorter than a revolution or than 16 samples.
     """
-    file = open_columns(path)
-    names = [time.name, signal.name]
-    with refusals(path):
-        file.require(names)
-        columns = joined(list(file.batches(names)))
+    columns = read_numbers(path, [time.name, signal.name])
     t, y = (columns[spec.name] * spec.factor for spec in (time, signal))
     whole = np.isfinite(t) & np.isfinite(y)
     if whole.mean() < 1.0 - _EMPTY:
         raise RecordError(f"{path}: {1.0 - whole.mean():.0%} of the rows are empty; 5 % may be.")
-    t, y = t[whole], y[whole]
+    rows, t, y = np.flatnonzero(whole), t[whole], y[whole]
     backwards = np.flatnonzero(np.diff(t) <= 0.0)
     if backwards.size:
-        raise RecordError(
-            f"{path}, {file.locate(int(backwards[0]) + 1)}: time does not run forward."
-        )
+        where = locate(path, int(rows[backwards[0] + 1]))
+        raise RecordError(f"{path}, {where}: time does not run forward.")
     turns = math.floor((t[-1] - t[0]) * abs(rate) / (2.0 * math.pi) + 1e-9) if t.size > 1 else 0
     if rate and turns < 1:
         raise RecordError(f"{path}: the record is shorter than a revolution at {rate:.4g} rad/s.")

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, BinaryIO
 
 from counterspin.errors import RecordError
-from counterspin.records.column_file import ColumnFile, frame_columns
+from counterspin.records.column_file import ColumnFile, frame_columns, plain_path
 from counterspin.records.pieces import Columns
 
 if TYPE_CHECKING:
@@ -20,40 +20,42 @@ if TYPE_CHECKING:
 class ParquetFile(ColumnFile):
     """A Parquet file with numeric columns."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, stream: BinaryIO) -> None:
         import polars as pl
 
-        self.path = path
+        super().__init__(path, stream)
         try:
-            self._schema = pl.scan_parquet(path).collect_schema()
+            self._schema = self._scan().collect_schema()
         except pl.exceptions.PolarsError:
             raise RecordError(f"{path}: this is not a readable Parquet file.") from None
         self.names = self._schema.names()
 
-    def require(self, wanted: Sequence[str]) -> None:
-        """Raise `RecordError` unless the file has the wanted columns and they hold numbers."""
-        super().require(wanted)
+    def _scan(self) -> pl.LazyFrame:
+        import polars as pl
+
+        return pl.scan_parquet(plain_path(self.path), glob=False, hive_partitioning=False)
+
+    def _require(self, wanted: Sequence[str]) -> None:
+        import polars as pl
+
         for name in wanted:
             if not self._schema[name].is_numeric():
                 raise RecordError(
                     f"{self.path}: column '{name}' is of type {self._schema[name]}; "
                     "numbers belong there."
                 )
+        rows = int(self._scan().select(pl.len()).collect().item())
+        self._require_bytes(8 * rows * len(wanted))
 
-    def table(self) -> pl.DataFrame:
+    def _table(self) -> pl.DataFrame:
         """Return every column of the file with its type."""
-        import polars as pl
+        self._require([name for name, kind in self._schema.items() if kind.is_numeric()])
+        return self._scan().collect()
 
-        return pl.read_parquet(self.path)
-
-    def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
+    def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         """Yield batches of the columns as the streaming engine decodes them."""
         import polars as pl
 
-        frames = pl.scan_parquet(self.path).select(pl.col(wanted).cast(pl.Float64()))
-        try:
-            for frame in frames.collect_batches(maintain_order=True):
-                yield frame_columns(frame)
-        except pl.exceptions.PolarsError as error:
-            reason = str(error).splitlines()[0]
-            raise RecordError(f"{self.path}: the Parquet file is damaged: {reason}") from None
+        numbers = self._scan().select(pl.col(wanted).cast(pl.Float64()))
+        for frame in numbers.collect_batches(maintain_order=True):
+            yield frame_columns(frame)

@@ -79,9 +79,9 @@ def in_pieces(
     head: list[Columns] = []
     for batch in batches:
         head.append(batch)
-        if sum(map(_rows, head)) >= piece_rows(1):
+        if sum(map(column_rows, head)) >= piece_rows(1):
             break
-    if not sum(map(_rows, head)):
+    if not sum(map(column_rows, head)):
         return
     first = joined(head)
     size = choose_rows(first)
@@ -89,7 +89,7 @@ def in_pieces(
     buffer = dict(zip(first, aligned(len(first), size), strict=True))
     filled = 0
     for batch in chain([first], batches):
-        rows = _rows(batch)
+        rows = column_rows(batch)
         start = 0
         while start < rows:
             stop = min(start + size - filled, rows)
@@ -114,5 +114,6 @@ def joined(batches: list[Columns]) -> Columns:
     return {name: np.concatenate([batch[name] for batch in batches]) for name in batches[0]}
 
 
-def _rows(columns: Columns) -> int:
+def column_rows(columns: Columns) -> int:
+    """Return the length of the columns."""
     return len(next(iter(columns.values())))

@@ -25,10 +25,11 @@ from counterspin.records.amplitude import (
 )
 from counterspin.records.clock import LISTED, Clock
 from counterspin.records.column_file import ColumnFile
-from counterspin.records.formats import open_columns, refusals
-from counterspin.records.pieces import Columns, Piece, in_pieces, piece_rows
-from counterspin.records.record import Motion, Record, RecordColumns
-from counterspin.records.reduction import Blocks, Reducer, block_size
+from counterspin.records.formats import open_columns
+from counterspin.records.isolation import isolated
+from counterspin.records.pieces import Columns, Piece, column_rows, in_pieces, piece_rows
+from counterspin.records.record import ColumnSpec, Motion, Record, RecordColumns
+from counterspin.records.reduction import Blocks, Reducer, block_size, without_lone_rows
 from counterspin.records.report import Gap, Outlier, RecordReport
 from counterspin.records.spikes import find_spikes
 
@@ -36,6 +37,12 @@ from counterspin.records.spikes import find_spikes
 MOST_EMPTY = 0.05
 #: Fewest revolutions of a record.
 FEWEST_REVOLUTIONS = 3.0
+#: Most revolutions from one row to the next, in the mean.
+MOST_REVOLUTIONS_A_ROW = 20.0
+#: No record holds larger values, in SI units; their squares would be beyond all numbers.
+LARGEST_VALUE = 1e100
+#: Rows that stand alone do so beyond a gap of as many steps, and of a revolution.
+_LONE_STEPS = 10
 
 
 def read_record(
@@ -67,16 +74,34 @@ def read_record(
         the run's, more than 5 % of a column are empty, a unit changes within the record, or there
         are fewer than three revolutions.
     """
-    path = Path(path)
-    with refusals(path):
-        file = open_columns(path)
+    return isolated(_read, Path(path), columns, motion, block)
+
+
+def _read(
+    path: Path, columns: RecordColumns, motion: Motion, block: Literal["auto"] | None
+) -> Record:
+    with open_columns(path) as file:
         file.require(columns.names)
         try:
-            return _RecordReader(file, columns, motion, block).read()
+            return _judged(file, columns, motion, block)
         except RecordError:
             if not file.look_closely():
                 raise
-            return _RecordReader(file, columns, motion, block).read()
+            return _judged(file, columns, motion, block)
+
+
+@np.errstate(all="ignore")  # values beyond measure are refused at the end
+def _judged(
+    file: ColumnFile, columns: RecordColumns, motion: Motion, block: Literal["auto"] | None
+) -> Record:
+    """Read a file, and again without the rows that turn out to stand alone at its ends."""
+    reader = _RecordReader(file, columns, motion, block)
+    blocks = reader.blocks()
+    within = reader.without_lone_rows(blocks)
+    if within is not None:
+        reader = _RecordReader(file, columns, motion, block)
+        blocks = reader.blocks(within)
+    return reader.record(blocks)
 
 
 class _RecordReader:
@@ -96,6 +121,7 @@ class _RecordReader:
         self._wants_blocks = block == "auto"
         self._clock = Clock(file.path, file.locate, motion.rate)
         self._rows = 0
+        self._lone = 0
         self._empty = [0] * len(self._signals)
         self._outliers = [0] * len(self._signals)
         self._listed: list[Outlier] = []
@@ -107,34 +133,32 @@ class _RecordReader:
         """The first sample's time in the file's own clock, s."""
         return self._first_time * self._columns.time.factor
 
-    def read(self) -> Record:
-        """Read the file and judge it as a whole."""
-        blocks = self._reduced()
-        duration = float(blocks.time[-1] - blocks.time[0])
-        revolutions = duration * abs(self._motion.rate) / (2 * np.pi)
-        if revolutions < FEWEST_REVOLUTIONS:
-            raise RecordError(
-                f"{self._file.path}: the record lasts {duration:.6g} s, {revolutions:.3g} "
-                f"revolutions at the run's rate; at least {FEWEST_REVOLUTIONS:g} are needed. "
-                "Check the unit of the time column."
-            )
-        return self._record(blocks)
+    def blocks(self, within: tuple[float, float] = (-np.inf, np.inf)) -> Blocks:
+        """Read the file to its end, piece after piece.
 
-    def _reduced(self) -> Blocks:
-        """Read the file to its end, piece after piece."""
+        Parameters
+        ----------
+        within
+            First and last time, s in the file's own clock, between which rows are taken.
+        """
         parts: list[Blocks] = []
         reducer: Reducer | None = None
         for columns in in_pieces(self._file.batches(self._columns.names), self._choose_rows):
-            if reducer is None:
-                self._first_time = self._first_number(columns[self._columns.time.name])
-            piece = self._piece(columns)
-            if reducer is None:
-                self._clock.start(piece.time, piece.angle)
-                reducer = Reducer(self._block, self._clock.step, self._clock.rate)
-            blocks = self._take(piece, reducer)
-            self._rows += len(piece)
-            if blocks is not None:
-                parts.append(blocks)
+            rows = column_rows(columns)
+            first, last = self._rows_within(columns, within)
+            self._lone += rows - (last - first)
+            if first < last:
+                taken = {name: column[first:last] for name, column in columns.items()}
+                if reducer is None:
+                    self._first_time = self._first_number(taken[self._columns.time.name])
+                piece = self._piece(taken)
+                if reducer is None:
+                    self._clock.start(piece.time, piece.angle)
+                    reducer = Reducer(self._block, self._clock.step, self._clock.rate)
+                blocks = self._take(self._rows + first, piece, reducer)
+                if blocks is not None:
+                    parts.append(blocks)
+            self._rows += rows
         if reducer is None:
             raise RecordError(f"{self._file.path}: the file names its columns, but has no rows.")
         self._clock.finish()
@@ -142,6 +166,21 @@ class _RecordReader:
         if not parts:
             raise RecordError(f"{self._file.path}: no row of the record can be used.")
         return Blocks.joined(parts)
+
+    def without_lone_rows(self, blocks: Blocks) -> tuple[float, float] | None:
+        """Return the times, in the file's own clock, between which no rows stand alone."""
+        revolution = 2 * np.pi / abs(self._motion.rate)
+        within = without_lone_rows(blocks, max(revolution, _LONE_STEPS * self._clock.step))
+        return within and (within[0] + self._start_time, within[1] + self._start_time)
+
+    def _rows_within(self, columns: Columns, within: tuple[float, float]) -> tuple[int, int]:
+        """Return the first of the rows inside, and the one after the last."""
+        spec = self._columns.time
+        if within == (-np.inf, np.inf):
+            return 0, column_rows(columns)
+        time = columns[spec.name] * spec.factor
+        inside = np.flatnonzero(~((time < within[0]) | (time > within[1])))
+        return (int(inside[0]), int(inside[-1]) + 1) if len(inside) else (0, 0)
 
     def _choose_rows(self, columns: Columns) -> int:
         """Choose the block from the spacing of the first rows; return the rows to a piece."""
@@ -174,28 +213,28 @@ class _RecordReader:
             [columns[spec.name] for spec in self._signals],
         )
 
-    def _take(self, piece: Piece, reducer: Reducer) -> Blocks | None:
-        accepted = self._clock.accept(self._rows, piece)
+    def _take(self, first_row: int, piece: Piece, reducer: Reducer) -> Blocks | None:
+        accepted = self._clock.accept(first_row, piece)
         good = accepted.piece
         if not len(good):
-            self._count_empty(piece.signals)
+            self._count_empty(first_row, piece.signals)
             return None
         reduced = reducer.reduce(good, accepted.unevenness)
         if not reduced.complete or accepted.rows is not None:
-            self._count_empty(piece.signals)
+            self._count_empty(first_row, piece.signals)
         for place, outlying in enumerate(reduced.outliers):
             if len(outlying):
                 rows = outlying if accepted.rows is None else accepted.rows[outlying]
                 values = good.signals[place][outlying]
-                self._note_outliers(place, rows + self._rows, good.time[outlying], values)
+                self._note_outliers(place, rows + first_row, good.time[outlying], values)
         return reduced.blocks
 
-    def _count_empty(self, signals: list[np.ndarray]) -> None:
+    def _count_empty(self, first_row: int, signals: list[np.ndarray]) -> None:
         for place, signal in enumerate(signals):
             self._empty[place] += int(np.isnan(signal).sum())
             infinite = np.flatnonzero(np.isinf(signal))
             if len(infinite):
-                where = self._file.locate(self._rows + int(infinite[0]))
+                where = self._file.locate(first_row + int(infinite[0]))
                 raise RecordError(
                     f"{self._file.path}, {where}: column '{self._signals[place].name}' "
                     "holds an infinite value."
@@ -233,12 +272,16 @@ class _RecordReader:
         counts.update(zip((s.name for s in self._signals), self._empty, strict=True))
         return counts
 
-    def _record(self, blocks: Blocks) -> Record:
-        """Check the signals as a whole and assemble the record."""
+    def record(self, blocks: Blocks) -> Record:
+        """Check the record as a whole and assemble it."""
+        self._check_length(blocks)
+        if blocks.angle is not None and self._columns.angle is not None:
+            self._refuse_beyond_measure(self._columns.angle, blocks.angle)
         phase = self._motion.rate * blocks.time if blocks.angle is None else blocks.angle
         signals: dict[str, np.ndarray] = {}
         for place, (name, spec) in enumerate(self._columns.signals.items()):
             signal = blocks.signals[place] * spec.factor
+            self._refuse_beyond_measure(spec, signal)
             if self._block > 1:
                 signal = self._without_odd_blocks(blocks, place, signal)
             self._check_amplitude(name, blocks.time, phase, signal)
@@ -251,18 +294,43 @@ class _RecordReader:
             blocks.time_sd,
             self._start_time,
             self._report(blocks),
+            self._file.identity,
         )
+
+    def _check_length(self, blocks: Blocks) -> None:
+        duration = float(blocks.time[-1] - blocks.time[0])
+        revolutions = duration * abs(self._motion.rate) / (2 * np.pi)
+        if revolutions < FEWEST_REVOLUTIONS:
+            raise RecordError(
+                f"{self._file.path}: the record lasts {duration:.6g} s, {revolutions:.3g} "
+                f"revolutions at the run's rate; at least {FEWEST_REVOLUTIONS:g} are needed. "
+                "Check the unit of the time column."
+            )
+        if revolutions > MOST_REVOLUTIONS_A_ROW * self._rows:
+            raise RecordError(
+                f"{self._file.path}: the record has {self._rows} rows in {revolutions:.4g} "
+                "revolutions, too few to follow the rotation. Check the unit of the time column."
+            )
+
+    def _refuse_beyond_measure(self, spec: ColumnSpec, values: np.ndarray) -> None:
+        largest = float(np.abs(values[~np.isnan(values)]).max(initial=0.0))
+        if not largest < LARGEST_VALUE:
+            raise RecordError(
+                f"{self._file.path}: column '{spec.name}' holds values up to {largest:.3g} in SI "
+                "units, which no instrument measures."
+            )
 
     def _check_amplitude(
         self, accelerometer: str, time: np.ndarray, phase: np.ndarray, signal: np.ndarray
     ) -> None:
         """Refuse a signal whose wave changes its size or is not the motion's."""
+        expected = self._motion.swings.get(accelerometer)
         fitted = waves(phase, signal)
-        change = change_of_unit(fitted)
+        change = change_of_unit(fitted, may_grow=expected is None)
         if change is not None:
             raise self._changed(accelerometer, fitted, change, time, phase)
-        if (swing := self._motion.swings.get(accelerometer)) is not None:
-            wrong = against_reference(fitted, swing, self._columns.angle is not None)
+        if expected is not None:
+            wrong = against_reference(fitted, expected, self._columns.angle is not None)
             if wrong is not None:
                 column = self._columns.signals[accelerometer].name
                 raise RecordError(f"{self._file.path}: column '{column}' {wrong}.")
@@ -332,6 +400,7 @@ class _RecordReader:
             differing=findings.differing,
             empty=self._empty_counts(),
             outliers=outliers,
+            lone=self._lone,
             listed=tuple(listed),
             gaps=tuple(Gap(gap.time + self._start_time, gap.length) for gap in findings.gaps),
             gap_count=findings.gap_count,

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from counterspin.input import FileIdentity
 from counterspin.records.amplitude import Swing
 from counterspin.records.report import RecordReport
 
@@ -85,6 +86,8 @@ class Record:
         s, the first sample's time in the file's own clock.
     report
         What was found.
+    identity
+        Which file it was read from.
     """
 
     time: np.ndarray
@@ -94,3 +97,4 @@ class Record:
     time_sd: np.ndarray
     start_time: float
     report: RecordReport
+    identity: FileIdentity

@@ -23,6 +23,8 @@ BLOCKS_PER_REVOLUTION = 64
 _BLOCK_SAMPLES = 8192
 #: Steps less uneven than this give a block's times the spread of an even grid.
 _IGNORED_UNEVENNESS = 1e-3
+#: Up to so many rows beyond a gap stand alone.
+_LONE_ROWS = 5
 #: Steps less uneven than this let a block be a number of rows; else it is a span of time.
 _ROW_UNEVENNESS = 0.5
 
@@ -57,6 +59,34 @@ def block_size(step: float, rate: float) -> int:
     # The tolerance keeps a spacing that divides the block exactly from losing a sample.
     size = math.floor(longest / step * (1 + 1e-9))
     return min(size, _BLOCK_SAMPLES) if size >= 2 else 1
+
+
+def without_lone_rows(blocks: Blocks, shortest_gap: float) -> tuple[float, float] | None:
+    """Return between which times, s, a record stands without the rows that stand alone at its ends.
+
+    A few rows beyond a gap, at the start or at the end, tell little; but a fit follows them, and
+    a single wrong one bends it. None where there are no such rows.
+
+    Parameters
+    ----------
+    blocks
+        The record.
+    shortest_gap
+        s, that sets rows apart.
+    """
+    # Half of a block's span is sqrt(3) standard deviations of its even times.
+    half = math.sqrt(3) * blocks.time_sd
+    begin, end = (blocks.time - half)[1:], (blocks.time + half)[:-1]
+    middle = (begin + end) / 2
+    gaps = np.flatnonzero(begin - end > shortest_gap)
+    earlier = np.cumsum(blocks.count)[gaps]
+    before = gaps[earlier <= _LONE_ROWS]
+    after = gaps[blocks.count.sum() - earlier <= _LONE_ROWS]
+    if not len(before) and not len(after):
+        return None
+    first = float(middle[before[-1]]) if len(before) else -math.inf
+    last = float(middle[after[0]]) if len(after) else math.inf
+    return first, last
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,8 @@ class RecordReport:
     empty, outliers
         Column name -> count of empty cells, and of outlying ones. A row without time or angle is
         dropped; a cell of a signal is left out of its block, or NaN in a record of points.
+    lone
+        Rows that were left out because they stand alone, before the first or after the last gap.
     listed
         The first outliers, at most 100 for each column.
     gaps, gap_count
@@ -63,6 +65,7 @@ class RecordReport:
     differing: int
     empty: dict[str, int]
     outliers: dict[str, int]
+    lone: int
     listed: tuple[Outlier, ...]
     gaps: tuple[Gap, ...]
     gap_count: int
@@ -83,6 +86,10 @@ class RecordReport:
         for column, count in self.outliers.items():
             if count:
                 notes.append(f"{count} outliers in column '{column}' were left out.")
+        if self.lone:
+            words = "1 row that stands" if self.lone == 1 else f"{self.lone} rows that stand"
+            was = "was" if self.lone == 1 else "were"
+            notes.append(f"{words} alone beyond a gap {was} left out.")
         if self.gap_count:
             longest = max(gap.length for gap in self.gaps)
             words = "1 gap" if self.gap_count == 1 else f"{self.gap_count} gaps"

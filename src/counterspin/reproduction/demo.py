@@ -22,6 +22,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError
+from counterspin.input import read_file
 from counterspin.output import write_text
 
 #: Where the demonstration goes unless it is told otherwise.
@@ -101,7 +102,7 @@ def _write_description(folder: Path) -> None:
     text = (files("counterspin.reproduction") / "paper.toml").read_text("utf-8")
     target = folder / DESCRIPTION_NAME
     try:
-        if target.exists() and target.read_text("utf-8", errors="replace") != text:
+        if target.exists() and read_file(target) != text.encode():
             raise CounterspinError(
                 f"{target} is another campaign, or an earlier or edited one; remove it, or choose "
                 "another folder"

@@ -1,0 +1,93 @@
+"""Files that are read: ordinary files, under the very name that is given.
+
+- `open_file`: a file opened for reading, or OSError if it is a folder, a pipe or a device
+- `read_file`: the bytes of a small file
+- `FileIdentity`: tells whether what was read twice was the same
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from dataclasses import dataclass
+from io import FileIO
+from pathlib import Path
+from typing import Final
+
+#: No document (campaign, plan, result, certificate) has more bytes.
+DOCUMENT_BYTES: Final = 200_000_000
+
+#: What is no file -> what it is.
+_KINDS: Final = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISFIFO, "a pipe"),
+    (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISCHR, "a device"),
+)
+
+
+@dataclass(frozen=True)
+class FileIdentity:
+    """A file's place on its disk, its size in bytes, and when it was last written, in ns."""
+
+    device: int
+    inode: int
+    size: int
+    modified: int
+
+    @classmethod
+    def of(cls, file: int | Path) -> FileIdentity:
+        """Return the identity of an open file (its number) or of the one at a path now."""
+        status = os.stat(file)  # noqa: PTH116 - of a number or a path
+        return cls(status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns)
+
+
+def open_file(path: Path) -> FileIO:
+    """Open an ordinary file to read its bytes, unbuffered.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened, or is no file: a folder, a pipe, a socket or a device, whose
+        reading may never end. The reason in `strerror` completes "cannot be read: ...".
+    """
+    try:
+        _require_file(path, path.stat().st_mode)
+    except ValueError as error:
+        raise OSError(errno.EINVAL, "no file can have this name", str(path)) from error
+    file = FileIO(path, opener=_without_waiting)
+    try:
+        # What stands there may have been exchanged since.
+        _require_file(path, os.fstat(file.fileno()).st_mode)
+    except OSError:
+        file.close()
+        raise
+    return file
+
+
+def read_file(path: Path, most: int = DOCUMENT_BYTES) -> bytes:
+    """Return what is in an ordinary file; OSError as of `open_file`, or if there is more."""
+    with open_file(path) as file:
+        parts = []
+        left = most
+        while part := file.read(min(left + 1, 1 << 20)):
+            parts.append(part)
+            left -= len(part)
+            if left < 0:
+                raise OSError(errno.EFBIG, f"it has more than {most} bytes", str(path))
+    return b"".join(parts)
+
+
+def _require_file(path: Path, mode: int) -> None:
+    if stat.S_ISREG(mode):
+        return
+    kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "no ordinary file")
+    code = errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL
+    raise OSError(code, f"it is {kind}, not a file", str(path))
+
+
+def _without_waiting(path: str, flags: int) -> int:
+    # A pipe would be waited for until somebody writes to it.
+    return os.open(path, flags | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0))

@@ -1,0 +1,311 @@
+"""Reading in a process of its own, where a damaged file can crash the reader.
+
+- `isolated`: calls a function of a file, in the reader's process where its format asks for that
+- `is_isolated`: whether a file asks for it
+- `prepare`: starts that process before it is needed
+
+The readers of Parquet, HDF5 and MATLAB files are native code, which a flipped bit can crash, send
+round in circles or make ask for all memory. So those files are read in another process, which is
+started once, kept, and given up a minute after its last file or after one that it made nothing of.
+What it hands back is small where a record is reduced to block means. CSV is read here.
+"""
+
+from __future__ import annotations
+
+import atexit
+import importlib
+import json
+import os
+import pickle
+import select
+import signal
+import subprocess
+import sys
+import threading
+import traceback
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from counterspin.errors import CounterspinError, DamagedFileError
+
+R = TypeVar("R")
+
+#: Endings of the formats that are read by native code -> the libraries.
+_NATIVE: Final = {
+    ".parquet": ("polars",),
+    ".h5": ("h5py",),
+    ".hdf5": ("h5py",),
+    ".mat": ("h5py", "scipy.io"),
+}
+#: Seconds without work after which the reader's process ends.
+_IDLE_SECONDS: Final = 60.0
+#: Processor time that reading may take: seconds for any file, and bytes of it a second.
+_READING_SECONDS: Final = 8.0
+_BYTES_PER_SECOND: Final = 2e6
+#: Memory that reading may take: bytes for any file, bytes for each of its own, and a thread's.
+_READING_BYTES: Final = 1 << 30
+_BYTES_PER_BYTE: Final = 64
+_THREAD_BYTES: Final = 8 << 20
+
+#: What the reader's process runs; its arguments are the path of modules and those to load.
+_PROGRAM: Final = (
+    "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
+    "from counterspin.records.isolation import serve; serve(sys.argv[2:])"
+)
+
+
+def isolated(function: Callable[..., R], path: Path, *args: Any) -> R:
+    """Return ``function(path, *args)``, called where it can do no harm.
+
+    Parameters
+    ----------
+    function
+        Of a module; its arguments and what it returns can be pickled.
+    path
+        The file, by whose ending the place is chosen.
+
+    Raises
+    ------
+    RecordError
+        As the function does, or if the reader's process did not survive the file.
+    """
+    suffix = path.suffix.lower()
+    if suffix in _NATIVE:
+        reply = _READER.ask(suffix, path, (_directory(), function, (path, *args)))
+        if isinstance(reply, BaseException):
+            raise reply
+        if reply is not None:
+            value: R = reply[0]
+            return value
+    return function(path, *args)
+
+
+def is_isolated(path: Path) -> bool:
+    """Return whether a file's format asks for the reader's process."""
+    return path.suffix.lower() in _NATIVE
+
+
+def prepare(path: Path) -> None:
+    """Start the reader's process, if a file asks for it and it does not run; wait for nothing."""
+    if is_isolated(path):
+        _READER.prepare(path.suffix.lower())
+
+
+class _Reader:
+    """The reader's process, seen from the process that asks it."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._process: subprocess.Popen[bytes] | None = None
+        self._ready = False
+        # Without an interpreter of its own, as in a program that embeds Python, it cannot start.
+        name = Path(sys.executable or "").name.lower()
+        self._startable = name.startswith(("python", "pypy")) and not hasattr(sys, "frozen")
+
+    def prepare(self, suffix: str) -> None:
+        """Start the process if it does not run."""
+        with self._lock:
+            self._started(suffix)
+
+    def ask(
+        self, suffix: str, path: Path, request: tuple[object, ...]
+    ) -> tuple[Any] | BaseException | None:
+        """Return (what the process returns,), what it raises, or None if it cannot be started."""
+        message = pickle.dumps(request)
+        with self._lock:
+            try:
+                # A process that had nothing to do may end at the very moment it is asked.
+                for _ in range(2):
+                    process = self._started(suffix)
+                    if process is None:
+                        return None
+                    reply = self._exchange(process, message)
+                    if reply is not None:
+                        if isinstance(reply, DamagedFileError):
+                            self._kill()
+                        return reply
+                    if not self._ready:
+                        self._kill()
+                        self._startable = False
+                        return None
+                    self._ready = False
+                    status = process.wait()
+                    if status != 0:
+                        break
+                return DamagedFileError(f"{path}: {_death_words(status)}")
+            except BaseException:
+                self._kill()  # what it still answers would be taken for the next answer
+                raise
+
+    def _started(self, suffix: str) -> subprocess.Popen[bytes] | None:
+        if self._process is not None and self._process.poll() is None:
+            return self._process
+        self._kill()
+        if not self._startable:
+            return None
+        command = [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *_NATIVE[suffix]]
+        pipe = subprocess.PIPE
+        try:
+            self._process = subprocess.Popen(
+                command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL
+            )
+        except OSError:
+            self._startable = False
+        return self._process
+
+    def _exchange(
+        self, process: subprocess.Popen[bytes], message: bytes
+    ) -> tuple[Any] | BaseException | None:
+        """Return the answer, or None if the process ended without one."""
+        assert process.stdin is not None
+        assert process.stdout is not None
+        with suppress(OSError):  # it has ended, as shows below
+            process.stdin.write(len(message).to_bytes(8, "little") + message)
+            process.stdin.flush()
+        self._ready = self._ready or bool(process.stdout.read(1))
+        size = process.stdout.read(8)
+        if len(size) < 8:
+            return None
+        answer = process.stdout.read(int.from_bytes(size, "little"))
+        if len(answer) < int.from_bytes(size, "little"):
+            return None
+        reply: tuple[Any] | BaseException = pickle.loads(answer)
+        return reply
+
+    def _kill(self) -> None:
+        """End the process, if there is one."""
+        process, self._process, self._ready = self._process, None, False
+        if process is not None:
+            process.kill()
+            for stream in (process.stdin, process.stdout):
+                if stream is not None:
+                    with suppress(OSError):
+                        stream.close()
+            process.wait()
+
+    def close(self) -> None:
+        """End the process, at the end of this one."""
+        self._kill()
+
+    def forget(self) -> None:
+        """Leave the process to the one that this was forked from."""
+        self._lock = threading.Lock()
+        if self._process is not None:
+            self._process.returncode = 0
+            self._process = None
+
+
+_READER: Final = _Reader()
+atexit.register(_READER.close)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_READER.forget)
+
+
+def serve(libraries: list[str]) -> None:
+    """Answer requests on standard input until it ends or none has come for a while."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # for the process that asks to see to
+    requests = os.fdopen(os.dup(0), "rb", buffering=0)
+    replies = os.fdopen(os.dup(1), "wb")
+    # Libraries complain of damaged files on their own.
+    nowhere = os.open(os.devnull, os.O_RDWR)
+    for number in range(3):
+        os.dup2(nowhere, number)
+    for name in (*libraries, "counterspin.records.reading"):
+        importlib.import_module(name)
+    replies.write(b"!")
+    replies.flush()
+    while _comes_in_time(requests.fileno()):
+        size = requests.read(8)
+        if len(size) < 8:
+            return
+        reply = _answer(_read_all(requests, int.from_bytes(size, "little")))
+        try:
+            answer = pickle.dumps(reply)
+        except Exception:  # an error that cannot be pickled still tells what it is
+            answer = pickle.dumps(RuntimeError(repr(reply)))
+        replies.write(len(answer).to_bytes(8, "little"))
+        replies.write(answer)
+        replies.flush()
+
+
+def _answer(message: bytes) -> tuple[Any] | BaseException:
+    directory, function, (path, *args) = pickle.loads(message)
+    try:
+        if directory is not None:
+            os.chdir(directory)
+        _limit(path)
+        return (function(path, *args),)
+    except CounterspinError as error:
+        return error
+    except MemoryError:
+        return DamagedFileError(f"{path}: the file asks for more memory than it may have.")
+    except BaseException as error:
+        error.add_note(traceback.format_exc())
+        return error
+
+
+def _read_all(stream: Any, size: int) -> bytes:
+    parts = []
+    while size:
+        part = stream.read(size)
+        if not part:
+            raise EOFError
+        parts.append(part)
+        size -= len(part)
+    return b"".join(parts)
+
+
+def _comes_in_time(number: int) -> bool:
+    if sys.platform == "win32":  # which cannot wait for a pipe
+        return True
+    return bool(select.select([number], [], [], _IDLE_SECONDS)[0])
+
+
+def _limit(path: Path) -> None:
+    """Bound the processor time and the memory of what comes, by the file's size."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    try:
+        size = path.stat().st_size
+    except (OSError, ValueError):
+        return  # reading says why
+    spent = resource.getrusage(resource.RUSAGE_SELF)
+    seconds = _READING_SECONDS + size / _BYTES_PER_SECOND
+    limits = {resource.RLIMIT_CPU: spent.ru_utime + spent.ru_stime + seconds}
+    with suppress(OSError, ValueError):
+        # Memory that this process may write to: what files are mapped to is not counted.
+        status = Path("/proc/self/status").read_text("ascii")
+        taken = 1024 * int(status.partition("VmData:")[2].split()[0])
+        more = _READING_BYTES + _BYTES_PER_BYTE * size + _THREAD_BYTES * (os.cpu_count() or 1)
+        limits[resource.RLIMIT_DATA] = taken + more
+    limits[resource.RLIMIT_CORE] = 0
+    for kind, limit in limits.items():
+        _, hard = resource.getrlimit(kind)
+        soft = int(limit) if hard == resource.RLIM_INFINITY else min(int(limit), hard)
+        resource.setrlimit(kind, (soft, hard))
+
+
+def _directory() -> str | None:
+    try:
+        return os.getcwd()  # noqa: PTH109 - a name that is passed on
+    except OSError:
+        return None
+
+
+def _death_words(status: int) -> str:
+    """Say how the reader's process ended: an exit status, or less than 0 for a signal."""
+    try:
+        name = signal.Signals(-status).name
+    except ValueError:
+        name = f"exit status {status}"
+    if name == "SIGXCPU":
+        return (
+            "the file is damaged: reading it takes more processor time than its size accounts for."
+        )
+    if name == "SIGKILL":
+        return "the system ended the reading of this file, most likely for lack of memory."
+    return f"the file is damaged: its reader crashed on it ({name})."

@@ -1,0 +1,39 @@
+"""Functions of a file that do to their process what a damaged file may do to its reader."""
+
+import os
+import signal
+from pathlib import Path
+
+from counterspin.errors import RecordError
+
+try:
+    import resource
+except ImportError:
+    resource = None
+
+
+def crash(_path: Path) -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def take_memory(_path: Path) -> int:
+    return len(bytearray(1 << 36))
+
+
+def refuse(path: Path) -> None:
+    raise RecordError(f"{path}: no")
+
+
+def fail(_path: Path) -> None:
+    raise ZeroDivisionError("by nothing")
+
+
+def process(_path: Path) -> int:
+    return os.getpid()
+
+
+def limits(_path: Path) -> tuple[int, int]:
+    """Return the processor time and the memory that are left, in s and bytes."""
+    used = resource.getrusage(resource.RUSAGE_SELF)
+    seconds = resource.getrlimit(resource.RLIMIT_CPU)[0] - used.ru_utime - used.ru_stime
+    return seconds, resource.getrlimit(resource.RLIMIT_DATA)[0]

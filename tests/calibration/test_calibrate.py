@@ -1,0 +1,96 @@
+"""From a campaign folder to a result: the files that were read are those it states."""
+
+import hashlib
+import shutil
+
+import polars as pl
+import pytest
+from campaigns import SMALL, campaign_of, changed, write
+
+from counterspin.calibration import observed
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.checksums import Checksums
+from counterspin.campaign.simulation import simulate
+from counterspin.errors import RecordError
+
+
+def checksum(file):
+    return f"sha256:{hashlib.sha256(file.read_bytes()).hexdigest()}"
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("records")
+    simulate(campaign_of(folder, SMALL), folder)
+    return folder
+
+
+@pytest.fixture
+def folder(records, tmp_path):
+    return shutil.copytree(records, tmp_path / "campaign")
+
+
+def test_the_folder_s_name_is_no_pattern(records, tmp_path):
+    # Beside it a folder that the pattern would match, with other records.
+    folder = shutil.copytree(records, tmp_path / "camp[1]")
+    other = campaign_of(tmp_path / "camp1", changed(SMALL, ("2.7e-5", "9e-5")))
+    simulate(other, tmp_path / "camp1")
+    result = calibrate(folder)
+    assert result.accelerometers["Qx"].coefficients["K_II"].value == pytest.approx(2.7e-5, abs=1e-6)
+    assert result.provenance.inputs["slow.csv"] == checksum(folder / "slow.csv")
+
+
+@pytest.mark.parametrize("changed_when", ["after its checksum", "before its checksum"])
+def test_a_record_that_changes_beside_its_checksum_is_refused(folder, monkeypatch, changed_when):
+    record, read = folder / "fast.csv", observed.read_record
+    early = changed_when == "after its checksum"
+
+    def change():
+        text = record.read_text("utf-8").splitlines()
+        record.write_text("\n".join(text[:-1]) + "\n", "utf-8")
+
+    def reading(path, *arguments):
+        if path == record and early:
+            change()
+        result = read(path, *arguments)
+        if path == record and not early:
+            change()
+        return result
+
+    monkeypatch.setattr(observed, "read_record", reading)
+    # Checksums are taken on a thread; here at once, or at the end.
+    expect = (lambda self, _: self.of([record]) and []) if early else (lambda *_: [])
+    monkeypatch.setattr(Checksums, "expect", expect)
+    with pytest.raises(RecordError, match=r"fast\.csv: the file was changed"):
+        calibrate(folder)
+
+
+def test_the_description_s_checksum_is_of_what_was_read(folder):
+    campaign = campaign_of(folder, SMALL)
+    before = checksum(campaign.path)
+    write(folder, SMALL + "\n# an afterthought\n")
+    assert calibrate(campaign).provenance.inputs["campaign.toml"] == before
+
+
+def test_a_record_shorter_than_stated_is_a_finding(folder):
+    stated = changed(SMALL, ('record = "slow.csv"', 'record = "slow.csv"\nduration = "80 s"'))
+    assert "short-record" not in {f.code for f in calibrate(campaign_of(folder, stated)).findings}
+    short = changed(SMALL, ('record = "slow.csv"', 'record = "slow.csv"\nduration = "160 s"'))
+    (finding,) = (
+        f for f in calibrate(campaign_of(folder, short)).findings if f.code == "short-record"
+    )
+    assert finding.subject == "slow"
+    assert "the record lasts 80 s, the campaign states 160 s" in finding.text
+
+
+def test_a_row_that_stands_alone_is_a_finding_and_bends_nothing(folder):
+    before = calibrate(folder).accelerometers["Qx"].coefficients["K_II"]
+    record = pl.read_csv(folder / "slow.csv")
+    stray = record.tail(1).with_columns(
+        pl.col("time_s") + 40.0, pl.col("angle_rad") + 0.5 * 3.141592653589793 * 40.0
+    )
+    pl.concat([record, stray]).write_csv(folder / "slow.csv")
+    result = calibrate(folder)
+    (finding,) = (f for f in result.findings if f.code == "lone-rows")
+    assert (finding.subject, finding.size) == ("slow", 1)
+    assert result.accelerometers["Qx"].coefficients["K_II"].value == before.value

@@ -1,0 +1,107 @@
+"""Readers of native code: what they do to their process they do to no other."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import misbehaving
+import pytest
+from record_files import SIGNAL, read, refusal, table, write
+
+from counterspin.errors import DamagedFileError, RecordError
+from counterspin.records import isolation
+from counterspin.records.isolation import is_isolated, isolated
+
+linux = pytest.mark.skipif(sys.platform != "linux", reason="limits are Linux's")
+
+
+@pytest.fixture
+def file(tmp_path):
+    return write(tmp_path / "run.parquet", table())
+
+
+def test_native_readers_have_a_process_of_their_own_and_csv_has_not(file):
+    assert isolated(misbehaving.process, file) != os.getpid()
+    assert isolated(misbehaving.process, file.with_suffix(".csv")) == os.getpid()
+    assert [is_isolated(Path(f"a{end}")) for end in (".H5", ".mat", ".txt")] == [True, True, False]
+
+
+def test_the_process_is_kept_and_survives_a_refusal(file):
+    number = isolated(misbehaving.process, file)
+    with pytest.raises(RecordError, match=r"run\.parquet: no"):
+        isolated(misbehaving.refuse, file)
+    assert isolated(misbehaving.process, file) == number
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no signals there")
+def test_a_crash_is_a_refusal_of_the_file(file):
+    with pytest.raises(DamagedFileError, match=r"run\.parquet: .*its reader crashed .*SIGSEGV"):
+        isolated(misbehaving.crash, file)
+    assert len(read(file).time) == 1000
+
+
+@linux
+def test_memory_without_end_is_refused(file):
+    with pytest.raises(DamagedFileError, match="more memory than it may have"):
+        isolated(misbehaving.take_memory, file)
+
+
+@linux
+def test_time_and_memory_are_bounded_by_the_files_size(file):
+    seconds, memory = isolated(misbehaving.limits, file)
+    assert 5.0 < seconds < 10.0
+    assert memory < 2 << 30 or memory < (1 << 30) + (8 << 20) * os.cpu_count() + (1 << 30)
+    with file.open("ab") as stream:
+        stream.truncate(200_000_000)
+    more_seconds, more_memory = isolated(misbehaving.limits, file)
+    assert more_seconds == pytest.approx(seconds + 100.0, abs=2.0)
+    assert more_memory - memory == pytest.approx(64 * 200_000_000, rel=0.01)
+
+
+def test_a_mistake_of_ours_stays_one(file):
+    with pytest.raises(ZeroDivisionError, match="by nothing") as caught:
+        isolated(misbehaving.fail, file)
+    assert "misbehaving.py" in caught.value.__notes__[0]  # where it happened
+
+
+def test_where_no_process_can_be_started_files_are_read_here(file, monkeypatch):
+    reader = isolation._Reader()
+    monkeypatch.setattr(isolation, "_READER", reader)
+    monkeypatch.setattr(sys, "path", [])
+    assert isolated(misbehaving.process, file) == os.getpid()
+    monkeypatch.undo()
+    embedding = isolation._Reader()
+    embedding._startable = False
+    monkeypatch.setattr(isolation, "_READER", embedding)
+    assert isolated(misbehaving.process, file) == os.getpid()
+
+
+def test_relative_names_are_of_the_folder_where_they_are_given(file, monkeypatch):
+    isolated(misbehaving.process, file)
+    monkeypatch.chdir(file.parent)
+    assert len(read(Path("run.parquet")).time) == 1000
+
+
+def test_the_process_ends_with_the_one_that_started_it(file):
+    program = (
+        "import sys; from pathlib import Path; import misbehaving; "
+        "from counterspin.records.isolation import isolated; "
+        "print(isolated(misbehaving.process, Path(sys.argv[1])))"
+    )
+    folders = os.pathsep.join([str(Path(misbehaving.__file__).parent), *filter(None, sys.path)])
+    done = subprocess.run(
+        [sys.executable, "-c", program, str(file)],
+        env={**os.environ, "PYTHONPATH": folders},
+        capture_output=True,
+        check=True,
+    )
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(done.stdout), 0)
+
+
+def test_a_refusal_is_the_same_as_here(tmp_path):
+    columns = table()
+    columns[SIGNAL][7] = float("inf")
+    message = refusal(write(tmp_path / "run.parquet", columns))
+    assert f"row 8: column '{SIGNAL}' holds an infinite value." in message

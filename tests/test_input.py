@@ -1,0 +1,44 @@
+"""Files that are read: ordinary ones, and no more of them than is allowed."""
+
+import os
+
+import pytest
+
+from counterspin.input import FileIdentity, open_file, read_file
+
+
+def test_a_file_is_read_whole_up_to_a_size(tmp_path):
+    file = tmp_path / "a[1]?*.json"
+    file.write_bytes(b"x" * 3_000_000)
+    assert read_file(file) == b"x" * 3_000_000
+    assert read_file(file, 3_000_000) == b"x" * 3_000_000
+    with pytest.raises(OSError, match="more than 2999999 bytes"):
+        read_file(file, 2_999_999)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes among the files here")
+def test_what_is_no_file_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for place, words in (
+        (tmp_path, "a folder"),
+        (tmp_path / "pipe", "a pipe"),
+        ("/dev/zero", "a device"),
+    ):
+        with pytest.raises(OSError, match=f"it is {words}, not a file"):
+            open_file(type(tmp_path)(place))
+
+
+def test_names_that_no_file_can_have(tmp_path):
+    with pytest.raises(OSError, match="no file can have this name"):
+        open_file(tmp_path / "a\0b")
+
+
+def test_an_identity_is_of_the_content(tmp_path):
+    file = tmp_path / "a"
+    file.write_bytes(b"one")
+    os.utime(file, ns=(1, 1))
+    identity = FileIdentity.of(file)
+    with open_file(file) as stream:
+        assert FileIdentity.of(stream.fileno()) == identity
+    file.touch()
+    assert FileIdentity.of(file) != identity
