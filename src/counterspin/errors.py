@@ -11,13 +11,37 @@ its message as one short paragraph and ends with `exit_status`; Python users cat
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
+from typing import Final
+
+#: The most characters of a value that a message shows.
+_MOST: Final = 200
+
+#: A value that is longer: in quotation marks, or without blanks.
+_LONG: Final = re.compile(rf"'[^']{{{_MOST},}}'|\"[^\"]{{{_MOST},}}\"|\S{{{_MOST + 1},}}")
+
+#: As many lines at the beginning and at the end of a message are shown.
+_LINES: Final = 20
 
 
 class CounterspinError(Exception):
     """The base of all errors that counterspin raises on purpose."""
 
     exit_status = 1
+
+    def __str__(self) -> str:
+        """Return the message, with long values and long lists cut in the middle."""
+        lines = super().__str__().split("\n")
+        left_out = len(lines) - 2 * _LINES
+        if left_out > 1:
+            lines[_LINES:-_LINES] = [f"  ... and {left_out} more"]
+        return "\n".join(_LONG.sub(_shortened, line) for line in lines)
+
+
+def _shortened(value: re.Match[str]) -> str:
+    text = value[0]
+    return f"{text[: _MOST // 2 - 5]} ... {text[5 - _MOST // 2 :]}"
 
 
 class CampaignError(CounterspinError):

@@ -4,7 +4,7 @@
 - `reserve`: refuse to write where a file would be lost
 - `holds`: a test of files for a mark
 - `write_whole`: one file
-- `write_text`: one file of text
+- `write_text`: one file of text; `write_open`: one that is opened first
 - `make_folder`: where they go
 """
 
@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 from counterspin.errors import CounterspinError
 
@@ -144,6 +144,12 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         raise CounterspinError(_refusal(path, error)) from error
     finally:
         part.unlink(missing_ok=True)
+
+
+def write_open(path: Path, write: Callable[[BinaryIO], object]) -> None:
+    """Write a file that is opened here: polars knows no name that is not UTF-8."""
+    with path.open("wb") as file:
+        write(file)
 
 
 def write_text(path: Path, text: str) -> None:

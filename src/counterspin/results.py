@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Self
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import PydanticSerializationError
 
 from counterspin.errors import RecordError
 from counterspin.input import read_file
@@ -20,6 +21,9 @@ from counterspin.output import FileKind, write_text
 
 #: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
 _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
+
+#: How JSON writes half of a character of two halves.
+_HALF: Final = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 class ResultPart(BaseModel):
@@ -52,7 +56,11 @@ class ResultFile(ResultPart):
 
     def to_json(self) -> str:
         """Return the JSON text, with a newline at the end; NaN and infinity become null."""
-        text = self.model_dump_json(by_alias=True, indent=1)
+        try:
+            text = self.model_dump_json(by_alias=True, indent=1)
+        except PydanticSerializationError:
+            # A file's name that is not UTF-8, as JSON must be.
+            return type(self).model_validate(_escaped(self.model_dump(by_alias=True))).to_json()
         # A list of numbers is one line, however many they are.
         return _NUMBERS.sub(lambda numbers: re.sub(r"\s+", " ", numbers[0]), text) + "\n"
 
@@ -86,7 +94,10 @@ class ResultFile(ResultPart):
         """
         path = Path(path)
         try:
-            document = json.loads(read_file(path).decode("utf-8"), parse_constant=_not_a_number)
+            text = read_file(path).decode("utf-8")
+            document = json.loads(text, parse_constant=_not_a_number)
+            if _HALF.search(text) and document != _escaped(document):
+                raise ValueError("a text in it holds half of a character")
         except OSError as error:
             raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
         except (ValueError, RecursionError) as error:
@@ -112,6 +123,15 @@ class ResultFile(ResultPart):
     def faults(self) -> Iterator[str]:
         """Yield what makes the document unusable although every part of it has the right form."""
         yield from ()
+
+
+def _escaped(value: Any) -> Any:
+    """Return a document with what is not UTF-8 in its texts as backslashes and numbers."""
+    if isinstance(value, dict):
+        return {_escaped(key): _escaped(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_escaped(item) for item in value]
+    return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
 
 
 def _not_a_number(word: str) -> None:

@@ -75,7 +75,8 @@ def test_advice_can_be_typed_as_it_stands(tmp_path, capsys):
     [
         (OSError(errno.ENOSPC, "No space left on device"), "there is no space left"),
         (MemoryError(), "there is not enough memory"),
-        (OSError(errno.EIO, "worn out"), "internal error (OSError: [Errno 5] worn out)"),
+        (OSError(errno.EIO, "worn out"), "the operating system refuses: worn out"),
+        (ValueError("worn out"), "internal error (ValueError: worn out)"),
     ],
 )
 def test_what_is_no_fault_of_the_program(error, words, monkeypatch, capsys):

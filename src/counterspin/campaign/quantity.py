@@ -114,7 +114,7 @@ _UNIT_TWICE = re.compile(rf"([^±]*?){PLUS_MINUS}({NUMBER})\s*([^±]*)")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)\b", re.IGNORECASE)
 # A name, perhaps with a power, the 1 of "1/s", or what joins them. Nothing else is evaluated.
 _FACTOR = re.compile(
-    r"\s*(?:([A-Za-z]+)(?:\^([+-]?\d{1,2}(?:\.\d{1,3})?))?|(?<![A-Za-z0-9])(1)|([*/()]))\s*"
+    r"\s*(?:([A-Za-z]+)(?:\^([+-]?\d{1,2}(?:\.\d{1,3})?))?|(?<![A-Za-z0-9])(1)(?=\s*(?:/|$))|([*/()]))\s*"
 )
 
 
@@ -256,7 +256,7 @@ def _unit_once(value: str, twice: re.Match[str], gravity: float | None) -> str:
     try:
         same = float(u) * unit_factor(unit_of_u or unit, unit, gravity=gravity)
         example = f'"{value} ± {same:.12g} {unit}"'
-    except ValueError:
+    except (ValueError, KeyError):  # a unit that nobody knows, on either side
         example = '"VALUE ± U UNIT"'
     return f"has a unit before its ±; the unit is written once, at the end: {example}"
 

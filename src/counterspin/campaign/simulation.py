@@ -28,15 +28,15 @@ from counterspin.campaign.resolved import (
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.output import make_folder, write_whole
+from counterspin.output import make_folder, write_open, write_whole
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.path_errors import encoder_error
 
 #: How the record of each ending is written.
 WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
-    ".csv": lambda frame, path: frame.write_csv(path),
-    ".parquet": lambda frame, path: frame.write_parquet(path),
+    ".csv": lambda frame, path: write_open(path, frame.write_csv),
+    ".parquet": lambda frame, path: write_open(path, frame.write_parquet),
 }
 
 #: A run is made in memory, column by column, so that more rows than this would fill it.

@@ -7,8 +7,10 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,7 +29,7 @@ DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campai
 def description_file(where: Path | str) -> Path:
     """Return the description's file, of a campaign's folder or of the file itself."""
     given = Path(where)
-    return given / DESCRIPTION_NAME if given.is_dir() else given
+    return given / DESCRIPTION_NAME if os.path.isdir(given) else given  # noqa: PTH112 -- any name
 
 
 def load_document(file: Path, advice: str = CAMPAIGN_ADVICE) -> dict[str, Any]:
@@ -47,17 +49,38 @@ def load_with_checksum(file: Path, advice: str) -> tuple[dict[str, Any], str]:
         content = read_file(file, _TEXT_BYTES)
         # Editors on Windows put a byte-order mark before the text; TOML knows none.
         document = tomllib.loads(content.decode("utf-8-sig"))
+        faults = list(_unusable(document, ""))
+        if not faults:
+            return document, f"sha256:{hashlib.sha256(content).hexdigest()}"
+        raise CampaignError(str(file), faults)
     except FileNotFoundError:
         problem = f"there is no such file; {advice}"
     except UnicodeDecodeError:
         problem = "is not UTF-8 text; save it as UTF-8 (the sign ± needs it; +/- serves as well)"
     except OSError as error:
         problem = f"cannot be read: {error.strerror}"
+    except RecursionError:
+        problem = "is nested too deeply"
     except tomllib.TOMLDecodeError as error:
         place = re.fullmatch(r"(.*) \(at (.*)\)", str(error), flags=re.DOTALL)
         what, where = (place[1], place[2]) if place else (str(error), "TOML")
         what = what[:1].lower() + what[1:]
         problem = f"{where}: {what}; text such as a quantity is written in quotation marks"
-    else:
-        return document, f"sha256:{hashlib.sha256(content).hexdigest()}"
+    except ValueError as error:
+        # A name with NUL, or a number of thousands of digits, which Python reads no further.
+        problem = f"cannot be read: {error}".partition(";")[0]
     raise CampaignError(str(file), [problem])
+
+
+def _unusable(value: Any, path: str) -> Iterator[str]:
+    """Yield what is TOML, or almost, and no value of any key: long integers, and NUL in texts."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            yield from _unusable(item, f"{path}.{key}" if path else key)
+    elif isinstance(value, list):
+        for index, item in enumerate(value):
+            yield from _unusable(item, f"{path}[{index}]")
+    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
+        yield f"{path}: an integer has at most 64 bits"
+    if isinstance(value, str) and "\0" in value:
+        yield f"{path}: contains the character NUL"

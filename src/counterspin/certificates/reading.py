@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -67,7 +68,9 @@ def read_certificate(document: bytes, source: str) -> Certified:
     """
     root = parse(document, source)
     try:
-        gravity = float(_one(root, _GRAVITY))
+        gravity = _number(_one(root, _GRAVITY))
+        if gravity <= 0.0:
+            raise ValueError(f"the local gravity is {gravity:g} m/s^2")
         return Certified(
             identifier=_one(root, "dcc:administrativeData/dcc:coreData/dcc:uniqueIdentifier"),
             gravity=gravity,
@@ -99,14 +102,16 @@ def _coefficient(quantity: Element, real: Element, gravity: float) -> Coefficien
     unit = TERMS[_one(real, "si:label")].unit
     u = None
     if _all(real, _EXPANDED):
-        expanded = float(_one(real, f"{_EXPANDED}/si:valueExpandedMU"))
-        k = float(_one(real, f"{_EXPANDED}/si:coverageFactor"))
+        expanded = _number(_one(real, f"{_EXPANDED}/si:valueExpandedMU"))
+        k = _number(_one(real, f"{_EXPANDED}/si:coverageFactor"))
+        if expanded < 0.0 or k <= 0.0:
+            raise ValueError("an expanded uncertainty is negative, or its coverage factor is")
         u = from_si(expanded / k, unit, gravity)
     dof = _all(quantity, _DOF)
     return Coefficient(
-        value=from_si(float(_one(real, "si:value")), unit, gravity),
+        value=from_si(_number(_one(real, "si:value")), unit, gravity),
         u=u,
-        dof=float(dof[0].text) if dof else None,
+        dof=_number(dof[0].text) if dof else None,
         unit=unit,
         estimated=True,
     )
@@ -117,7 +122,7 @@ def _covariance(
 ) -> npt.NDArray[np.float64]:
     in_si = np.array(
         [
-            [float(value.text) for value in _all(column, "si:covarianceXMLList/si:valueXMLList")]
+            [_number(value.text) for value in _all(column, "si:covarianceXMLList/si:valueXMLList")]
             for column in _all(together, _COLUMN)
         ]
     ).T
@@ -129,16 +134,24 @@ def _covariance(
 
 def _designation(root: Element, part: Element) -> str:
     """Return the accelerometer's name in the result, from its item."""
-    item = f".//dcc:item[@id='{part.get('refId')}']/dcc:identifications/dcc:identification"
-    return _one(root, f"{item}[dcc:issuer='calibrationLaboratory']/dcc:value")
+    item = ".//dcc:item[@id=$item]/dcc:identifications/dcc:identification"
+    path = f"{item}[dcc:issuer='calibrationLaboratory']/dcc:value"
+    return _one(root, path, item=part.get("refId", ""))
 
 
-def _all(element: Element, path: str) -> list[Any]:
-    return list(element.xpath(path, namespaces=NAMESPACES))
+def _number(text: str | None) -> float:
+    number = float(text or "")
+    if not math.isfinite(number):
+        raise ValueError(f"{text} is not a finite number")
+    return number
 
 
-def _one(element: Element, path: str) -> str:
-    matches = _all(element, path)
+def _all(element: Element, path: str, **variables: str) -> list[Any]:
+    return list(element.xpath(path, namespaces=NAMESPACES, **variables))
+
+
+def _one(element: Element, path: str, **variables: str) -> str:
+    matches = _all(element, path, **variables)
     if not matches or not matches[0].text:
         raise ValueError(f"there is no {path.rpartition('/')[2]}")
     return str(matches[0].text)

@@ -64,8 +64,13 @@ def _unforeseen(error: Exception) -> str:
         return "there is not enough memory for this"
     if isinstance(error, OSError) and error.errno == ENOSPC:
         return "the output cannot be written: there is no space left"
+    if isinstance(error, OSError) and error.strerror:
+        # A name that is too long, a folder that was taken away: none of our faults.
+        where = f"{error.filename}: " if error.filename else ""
+        return str(CounterspinError(f"{where}the operating system refuses: {error.strerror}"))
+    what = str(CounterspinError(f"{type(error).__name__}: {error}"))
     return (
-        f"internal error ({type(error).__name__}: {error}). This is a fault of counterspin, not "
+        f"internal error ({what}). This is a fault of counterspin, not "
         "of your files: please report it, with the output that COUNTERSPIN_DEBUG=1 gives."
     )
 
@@ -82,6 +87,8 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit status: 0 done, 1 failed, 2 wrong usage."""
     words = sys.argv[1:] if arguments is None else arguments
     try:
+        if any("\0" in word for word in words):
+            raise CampaignError("the command's words", ["contain the character NUL"])
         app(words, exit_on_error=False, print_error=False, result_action="return_value")
         if sys.stdout is not None:
             sys.stdout.flush()

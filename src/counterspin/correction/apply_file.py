@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,7 +20,7 @@ from counterspin.calibration.result import Result
 from counterspin.campaign.quantity import unit_factor
 from counterspin.correction.apply import ApplyOptions, Correction, apply, instrument_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
-from counterspin.output import FileKind, holds, reserve, write_whole
+from counterspin.output import FileKind, holds, reserve, write_open, write_whole
 from counterspin.physics.inversion import NotInvertibleError
 from counterspin.records.tables import locate, read_numbers, read_table
 
@@ -226,8 +227,9 @@ def _report(
 
 def _writer(table: pl.DataFrame, separator: str | None) -> Callable[[Path], object]:
     if separator is not None:
-        return lambda path: table.write_csv(path, separator=separator)
-    return pl.DataFrame([_typed(column) for column in table.get_columns()]).write_parquet
+        return lambda path: write_open(path, partial(table.write_csv, separator=separator))
+    typed = pl.DataFrame([_typed(column) for column in table.get_columns()])
+    return lambda path: write_open(path, typed.write_parquet)
 
 
 def _typed(column: pl.Series) -> pl.Series:

@@ -24,6 +24,9 @@ from counterspin.reports.typography import speakable, typeset_block, visible
 #: Columns of plain text, where there is no terminal to ask.
 _PLAIN_WIDTH: Final = 100
 
+#: What claims to be narrower is none that anybody reads: ``COLUMNS=0`` is left over from a script.
+_NARROWEST: Final = 10
+
 #: Characters between two columns.
 _GAP: Final = 2
 
@@ -59,7 +62,7 @@ def report_console(file: TextIO | None = None, *, error: bool = False) -> Consol
         As wide as the terminal; 100 columns where there is none, unless ``COLUMNS`` says else.
     """
     made = _Console(file=file, stderr=error, highlight=False, emoji=False)
-    if not made.is_terminal and "COLUMNS" not in os.environ:
+    if made.width < _NARROWEST or (not made.is_terminal and "COLUMNS" not in os.environ):
         made.width = _PLAIN_WIDTH
     return made
 

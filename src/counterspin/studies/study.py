@@ -9,13 +9,14 @@ import hashlib
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 import polars as pl
 
 from counterspin._version import __version__
 from counterspin.errors import CounterspinError
-from counterspin.output import make_folder, write_whole
+from counterspin.output import make_folder, write_open, write_whole
 from counterspin.physics.shared_terms import term
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import StudyDescription, read_study
@@ -31,6 +32,9 @@ from counterspin.studies.result import (
 from counterspin.studies.tally import summarise
 from counterspin.studies.work import Ledger, run_batches, work
 from counterspin.workers import worker_pool
+
+#: More trials than this would take days, and their ledger much of the memory.
+_MOST_TRIALS: Final = 10**9
 
 
 def study(
@@ -92,8 +96,10 @@ def study(
     if workers < 1:
         raise CounterspinError("`workers` must be at least 1")
     trials = description.trials if trials is None else trials
-    if trials < 2:
-        raise CounterspinError("`trials` must be at least 2")
+    if not 2 <= trials <= _MOST_TRIALS:
+        raise CounterspinError(f"`trials` must be at least 2 and at most {_MOST_TRIALS:.0e}")
+    if seed is not None and seed < 0:
+        raise CounterspinError("`seed` must not be negative")
     alone = workers == 1 and cluster is None
     # Workers start while the engine is prepared.
     with nullcontext() if alone else worker_pool(workers, cluster, work.__module__) as pool:
@@ -207,4 +213,4 @@ def _parquet(path: Path, names: list[str], ledger: Ledger) -> None:
         for part, word in enumerate(("truth", "estimate", "u")):
             values = [ledger.values[int(b)][place, part] for b in batches]
             columns[f"{name}.{word}"] = pl.Series(np.concatenate(values))
-    pl.DataFrame(columns).write_parquet(path)
+    write_open(path, pl.DataFrame(columns).write_parquet)

@@ -1,0 +1,209 @@
+"""Ordinary slips, and odd surroundings: one short paragraph, never an internal error."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from campaigns import SMALL, changed, write
+from results import result
+
+from counterspin import cli
+from counterspin.campaign.simulation import simulate
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "examples" / "three-rate"
+COMMAND = f"{sys.executable} -m counterspin"
+
+
+@pytest.fixture
+def told(tmp_path, monkeypatch, capsys):
+    """Return what runs a command in an empty folder and returns its status and complaint."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        status = cli.main(list(words))
+        complaint = capsys.readouterr().err
+        assert "internal error" not in complaint
+        assert max(map(len, re.findall(r"\S+", complaint)), default=0) <= 200
+        assert len(complaint) < 5000
+        return status, complaint
+
+    return run
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('"2.5 m"', '"2.5 meter ± 1e-5 m"', "centrifuge.radius: '2.5 meter ± 1e-5 m' has a unit"),
+        ('"2.5 m"', '"2.5 m ± 1e-5 meter"', "centrifuge.radius: '2.5 m ± 1e-5 meter' has a unit"),
+        ('"2.5 m"', '"10^400 m"', "centrifuge.radius: '^400 m' is not a unit"),
+        ('"2.5 m"', '"1e400 m"', "centrifuge.radius: '1e400 m' is not a finite number"),
+        ('"2.5 m"', "1" + "0" * 4000, "centrifuge.radius: an integer has at most 64 bits"),
+        ('"2.5 m"', "1" + "0" * 5000, "campaign.toml: cannot be read: Exceeds the limit"),
+        ("seed = 1", "seed = 9223372036854775808", "simulation.seed: an integer has at most 64"),
+        ("seed = 1", "seed = -1", "simulation.seed: "),
+        ("seed = 1", "seed = " + "[" * 5000 + "]" * 5000, "is nested too deeply"),
+        ("seed = 1", "seed = " + "{a=" * 900 + "1" + "}" * 900, "is nested too deeply"),
+        ('"slow.csv"', r'"sl\u0000ow.csv"', "runs[0].record: contains the character NUL"),
+        ('"2.5 m"', f'"{"x" * 5000}"', "centrifuge.radius: 'xxx"),
+        ('"2.5 m"', f'"{"1 " * 5000}m"', "centrifuge.radius: "),
+        ("seed = 1", f"{'k' * 5000} = 1", "simulation.kkk"),
+        ("seed = 1", "\n".join(f"k{n} = 1" for n in range(3000)), "3000 mistakes"),
+    ],
+    ids=lambda text: text[:20],
+)
+@pytest.mark.parametrize("command", ["calibrate", "simulate"])
+def test_values_that_nobody_means(told, tmp_path, old, new, words, command):
+    write(tmp_path, changed(SMALL, (old, new)))
+    status, complaint = told(command, ".", *(["-o", "out"] if command == "simulate" else []))
+    assert status == 2
+    assert words in complaint
+
+
+def test_names_that_are_too_long(told, tmp_path):
+    write(tmp_path, changed(SMALL, ('"slow.csv"', f'"{"s" * 300}.csv"')))
+    for words in (
+        ["simulate", ".", "-o", "out"],
+        ["calibrate", "."],
+        ["calibrate", "n" * 300],
+        ["calibrate", ".", "--json", "n" * 300],
+        ["init", "n" * 300],
+        ["report", "n" * 300 + ".json"],
+        ["history", "n" * 300],
+    ):
+        status, complaint = told(*words)
+        assert status in (1, 2), words
+        assert "nnn" in complaint or "sss" in complaint
+
+
+@pytest.mark.parametrize("command", [name for name in cli.app if name[0] != "-"])
+def test_no_name_holds_nul(told, command):
+    status, complaint = told(command, "a\0b")
+    assert (status, complaint) == (
+        2,
+        "counterspin: the command's words: contain the character NUL\n",
+    )
+
+
+def test_numbers_on_the_command_line(told, tmp_path):
+    write(tmp_path, SMALL)
+    assert told("study", ".", "--seed", "-1") == (1, "counterspin: --seed must not be negative\n")
+    status, complaint = told("study", ".", "--trials", "1" + "0" * 30)
+    assert status == 1
+    assert "--trials must be at least 2 and at most" in complaint
+
+
+def test_a_damaged_result(told, tmp_path):
+    result().write(tmp_path / "whole.json")
+    whole = (tmp_path / "whole.json").read_text(encoding="utf-8")
+    for text, words in (
+        (whole.replace("By hand", r"By \ud800 hand"), "holds half of a character"),
+        ("[" * 100_000, "not a result file"),
+        ('{"schema": ' + "1" * 10_000 + "}", "not a result file"),
+        (whole.replace("9.8", "1e400"), "r.json"),
+        (whole.replace("9.8", "-9.8"), "the gravity is -9.8"),
+        (whole.replace("By hand", r"By \ud83d\ude00 hand"), ""),
+    ):
+        (tmp_path / "r.json").write_text(text, encoding="utf-8")
+        for more in ([], ["-o", "r.md", "--overwrite"]):
+            status, complaint = told("report", "r.json", *more)
+            assert status == (1 if words else 0)
+            assert words in complaint
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (r"<si:valueExpandedMU>\d", "<si:valueExpandedMU>-1", "uncertainty is negative"),
+        (r"<si:valueExpandedMU>\S+?<", "<si:valueExpandedMU>nan<", "not a finite number"),
+        (r"<si:coverageFactor>\d", "<si:coverageFactor>-1", "coverage factor is"),
+        (r"<si:coverageFactor>\S+?<", "<si:coverageFactor>0<", "coverage factor is"),
+        (r"<si:valueXMLList>\d+", "<si:valueXMLList>", ""),
+        (r"<si:value>9.\d+", "<si:value>-9.8", "local gravity is -9.8"),
+        (r'refId="', "refId=\"' or '", "there is no dcc:value"),
+        (r"\?>", '?><!DOCTYPE d [<!ENTITY a "b">]>', "has a document type declaration"),
+        (r"\?>", '?><!DOCTYPE d SYSTEM "file:///etc/hostname">', "has a document type"),
+    ],
+)
+def test_a_damaged_certificate(told, tmp_path, old, new, words):
+    text = (EXAMPLES / "certificate.xml").read_text(encoding="utf-8")
+    spoilt, times = re.subn(old, new, text)
+    assert times
+    (tmp_path / "c.xml").write_text(spoilt, encoding="utf-8")
+    status, complaint = told("certificate", "--verify", "c.xml")
+    assert status == (1 if words else 0)
+    assert words in complaint
+
+
+def shell(script, folder, **environment):
+    """Run a script of bash; return its status and what it says."""
+    # The locale is what the test says, and nothing that Python would put in its place.
+    plain = {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    run = subprocess.run(
+        ["bash", "-c", script],
+        cwd=folder,
+        env=os.environ | plain | environment,
+        capture_output=True,
+        check=False,
+    )
+    said = (run.stdout + run.stderr).decode("utf-8", "replace")
+    assert "internal error" not in said
+    assert "Traceback" not in said
+    return run.returncode, said
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("recorded")
+    simulate(write(folder, SMALL), folder)
+    result().write(folder / "r.json")
+    return folder
+
+
+def test_a_terminal_without_width(recorded):
+    usual = shell(f"{COMMAND} report r.json", recorded, COLUMNS="100")
+    assert shell(f"{COMMAND} report r.json", recorded, COLUMNS="0") == usual
+    assert "K_II" in usual[1]
+
+
+@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&- <&-"])
+def test_closed_streams(recorded, closed):
+    assert shell(f"{COMMAND} calibrate . {closed}", recorded)[0] == 0
+    assert shell(f"{COMMAND} calibrate nowhere {closed}", recorded)[0] == 2
+
+
+def test_a_folder_that_is_gone(recorded):
+    gone = "mkdir gone && cd gone && rmdir ../gone"
+    assert shell(f"{gone} && {COMMAND} calibrate .", recorded)[0] == 2
+    for words in ("init x", "demo", "history .", f"calibrate {recorded} --json r.json"):
+        status, said = shell(f"{gone} && {COMMAND} {words}", recorded)
+        assert status == 1
+        assert said
+
+
+IN_ONE_PROCESS = """
+import os, sys
+from counterspin import cli
+for name in map(os.fsdecode, (b"b\\xc3\\xa9", b"caf\\xe9")):
+    for words in (
+        ["report", "r.json", "-o", f"{name}.html"],
+        ["report", "r.json", "-o", f"{name}.pdf"],
+        ["calibrate", ".", "--json", f"{name}.json"],
+        ["report", f"{name}.json", "-o", f"{name}.md"],
+        ["init", name],
+        ["simulate", ".", "-o", f"{name}-made"],
+        ["study", ".", "--trials", "3", "-o", f"{name}-study"],
+    ):
+        assert cli.main(words) == 0, words
+"""
+
+
+@pytest.mark.parametrize("locale", ["C", "C.UTF-8"])
+def test_names_outside_ascii_and_outside_utf_8(recorded, tmp_path, locale):
+    shutil.copytree(recorded, tmp_path / "here")
+    (tmp_path / "here" / "all.py").write_text(IN_ONE_PROCESS)
+    status, said = shell(f"{sys.executable} all.py", tmp_path / "here", LC_ALL=locale)
+    assert status == 0, said
