@@ -63,7 +63,8 @@ def read(path: Path, rate: float = RATE, block="auto", **changed) -> Record:
 def refusal(path: Path, **options) -> str:
     with pytest.raises(RecordError) as caught:
         read(path, **options)
-    assert path.name in str(caught.value)
+    # A long name is shortened.
+    assert path.name[:50] in str(caught.value)
     return str(caught.value)
 
 
