@@ -15,6 +15,8 @@ The commands, as functions:
   file; `ApplyOptions`: unit, and forces along the other axes
 - `plan`: which runs to make for a goal (`Planned`)
 - `forecast`: what the calibration of a campaign will say (`Forecast`)
+- `study`: many simulated trials of a campaign and its analyses (`StudyResult`); `StudyFolder`,
+  `Workers`: where they are kept, and who makes them
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
 - `history`: a coefficient of each instrument through all its results (`History`)
 - `reproduce`: the paper's figures beside what they should be (`Reproduction`)
@@ -38,7 +40,8 @@ The paper's two-stage method, step by step:
   `TwoStageRequest`: its model, priors and weights
 
 What is raised on purpose is a `CounterspinError`: `CampaignError`, `RecordError`,
-`NotIdentifiableError`, `ConvergenceError`.
+`NotIdentifiableError`, `ConvergenceError`. What a user should know though the work goes on is a
+`CounterspinWarning`.
 
 Glossary
 --------
@@ -87,6 +90,7 @@ if TYPE_CHECKING:
     from counterspin.errors import CampaignError as CampaignError
     from counterspin.errors import ConvergenceError as ConvergenceError
     from counterspin.errors import CounterspinError as CounterspinError
+    from counterspin.errors import CounterspinWarning as CounterspinWarning
     from counterspin.errors import NotIdentifiableError as NotIdentifiableError
     from counterspin.errors import RecordError as RecordError
     from counterspin.histories.history import history as history
@@ -122,6 +126,10 @@ if TYPE_CHECKING:
     from counterspin.reproduction.demo import Demonstration as Demonstration
     from counterspin.reproduction.demo import demo as demo
     from counterspin.reproduction.result import Reproduction as Reproduction
+    from counterspin.studies.folder import StudyFolder as StudyFolder
+    from counterspin.studies.result import StudyResult as StudyResult
+    from counterspin.studies.study import study as study
+    from counterspin.workers import Workers as Workers
 
 #: Module -> what it offers here. The same again, for those who run the code and do not check it;
 #: a test holds the two together.
@@ -145,6 +153,7 @@ _OFFERED = {
         "CampaignError",
         "ConvergenceError",
         "CounterspinError",
+        "CounterspinWarning",
         "NotIdentifiableError",
         "RecordError",
     ),
@@ -161,6 +170,10 @@ _OFFERED = {
     "calibration.pages.terminal": ("print_result",),
     "reproduction.comparison": ("reproduce",),
     "reproduction.result": ("Reproduction",),
+    "studies.folder": ("StudyFolder",),
+    "studies.result": ("StudyResult",),
+    "studies.study": ("study",),
+    "workers": ("Workers",),
 }
 
 #: Names that are too short to stand without their module.

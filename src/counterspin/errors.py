@@ -7,6 +7,9 @@ its message as one short paragraph and ends with `exit_status`; Python users cat
 - `RecordError`: a record cannot be used as it is (exit status 1); `DamagedFileError` is one
 - `NotIdentifiableError`: the data cannot determine what is asked (exit status 1)
 - `ConvergenceError`: an iteration did not settle (exit status 1)
+
+What a user should know though the work goes on is a `CounterspinWarning`; the command line prints
+it.
 """
 
 from __future__ import annotations
@@ -84,3 +87,7 @@ class NotIdentifiableError(CounterspinError):
 
 class ConvergenceError(CounterspinError):
     """An iteration did not settle."""
+
+
+class CounterspinWarning(UserWarning):
+    """Something that a user should know, though the work goes on."""

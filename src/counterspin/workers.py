@@ -1,5 +1,6 @@
 """Work shared out: to processes of this machine, or to the workers of a Dask cluster.
 
+- `Workers`: how many, or which cluster's
 - `WorkerPool`: takes tasks
 - `worker_pool`: starts processes, or reaches a cluster
 """
@@ -11,17 +12,21 @@ import os
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, CounterspinWarning
 
 #: What BLAS libraries read the number of their threads from.
 _THREADS: Final = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+#: Most processes that are started for each processor core.
+_PROCESSES_PER_CORE: Final = 2
 
 #: How long a scheduler may take to answer, s.
 _SCHEDULER_TIMEOUT: Final = 10.0
@@ -31,6 +36,60 @@ _FIRST_WORKER_TIMEOUT: Final = 600.0
 
 #: Time between two counts of a cluster's workers, s.
 _COUNT_INTERVAL: Final = 2.0
+
+
+@dataclass(frozen=True)
+class Workers:
+    """Who does work that is shared out.
+
+    Attributes
+    ----------
+    processes
+        Processes of this machine; 1 works in the caller's own.
+    cluster
+        Address of a Dask scheduler, whose workers are used instead; None: processes.
+
+    Raises
+    ------
+    CounterspinError
+        If there is no process.
+    """
+
+    processes: int = 1
+    cluster: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.processes < 1:
+            raise CounterspinError("`workers` must be at least 1")
+
+    @property
+    def alone(self) -> bool:
+        """Whether the caller works by itself."""
+        return self.processes == 1 and self.cluster is None
+
+    def capped(self) -> Workers:
+        """Return as many as this machine can use; warns where more were asked for."""
+        most = _PROCESSES_PER_CORE * usable_cores()
+        if self.cluster is not None or self.processes <= most:
+            return self
+        warnings.warn(
+            f"`workers`: {self.processes} were asked for; more than {most} would bring nothing on "
+            f"this machine, which has {usable_cores()} processor cores to give, so {most} are "
+            "started",
+            CounterspinWarning,
+            stacklevel=3,
+        )
+        return replace(self, processes=most)
+
+
+ALONE: Final = Workers()  #: nobody but the caller
+
+
+def usable_cores() -> int:
+    """Return how many processor cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
 
 
 @dataclass
@@ -63,15 +122,13 @@ class WorkerPool:
 
 
 @contextmanager
-def worker_pool(workers: int, cluster: str | None, module: str) -> Iterator[WorkerPool]:
+def worker_pool(workers: Workers, module: str) -> Iterator[WorkerPool]:
     """Yield workers, which end with the context.
 
     Parameters
     ----------
     workers
-        Number of processes here.
-    cluster
-        Address of a Dask scheduler, whose workers are used instead; None: processes.
+        How many, or which cluster's.
     module
         Module of the tasks. Processes load it at once, while the caller goes on.
 
@@ -80,20 +137,20 @@ def worker_pool(workers: int, cluster: str | None, module: str) -> Iterator[Work
     CounterspinError
         If the cluster cannot be reached or is lost, or its workers cannot load the tasks.
     """
-    if cluster is not None:
-        with _on_cluster(cluster) as pool:
+    if workers.cluster is not None:
+        with _on_cluster(workers.cluster) as pool:
             yield pool
         return
     from concurrent.futures import ProcessPoolExecutor
     from multiprocessing import get_context
 
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as executor:
+    with ProcessPoolExecutor(workers.processes, mp_context=get_context("spawn")) as executor:
         try:
             with _environment_of_workers():
                 # The first task starts all processes.
-                for _ in range(workers):
+                for _ in range(workers.processes):
                     executor.submit(_load, module)
-            yield WorkerPool(executor, (BrokenProcessPool,), lambda: workers)
+            yield WorkerPool(executor, (BrokenProcessPool,), lambda: workers.processes)
         except BaseException:
             executor.shutdown(wait=False, cancel_futures=True)
             raise

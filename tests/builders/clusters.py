@@ -1,7 +1,14 @@
 """Dask clusters of this machine for the tests of work that is shared out."""
 
+import json
+import re
+import shlex
+import subprocess
+import sys
+import time
 import warnings
 from contextlib import contextmanager
+from pathlib import Path
 
 import pytest
 
@@ -17,3 +24,34 @@ def dask_cluster(workers=2):
             n_workers=workers, threads_per_worker=1, dashboard_address=":0", processes=True
         ) as cluster:
             yield cluster
+
+
+def commands_of_the_page():
+    """Return the words with which docs/study.md starts a scheduler and workers on a laptop."""
+    page = (Path(__file__).parents[2] / "docs" / "study.md").read_text(encoding="utf-8")
+    laptop = page[page.index("### On a laptop") : page.index("### On Kubernetes")]
+    scheduler, worker = (shlex.split(line) for line in re.findall(r"^    (dask .+)$", laptop, re.M))
+    return scheduler[1:], worker[1:]
+
+
+@contextmanager
+def cluster_of_the_page(folder):
+    """Start them, on a free port and with a single worker; yields address and processes."""
+    pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
+    scheduler, worker = commands_of_the_page()
+    file = folder / "scheduler.json"
+    dask = [sys.executable, "-m", "dask"]
+    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    scheduler[scheduler.index("127.0.0.1:8787")] = "127.0.0.1:0"
+    scheduler += ["--port", "0", "--scheduler-file", str(file)]
+    with subprocess.Popen([*dask, *scheduler], **quiet) as first:
+        while not file.exists() or not file.read_text():
+            assert first.poll() is None
+            time.sleep(0.05)
+        address = json.loads(file.read_text())["address"]
+        worker[worker.index("tcp://127.0.0.1:8786")] = address
+        worker[worker.index("--nworkers") + 1] = "1"
+        with subprocess.Popen([*dask, *worker], **quiet) as second:
+            yield address, first, second
+            for process in (second, first):
+                process.terminate()

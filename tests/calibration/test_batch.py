@@ -5,17 +5,14 @@ import multiprocessing
 import os
 import shutil
 import signal
-import subprocess
-import sys
 import threading
-import time
 from contextlib import suppress
 from importlib.resources import files
 from pathlib import Path
 
 import clusters
 import pytest
-from clusters import dask_cluster
+from clusters import cluster_of_the_page, dask_cluster
 
 from counterspin import workers
 from counterspin.calibration.batch import BatchResult, calibrate_many
@@ -23,6 +20,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
 from counterspin.errors import CounterspinError
+from counterspin.workers import Workers
 
 
 def short_plan(seed):
@@ -48,9 +46,9 @@ def outcomes(batch):
     return list(batch.campaigns.values())
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_each_campaign_is_calibrated_as_if_alone(folders, workers):
-    first, broken, last = outcomes(calibrate_many(folders, workers=workers))
+@pytest.mark.parametrize("count", [1, 2])
+def test_each_campaign_is_calibrated_as_if_alone(folders, count):
+    first, broken, last = outcomes(calibrate_many(folders, workers=Workers(count)))
     assert first == calibrate(folders[0])
     assert last == calibrate(folders[2])
     assert first != last
@@ -113,7 +111,7 @@ class Held:
 def test_campaign_whose_worker_dies_is_tried_again(folders, tmp_path):
     held = Held(tmp_path / "held", folders[0], of_pool, times=1)
     several = [folders[0], tmp_path / "held", folders[2]]
-    found = calibrate_many(several, workers=2)
+    found = calibrate_many(several, workers=Workers(2))
     assert held.killed == 1
     assert outcomes(found) == [calibrate(folder) for folder in several]
 
@@ -167,33 +165,16 @@ def test_dask_s_dead_worker_costs_no_campaign(folders, cluster, tmp_path):
 
     held = Held(tmp_path / "held", folders[0], of_cluster, times=1)
     several = [folders[0], tmp_path / "held", folders[2]]
-    found = calibrate_many(several, cluster=cluster.scheduler_address)
+    found = calibrate_many(several, workers=Workers(cluster=cluster.scheduler_address))
     assert held.killed == 1
     assert outcomes(found) == [calibrate(folder) for folder in several]
 
 
 @pytest.fixture
 def scheduler(tmp_path):
-    """A scheduler and workers as docs/study.md starts them: (address, process)."""
-    pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
-    file = tmp_path / "scheduler.json"
-    dask = [sys.executable, "-m", "dask"]
-    quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
-    with subprocess.Popen(
-        [*dask, "scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(file)],
-        **quiet,
-    ) as main_one:
-        while not file.exists() or not file.read_text():
-            assert main_one.poll() is None
-            time.sleep(0.05)
-        address = json.loads(file.read_text())["address"]
-        with subprocess.Popen(
-            [*dask, "worker", address, "--nworkers", "1", "--nthreads", "1", "--no-dashboard"],
-            **quiet,
-        ) as workers:
-            yield address, main_one
-            for process in (workers, main_one):
-                process.terminate()
+    """A scheduler with a worker as docs/study.md starts them: (address, process)."""
+    with cluster_of_the_page(tmp_path) as (address, process, _):
+        yield address, process
 
 
 def test_lost_scheduler_is_told_and_loses_nothing_that_was_done(
@@ -202,8 +183,10 @@ def test_lost_scheduler_is_told_and_loses_nothing_that_was_done(
     monkeypatch.setattr(workers, "_SCHEDULER_TIMEOUT", 5.0)
     address, process = scheduler
     Held(tmp_path / "held", folders[0], lambda: [process.pid], times=1)
-    first, second = outcomes(calibrate_many([folders[0], tmp_path / "held"], cluster=address))
+    first, second = outcomes(
+        calibrate_many([folders[0], tmp_path / "held"], workers=Workers(cluster=address))
+    )
     assert first == calibrate(folders[0])
     assert "connection with the Dask scheduler was lost" in second.error
     with pytest.raises(CounterspinError, match="no Dask scheduler answers"):
-        calibrate_many([folders[0]], cluster=address)
+        calibrate_many([folders[0]], workers=Workers(cluster=address))

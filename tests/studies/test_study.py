@@ -23,10 +23,12 @@ from counterspin.studies.choice import choose_engine, prepare
 from counterspin.studies.description import read_study
 from counterspin.studies.draws import StudyTruth
 from counterspin.studies.engine import StudyEngine
+from counterspin.studies.folder import StudyFolder
 from counterspin.studies.noise import stream
 from counterspin.studies.result import StudyResult
 from counterspin.studies.study import study
 from counterspin.studies.world import world_of
+from counterspin.workers import Workers
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 
@@ -290,7 +292,7 @@ def prepared(folder):
 
 
 def test_result_is_the_same_for_any_number_of_workers(varying):
-    assert study(varying) == study(varying, workers=2)
+    assert study(varying) == study(varying, workers=Workers(2))
 
 
 @pytest.mark.parametrize("size", [1, 2, 64])
@@ -304,7 +306,7 @@ def test_result_is_the_same_for_any_sharing_out(varying, size):
 
 def test_a_trial_does_not_depend_on_how_many_there_are(varying, tmp_path):
     for n, name in ((2500, "few"), (5000, "many")):
-        study(varying, trials=n, output=tmp_path / name, keep_trials=True)
+        study(varying, trials=n, output=StudyFolder(tmp_path / name, keep_trials=True))
     few, many = (pl.read_parquet(tmp_path / name / "trials.parquet") for name in ("few", "many"))
     assert few.equals(many.head(2500))
     assert many["trial"].to_list() == list(range(5000))
@@ -313,7 +315,7 @@ def test_a_trial_does_not_depend_on_how_many_there_are(varying, tmp_path):
 
 def test_dask_s_workers_give_the_same(varying):
     with dask_cluster() as cluster:
-        result = study(varying, trials=50_000, cluster=cluster.scheduler_address)
+        result = study(varying, trials=50_000, workers=Workers(cluster=cluster.scheduler_address))
     assert result == study(varying, trials=50_000)
 
 
@@ -321,7 +323,7 @@ def test_cluster_that_does_not_answer_is_told(varying, monkeypatch):
     monkeypatch.setattr(workers, "_SCHEDULER_TIMEOUT", 0.5)
     pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
     with pytest.raises(CounterspinError, match="no Dask scheduler answers"):
-        study(varying, cluster="tcp://127.0.0.1:9")
+        study(varying, workers=Workers(cluster="tcp://127.0.0.1:9"))
 
 
 def test_worker_that_is_killed_loses_and_doubles_nothing(varying):
@@ -338,7 +340,7 @@ def test_worker_that_is_killed_loses_and_doubles_nothing(varying):
             os.kill(worker.pid, signal.SIGKILL)
             killed.append(worker.pid)
 
-    study_work.run_batches(engine, other, workers=2, progress=kill_one, batches_per_task=2)
+    study_work.run_batches(engine, other, workers=Workers(2), progress=kill_one, batches_per_task=2)
     assert killed
     assert other.trials_done == 100_000
     assert np.array_equal(whole.sums, other.sums)
@@ -351,12 +353,12 @@ def test_interrupted_study_is_valid_and_resumes(varying, tmp_path):
         if done >= 4000:
             raise KeyboardInterrupt
 
-    part = study(varying, trials=120_000, output=out, keep_trials=True, progress=stop)
+    part = study(varying, trials=120_000, output=StudyFolder(out, keep_trials=True), progress=stop)
     assert not part.complete
     assert 4000 <= part.trials < 120_000
     assert StudyResult.read(out / "study.json") == part
     assert len(pl.read_parquet(out / "trials.parquet")) == part.trials
-    done = study(varying, trials=120_000, output=out, keep_trials=True, resume=True)
+    done = study(varying, trials=120_000, output=StudyFolder(out, keep_trials=True, resume=True))
     assert done == study(varying, trials=120_000)
     assert len(pl.read_parquet(out / "trials.parquet")) == 120_000
     assert sorted(path.name for path in out.iterdir()) == ["study.json", "trials.parquet"]
@@ -371,9 +373,9 @@ def test_resuming_another_study_is_refused(varying, paper, tmp_path):
 
     study(varying, trials=120_000, output=out, progress=stop)
     with pytest.raises(CounterspinError, match="another one"):
-        study(paper, trials=120_000, output=out, resume=True)
+        study(paper, trials=120_000, output=StudyFolder(out, resume=True))
     with pytest.raises(CounterspinError, match="holds no study"):
-        study(varying, output=tmp_path / "new", resume=True)
+        study(varying, output=StudyFolder(tmp_path / "new", resume=True))
 
 
 def test_engine_travels_in_a_pickle(varying):

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -17,7 +18,7 @@ from counterspin.calibration.options import Method, TwoStageOptions
 from counterspin.calibration.result import Result
 from counterspin.errors import CounterspinError
 from counterspin.results import ResultFile, ResultPart
-from counterspin.workers import worker_pool
+from counterspin.workers import ALONE, Workers, worker_pool
 
 
 class FailedCampaign(ResultPart):
@@ -60,8 +61,7 @@ def calibrate_many(
     method: Method = "joint",
     options: TwoStageOptions | None = None,
     accept_misfit: str | None = None,
-    workers: int = 1,
-    cluster: str | None = None,
+    workers: Workers = ALONE,
     progress: Callable[[int, int], None] | None = None,
 ) -> BatchResult:
     """Calibrate campaigns independently of each other.
@@ -72,7 +72,7 @@ def calibrate_many(
         Their folders; on a cluster every worker must see them under these names.
     method, options, accept_misfit
         As for `counterspin.calibration.calibrate.calibrate`.
-    workers, cluster
+    workers
         As for `counterspin.studies.study.study`.
     progress
         Called with (campaigns done, campaigns in all).
@@ -96,22 +96,20 @@ def calibrate_many(
         if progress is not None:
             progress(len(done), len(directories))
 
-    if workers < 1:
-        raise CounterspinError("`workers` must be at least 1")
     places = range(len(directories))
-    if workers == 1 and cluster is None:
+    if workers.alone:
         for index in places:
             enter(index, attempt(directories[index], *how))
     else:
 
         def together(some: Sequence[int], count: int) -> list[int]:
             jobs = {index: (directories[index], *how) for index in some}
-            return _together(jobs, count, cluster, enter)
+            return _together(jobs, replace(workers, processes=count), enter)
 
         try:
             # Those whose worker died, and those that were in hand beside them, are tried again,
             # each by itself: who kills its worker then harms nobody else.
-            for index in together(places, workers):
+            for index in together(places, workers.capped().processes):
                 if together([index], 1):
                     died = "the process that worked on it died, twice; perhaps memory ran out"
                     enter(index, FailedCampaign(error=died))
@@ -127,8 +125,7 @@ def calibrate_many(
 
 def _together(
     jobs: Mapping[int, tuple[Path, Method, TwoStageOptions, str | None]],
-    workers: int,
-    cluster: str | None,
+    workers: Workers,
     enter: Callable[[int, Result | FailedCampaign], None],
 ) -> list[int]:
     """Do jobs side by side, and return those that were in hand when a worker died."""
@@ -137,8 +134,9 @@ def _together(
     died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
     while left:
         pending: dict[Future[Result | FailedCampaign], int] = {}
+        few = replace(workers, processes=min(workers.processes, len(left)))
         try:
-            with worker_pool(min(workers, len(left)), cluster, __name__) as pool:
+            with worker_pool(few, __name__) as pool:
                 died = pool.died
                 while left or pending:
                     # No more than there are workers, so that few are suspects when one dies.

@@ -12,8 +12,10 @@ from __future__ import annotations
 
 import os
 import sys
+import warnings
 from contextlib import suppress
 from errno import ENOSPC
+from typing import Any
 
 from cyclopts import App, CycloptsError
 
@@ -32,7 +34,7 @@ from counterspin.cli import (
     study,
 )
 from counterspin.cli.words import complain, spoken
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError, CounterspinError, CounterspinWarning
 
 app = App(
     name="counterspin",
@@ -86,6 +88,21 @@ def _let_go_of_output() -> None:
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line and return the exit status: 0 done, 1 failed, 2 wrong usage."""
     words = sys.argv[1:] if arguments is None else arguments
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", CounterspinWarning)
+        usual = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
+            if issubclass(category, CounterspinWarning):
+                complain(spoken(str(message), app, words))
+            else:
+                usual(message, category, *where, **more)
+
+        warnings.showwarning = show
+        return _run(words)
+
+
+def _run(words: list[str]) -> int:
     try:
         if any("\0" in word for word in words):
             raise CampaignError("the command's words", ["contain the character NUL"])

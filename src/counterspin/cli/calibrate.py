@@ -94,7 +94,7 @@ def calibrate(
     estimation: Estimation = _USUAL,
     printed: Printed = _BRIEF,
     accept_misfit: str | None = None,
-    crew: BatchWorkers = _ALONE,
+    workforce: BatchWorkers = _ALONE,
 ) -> None:
     """Determine the accelerometers' coefficients from a campaign's records.
 
@@ -120,7 +120,7 @@ def calibrate(
     )
     if more:
         calibrate_several(
-            (directory, *more), saved, estimation.method, options, accept_misfit, crew
+            (directory, *more), saved, estimation.method, options, accept_misfit, workforce
         )
         return
     saved.reserve(_result_kind)
@@ -154,13 +154,14 @@ def calibrate_several(
     method: Literal["joint", "two-stage"],
     options: TwoStageOptions,
     accept_misfit: str | None,
-    crew: BatchWorkers,
+    workforce: BatchWorkers,
 ) -> None:
     """Calibrate campaigns one by one, print a summary, and raise if any failed."""
     from counterspin.calibration.batch import BatchResult, calibrate_many
     from counterspin.calibration.pages.batch import render_batch
     from counterspin.reports.progress import work_progress
     from counterspin.reports.text import report_console
+    from counterspin.workers import Workers
 
     saved.reserve(BatchResult.file_kind)
     with work_progress("Campaigns") as advance:
@@ -169,8 +170,7 @@ def calibrate_several(
             method=method,
             options=options,
             accept_misfit=accept_misfit,
-            workers=crew.workers,
-            cluster=crew.cluster,
+            workers=Workers(workforce.workers, workforce.cluster),
             progress=advance,
         )
     with saved.written(batch):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Literal
 
 from counterspin.cli.words import NOT_SAVED, OutputFile, Saved, group
+from counterspin.errors import CounterspinError
 
 
 @group
@@ -53,7 +54,7 @@ def study(
     campaign: Path,
     *,
     trials: TrialSettings = _OWN,
-    crew: StudyWorkers = _ALONE,
+    workforce: StudyWorkers = _ALONE,
     output: OutputFile = None,
     keep_trials: bool = False,
     resume: bool = False,
@@ -74,22 +75,25 @@ def study(
     """
     from counterspin.reports.progress import work_progress
     from counterspin.reports.text import report_console
+    from counterspin.studies.folder import StudyFolder
     from counterspin.studies.page import render_study
     from counterspin.studies.result import StudyResult
     from counterspin.studies.study import study as run
+    from counterspin.workers import Workers
 
+    if output is None and (keep_trials or resume):
+        option = "`keep_trials`" if keep_trials else "`resume`"
+        raise CounterspinError(f"{option} needs the study's folder: `output`")
     saved.reserve(StudyResult.file_kind)
+    folder = output and StudyFolder(output, keep_trials, resume, saved.overwrite)
     with work_progress("Trials") as advance:
         result = run(
             campaign,
             trials=trials.trials,
             seed=trials.seed,
             engine=trials.engine,
-            workers=crew.workers,
-            cluster=crew.cluster,
-            output=output,
-            keep_trials=keep_trials,
-            resume=resume,
+            workers=Workers(workforce.workers, workforce.cluster),
+            output=folder,
             progress=advance,
         )
     with saved.written(result):

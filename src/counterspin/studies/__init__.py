@@ -11,6 +11,6 @@
 - `validity`, `choice`: where the fast engines hold; which engine an analysis gets
 - `engine`, `tally`: all analyses of a batch of trials; what trials amount to
 - `work`: the trials shared out, on one core, on many or on a cluster
-- `result`: what a study found, its JSON
+- `result`: what a study found, its JSON; `folder`: where it is kept, and what a resumption needs
 - `page`: a study as a person reads it, with its figures
 """

@@ -6,22 +6,22 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-import polars as pl
 
 from counterspin._version import __version__
-from counterspin.errors import CounterspinError
-from counterspin.output import make_folder, write_open, write_whole
+from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.physics.shared_terms import term
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import StudyDescription, read_study
 from counterspin.studies.draws import OTHERS, Varying
 from counterspin.studies.engine import StudyEngine
+from counterspin.studies.folder import StudyFolder, StudyProgress
 from counterspin.studies.result import (
     AnalysisResult,
     CoefficientResult,
@@ -30,8 +30,11 @@ from counterspin.studies.result import (
     verdict_of,
 )
 from counterspin.studies.tally import summarise
-from counterspin.studies.work import Ledger, run_batches, work
-from counterspin.workers import worker_pool
+from counterspin.studies.work import Ledger, expected_duration, run_batches, work
+from counterspin.workers import ALONE, Workers, worker_pool
+
+#: From how many hours of work on a user is told before it begins.
+_LONG: Final = 0.5
 
 #: More trials than this would take days, and their ledger much of the memory.
 _MOST_TRIALS: Final = 10**9
@@ -43,11 +46,8 @@ def study(
     trials: int | None = None,
     seed: int | None = None,
     engine: EngineName = "auto",
-    workers: int = 1,
-    cluster: str | None = None,
-    output: Path | str | None = None,
-    keep_trials: bool = False,
-    resume: bool = False,
+    workers: Workers = ALONE,
+    output: StudyFolder | Path | str | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> StudyResult:
     """Study a campaign by Monte Carlo.
@@ -62,16 +62,10 @@ def study(
         ``auto`` takes the fastest that is valid; ``surrogate``, ``exact`` and ``full`` are as
         docs/study.md describes them.
     workers
-        Processes.
-    cluster
-        Address of a Dask scheduler, whose workers do the work in place of processes here.
+        Processes, or the workers of a Dask cluster.
     output
         Folder for ``study.json``, ``trials.parquet`` and what a resumption needs; None: nothing
         is written.
-    keep_trials
-        Whether every trial is written to ``trials.parquet``.
-    resume
-        Whether to go on with what was begun in `output`.
     progress
         Called with (trials done, trials in all).
 
@@ -88,44 +82,65 @@ def study(
     NotIdentifiableError
         If the engine asked for is not valid, or nothing can be determined.
     CounterspinError
-        If the workers fail, or a file cannot be written.
+        If the workers fail, or a file cannot be written or would be lost.
+
+    Warns
+    -----
+    CounterspinWarning
+        If it will take long, or what was kept of an earlier part is damaged.
     """
     description = where if isinstance(where, StudyDescription) else read_study(where)
-    if keep_trials and output is None:
-        raise CounterspinError("`keep_trials` needs a folder for them: `output`")
-    if workers < 1:
-        raise CounterspinError("`workers` must be at least 1")
     trials = description.trials if trials is None else trials
     if not 2 <= trials <= _MOST_TRIALS:
         raise CounterspinError(f"`trials` must be at least 2 and at most {_MOST_TRIALS:.0e}")
     if seed is not None and seed < 0:
         raise CounterspinError("`seed` must not be negative")
-    alone = workers == 1 and cluster is None
+    folder = StudyFolder(output) if isinstance(output, Path | str) else output
+    if folder is not None:
+        folder.reserve()
+    workers = workers.capped()
     # Workers start while the engine is prepared.
-    with nullcontext() if alone else worker_pool(workers, cluster, work.__module__) as pool:
-        seed = description.seed if seed is None else seed
-        prepared = prepare(description, seed, engine)
-        folder = _folder(output)
-        ledger = Ledger(
-            prepared, trials, keep=keep_trials, folder=folder, fingerprint=_fingerprint(prepared)
-        )
-        if resume:
-            ledger.resume()
+    with nullcontext() if workers.alone else worker_pool(workers, work.__module__) as pool:
+        prepared = prepare(description, description.seed if seed is None else seed, engine)
+        ledger = Ledger(prepared, trials, keep=folder is not None and folder.keep_trials)
+        kept = None
+        if folder is not None:
+            kept = StudyProgress(folder.place, ledger, _fingerprint(prepared))
+            if folder.resume:
+                kept.resume()
+            else:
+                kept.clear()
+        _warn_of_hours(prepared, trials - ledger.trials_done, pool.size if pool else 1)
         complete = run_batches(
-            prepared, ledger, workers=workers, cluster=cluster, pool=pool, progress=progress
+            prepared,
+            ledger,
+            workers=workers,
+            pool=pool,
+            progress=progress,
+            save=kept.save if kept else None,
         )
     result = _result(description, prepared, ledger, complete)
-    if folder is not None:
-        _write(folder, result, prepared, ledger)
+    if folder is not None and kept is not None:
+        folder.write(result, ledger)
+        if complete:
+            kept.clear()
     return result
 
 
-def _folder(output: Path | str | None) -> Path | None:
-    if output is None:
-        return None
-    folder = Path(output)
-    make_folder(folder)
-    return folder
+def _warn_of_hours(engine: StudyEngine, trials: int, workers: int) -> None:
+    hours = expected_duration(engine, trials) / workers / 3600.0
+    if hours < _LONG:
+        return
+    slow = [part for part in engine.parts if part.kind in ("full", "exact")]
+    why = "; ".join(f"{part.reported[0].analysis}: {part.words}" for part in slow)
+    warnings.warn(
+        f"{trials} trials will take about {hours:.1g} h"
+        + (f" ({why})" if why else "")
+        + "; fewer `trials`, more `workers` or a `cluster` make it shorter, and Ctrl-C ends it "
+        "with a valid result of the trials done",
+        CounterspinWarning,
+        stacklevel=3,
+    )
 
 
 def _fingerprint(engine: StudyEngine) -> str:
@@ -191,26 +206,3 @@ def _in_words(varying: Varying) -> str:
         "fixed": low,
     }[varying.kind]
     return f"{name}: {how}" + (", anew in each run" if varying.per_run else "")
-
-
-def _write(folder: Path, result: StudyResult, engine: StudyEngine, ledger: Ledger) -> None:
-    result.write(folder / "study.json")
-    if ledger.keep:
-        names = [f"{coefficient.analysis}.{coefficient.name}" for coefficient in engine.reported]
-        write_whole(folder / "trials.parquet", lambda part: _parquet(part, names, ledger))
-    if result.complete:
-        ledger.clear()
-
-
-def _parquet(path: Path, names: list[str], ledger: Ledger) -> None:
-    """Write one row a trial: its number, and truth, estimate and u of each coefficient."""
-    batches = np.flatnonzero(ledger.done)
-    number = np.concatenate(
-        [int(b) * ledger.size + np.arange(ledger.trials_of(int(b))) for b in batches]
-    )
-    columns = {"trial": pl.Series(number)}
-    for place, name in enumerate(names):
-        for part, word in enumerate(("truth", "estimate", "u")):
-            values = [ledger.values[int(b)][place, part] for b in batches]
-            columns[f"{name}.{word}"] = pl.Series(np.concatenate(values))
-    write_open(path, pl.DataFrame(columns).write_parquet)

@@ -4,7 +4,8 @@ Work is handed out in tasks of whole batches. What a batch gives depends on its 
 that results are the same however the work is shared out. A task that is lost with its worker is
 handed out again, and counts once.
 
-- `Ledger`: which batches are done, and what they gave; kept on disk to be resumed
+- `Ledger`: which batches are done, and what they gave
+- `expected_duration`: how long the work will take
 - `run_batches`: do what is not done yet
 """
 
@@ -16,17 +17,16 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import nullcontext
-from functools import lru_cache, partial
-from pathlib import Path
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import CounterspinError
-from counterspin.output import write_whole
 from counterspin.studies.engine import StudyEngine
-from counterspin.workers import WorkerPool, worker_pool
+from counterspin.studies.noise import NOISE_STREAM, TRUTH_STREAM, stream
+from counterspin.workers import ALONE, WorkerPool, Workers, worker_pool
 
 #: Length of a task, s, and how many are handed out ahead for each worker.
 _TASK_DURATION: Final = 0.3
@@ -37,6 +37,9 @@ _SAVE_INTERVAL: Final = 10.0
 
 #: How often all workers may die in a row with nothing done between.
 _MOST_LOSSES: Final = 5
+
+#: Work of whole records, roughly, below which nobody needs to know how long it takes, s.
+_SHORT: Final = 60.0
 
 #: What a trial of each kind takes, roughly, s.
 _TRIAL_DURATIONS: Final = {
@@ -49,7 +52,7 @@ _TRIAL_DURATIONS: Final = {
 
 
 class Ledger:
-    """Which batches of a study are done.
+    """Which batches of a study are done, and what they gave.
 
     Parameters
     ----------
@@ -59,29 +62,15 @@ class Ledger:
         How many in all.
     keep
         Whether each trial is kept.
-    folder
-        Where a copy is kept for a later resumption, or None.
-    fingerprint
-        Of the study's description: a copy of another study is refused.
     """
 
-    def __init__(
-        self,
-        engine: StudyEngine,
-        trials: int,
-        *,
-        keep: bool = False,
-        folder: Path | None = None,
-        fingerprint: str = "",
-    ) -> None:
-        self.trials, self.keep, self.folder = trials, keep, folder
-        self.size = engine.batch_size
+    def __init__(self, engine: StudyEngine, trials: int, *, keep: bool = False) -> None:
+        self.trials, self.keep = trials, keep
+        self.size, self.reported = engine.batch_size, engine.reported
         count = -(-trials // self.size)
         self.done = np.zeros(count, dtype=bool)
-        self.sums = np.zeros((count, len(engine.reported), engine.tally.width))
+        self.sums = np.zeros((count, len(self.reported), engine.tally.width))
         self.values: dict[int, Array] = {}
-        self._fingerprint = f"{fingerprint}/{self.size}/{keep}"
-        self._written: set[int] = set()
 
     def trials_of(self, batch: int) -> int:
         """Return how many trials of a batch count."""
@@ -103,75 +92,23 @@ class Ledger:
                 self.values[batch] = values[place]
             self.done[batch] = True
 
-    @property
-    def _file(self) -> Path:
-        assert self.folder is not None
-        return self.folder / "progress.npz"
 
-    def _part(self, batch: int) -> Path:
-        assert self.folder is not None
-        return self.folder / "progress" / f"{batch:07d}.npy"
+def expected_duration(engine: StudyEngine, trials: int) -> float:
+    """Return how long some trials will take a single worker, roughly, s.
 
-    def save(self) -> None:
-        """Write the copy on disk, whole or not at all."""
-        if self.folder is None:
-            return
-        for batch in set(self.values) - self._written:
-            # Trials first: what the ledger calls done is there.
-            self._part(batch).parent.mkdir(parents=True, exist_ok=True)
-            write_whole(self._part(batch), partial(np.save, arr=self.values[batch]))
-            self._written.add(batch)
-        write_whole(
-            self._file,
-            partial(
-                np.savez,
-                fingerprint=np.array(self._fingerprint),
-                trials=np.array(self.trials),
-                done=self.done,
-                sums=self.sums[self.done],
-            ),
-        )
-
-    def resume(self) -> None:
-        """Take over what an earlier study has done.
-
-        Raises
-        ------
-        CounterspinError
-            If there is nothing to go on from, or it is of another study.
-        """
-        if self.folder is None or not self._file.exists():
-            raise CounterspinError(
-                f"{self.folder}: holds no study to resume; leave out `resume`, or name the folder "
-                "with `output`"
-            )
-        with np.load(self._file) as kept:
-            if str(kept["fingerprint"]) != self._fingerprint:
-                raise CounterspinError(
-                    f"{self.folder}: the study that was begun there is another one (its "
-                    "description, engine or `keep_trials` differ); use another folder"
-                )
-            before, done, sums = int(kept["trials"]), kept["done"], kept["sums"]
-        for row, batch in enumerate(np.flatnonzero(done)):
-            whole = min(self.size, before - batch * self.size)
-            # A last batch that was cut short elsewhere is done anew.
-            if batch >= self.done.size or whole != self.trials_of(int(batch)):
-                continue
-            if self.keep:
-                self.values[int(batch)] = np.load(self._part(int(batch)))
-                self._written.add(int(batch))
-            self.sums[batch], self.done[batch] = sums[row], True
-
-    def clear(self) -> None:
-        """Remove the trials' parts from disk once they are in the result."""
-        if self.folder is None:
-            return
-        for batch in self._written:
-            self._part(batch).unlink(missing_ok=True)
-        place = self.folder / "progress"
-        if place.is_dir() and not any(place.iterdir()):
-            place.rmdir()
-        self._file.unlink(missing_ok=True)
+    Trials by whole records differ widely: where they matter, one is made to see.
+    """
+    seconds = 0.0
+    for part in engine.parts:
+        duration = _TRIAL_DURATIONS[part.kind]
+        if part.kind == "full" and duration * trials > _SHORT:
+            draws = engine.truth.draw(stream(engine.seed, 0, TRUTH_STREAM), 1)
+            for _ in range(2):  # the first loads what it needs
+                start = time.perf_counter()
+                part.engine.trials(draws, stream(engine.seed, 0, NOISE_STREAM))
+                duration = time.perf_counter() - start
+        seconds += duration * trials
+    return seconds
 
 
 @lru_cache(maxsize=2)
@@ -191,10 +128,10 @@ def run_batches(
     engine: StudyEngine,
     ledger: Ledger,
     *,
-    workers: int = 1,
-    cluster: str | None = None,
+    workers: Workers = ALONE,
     pool: WorkerPool | None = None,
     progress: Callable[[int, int], None] | None = None,
+    save: Callable[[], None] | None = None,
     batches_per_task: int | None = None,
 ) -> bool:
     """Do every batch that is not done yet.
@@ -204,16 +141,16 @@ def run_batches(
     engine
         The study.
     ledger
-        Where results are entered; it is kept on disk on the way.
+        Where results are entered.
     workers
-        Processes; 1 works in this one.
-    cluster
-        Address of a Dask scheduler; its workers do the work then.
+        How many processes, or which cluster's.
     pool
         Workers that are there already; None: they are started. Should they die, others are
         started in their place.
     progress
         Called with (trials done, trials in all).
+    save
+        Called now and then and at the end, to keep a copy of the ledger.
     batches_per_task
         How many batches are handed out at once; by default about a third of a second's work.
 
@@ -231,15 +168,17 @@ def run_batches(
     size = batches_per_task or max(1, min(64, round(_TASK_DURATION / cost)))
     packed = pickle.dumps(engine)
     try:
-        if workers == 1 and cluster is None:
-            _alone(packed, ledger, size, progress)
+        note = _Notes(ledger, progress, save)
+        if workers.alone:
+            _alone(packed, ledger, size, note)
         else:
-            _together(packed, ledger, size, pool, workers, cluster, progress)
+            _together(packed, ledger, size, pool, workers, note)
     except KeyboardInterrupt:
-        return False
+        pass
     finally:
-        ledger.save()
-    return True
+        if save is not None:
+            save()
+    return bool(ledger.done.all())
 
 
 def _tasks(ledger: Ledger, size: int) -> Iterator[tuple[int, tuple[int, ...]]]:
@@ -255,10 +194,7 @@ def _tasks(ledger: Ledger, size: int) -> Iterator[tuple[int, tuple[int, ...]]]:
         start = stop
 
 
-def _alone(
-    packed: bytes, ledger: Ledger, size: int, progress: Callable[[int, int], None] | None
-) -> None:
-    note = _Notes(ledger, progress)
+def _alone(packed: bytes, ledger: Ledger, size: int, note: _Notes) -> None:
     for first, trials in list(_tasks(ledger, size)):
         ledger.enter(first, *work(packed, first, trials, ledger.keep))
         note(sum(trials))
@@ -267,8 +203,13 @@ def _alone(
 class _Notes:
     """Tells how far the work is, and keeps the copy on disk young."""
 
-    def __init__(self, ledger: Ledger, progress: Callable[[int, int], None] | None) -> None:
-        self.ledger, self.progress = ledger, progress
+    def __init__(
+        self,
+        ledger: Ledger,
+        progress: Callable[[int, int], None] | None,
+        save: Callable[[], None] | None,
+    ) -> None:
+        self.ledger, self.progress, self.save = ledger, progress, save
         self.reached, self.kept = ledger.trials_done, time.monotonic()
         self(0)
 
@@ -276,8 +217,8 @@ class _Notes:
         self.reached += trials
         if self.progress is not None:
             self.progress(self.reached, self.ledger.trials)
-        if time.monotonic() - self.kept > _SAVE_INTERVAL:
-            self.ledger.save()
+        if self.save is not None and time.monotonic() - self.kept > _SAVE_INTERVAL:
+            self.save()
             self.kept = time.monotonic()
 
 
@@ -286,17 +227,15 @@ def _together(
     ledger: Ledger,
     size: int,
     pool: WorkerPool | None,
-    workers: int,
-    cluster: str | None,
-    progress: Callable[[int, int], None] | None,
+    workers: Workers,
+    note: _Notes,
 ) -> None:
-    note = _Notes(ledger, progress)
     losses = 0
     died: tuple[type[BaseException], ...] = (BrokenProcessPool,)
     while not ledger.done.all():
         before = int(ledger.done.sum())
         try:
-            with nullcontext(pool) if pool else worker_pool(workers, cluster, __name__) as current:
+            with nullcontext(pool) if pool else worker_pool(workers, __name__) as current:
                 died = current.died
                 _hand_out(current, packed, ledger, size, note)
         except died as error:

@@ -1,0 +1,242 @@
+"""A study's folder: its result, its trials, and on the way what a resumption needs.
+
+- `StudyFolder`: which folder, and what may be done with it
+- `StudyProgress`: the copy on disk of what is done
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import polars as pl
+
+from counterspin.arrays import Array
+from counterspin.errors import CounterspinError, CounterspinWarning
+from counterspin.output import make_folder, reserve, write_whole
+from counterspin.studies.result import StudyResult
+from counterspin.studies.work import Ledger
+
+_RESULT: Final = "study.json"
+_TRIALS: Final = "trials.parquet"
+_PROGRESS: Final = "progress.npz"
+_PARTS: Final = "progress"
+
+
+@dataclass(frozen=True)
+class StudyFolder:
+    """Where a study leaves its result, and what a resumption needs.
+
+    Attributes
+    ----------
+    path
+        The folder; made where it is not there.
+    keep_trials
+        Whether every trial is written to ``trials.parquet``.
+    resume
+        Whether to go on with what was begun there.
+    overwrite
+        Whether an earlier study's result is replaced, or one that was begun is given up.
+    """
+
+    path: Path | str
+    keep_trials: bool = False
+    resume: bool = False
+    overwrite: bool = False
+
+    @property
+    def place(self) -> Path:
+        """The folder."""
+        return Path(self.path)
+
+    def reserve(self) -> None:
+        """Make the folder, and refuse one in which a file or a begun study would be lost.
+
+        Raises
+        ------
+        CounterspinError
+            If so, or if the folder cannot be made.
+        """
+        make_folder(self.place)
+        reserve(
+            self.place / _RESULT, StudyResult.file_kind, overwrite=self.overwrite or self.resume
+        )
+        if (self.place / _RESULT).exists() or self.resume:
+            return
+        if (self.place / _PROGRESS).exists():
+            if self.overwrite:
+                return
+            raise CounterspinError(
+                f"{self.place}: holds a study that was begun; go on with it by `resume=True`, "
+                "name another folder, or give it up by `overwrite=True`"
+            )
+        for name in (_TRIALS, _PARTS, "z.svg", "coverage.svg"):
+            if (self.place / name).exists():
+                raise CounterspinError(
+                    f"{self.place / name} exists and is not of a study; it is not replaced: name "
+                    "another folder"
+                )
+
+    def write(self, result: StudyResult, ledger: Ledger) -> None:
+        """Write the result, and the trials where they were kept."""
+        result.write(self.place / _RESULT)
+        if not ledger.keep:
+            return
+        names = [f"{one.analysis}.{one.name}" for one in ledger.reported]
+        write_whole(self.place / _TRIALS, lambda part: _parquet(part, names, ledger))
+
+
+def _parquet(path: Path, names: list[str], ledger: Ledger) -> None:
+    """Write one row a trial: its number, and truth, estimate and u of each coefficient."""
+    batches = np.flatnonzero(ledger.done)
+    number = np.concatenate(
+        [int(b) * ledger.size + np.arange(ledger.trials_of(int(b))) for b in batches]
+    )
+    columns = {"trial": pl.Series(number)}
+    for place, name in enumerate(names):
+        for part, word in enumerate(("truth", "estimate", "u")):
+            values = [ledger.values[int(b)][place, part] for b in batches]
+            columns[f"{name}.{word}"] = pl.Series(np.concatenate(values))
+    pl.DataFrame(columns).write_parquet(path)
+
+
+class StudyProgress:
+    """The copy on disk of what is done of a study.
+
+    Parameters
+    ----------
+    folder
+        Where it is kept.
+    ledger
+        What is done.
+    fingerprint
+        Of everything that decides what a batch gives: a copy of another study is refused.
+    """
+
+    def __init__(self, folder: Path, ledger: Ledger, fingerprint: str) -> None:
+        self.folder, self.ledger = folder, ledger
+        self._fingerprint = f"{fingerprint}/{ledger.size}/{ledger.keep}"
+        self._written: set[int] = set()
+
+    @property
+    def _file(self) -> Path:
+        return self.folder / _PROGRESS
+
+    def _part(self, batch: int) -> Path:
+        return self.folder / _PARTS / f"{batch:07d}.npz"
+
+    def save(self) -> None:
+        """Write the copy, whole or not at all."""
+        ledger = self.ledger
+        for batch in set(ledger.values) - self._written:
+            # Trials first: what the ledger calls done is there.
+            self._part(batch).parent.mkdir(parents=True, exist_ok=True)
+            self._save(self._part(batch), values=ledger.values[batch])
+            self._written.add(batch)
+        self._save(
+            self._file,
+            trials=np.array(ledger.trials),
+            done=ledger.done,
+            sums=ledger.sums[ledger.done],
+        )
+
+    def _save(self, path: Path, **arrays: Any) -> None:
+        fingerprint = np.array(self._fingerprint)
+        write_whole(path, partial(np.savez, fingerprint=fingerprint, **arrays))
+
+    def resume(self) -> None:
+        """Take over what an earlier study has done; what is damaged is told, and done again.
+
+        Raises
+        ------
+        CounterspinError
+            If there is nothing to go on from, or it is of another study.
+        """
+        if not self._file.exists():
+            raise CounterspinError(
+                f"{self.folder}: holds no study to resume; leave out `resume`, or name the folder "
+                "with `output`"
+            )
+        kept = _read(self._file)
+        if kept is not None and str(kept.get("fingerprint")) != self._fingerprint:
+            raise CounterspinError(
+                f"{self.folder}: the study that was begun there is another one (its description, "
+                "engine or `keep_trials` differ); use another folder"
+            )
+        try:
+            before, batches, sums = self._sums(kept)
+        except (KeyError, TypeError, ValueError):
+            _tell(f"{self._file} is damaged: the study begins anew")
+            return
+        lost = 0
+        ledger = self.ledger
+        for batch, row in zip(batches, sums, strict=True):
+            # A last batch that was cut short elsewhere is done anew.
+            whole = min(ledger.size, before - batch * ledger.size)
+            if batch >= ledger.done.size or whole != ledger.trials_of(batch):
+                continue
+            if ledger.keep:
+                values = self._values(batch)
+                if values is None:
+                    lost += 1
+                    continue
+                ledger.values[batch] = values
+                self._written.add(batch)
+            ledger.sums[batch], ledger.done[batch] = row, True
+        if lost:
+            _tell(
+                f"{self.folder / _PARTS}: {lost} of {len(batches)} files are missing, damaged or "
+                "of another study: their trials are done again"
+            )
+
+    def _sums(self, kept: dict[str, Array] | None) -> tuple[int, list[int], Array]:
+        """Return trials, batches that are done and their sums; raises if they do not fit."""
+        if kept is None:
+            raise ValueError
+        before, done, sums = int(kept["trials"]), kept["done"], kept["sums"]
+        batches = [int(batch) for batch in np.flatnonzero(done)]
+        fits = done.dtype == bool and done.shape == (-(-before // self.ledger.size),)
+        if not fits or sums.shape != (len(batches), *self.ledger.sums.shape[1:]):
+            raise ValueError
+        if sums.dtype != np.float64 or not np.isfinite(sums).all():
+            raise ValueError
+        return before, batches, sums
+
+    def _values(self, batch: int) -> Array | None:
+        """Return the trials of a batch, or None where its file does not hold them."""
+        kept = _read(self._part(batch))
+        if kept is None or str(kept.get("fingerprint")) != self._fingerprint:
+            return None
+        values = kept.get("values")
+        shape = (len(self.ledger.reported), 3, self.ledger.trials_of(batch))
+        if values is None or values.dtype != np.float64 or values.shape != shape:
+            return None
+        return values
+
+    def clear(self) -> None:
+        """Remove the copy: everything is in the result, or it is given up."""
+        self._file.unlink(missing_ok=True)
+        place = self.folder / _PARTS
+        for part in place.glob("[0-9]" * 7 + ".npz"):
+            part.unlink(missing_ok=True)
+        if place.is_dir() and not any(place.iterdir()):
+            place.rmdir()
+
+
+def _read(path: Path) -> dict[str, Array] | None:
+    """Return a file's arrays; None where it is missing or damaged."""
+    if not path.is_file():
+        return None
+    try:
+        with path.open("rb") as file, np.load(file) as kept:
+            return dict(kept)
+    except Exception:  # whatever NumPy, zipfile and zlib raise on a damaged file
+        return None
+
+
+def _tell(text: str) -> None:
+    warnings.warn(text, CounterspinWarning, stacklevel=4)
