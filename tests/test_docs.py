@@ -3,8 +3,8 @@
 Each page is read from the top in an empty folder with records of the paper's plan in
 ``my-campaign/``. Fenced blocks are taken by their language:
 
-- ``toml``: checked as a campaign; a fragment is checked in the place of the same keys of the
-  starter. ``<!-- file: PATH -->`` above it writes it there.
+- ``toml``: checked as a campaign, or as a plan of readings; a fragment is checked in the place of
+  the same keys of the starter. ``<!-- file: PATH -->`` above it writes it there.
 - ``csv``: written to the file named above it.
 - ``bash``, ``sh``: lines that begin with ``counterspin`` are run and must succeed.
 - ``console``: the same after ``$ ``, and what follows must be what is printed; a line ``...``
@@ -24,6 +24,7 @@ import pytest
 
 import counterspin as cs
 from counterspin import cli
+from counterspin.planning.readings.stations import read_reading_plan
 
 ROOT = Path(__file__).parents[1]
 README = ROOT / "README.md"
@@ -121,7 +122,10 @@ def use(block, namespace, capsys):
             place.parent.mkdir(exist_ok=True)
             whole = "schema =" in text
             place.write_text(text if whole else complete(text), encoding="utf-8")
-            cs.read_campaign(place)
+            if "[[stations]]" in text:
+                read_reading_plan(place)
+            else:
+                cs.read_campaign(place)
         case "csv":
             Path(block["file"]).parent.mkdir(exist_ok=True)
             Path(block["file"]).write_text(text, encoding="utf-8")

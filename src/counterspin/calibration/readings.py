@@ -2,6 +2,7 @@
 
 - `with_readings`: an estimate from records, if there are any, with the readings beside them
 - `machine_of`: the machine's terms as unknowns and considered terms
+- `groups_of`, `block_name`: the readings that have one noise, and what they are called in a budget
 - `AccelerometerReadings`: what was read of one accelerometer, and how it fits
 """
 
@@ -165,7 +166,7 @@ def with_readings(
     NotIdentifiableError, ConvergenceError
         As `solve_readings`.
     """
-    groups = _groups(campaign, [_averaged(campaign, reading) for reading in campaign.readings])
+    groups = groups_of(campaign, [_averaged(campaign, reading) for reading in campaign.readings])
     if estimated is None:
         beside: tuple[object, ...] = ()
         fit = solve_readings(groups, model)
@@ -177,11 +178,7 @@ def with_readings(
         fit = solve_readings(groups, estimated.fit.model, estimated.fit.blocks)
     before = estimated.fit.solution
     solution = replace(fit.solution, covariance_unseen=before.covariance_unseen)
-    named = {
-        f"{group.accelerometer}: {_WORDS[group.motion]}"
-        + ("" if group.u is not None else " (noise estimated)"): block
-        for group, block in zip(groups, fit.blocks, strict=True)
-    }
+    named = dict(zip(map(block_name, groups), fit.blocks, strict=True))
     joint = replace(estimated.fit, solution=solution, beside=named)
     dof = _effective_dof(estimated.dof, fit, len(beside))
     parts = tuple(
@@ -232,7 +229,13 @@ def _averaged(campaign: Campaign, reading: Reading) -> Reading:
     return replace(reading, value=mean.value / g, u=mean.u / g)
 
 
-def _groups(campaign: Campaign, readings: Sequence[Reading]) -> list[Readings]:
+def block_name(group: Readings) -> str:
+    """Return what a group of readings is called in a budget."""
+    estimated = "" if group.u is not None else " (noise estimated)"
+    return f"{group.accelerometer}: {_WORDS[group.motion]}{estimated}"
+
+
+def groups_of(campaign: Campaign, readings: Sequence[Reading]) -> list[Readings]:
     """Return the readings by accelerometer, motion and whether their noise was stated."""
     keys = dict.fromkeys((r.accelerometer, r.motion, r.u is None) for r in readings)
     return [

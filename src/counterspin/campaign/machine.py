@@ -1,6 +1,7 @@
 """The machine's terms in a campaign with readings: those of [model] and of [centrifuge].
 
 - `MachineModel`: what is estimated and what is considered
+- `symbols_shown`: every term of the machine that readings can show
 - `resolve_machine`: takes them out of [model], whose other terms are settled in `terms`
 """
 
@@ -82,7 +83,7 @@ def resolve_machine(
     tuple
         The section without the machine's terms, and these.
     """
-    known = _symbols(readings)
+    known = symbols_shown(readings)
     terms = _expanded(settings.terms or (), "terms", known, problems)
     considered = _expanded(settings.considered, "considered", known, problems)
     priors = _of_centrifuge(centrifuge, known) | _given(
@@ -170,7 +171,7 @@ def _less_nominal(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings |
     return Quantity(value, prior.u, prior.unit)
 
 
-def _symbols(readings: Sequence[Reading]) -> tuple[str, ...]:
+def symbols_shown(readings: Sequence[Reading]) -> tuple[str, ...]:
     """Return every term of the machine that these readings can show."""
     motions = {reading.motion for reading in readings}
     mountings = dict.fromkeys((r.mounting, r.motion) for r in readings if r.mounting)

@@ -98,6 +98,10 @@ def plan(
         report_console().print(render_plan(result))
     if output is not None:
         written = write_campaign(planned, output)
+        if result.readings:
+            say("", f"Wrote {written}. Put what is read in the place of each ?, then:")
+            say(f"  counterspin calibrate {shell_word(output)}")
+            return
         say("", f"Wrote {written}. Record its runs, or try them:")
         say(f"  counterspin simulate {shell_word(written)} -o {shell_word(output / 'simulated')}")
     if figures is not None:

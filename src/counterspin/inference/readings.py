@@ -6,6 +6,7 @@ blocks of square-root information, which are solved together with the blocks of 
 
 - `Readings`: what was read, and where
 - `solve_readings`, `ReadingsFit`: readings alone, or together with records
+- `blocks_at`, `rows_at`: what readings tell at given values of the unknowns, before they are taken
 """
 
 from __future__ import annotations
@@ -233,6 +234,36 @@ def solve_readings(
         tuple(part.left(solution, model) for part in weighted),
         tuple(part.standardised(solution, model) for part in weighted),
     )
+
+
+def blocks_at(readings: Sequence[Readings], model: Unknowns, estimate: Array) -> list[Block]:
+    """Return the square-root information of readings whose noise is stated.
+
+    Parameters
+    ----------
+    readings
+        Their values do not matter.
+    model
+        What is estimated, considered and uncertain.
+    estimate
+        Where the derivatives are taken: the unknowns less nominal, shape (p,).
+    """
+    return [_Part.of(one, model, estimate).with_noise(math.nan).block() for one in readings]
+
+
+def rows_at(
+    readings: Sequence[Readings], model: Unknowns, estimate: Array
+) -> list[tuple[Array, Array]]:
+    """Return the rows of `blocks_at`, reading by reading, with unit variance.
+
+    Returns
+    -------
+    list of tuple
+        For each group of n readings the columns of the unknowns and of the considered terms,
+        shapes (n, p) and (n, q).
+    """
+    parts = [_Part.of(one, model, estimate).with_noise(math.nan) for one in readings]
+    return [(part.design / part.sigma[:, None], part.fixed / part.sigma[:, None]) for part in parts]
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,8 @@
 - `design`: plans, what they may be and how good they are
 - `relaxation`, `polishing`, `optimisation`: the best plan, and what no plan can better
 - `search`, `feasibility`: the plan's problem, solved; whether its goal can be had
-- `faults`: what may be wrong unnoticed
+- `readings`: the same for readings: what may be read, how often to read it, and in which order
+- `faults`, `watching`: what may be wrong, and what a campaign would notice of it
 - `predicted`, `requirements`: what the runs will tell, and what the centrifuge must be for it
 - `figure_curves`: the curves of the figures
 - `result`: what planning found, its JSON; `toml_text`: the campaign it writes

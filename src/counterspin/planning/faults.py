@@ -4,31 +4,42 @@ A fault is a term of the table that is neither estimated nor considered, at its 
 bias that heating changes. Each moves the estimates, and leaves something in the
 residuals; where that is too little, the plan cannot notice it.
 
-- `Fault`, `faults_of`, `of_path`: what may be wrong
+- `Fault`, `Part`, `faults_of`, `of_path`: what may be wrong
 - `square`, `mean_square`: K_II itself in the same form, and without its harmonics
-- `watch`, `Watched`: what a campaign's fit would make of faults
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from counterspin.arrays import Array, triangle_of
+from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import left_out_of
+from counterspin.campaign.machine import symbols_shown
 from counterspin.campaign.resolved import Campaign
-from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import Considered, Unknowns
+from counterspin.inference.joint.unknowns import Considered
+from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import MOTION_TERMS, MotionTerm, term
-from counterspin.planning.forecast import Forecast
 
 #: What a record shows of one unit of a fault: shape (n, k); None where nothing.
 Columns = Callable[[Series], Array | None]
+
+
+#: Stands where a fault is no term of the table: readings show nothing of it.
+_NO_TERM: Final = Considered("nobody", "", (0.0, 0.0), 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """What a fault, or a part of it, shows of one unit: in records and, of a term, in readings."""
+
+    columns: Columns
+    term: Considered = _NO_TERM
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +52,8 @@ class Fault:
         As the term table has it, or as it would; what it is called.
     size, unit
         What to reckon with where nothing is known, SI and g-units.
-    columns
-        One function for each of its parts, which have the size each.
+    parts
+        Each has the size.
     random
         Whether the parts are independent (each run has its own); else they are cosine and sine
         of one amplitude, the worst phase of which is taken.
@@ -52,138 +63,8 @@ class Fault:
     words: str
     size: float
     unit: str
-    columns: tuple[Columns, ...]
+    parts: tuple[Part, ...]
     random: bool = False
-
-
-@dataclass(frozen=True, eq=False)
-class Watched:
-    """What a fit would make of faults.
-
-    Attributes
-    ----------
-    prediction
-        The campaign's forecast.
-    faults
-        The faults.
-    moved
-        For each fault, what one unit of each of its parts moves the unknowns by, (p, k).
-    left
-        For each fault, the products of what one unit of its parts leaves in the whitened rows and
-        priors once the fit has followed it as far as it can, (k, k).
-    left_in
-        By accelerometer, the same in its own whitened residuals.
-    """
-
-    prediction: Forecast
-    faults: tuple[Fault, ...]
-    moved: tuple[Array, ...]
-    left: tuple[Array, ...]
-    left_in: dict[str, tuple[Array, ...]]
-
-    def shift(self, fault: int, place: int) -> float:
-        """Return by how much a fault of its size moves an unknown, without sign."""
-        return self.faults[fault].size * self.sensitivity(fault, place)
-
-    def sensitivity(self, fault: int, place: int) -> float:
-        """Return what one unit of a fault moves an unknown by, without sign."""
-        return float(np.linalg.norm(self.moved[fault][place]))
-
-    def deviation(self, fault: int, place: int) -> float:
-        """Return how many standard deviations the best test for this very fault would see."""
-        return math.sqrt(self._square(self.left, fault, place))
-
-    def detection(self, fault: int, place: int, accelerometer: str, significance: float) -> float:
-        """Return the probability that the residuals of an accelerometer fail their test.
-
-        Parameters
-        ----------
-        fault, place
-            The fault, at the phase that moves this unknown most.
-        accelerometer
-            Its name.
-        significance
-            Of the test of their sum of squares.
-        """
-        from scipy.special import chdtri, chndtr
-
-        fit = self.prediction.fit
-        parts = zip(fit.degrees_of_freedom, fit.prepared, strict=True)
-        dof = max(1.0, sum(own for own, part in parts if part.accelerometer == accelerometer))
-        square = self._square(self.left_in[accelerometer], fault, place)
-        return 1.0 - float(chndtr(chdtri(dof, significance), dof, square))
-
-    def _square(self, left: Sequence[Array], fault: int, place: int) -> float:
-        products, size = left[fault], self.faults[fault].size
-        if self.faults[fault].random:
-            return size**2 * float(np.trace(products))
-        moved = self.moved[fault][place]
-        length = float(np.linalg.norm(moved))
-        phase = moved / length if length > 0.0 else np.eye(moved.size)[0]
-        return max(0.0, size**2 * float(phase @ products @ phase))
-
-
-def watch(prediction: Forecast, faults: Sequence[Fault]) -> Watched:
-    """Return what a campaign's fit would make of faults, each by itself."""
-    model = prediction.fit.model
-    known = [*model.considered]
-    known += [Considered("", name, (0.0, u), u) for name, u in (model.inputs or {}).items()]
-    parts = [(index, columns) for index, fault in enumerate(faults) for columns in fault.columns]
-    names = [Considered("fault", str(i), (0.0, 0.0), 1.0) for i in range(len(parts))]
-    watched = Unknowns(model.unknowns, (*known, *names))
-    prepared = []
-    for part in prediction.fit.prepared:
-        shown = [(i, columns(part.series)) for i, (_, columns) in enumerate(parts)]
-        seen = [(i, column) for i, column in shown if column is not None]
-        prepared.append(
-            replace(
-                part,
-                fixed=np.column_stack([part.fixed, *(column for _, column in seen)]),
-                considered=(*part.considered, *(len(known) + i for i, _ in seen)),
-            )
-        )
-    fit = solve_joint(prepared, watched, prediction.fit.noise)
-    owners = np.array([index for index, _ in parts])
-    of_fault = [np.flatnonzero(owners == index) for index in range(len(faults))]
-    moved = -fit.solution.sensitivity_considered[:, len(known) :]
-    total, by_accelerometer = _left(fit, len(known))
-    return Watched(
-        prediction,
-        tuple(faults),
-        tuple(moved[:, places] for places in of_fault),
-        tuple(total[np.ix_(places, places)] for places in of_fault),
-        {
-            name: tuple(own[np.ix_(places, places)] for places in of_fault)
-            for name, own in by_accelerometer.items()
-        },
-    )
-
-
-def _left(fit: JointFit, known: int) -> tuple[Array, dict[str, Array]]:
-    """Return the products of what the watched columns leave in rows and priors.
-
-    What is considered is followed here as what is estimated: the test of the residuals allows
-    for it.
-    """
-    model = fit.model
-    spread = [*(u.spread for u in model.unknowns), *(c.prior[1] for c in model.considered[:known])]
-    p = len(spread)
-    held = np.diag([1.0 / u if u > 0.0 else 1e30 for u in spread])
-    rows = [np.hstack([block.factor, block.considered]) for block in fit.blocks]
-    prior = np.hstack([held, np.zeros((p, rows[0].shape[1] - p))])
-    triangle = triangle_of(np.vstack([*rows, prior]))
-    rest = triangle[p:, p:]
-    followed = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
-    by_accelerometer: dict[str, Array] = {}
-    for block, part in zip(rows, fit.prepared, strict=True):
-        residual = block[:, p:] - block[:, :p] @ followed
-        product = residual.T @ residual
-        before = by_accelerometer.get(part.accelerometer)
-        by_accelerometer[part.accelerometer] = product if before is None else before + product
-    return rest.T @ rest, by_accelerometer
-
-
-# What may be wrong
 
 
 def faults_of(campaign: Campaign, name: str) -> list[Fault]:
@@ -202,7 +83,16 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
         )
         for symbol, parts in by_symbol.items()
     ]
-    return [*terms, _HEATING]
+    own = tuple(reading for reading in campaign.readings if reading.accelerometer == name)
+    known = {*campaign.machine.terms, *campaign.machine.considered, *by_symbol}
+    for symbol in symbols_shown(own):
+        row, _ = machine_term(symbol) or (None, "")
+        if row is not None and symbol not in known:
+            owner = name if row.of_accelerometer else ""
+            shown = Considered(owner, symbol, (0.0, 0.0), row.limit)
+            parts = (Part(lambda _: None, shown),)
+            terms.append(Fault(symbol, row.words, row.typical, row.unit, parts))
+    return [*terms, *((_HEATING,) if campaign.runs else ())]
 
 
 def of_path(symbol: str) -> Fault:
@@ -213,7 +103,7 @@ def of_path(symbol: str) -> Fault:
         _words(rows[0].symbol),
         rows[0].typical,
         rows[0].unit,
-        tuple(_seen(row.symbol) for row in rows),
+        tuple(Part(_seen(row.symbol)) for row in rows),
     )
 
 
@@ -242,8 +132,8 @@ def mean_square(name: str) -> Fault:
     return Fault("K_II", "", 1.0, "g/g^2", (_only(name, _mean_of_square),))
 
 
-def _only(name: str, columns: Columns) -> Columns:
-    return lambda series: columns(series) if series.accelerometer == name else None
+def _only(name: str, columns: Columns) -> Part:
+    return Part(lambda series: columns(series) if series.accelerometer == name else None)
 
 
 def _k_ii(series: Series) -> Array:
@@ -258,13 +148,13 @@ def _mean_of_square(series: Series) -> Array:
     return np.asarray(mean * series.columns(["K_F"], 1.0)[:, 0])
 
 
-def _of_term(part: Considered, campaign: Campaign) -> Columns:
+def _of_term(part: Considered, campaign: Campaign) -> Part:
     def columns(series: Series) -> Array | None:
         prior = campaign.accelerometers[series.accelerometer].priors.get("K_I")
         factor = prior.value if prior else 1.0
         return series.columns([part.symbol], factor)[:, 0] if part.concerns(series) else None
 
-    return columns
+    return Part(columns, part)
 
 
 def _heating(series: Series) -> Array:
@@ -275,5 +165,9 @@ def _heating(series: Series) -> Array:
 
 
 _HEATING: Final = Fault(
-    "K_F.heating", "bias that grows with the square of the force", 1e-7, "g/g^2", (_heating,)
+    "K_F.heating",
+    "bias that grows with the square of the force",
+    1e-7,
+    "g/g^2",
+    (Part(_heating),),
 )

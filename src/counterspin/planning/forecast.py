@@ -20,16 +20,18 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import model_of
+from counterspin.calibration.readings import block_name, groups_of
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.resolved import Campaign, Run, sample_count
 from counterspin.errors import CampaignError
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.fit import JointFit, solve_joint
+from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.readings import blocks_at
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import ORDERS
@@ -89,7 +91,7 @@ def forecast(
     ----------
     where
         The campaign's folder, its ``campaign.toml``, or a campaign already read; every run with
-        its duration, the noise given.
+        its duration, the noise given, every reading with its standard uncertainty.
     sampling_rate
         Samples a second, Hz; None: that of the campaign's [simulation].
     model
@@ -107,22 +109,28 @@ def forecast(
         If a run is too short for its own start offset and velocity.
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
-    campaign.require_records("a forecast")
     if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
     _check(campaign, sampling_rate)
-    assert sampling_rate is not None
     model = model or model_of(campaign)
-    noise = noise_of_records(campaign)
+    if expected is None:
+        expected = expected_values(campaign, model.unknowns)
+    groups = groups_of(campaign, campaign.readings)
+    beside = dict(zip(map(block_name, groups), blocks_at(groups, model, expected), strict=True))
+    if not campaign.runs:
+        solution = solve_blocks(list(beside.values()), model)
+        return Forecast(campaign, JointFit(model, solution, (), (), {}, beside=beside))
+    assert sampling_rate is not None
     series = [
         planned_series(campaign, run, name, sampling_rate)
         for run in campaign.runs
         for name in campaign.accelerometers
     ]
-    if expected is None:
-        expected = expected_values(campaign, model.unknowns)
     prepared = prepare_columns(series, model, scale_factors(campaign), expected)
-    fit = solve_joint(prepared, model, noise)
+    fit = solve_joint(prepared, model, noise_of_records(campaign))
+    if beside:
+        solution = solve_blocks([*fit.blocks, *beside.values()], model)
+        fit = replace(fit, solution=solution, beside=beside)
     return Forecast(campaign, fit)
 
 
@@ -133,10 +141,15 @@ def _check(campaign: Campaign, sampling_rate: float | None) -> None:
         for index, run in enumerate(campaign.runs)
         if run.duration is None
     ]
-    if sampling_rate is None:
+    problems += [
+        f'a prediction needs the standard uncertainty of the reading "{reading.name}"'
+        for reading in campaign.readings
+        if reading.u is None
+    ]
+    if sampling_rate is None and campaign.runs:
         problems.append("simulation.sampling_rate: missing; a prediction needs it")
     noise = _noise(campaign)
-    for name, accelerometer in campaign.accelerometers.items():
+    for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
         for key in (accelerometer.observable, "acceleration", "quantisation", "timing"):
             if not isinstance(noise.get(key, "estimate"), float):
                 problems.append(f"noise.{key}: a prediction needs its size")

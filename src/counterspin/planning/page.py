@@ -10,9 +10,11 @@ import math
 from collections.abc import Iterator
 from typing import Final
 
+from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.result_parts import BudgetLine
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import SHARED_TERMS, symbol_of, term
+from counterspin.physics.machine import machine_term
+from counterspin.physics.shared_terms import SHARED_TERMS, symbol_of
 from counterspin.planning.result import (
     GoalResult,
     PlannedAccelerometer,
@@ -42,7 +44,8 @@ def plan_blocks(result: PlanResult) -> list[Block]:
     """Return a plan or a forecast as blocks, the answer first."""
     blocks: list[Block] = [Heading(result.title, 1), *_answer(result)]
     blocks += [Paragraph(f"Warning: {text}", "warning") for text in result.warnings]
-    blocks += _runs(result)
+    blocks += _runs(result) if result.runs else []
+    blocks += _readings(result) if result.readings else []
     for name, accelerometer in result.accelerometers.items():
         blocks += _accelerometer(result, name, accelerometer)
     blocks += _limits(result)
@@ -63,11 +66,15 @@ def _answer(result: PlanResult) -> Iterator[Block]:
             else result.platform[name]
         )
         parts.append(f"u({_spoken(name)}) = {_u(predicted)}")
-    count = len(result.runs)
-    time = f"{count} run{'s' * (count > 1)}, {_time(result.total_time)}"
-    yield Paragraph(f"{'; '.join(parts)}: {time}.", "answer")
+    amounts = [
+        f"{count} {word}{'s' * (count > 1)}"
+        for count, word in ((len(result.runs), "run"), (len(result.readings), "reading"))
+        if count
+    ]
+    amounts += [_time(result.total_time)] if result.total_time > 0.0 else []
+    yield Paragraph(f"{'; '.join(parts)}: {', '.join(amounts)}.", "answer")
     if goal is not None:
-        yield Paragraph(_optimality(goal))
+        yield Paragraph(_optimality(goal, result.total_time > 0.0))
     gravity = format_number(result.gravity, 9)
     yield Paragraph(
         "Standard uncertainties (k = 1) that a joint calibration will state, in units of the "
@@ -76,16 +83,18 @@ def _answer(result: PlanResult) -> Iterator[Block]:
     )
 
 
-def _optimality(goal: GoalResult) -> str:
+def _optimality(goal: GoalResult, timed: bool) -> str:
     less = 100.0 * (1.0 - goal.efficiency)
     what = "smaller u" if goal.kind == "minimise" else "shorter time"
+    if goal.kind == "target" and not timed:
+        what = "smaller number of readings"
     if goal.kind == "minimise" and goal.criterion == "determinant":
         what = "smaller mean u (of the ellipsoid's volume)"
     if less < 0.05:
         return "No plan within these limits is better, to 0.05 %."
     return (
         f"No plan within these limits can have a {what} by more than {format_number(less, 2)} % "
-        "(equivalence theorem, on the relaxation to parts of runs)."
+        "(equivalence theorem, with numbers that need not be whole)."
     )
 
 
@@ -117,6 +126,44 @@ def _runs(result: PlanResult) -> Iterator[Block]:
     yield Table(tuple(columns), tuple(rows))
     if not several:
         yield Paragraph(f"Attitude: {result.runs[0].attitude}.")
+
+
+def _readings(result: PlanResult) -> Iterator[Block]:
+    """Show the readings: one of several at a place with the number of them."""
+    yield Heading("Readings")
+    places: dict[tuple[str, ...], int] = {}
+    several = len(result.accelerometers) > 1
+    for reading in result.readings:
+        row: tuple[str, ...] = (
+            reading.motion,
+            reading.mounting or "-",
+            format_number(reading.rate, 6) if reading.rate else "-",
+            format_number(reading.specific_force, 4) if reading.rate else "-",
+            reading.axes,
+            format_number(1e6 * reading.u, 3),
+        )
+        row = (reading.accelerometer, *row) if several else row
+        places[row] = places.get(row, 0) + 1
+    columns = [
+        Column("Motion"),
+        Column("Mounting"),
+        Column("Rate, rad/s", "right"),
+        Column("g", "right"),
+        Column("Input, pendulous axis", wraps=True),
+        Column("u, ug", "right"),
+        Column("Times", "right"),
+    ]
+    yield Table(
+        ((Column("Of"),) if several else ()) + tuple(columns),
+        tuple((*row, str(count)) for row, count in places.items()),
+    )
+    words = {
+        "mirrored": "In mirrored order, so that what changes evenly with time cancels",
+        "random": "In random order, so that what changes with time is noise",
+        "listed": "In the order of the list",
+    }
+    if result.order:
+        yield Paragraph(f"{words[result.order]}: as the runs of the planned campaign.")
 
 
 def _accelerometer(
@@ -156,6 +203,8 @@ def _accelerometer(
 def _advice(result: PlanResult, terms: list[str]) -> str:
     """Return what would separate terms: the other sense, other rates, another attitude."""
     rates = [run.rate for run in result.runs]
+    if not rates:
+        return "They need other stations, or knowledge of one of them beforehand."
     platform = [SHARED_TERMS[symbol] for symbol in terms if symbol in SHARED_TERMS]
     own = [TERMS[symbol] for symbol in terms if symbol in TERMS]
     if (
@@ -204,7 +253,7 @@ def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine])
 
 def _faults(name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
     """Say what would move K_II unseen, and how much of it rests on a harmonic."""
-    if accelerometer.harmonic_share is None:
+    if accelerometer.faults is None:
         return
     yield Heading(f"What these runs cannot notice of {name}")
     unseen = [effect for effect in accelerometer.faults if not effect.noticed]
@@ -241,6 +290,8 @@ def _faults(name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
         named = ", ".join(effect.symbol for effect in seen)
         yield Paragraph(f"The residuals would show: {named}.")
     share = accelerometer.harmonic_share
+    if share is None:
+        return
     part = "Less than 0.1" if abs(share) < 1e-3 else format_number(100.0 * share, 2)
     yield Paragraph(
         f"{part} % of K_II rests on its second harmonic, which an eccentric encoder and imbalance "
@@ -327,11 +378,15 @@ def _first(result: PlanResult) -> str:
 
 
 def _unit(name: str) -> str:
-    return term(symbol_of(name)).unit
+    return unit_of(_symbol(name))
+
+
+def _symbol(name: str) -> str:
+    return name if machine_term(name) is not None else symbol_of(name)
 
 
 def _spoken(name: str) -> str:
-    symbol = symbol_of(name)
+    symbol = _symbol(name)
     return name if symbol == name else f"{symbol} of {name.removesuffix(f'.{symbol}')}"
 
 

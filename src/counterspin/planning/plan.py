@@ -21,15 +21,22 @@ from counterspin.campaign.attitude import attitude_words
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
-from counterspin.errors import CounterspinError
+from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import make_folder, write_text
 from counterspin.planning.design import Design, Limits
 from counterspin.planning.feasibility import require_determined, unreachable
 from counterspin.planning.figure_curves import curves_of
 from counterspin.planning.forecast import Forecast, forecast
 from counterspin.planning.optimisation import Optimum
-from counterspin.planning.plan_file import read_plan
-from counterspin.planning.predicted import accelerometers_of, planned_runs, platform_of
+from counterspin.planning.plan_file import load_plan, read_plan
+from counterspin.planning.predicted import (
+    accelerometers_of,
+    planned_readings,
+    planned_runs,
+    platform_of,
+)
+from counterspin.planning.readings.reading_plan import plan_readings
+from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.planning.requirements import requirements_of
 from counterspin.planning.result import GoalResult, LimitResult, OtherPlan, PlanResult, Requirement
 from counterspin.planning.search import Search
@@ -92,6 +99,8 @@ def plan(
     CounterspinError
         If no plan within the limits reaches the target.
     """
+    if "stations" in load_plan(where):
+        return _planned_readings(where, curves)
     described = read_plan(where)
     search = Search(described)
     require_determined(search)
@@ -126,6 +135,15 @@ def plan(
         }
     )
     return Planned(result, write_document(search.document(design), _COMMENTS))
+
+
+def _planned_readings(where: Path | str, curves: bool) -> Planned:
+    """Return a plan of readings, with their values left blank in its campaign."""
+    described = read_reading_plan(where)
+    if curves:
+        raise CampaignError(str(where), ["curves are of plans with records, not of readings"])
+    result, readings = plan_readings(described)
+    return Planned(result, write_document(described.campaign_document(readings), _COMMENTS))
 
 
 def _written(search: Search, design: Design) -> tuple[Design, Forecast]:
@@ -186,15 +204,17 @@ def check(
         runs = (replace(r, duration=lengths.get(r.name, r.duration)) for r in campaign.runs)
         campaign = replace(campaign, runs=tuple(runs))
     prediction = forecast(campaign, sampling_rate=sampling_rate)
-    if sampling_rate is None:
-        assert campaign.simulation is not None  # or the forecast would have asked for it
+    if sampling_rate is None and campaign.simulation is not None:
         sampling_rate = campaign.simulation.sampling_rate
     attitudes = {run.name: attitude_words(run.attitude) for run in campaign.runs}
     total = sum(run.duration or 0.0 for run in campaign.runs)
     result = _result(prediction, sampling_rate, total, attitudes, None)
     symbol = "K_II" if "K_II" in campaign.model.terms else campaign.model.terms[0]
     name = f"{next(iter(campaign.accelerometers))}.{symbol}"
-    words, requirements = _requirements(campaign, name, sampling_rate)
+    words: str = ""
+    requirements: list[Requirement] = []
+    if sampling_rate is not None and not campaign.readings:
+        words, requirements = _requirements(campaign, name, sampling_rate)
     warnings = [
         f"{run.name}: {revolutions:g} revolutions are assumed; the campaign does not say how long "
         "its record is."
@@ -241,7 +261,7 @@ def write_example(file: Path) -> Path:
 
 def _result(
     prediction: Forecast,
-    sampling_rate: float,
+    sampling_rate: float | None,
     total: float,
     attitudes: dict[str, str],
     starts: dict[str, float] | None,
@@ -254,6 +274,7 @@ def _result(
         sampling_rate=sampling_rate,
         total_time=total,
         runs=planned_runs(campaign, attitudes, starts),
+        readings=planned_readings(campaign),
         accelerometers=accelerometers_of(prediction),
         platform=platform_of(prediction),
         provenance=Provenance(version=__version__, inputs={}),

@@ -3,8 +3,8 @@
 Most of a plan is a campaign without runs, and is checked as one: a stand-in campaign with one run
 in each attitude.
 
-- `read_plan`: the file
-- `Plan`, `Goal`: what it says
+- `read_plan`: the file; `load_plan`: only its document
+- `Plan`, `Goal`: what it says; `resolve_goal`: [goal] against a campaign's unknowns
 - `campaign_of`: the campaign that it makes of chosen runs
 """
 
@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.joint_problem import model_of
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import resolve_campaign
@@ -89,6 +90,11 @@ class Plan:
     goal: Goal
 
 
+def load_plan(path: Path | str) -> dict[str, Any]:
+    """Return a plan's document; CampaignError if it cannot be read."""
+    return load_document(Path(path), "`planning.plan.write_example` writes a plan to start from")
+
+
 def read_plan(path: Path | str) -> Plan:
     """Read and check a plan.
 
@@ -103,7 +109,7 @@ def read_plan(path: Path | str) -> Plan:
         With every mistake found, each with the path of its key; or that the file cannot be read.
     """
     file = Path(path)
-    raw = load_document(file, "`planning.plan.write_example` writes a plan to start from")
+    raw = load_plan(file)
     problems = Problems(raw)
     if "runs" in raw:
         raw = {key: value for key, value in raw.items() if key != "runs"}
@@ -123,7 +129,7 @@ def read_plan(path: Path | str) -> Plan:
     if campaign is not None:
         _check_noise(campaign, problems)
         limits = _limits(settings, attitudes, campaign, problems) if settings else None
-        sought = _goal(goal, campaign, problems) if goal else None
+        sought = resolve_goal(goal, campaign, problems) if goal else None
         if settings is not None and limits is not None and sought is not None:
             plan = Plan(
                 file.absolute(),
@@ -316,7 +322,8 @@ def _rates(
     return (available[0], available[-1]), available
 
 
-def _goal(settings: GoalSettings, campaign: Campaign, problems: Problems) -> Goal | None:
+def resolve_goal(settings: GoalSettings, campaign: Campaign, problems: Problems) -> Goal | None:
+    """Return what a plan is for, or None with what is wrong with it noted."""
     if settings.minimise is not None and settings.target is not None:
         problems.add(("goal",), "has both minimise and target; keep one")
         return None
@@ -344,7 +351,7 @@ def _goal(settings: GoalSettings, campaign: Campaign, problems: Problems) -> Goa
         if isinstance(wanted, Mapping):
             size = _size(wanted[name], chosen[0], campaign, path, problems)
         sizes |= {u.name: size for u in chosen if size is not None}
-        units |= {term(u.symbol).unit for u in chosen}
+        units |= {unit_of(u.symbol) for u in chosen}
     if not isinstance(wanted, Mapping) and settings.criterion == "sum" and len(units) > 1:
         problems.add(
             ("goal", key),
@@ -359,7 +366,7 @@ def _goal(settings: GoalSettings, campaign: Campaign, problems: Problems) -> Goa
 def _size(
     text: Any, unknown: Unknown, campaign: Campaign, path: tuple[str | int, ...], problems: Problems
 ) -> float | None:
-    unit = term(unknown.symbol).unit
+    unit = unit_of(unknown.symbol)
     quantity = problems.attempt(path, parse, text, unit, gravity=campaign.site.gravity)
     if quantity is None:
         return None

@@ -76,6 +76,52 @@ class LimitsSettings(SettingsSection):
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = 50.0
 
 
+class ReadingPlanDocument(SettingsSection):
+    """The sections of a plan of readings; each is checked by its own model afterwards."""
+
+    schema_version: Schema = Field(alias="schema")
+    campaign: dict[str, Any] = Field(default_factory=dict)
+    site: dict[str, Any]
+    centrifuge: dict[str, Any] | None = None
+    accelerometers: dict[str, Any] = Field(min_length=1)
+    model: dict[str, Any] | None = None
+    stations: list[Any] = Field(min_length=1)
+    limits: dict[str, Any]
+    goal: dict[str, Any]
+
+
+class StationsSettings(SettingsSection):
+    """[[stations]]: readings that may be taken, one for each position or rate."""
+
+    name: str = ""
+    motion: Literal["counter-rotating", "arm", "static"] = "static"
+    positions: Annotated[int, AfterValidator(positive)] | None = None
+    attitudes: Annotated[list[Any], Field(min_length=1)] | None = None
+    about: Text = "north"
+    u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_not_negative)] = 0.0
+    rates: Annotated[list[Rate], Field(min_length=1)] | None = None
+    specific_forces: (
+        Annotated[
+            list[Annotated[float, read_exactly("g"), AfterValidator(positive)]],
+            Field(min_length=1),
+        ]
+        | None
+    ) = None
+    senses: Literal["one", "both"] = "one"
+    axes: dict[str, Any] | None = None
+    mounting: str = ""
+    u: Text | dict[str, Text]
+    time: Duration = 0.0
+
+
+class ReadingLimitsSettings(SettingsSection):
+    """[limits] of a plan of readings."""
+
+    readings: Annotated[int, AfterValidator(positive)] | None = None
+    total_time: Seconds | None = None
+    order: Literal["mirrored", "random", "listed"] = "mirrored"
+
+
 class GoalSettings(SettingsSection):
     """[goal]: what the plan is for; names and sizes are settled in `plan_file`."""
 

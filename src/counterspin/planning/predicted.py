@@ -1,7 +1,7 @@
 """The parts of a plan's result that are read off a forecast: uncertainties, budgets, runs.
 
 - `accelerometers_of`, `platform_of`: what the campaign will tell
-- `planned_runs`: its runs as a table
+- `planned_runs`, `planned_readings`: its runs and readings as tables
 """
 
 from __future__ import annotations
@@ -10,14 +10,25 @@ import math
 from collections.abc import Mapping
 from typing import Final
 
+import numpy as np
+
+from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import budget_lines, coefficient
 from counterspin.calibration.result_parts import ConfoundedTerms
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.accelerometer import TERMS
-from counterspin.planning.faults import faults_of, mean_square, square, watch
+from counterspin.physics.station import FRAMES
+from counterspin.planning.faults import faults_of, mean_square, square
 from counterspin.planning.forecast import Forecast
-from counterspin.planning.result import FaultEffect, PlannedAccelerometer, PlannedRun, Predicted
+from counterspin.planning.result import (
+    FaultEffect,
+    PlannedAccelerometer,
+    PlannedReading,
+    PlannedRun,
+    Predicted,
+)
+from counterspin.planning.watching import watch
 
 #: Probability of failing the test of the residuals from which on a fault counts as noticed.
 _NEARLY_ALWAYS: Final = 0.95
@@ -35,7 +46,7 @@ def _accelerometer(prediction: Forecast, name: str) -> PlannedAccelerometer:
     campaign = prediction.campaign
     others = [f"{other}." for other in campaign.accelerometers if other != name]
     determined = "K_II" in coefficients and coefficients["K_II"].estimated
-    share, faults = _faults(prediction, name, own["K_II"]) if determined else (None, [])
+    share, faults = _faults(prediction, name, own["K_II"]) if determined else (None, None)
     return PlannedAccelerometer(
         coefficients={s: coefficients[s] for s in campaign.model.terms if s in coefficients},
         budget={
@@ -59,8 +70,11 @@ def _accelerometer(prediction: Forecast, name: str) -> PlannedAccelerometer:
     )
 
 
-def _faults(prediction: Forecast, name: str, k_ii: int) -> tuple[float, list[FaultEffect]]:
-    """Return what of K_II rests on the second harmonic, and which faults would move it."""
+def _faults(prediction: Forecast, name: str, k_ii: int) -> tuple[float | None, list[FaultEffect]]:
+    """Return what of K_II rests on the second harmonic, and which faults would move it.
+
+    The first is None where there are readings, which are means.
+    """
     faults = faults_of(prediction.campaign, name)
     watched = watch(prediction, [*faults, mean_square(name), square(name)])
     *_, of_mean, of_square = (float(moved[k_ii, 0]) for moved in watched.moved)
@@ -83,7 +97,8 @@ def _faults(prediction: Forecast, name: str, k_ii: int) -> tuple[float, list[Fau
                     noticed=detection >= _NEARLY_ALWAYS,
                 )
             )
-    return 1.0 - of_mean / of_square, sorted(effects, key=lambda effect: -effect.shift)
+    share = None if prediction.campaign.readings else 1.0 - of_mean / of_square
+    return share, sorted(effects, key=lambda effect: -effect.shift)
 
 
 def platform_of(prediction: Forecast) -> dict[str, Predicted]:
@@ -138,3 +153,31 @@ def planned_runs(
             )
         )
     return runs
+
+
+def planned_readings(campaign: Campaign) -> list[PlannedReading]:
+    """Return a campaign's readings in their order."""
+    return [
+        PlannedReading(
+            name=reading.name,
+            accelerometer=reading.accelerometer,
+            motion=reading.motion,
+            mounting=reading.mounting,
+            rate=reading.rate,
+            specific_force=campaign.radius.value * reading.rate**2 / campaign.site.gravity,
+            axes=", ".join(
+                _direction(axis, FRAMES[reading.motion]) for axis in reading.axes.matrix[:2]
+            ),
+            u=reading.u or 0.0,
+            time=reading.time,
+        )
+        for reading in campaign.readings
+    ]
+
+
+def _direction(axis: Array, names: Mapping[str, tuple[float, float, float]]) -> str:
+    """Return the name of a direction, or its components."""
+    for name, components in names.items():
+        if np.allclose(axis, components, atol=1e-9):
+            return name
+    return "[" + ", ".join(f"{part:.4f}" for part in axis) + "]"

@@ -13,7 +13,8 @@ What is left of the inequality bounds what any plan at all could do better.
 Considered terms are taken as estimated here, with their priors: the best estimator is no worse
 than one that leaves them out, so the bound holds, and the problem stays convex.
 
-- `Relaxed`, `relax`
+- `Relaxed`, `relax`: runs of any rate and length
+- `allocate`: possibilities that are given
 
 References
 ----------
@@ -112,7 +113,8 @@ def relax(predictor: Predictor, limits: Limits, criterion: Criterion, fineness: 
     Relaxed
     """
     grid, steps = _first_grid(predictor, limits, fineness)
-    solved = _Weights(predictor, criterion, grid, limits)
+    problem, resources = (predictor.prior, criterion), (limits.total_time, float(limits.runs))
+    solved = _Weights(*problem, grid.root, grid.cost, *resources)
     weight = solved.start()
     weight, solution = _solve(solved, weight)
     for level in range(1, _REFINEMENTS + 1):
@@ -121,7 +123,7 @@ def relax(predictor: Predictor, limits: Limits, criterion: Criterion, fineness: 
         if not len(finer.types):
             break
         grid = grid.joined(finer)
-        solved = _Weights(predictor, criterion, grid, limits)
+        solved = _Weights(*problem, grid.root, grid.cost, *resources)
         weight = np.concatenate([weight, np.zeros(len(finer.types))])
         weight, solution = _solve(solved, weight)
     kept = np.flatnonzero(weight > _ZERO_WEIGHT)
@@ -135,6 +137,33 @@ def relax(predictor: Predictor, limits: Limits, criterion: Criterion, fineness: 
         bound,
         price_run,
     )
+
+
+def allocate(
+    prior: Array, criterion: Criterion, root: Array, cost: Array, total: float, count: float
+) -> tuple[Array, float, float]:
+    """Solve the relaxation for given possibilities: how often each is to be had.
+
+    Parameters
+    ----------
+    prior
+        Square-root information beforehand, shape (p, p).
+    criterion
+        What is to be small.
+    root, cost
+        Square-root information and cost of each of n possibilities, shapes (n, b, p) and (n,).
+    total, count
+        Limits of the sum of costs and of the number.
+
+    Returns
+    -------
+    Array, float, float
+        Numbers that need not be whole, shape (n,); the criterion; what no whole numbers can be
+        below.
+    """
+    solved = _Weights(prior, criterion, root, cost, total, count)
+    weight, (value, bound, _) = _solve(solved, solved.start())
+    return weight, value, bound
 
 
 def _solve(solved: _Weights, weight: Array) -> tuple[Array, tuple[float, float, float]]:
@@ -224,22 +253,28 @@ class _Weights:
     """The criterion as a function of the weights, and the linear limits on them."""
 
     def __init__(
-        self, predictor: Predictor, criterion: Criterion, grid: _Grid, limits: Limits
+        self,
+        prior: Array,
+        criterion: Criterion,
+        root: Array,
+        cost: Array,
+        total: float,
+        count: float,
     ) -> None:
-        self.prior = predictor.prior
+        self.prior = prior
         self.criterion = criterion
-        self.grid = grid
-        self.total, self.runs = limits.total_time, float(limits.runs)
+        self.root, self.cost = root, cost
+        self.total, self.runs = total, count
 
     def gain(self, weight: Array) -> tuple[float, Array]:
         """Return the criterion and what each possible run would take off it, shape (n,)."""
         used = np.flatnonzero(weight > 0.0)
         value, covariance = self._solve(used, weight[used])
         v = covariance @ self.criterion.directions(covariance)
-        return value, np.asarray(np.sum((self.grid.root @ v) ** 2, axis=(1, 2)))
+        return value, np.asarray(np.sum((self.root @ v) ** 2, axis=(1, 2)))
 
     def _solve(self, used: Places, weight: Array) -> tuple[float, Array]:
-        rows = self.grid.root[used] * np.sqrt(weight)[:, None, None]
+        rows = self.root[used] * np.sqrt(weight)[:, None, None]
         stacked = np.vstack([rows.reshape(-1, self.prior.shape[0]), self.prior])
         inverse = np.linalg.inv(np.linalg.qr(stacked, mode="r"))
         covariance = inverse @ inverse.T
@@ -247,9 +282,9 @@ class _Weights:
 
     def start(self) -> Array:
         """Return weights to start from: some of the shortest and of the longest, evenly."""
-        order = np.argsort(self.grid.cost)
+        order = np.argsort(self.cost)
         support = np.unique(np.concatenate([order[:4], order[-4:]]))
-        cost = self.grid.cost[support]
+        cost = self.cost[support]
         weight = np.zeros(order.size)
         weight[support] = min(self.total / float(cost.sum()), self.runs / support.size)
         return weight
@@ -259,7 +294,7 @@ class _Weights:
         from scipy.optimize import linprog
 
         scale = float(np.max(phi)) or 1.0
-        rows = np.vstack([self.grid.cost, np.ones_like(phi)])
+        rows = np.vstack([self.cost, np.ones_like(phi)])
         program = linprog(-phi / scale, A_ub=rows, b_ub=[self.total, self.runs], method="highs")
         return np.asarray(program.x), -float(program.ineqlin.marginals[1]) * scale
 
@@ -267,14 +302,14 @@ class _Weights:
         """Return the best weights on a support."""
         from scipy.optimize import minimize
 
-        grid, count = self.grid, support.size
+        count = support.size
         start = weight[support] + 0.1 * (best[support] - weight[support])
-        cost = grid.cost[support]
+        cost = self.cost[support]
 
         def objective(n: Array) -> tuple[float, Array]:
             value, covariance = self._solve(support, np.maximum(n, 0.0))
             v = covariance @ self.criterion.directions(covariance)
-            return value, -np.sum((grid.root[support] @ v) ** 2, axis=(1, 2))
+            return value, -np.sum((self.root[support] @ v) ** 2, axis=(1, 2))
 
         minimum = minimize(
             objective,
@@ -294,5 +329,5 @@ class _Weights:
         result = np.zeros_like(weight)
         result[support] = np.maximum(minimum.x, 0.0)
         # A step over the limits by rounding must not count as a gain.
-        over = max(float(grid.cost @ result) / self.total, float(result.sum()) / self.runs, 1.0)
+        over = max(float(self.cost @ result) / self.total, float(result.sum()) / self.runs, 1.0)
         return result / over

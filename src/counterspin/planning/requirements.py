@@ -15,9 +15,10 @@ from counterspin.calibration.joint_parts import unit_of
 from counterspin.campaign.resolved import Campaign, sample_count
 from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns
-from counterspin.planning.faults import of_path, watch
+from counterspin.planning.faults import of_path
 from counterspin.planning.forecast import expected_values, forecast
 from counterspin.planning.result import Requirement
+from counterspin.planning.watching import watch
 
 #: A fault that adds this part of u in quadrature makes u grow by a twentieth.
 _ADDED: Final = math.sqrt(1.05**2 - 1.0)

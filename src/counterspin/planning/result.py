@@ -25,6 +25,23 @@ class PlannedRun(ResultPart):
     start: float | None = None
 
 
+class PlannedReading(ResultPart):
+    """One reading: rad/s, centripetal force in g, u in g; `time` of its middle, s.
+
+    `axes` says where input and pendulous axis point in the frame of the motion.
+    """
+
+    name: str
+    accelerometer: str
+    motion: str
+    mounting: str
+    rate: float
+    specific_force: float
+    axes: str
+    u: float
+    time: float | None = None
+
+
 class Predicted(ResultPart):
     """The uncertainty that a coefficient will have, and where from; None: not determined."""
 
@@ -74,15 +91,15 @@ class PlannedAccelerometer(ResultPart):
     """What the campaign will tell of one accelerometer.
 
     `harmonic_share` is the part of K_II's estimate that rests on the second harmonic of the
-    revolution, the rest being the mean of a_I^2; `faults` the largest first; both only where K_II
-    is estimated and determined.
+    revolution, the rest being the mean of a_I^2, and None where there are readings; `faults`, the
+    largest first; both only where K_II is estimated and determined.
     """
 
     coefficients: dict[str, Predicted]
     budget: dict[str, list[BudgetLine]]
     confounded: list[ConfoundedTerms]
     harmonic_share: float | None = None
-    faults: list[FaultEffect] = []
+    faults: list[FaultEffect] | None = None
 
 
 class GoalResult(ResultPart):
@@ -160,9 +177,11 @@ class PlanResult(ResultFile):
     title: str
     gravity: float
     radius: float
-    sampling_rate: float
+    sampling_rate: float | None
     total_time: float
     runs: list[PlannedRun]
+    readings: list[PlannedReading] = []
+    order: str = ""
     accelerometers: dict[str, PlannedAccelerometer]
     platform: dict[str, Predicted]
     goal: GoalResult | None = None

@@ -9,7 +9,7 @@ blocks, not from the records.
 The problem is an `Unknowns` (`counterspin.inference.joint.unknowns`) beside the prepared series
 (`counterspin.inference.joint.prepared`).
 
-- `solve_joint`, `solve_blocks`: the answer, from columns or from blocks
+- `solve_joint`, `blocks_of`, `solve_blocks`: the answer, from columns or from blocks
 - `JointFit`: the answer for other noise or without a run, its residuals, its degrees of freedom
 """
 
@@ -213,8 +213,15 @@ def solve_joint(
     NotIdentifiableError
         If a record is too short for its own start offset and velocity.
     """
-    blocks = tuple(_block(part, model, noise[part.accelerometer]) for part in prepared)
-    return JointFit(model, solve_blocks(blocks, model), tuple(prepared), blocks, noise)
+    blocks = blocks_of(prepared, model, noise)
+    return JointFit(model, solve_blocks(blocks, model), tuple(prepared), tuple(blocks), noise)
+
+
+def blocks_of(
+    prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, NoiseModel]
+) -> list[Block]:
+    """Return each record's square-root information; arguments and errors as of `solve_joint`."""
+    return [_block(part, model, noise[part.accelerometer]) for part in prepared]
 
 
 def _block_again(

@@ -1,0 +1,213 @@
+"""How often to take each of several possible readings: whole numbers, and what bounds them.
+
+The relaxation in which the numbers need not be whole is convex (`planning.relaxation`). It is
+rounded, and one reading after another is exchanged for a better one for as long as it gains.
+
+- `Possibilities`: what each possible reading tells, and what it takes
+- `best_counts`, `least_counts`: the smallest uncertainty, and the fewest that reach targets
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.planning.design import Criterion
+from counterspin.planning.relaxation import allocate
+
+Counts = npt.NDArray[np.int64]
+
+#: Smallest relative gain of u for which readings are exchanged, and the largest number of them.
+_GAIN: Final = 1e-9
+_EXCHANGES: Final = 400
+
+#: Added to the scaled information, so that readings that do not determine all unknowns have a
+#: large uncertainty and no infinite one.
+_RIDGE: Final = 1e-12
+
+#: Steps of the search for the least limit.
+_BISECTIONS: Final = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Possibilities:
+    """What each of n possible readings tells, and what it takes.
+
+    Attributes
+    ----------
+    design, fixed
+        Rows of unit variance: columns of the unknowns and of what is considered, each of the
+        latter times its standard uncertainty, shapes (n, b, p) and (n, b, q).
+    prior
+        Square-root information beforehand, shape (p,).
+    time
+        Of each reading, s, shape (n,); zero where time does not count.
+    """
+
+    design: Array
+    fixed: Array
+    prior: Array
+    time: Array
+
+    def covariance(self, counts: npt.ArrayLike) -> Array:
+        """Return the covariance of the unknowns, shape (..., p, p), for numbers (..., n)."""
+        n = np.asarray(counts, dtype=np.float64)
+        turned = np.swapaxes(self.design, 1, 2)
+        information = np.tensordot(n, turned @ self.design, axes=1)
+        p = self.prior.size
+        diagonal = np.arange(p)
+        information[..., diagonal, diagonal] += self.prior**2
+        # Scaled, or columns of very different size would cost digits.
+        scale = 1.0 / np.sqrt(information[..., diagonal, diagonal])
+        outer = scale[..., :, None] * scale[..., None, :]
+        inner = np.linalg.inv(information * outer + _RIDGE * np.eye(p)) * outer
+        spread = inner @ np.tensordot(n, turned @ self.fixed, axes=1)
+        return np.asarray(inner + spread @ np.swapaxes(spread, -1, -2))
+
+    def value(self, criterion: Criterion, counts: npt.ArrayLike) -> Array:
+        """Return a criterion, see `Criterion.value`."""
+        return criterion.value(self.covariance(counts))
+
+    def relaxed(self, criterion: Criterion, number: float, time: float) -> tuple[Array, float]:
+        """Return numbers that need not be whole, and what no whole numbers can be below.
+
+        What is considered is taken as estimated.
+        """
+        root = np.concatenate([self.design, self.fixed], axis=2)
+        prior = np.diag(np.concatenate([self.prior, np.ones(self.fixed.shape[2])]))
+        cost, total = self.time, time
+        if not math.isfinite(time):
+            cost, total = np.ones(len(root)), number
+        if not math.isfinite(number):
+            number = total / float(cost.min())
+        weight, _, bound = allocate(prior, criterion, root, cost, total, number)
+        return weight, bound
+
+
+@dataclass(frozen=True, eq=False)
+class Chosen:
+    """How often each possible reading is taken.
+
+    Attributes
+    ----------
+    counts
+        Shape (n,).
+    value
+        The criterion.
+    bound
+        What no other choice within the limits can be below.
+    """
+
+    counts: Counts
+    value: float
+    bound: float
+
+
+def best_counts(
+    possible: Possibilities, criterion: Criterion, number: float, time: float
+) -> Chosen:
+    """Return the numbers with the smallest criterion.
+
+    Parameters
+    ----------
+    possible
+        The possible readings.
+    criterion
+        What is to be small.
+    number, time
+        Largest sum of the numbers and of their times, s; one of them finite.
+    """
+    weight, bound = possible.relaxed(criterion, number, time)
+    counts = np.floor(weight + 1e-6).astype(np.int64)
+    for index in np.argsort(counts - weight, kind="stable"):
+        if _within(possible, counts, index, number, time):
+            counts[index] += 1
+    value = float(possible.value(criterion, counts))
+    for _ in range(_EXCHANGES):
+        candidates = list(_neighbours(possible, counts, number, time))
+        if not candidates:
+            break
+        values = possible.value(criterion, np.array(candidates))
+        best = int(np.argmin(values))
+        if not values[best] < value - _GAIN:
+            break
+        counts, value = candidates[best], float(values[best])
+    return Chosen(counts, value, min(bound, value))
+
+
+def _within(
+    possible: Possibilities, counts: Counts, index: np.intp, number: float, time: float
+) -> bool:
+    """Return whether one more of a reading is within the limits."""
+    took = float(possible.time @ counts) + float(possible.time[index])
+    return float(counts.sum()) + 1.0 <= number and took <= time * (1.0 + 1e-12)
+
+
+def _neighbours(
+    possible: Possibilities, counts: Counts, number: float, time: float
+) -> list[Counts]:
+    """Return the numbers with one reading more, or one in place of another."""
+    found = []
+    for gone in (None, *np.flatnonzero(counts)):
+        left = counts.copy()
+        if gone is not None:
+            left[gone] -= 1
+        for index in np.arange(counts.size):
+            if index != gone and _within(possible, left, index, number, time):
+                more = left.copy()
+                more[index] += 1
+                found.append(more)
+    return found
+
+
+def least_counts(
+    possible: Possibilities, criterion: Criterion, number: float, time: float
+) -> tuple[Chosen, float] | None:
+    """Return the fewest readings, or the least time, with which every u is at most its scale.
+
+    Parameters
+    ----------
+    possible, criterion, number, time
+        As for `best_counts`. Where there is a limit of time, the time is made small, else the
+        number.
+
+    Returns
+    -------
+    tuple or None
+        The choice; the part of the limit below which none can be. None if all of the limit does
+        not suffice.
+    """
+
+    def worst(chosen: Chosen) -> float:
+        variance = np.diag(possible.covariance(chosen.counts))[list(criterion.places)]
+        return float(np.max(np.sqrt(variance) / np.array(criterion.scales)))
+
+    def within(part: float) -> Chosen:
+        if math.isfinite(time):
+            return best_counts(possible, criterion, number, part * time)
+        return best_counts(possible, criterion, math.floor(part * number + 1e-9), time)
+
+    best = within(1.0)
+    if worst(best) > 1.0:
+        return None
+    low, high = 0.0, 1.0
+    floor = 0.0
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        if math.isfinite(time):
+            possible_at_all = middle * time >= float(possible.time.min())
+        else:
+            possible_at_all = middle * number >= 1.0
+        chosen = within(middle) if possible_at_all else None
+        if chosen is not None and worst(chosen) <= 1.0:
+            best, high = chosen, middle
+        else:
+            low = middle
+        if chosen is None or chosen.bound > 0.0:
+            floor = max(floor, middle)
+    return best, floor

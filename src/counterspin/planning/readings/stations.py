@@ -1,0 +1,274 @@
+"""From ``PLAN.toml`` with [[stations]] to a `ReadingPlan`: where readings may be taken, and why.
+
+Every station becomes a run with a reading of a stand-in campaign, so that both are checked alike.
+
+- `read_reading_plan`: the file
+- `ReadingPlan`, `PossibleReading`: what it says
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.campaign.checking import Path as KeyPath
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.resolved import Campaign
+from counterspin.errors import CampaignError
+from counterspin.planning.plan_file import Goal, load_plan, resolve_goal
+from counterspin.planning.plan_sections import (
+    GoalSettings,
+    ReadingLimitsSettings,
+    ReadingPlanDocument,
+    StationsSettings,
+)
+
+#: Stands for the value that a reading will have.
+BLANK: Final = "?"
+
+
+@dataclass(frozen=True)
+class PossibleReading:
+    """A reading that may be taken, any number of times.
+
+    Attributes
+    ----------
+    run
+        As [[runs]] has it, its values blank.
+    time
+        That it takes, s.
+    """
+
+    run: Mapping[str, Any]
+    time: float
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return str(self.run["name"])
+
+
+@dataclass(frozen=True, eq=False)
+class ReadingPlan:
+    """A plan of readings, checked and resolved.
+
+    Attributes
+    ----------
+    path
+        Of the file, absolute.
+    document
+        The campaign to be, without runs.
+    stand_in
+        The campaign with each possible reading once.
+    possible
+        The possible readings.
+    readings, total_time
+        Most of them, and s; infinite where there is no such limit.
+    order
+        ``mirrored``, ``random`` or ``listed``.
+    goal
+        What it is for.
+    """
+
+    path: Path
+    document: Mapping[str, Any]
+    stand_in: Campaign
+    possible: tuple[PossibleReading, ...]
+    readings: float
+    total_time: float
+    order: str
+    goal: Goal
+
+    def campaign_document(
+        self, chosen: Sequence[PossibleReading], *, value: str = BLANK
+    ) -> dict[str, Any]:
+        """Return the document of the campaign with readings in this order.
+
+        Parameters
+        ----------
+        chosen
+            The readings.
+        value
+            What stands for their values.
+        """
+        timed = any(reading.time > 0.0 for reading in chosen)
+        digits, now, runs = len(str(len(chosen))), 0.0, []
+        for index, reading in enumerate(chosen):
+            run = _with_value(reading.run, value) | {
+                "name": f"{index + 1:0{digits}d} {reading.name}"
+            }
+            if timed:
+                # The time in the middle of the reading, from the start of the first.
+                run["time"] = f"{round(now + 0.5 * reading.time, 6)!r} s"
+                now += reading.time
+            runs.append(run)
+        return {**self.document, "runs": runs}
+
+    def campaign(self, chosen: Sequence[PossibleReading]) -> Campaign:
+        """Return the campaign with readings in this order, their values zero."""
+        document = self.campaign_document(chosen, value="0")
+        problems = Problems(document)
+        campaign = resolve_campaign(document, self.path, problems)
+        if campaign is None:
+            raise CampaignError(str(self.path), problems.lines)
+        return campaign
+
+
+def _with_value(run: Mapping[str, Any], value: str) -> dict[str, Any]:
+    reading = run["reading"]
+    if isinstance(reading, str):
+        return {**run, "reading": reading.replace(BLANK, value)}
+    return {**run, "reading": {name: text.replace(BLANK, value) for name, text in reading.items()}}
+
+
+def read_reading_plan(path: Path | str) -> ReadingPlan:
+    """Read and check a plan of readings.
+
+    Raises
+    ------
+    CampaignError
+        With every mistake found, each with the path of its key; or that the file cannot be read.
+    """
+    file = Path(path)
+    raw = load_plan(file)
+    problems = Problems(raw)
+    problems.check(ReadingPlanDocument, raw, ())
+    limits = problems.check(ReadingLimitsSettings, _table(raw, "limits"), ("limits",))
+    goal = problems.check(GoalSettings, _table(raw, "goal"), ("goal",))
+    document = {k: v for k, v in raw.items() if k not in ("limits", "goal", "stations")}
+    names = list(_table(raw, "accelerometers"))
+    possible: list[PossibleReading] = []
+    stations = raw["stations"] if isinstance(raw["stations"], list) else []
+    for index, entry in enumerate(stations):
+        path_of_entry = ("stations", index)
+        settings = problems.check(StationsSettings, entry, path_of_entry)
+        if settings is not None:
+            possible += _possible(settings, entry, names, raw, path_of_entry, problems)
+    seen: set[str] = set()
+    for reading in possible:
+        if reading.name in seen:
+            text = f'two are called "{reading.name}"; give each entry a name of its own'
+            problems.add(("stations",), text)
+        seen.add(reading.name)
+    runs = [_with_value(reading.run, "0") for reading in possible]
+    campaign = None
+    if runs and not problems.lines:
+        whole = {**document, "runs": runs}
+        inside = Problems(whole)
+        campaign = resolve_campaign(whole, file, inside)
+        # One line for what is wrong with every reading alike.
+        lines = (re.sub(r"^runs\[\d+\]", "stations", line) for line in inside.lines)
+        problems.lines += dict.fromkeys(line.partition(' (run "')[0] for line in lines)
+    sought = resolve_goal(goal, campaign, problems) if goal and campaign else None
+    if limits is not None and limits.readings is None and limits.total_time is None:
+        problems.add(("limits",), "give readings or total_time")
+    if limits is not None and limits.total_time is not None and not all(r.time for r in possible):
+        problems.add(("limits", "total_time"), "needs the time of a reading at every station")
+    if problems.lines or campaign is None or sought is None or limits is None:
+        raise CampaignError(str(file), problems.lines or ["stations: there are none"])
+    return ReadingPlan(
+        file.absolute(),
+        document,
+        campaign,
+        tuple(possible),
+        float(limits.readings or math.inf),
+        limits.total_time or math.inf,
+        limits.order,
+        sought,
+    )
+
+
+def _table(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    value = raw.get(key)
+    return value if isinstance(value, dict) else {}
+
+
+def _possible(
+    settings: StationsSettings,
+    entry: Mapping[str, Any],
+    names: Sequence[str],
+    raw: Mapping[str, Any],
+    path: KeyPath,
+    problems: Problems,
+) -> list[PossibleReading]:
+    """Return the readings that an entry of [[stations]] stands for."""
+    sizes = settings.u if isinstance(settings.u, dict) else dict.fromkeys(names, settings.u)
+    values = {name: f"{BLANK} ± {u}" for name, u in sizes.items()}
+    shared: dict[str, Any] = {"motion": settings.motion}
+    shared |= {key: entry[key] for key in ("axes", "mounting") if key in entry}
+    reading: Any = next(iter(values.values())) if len(values) == 1 else values
+    before = len(problems.lines)
+    static = settings.motion == "static"
+    if static and (settings.rates or settings.specific_forces):
+        problems.add(path, "at rest there are no rates; give positions or attitudes")
+    if not static and bool(settings.rates) == bool(settings.specific_forces):
+        problems.add(path, "give one of rates and specific_forces")
+    if settings.positions is not None and settings.attitudes is not None:
+        problems.add(path, "give one of positions and attitudes")
+    if len(problems.lines) > before:
+        return []
+    made = _attitudes(settings) if static else _rates(settings, raw)
+    return [
+        PossibleReading(
+            {
+                "name": " ".join(filter(None, (settings.name, name))),
+                **shared,
+                **own,
+                "reading": reading,
+            },
+            settings.time,
+        )
+        for name, own in made
+    ]
+
+
+def _attitudes(settings: StationsSettings) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield name and attitude of every position at rest."""
+    head = f" ± {settings.u_angle!r} rad" if settings.u_angle else ""
+    if settings.positions is not None:
+        for place in range(settings.positions):
+            angle = 360.0 * place / settings.positions
+            turn = f"{math.radians(angle)!r}{head}" if head else f"{angle!r} deg"
+            yield f"{angle:.6g} deg", {"attitude": f"{turn} about {settings.about}"}
+    elif settings.attitudes is not None:
+        for attitude in settings.attitudes:
+            words = attitude if isinstance(attitude, str) else str(attitude)
+            yield words, {"attitude": attitude}
+    else:
+        yield "at rest" if not settings.name else "", {}
+
+
+def _rates(
+    settings: StationsSettings, raw: Mapping[str, Any]
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield name and rate of every reading that turns."""
+    signs = (1.0, -1.0) if settings.senses == "both" else (1.0,)
+    named: list[tuple[str, float]] = [(f"{w:.6g} rad/s", w) for w in settings.rates or ()]
+    named += [(f"{force:.6g} g", math.nan) for force in settings.specific_forces or ()]
+    for index, (words, rate) in enumerate(named):
+        size = rate
+        if settings.specific_forces:
+            size = _rate_for(settings.specific_forces[index], raw)
+        for sign in signs:
+            name = words if sign > 0.0 else f"-{words}" if settings.rates else f"{words} reversed"
+            yield name, {"rate": f"{sign * size!r} rad/s"}
+
+
+def _rate_for(force: float, raw: Mapping[str, Any]) -> float:
+    """Return the rate at which the centripetal force has a size, g; 1 where the machine is wrong.
+
+    What is wrong with the machine is said where the campaign is checked.
+    """
+    from counterspin.campaign.quantity import parse
+
+    try:
+        gravity = parse(raw["site"]["gravity"], "m/s^2").value
+        radius = parse(raw["centrifuge"]["radius"], "m").value
+        return math.sqrt(force * gravity / radius)
+    except (KeyError, TypeError, ValueError, ZeroDivisionError):
+        return 1.0

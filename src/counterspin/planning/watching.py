@@ -1,0 +1,169 @@
+"""What a campaign's fit would make of faults that its model leaves out.
+
+- `watch`, `Watched`: shifts of the estimates, and what is left in the residuals
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array, triangle_of
+from counterspin.calibration.readings import groups_of
+from counterspin.inference.blocks import Block
+from counterspin.inference.joint.fit import blocks_of, solve_blocks
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.readings import blocks_at
+from counterspin.planning.faults import Fault
+from counterspin.planning.forecast import Forecast, expected_values
+
+Places = npt.NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Watched:
+    """What a fit would make of faults.
+
+    Attributes
+    ----------
+    faults
+        The faults.
+    moved
+        For each fault, what one unit of each of its parts moves the unknowns by, (p, k).
+    left
+        For each fault, the products of what one unit of its parts leaves in the whitened rows and
+        priors once the fit has followed it as far as it can, (k, k).
+    left_in
+        By accelerometer, the same in its own whitened residuals.
+    freedom
+        By accelerometer, the degrees of freedom of these.
+    """
+
+    faults: tuple[Fault, ...]
+    moved: tuple[Array, ...]
+    left: tuple[Array, ...]
+    left_in: dict[str, tuple[Array, ...]]
+    freedom: dict[str, float]
+
+    def shift(self, fault: int, place: int) -> float:
+        """Return by how much a fault of its size moves an unknown, without sign."""
+        return self.faults[fault].size * self.sensitivity(fault, place)
+
+    def sensitivity(self, fault: int, place: int) -> float:
+        """Return what one unit of a fault moves an unknown by, without sign."""
+        return float(np.linalg.norm(self.moved[fault][place]))
+
+    def deviation(self, fault: int, place: int) -> float:
+        """Return how many standard deviations the best test for this very fault would see."""
+        return math.sqrt(self._square(self.left, fault, place))
+
+    def detection(self, fault: int, place: int, accelerometer: str, significance: float) -> float:
+        """Return the probability that the residuals of an accelerometer fail their test.
+
+        Parameters
+        ----------
+        fault, place
+            The fault, at the phase that moves this unknown most.
+        accelerometer
+            Its name.
+        significance
+            Of the test of their sum of squares.
+        """
+        from scipy.special import chdtri, chndtr
+
+        dof = max(1.0, self.freedom[accelerometer])
+        square = self._square(self.left_in[accelerometer], fault, place)
+        return 1.0 - float(chndtr(chdtri(dof, significance), dof, square))
+
+    def _square(self, left: Sequence[Array], fault: int, place: int) -> float:
+        products, size = left[fault], self.faults[fault].size
+        if self.faults[fault].random:
+            return size**2 * float(np.trace(products))
+        moved = self.moved[fault][place]
+        length = float(np.linalg.norm(moved))
+        phase = moved / length if length > 0.0 else np.eye(moved.size)[0]
+        return max(0.0, size**2 * float(phase @ products @ phase))
+
+
+def watch(prediction: Forecast, faults: Sequence[Fault]) -> Watched:
+    """Return what a campaign's fit would make of faults, each by itself."""
+    model, campaign = prediction.fit.model, prediction.campaign
+    parts = [(index, part) for index, fault in enumerate(faults) for part in fault.parts]
+    before, count = len(model.considered), len(parts)
+    names = [part.term for _, part in parts]
+    watched = Unknowns(model.unknowns, (*model.considered, *names), model.inputs)
+    prepared = []
+    for record in prediction.fit.prepared:
+        shown = [(before + i, part.columns(record.series)) for i, (_, part) in enumerate(parts)]
+        seen = [(place, column) for place, column in shown if column is not None]
+        # The uncertain inputs' columns come after those of the faults.
+        places = (i if i < before else i + count for i in record.considered)
+        prepared.append(
+            replace(
+                record,
+                fixed=np.column_stack([record.fixed, *(column for _, column in seen)]),
+                considered=(*places, *(place for place, _ in seen)),
+            )
+        )
+    groups = groups_of(campaign, campaign.readings)
+    expected = expected_values(campaign, model.unknowns)
+    blocks = blocks_of(prepared, watched, prediction.fit.noise)
+    blocks += blocks_at(groups, watched, expected)
+    solution = solve_blocks(blocks, watched)
+    owners = [record.accelerometer for record in prediction.fit.prepared]
+    owners += [group.accelerometer for group in groups]
+    here = np.arange(before, before + count)
+    of_fault = [
+        np.flatnonzero([index == fault for index, _ in parts]) for fault in range(len(faults))
+    ]
+    moved = -solution.sensitivity_considered[:, here]
+    total, left_in = _left(blocks, owners, watched, here)
+    kept = solution.leverages
+    ends = np.cumsum([block.factor.shape[0] for block in blocks])
+    freedom: dict[str, float] = {}
+    for owner, block, followed in zip(owners, blocks, np.split(kept, ends[:-1]), strict=True):
+        own = block.rows - block.nuisance - float(followed.sum())
+        freedom[owner] = freedom.get(owner, 0.0) + own
+    return Watched(
+        tuple(faults),
+        tuple(moved[:, places] for places in of_fault),
+        tuple(total[np.ix_(places, places)] for places in of_fault),
+        {
+            name: tuple(own[np.ix_(places, places)] for places in of_fault)
+            for name, own in left_in.items()
+        },
+        freedom,
+    )
+
+
+def _left(
+    blocks: Sequence[Block], owners: Sequence[str], model: Unknowns, watched: Places
+) -> tuple[Array, dict[str, Array]]:
+    """Return the products of what the watched columns leave in rows and priors.
+
+    What is considered is followed here as what is estimated: the test of the residuals allows
+    for it.
+    """
+    others = np.setdiff1d(np.arange(len(model.considered_names)), watched)
+    sizes = np.array(model.considered_sizes)[others]
+    spread = np.array([*(u.spread for u in model.unknowns), *sizes])
+    p = spread.size
+    held = np.diag(1.0 / np.where(spread > 0.0, spread, 1e-30))
+    rows = [
+        np.hstack([block.factor, block.considered[:, others], block.considered[:, watched]])
+        for block in blocks
+    ]
+    prior = np.hstack([held, np.zeros((p, watched.size))])
+    triangle = triangle_of(np.vstack([*rows, prior]))
+    rest = triangle[p:, p:]
+    followed = np.linalg.solve(triangle[:p, :p], triangle[:p, p:])
+    by_accelerometer: dict[str, Array] = {}
+    for block, owner in zip(rows, owners, strict=True):
+        residual = block[:, p:] - block[:, :p] @ followed
+        before = by_accelerometer.get(owner, 0.0)
+        by_accelerometer[owner] = before + residual.T @ residual
+    return rest.T @ rest, by_accelerometer

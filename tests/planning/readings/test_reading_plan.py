@@ -1,0 +1,307 @@
+"""Plans of readings: tumbles, arm centrifuges, both; their order; what is not noticed."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from counterspin import calibrate, cli
+from counterspin.campaign.description import read_campaign
+from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
+from counterspin.planning.faults import faults_of
+from counterspin.planning.forecast import forecast
+from counterspin.planning.plan import check, plan, write_campaign
+from counterspin.planning.plan_sections import ReadingLimitsSettings, StationsSettings
+from counterspin.planning.readings.reading_plan import in_order
+from counterspin.planning.watching import watch
+
+HEAD = """
+schema = 1
+site = { gravity = "9.80665 m/s^2", latitude = "45.75 deg" }
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "west"
+"""
+TUMBLE = (
+    HEAD
+    + """
+[model]
+terms = ["K_F", "K_I", "delta_O"]
+[[stations]]
+positions = 24
+u = "1e-6 g"
+[limits]
+readings = 24
+[goal]
+minimise = { K_F = "1e-6 g", K_I = "1e-6 g/g", delta_O = "1e-6 rad" }
+criterion = "determinant"
+"""
+)
+SOUGHT = 'minimise = { K_F = "1e-6 g", K_I = "1e-6 g/g", delta_O = "1e-6 rad" }'
+FORCES = ", ".join(f'"{size} g"' for size in (1, 2, 5, 10, 15, 20))
+ARM = (
+    HEAD
+    + f"""
+[centrifuge]
+radius = "1.0 m"
+[model]
+terms = ["K_F", "K_I", "K_II", "K_III"]
+[[stations]]
+name = "in"
+motion = "arm"
+axes = {{ input = "inward", pendulous = "forward" }}
+specific_forces = [{FORCES}]
+u = "2e-6 g"
+time = "5 min"
+[[stations]]
+name = "out"
+motion = "arm"
+axes = {{ input = "outward", pendulous = "backward" }}
+specific_forces = [{FORCES}]
+u = "2e-6 g"
+time = "5 min"
+[limits]
+readings = 24
+[goal]
+minimise = ["K_II"]
+"""
+)
+REST = """
+[[stations]]
+name = "rest"
+positions = 12
+u = "1e-6 g"
+time = "2 min"
+[limits]"""
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Return what writes a plan, changed by pairs of text."""
+
+    def make(text, *pairs):
+        for old, new in pairs:
+            assert old in text
+            text = text.replace(old, new)
+        file = tmp_path / "PLAN.toml"
+        file.write_text(text, encoding="utf-8")
+        return file
+
+    return make
+
+
+def u_of(result, symbol):
+    return result.accelerometers["A"].coefficients[symbol].u
+
+
+# Which readings
+
+
+def test_the_best_tumble_for_all_of_a_linear_model_is_that_of_equal_angles(written):
+    """D-optimality on a circle: every equally spaced set of positions has the same volume."""
+    result = plan(written(TUMBLE)).result
+    expected = {"K_F": 1e-6 / math.sqrt(24.0), "K_I": 1e-6 / math.sqrt(12.0)}
+    volume = math.prod(u_of(result, symbol) for symbol in ("K_F", "K_I", "delta_O"))
+    assert volume == pytest.approx(expected["K_F"] * expected["K_I"] ** 2, rel=1e-6)
+    assert result.goal.efficiency == pytest.approx(1.0, abs=1e-3)
+    assert len(result.readings) == 24
+
+
+def test_the_best_tumble_for_the_scale_factor_is_up_and_down(written):
+    one = (SOUGHT, 'minimise = ["K_I"]')
+    result = plan(written(TUMBLE, one, ('criterion = "determinant"', ""))).result
+    assert {reading.axes.partition(",")[0] for reading in result.readings} == {"up", "down"}
+    assert u_of(result, "K_I") == pytest.approx(1e-6 / math.sqrt(24.0), rel=1e-6)
+
+
+def test_the_arm_s_plan_is_better_than_readings_spread_evenly(written):
+    result = plan(written(ARM)).result
+    other = result.others[0]
+    assert other.words == "every reading equally often"
+    assert result.goal.efficiency > 0.95
+    # For K_II both ways round count alike.
+    ways = [reading.name.split()[1] for reading in result.readings]
+    assert abs(ways.count("in") - ways.count("out")) <= 2
+    assert other.ratio["A.K_II"] < 0.8
+    # The published design: inputs of 1, 2, 5, 10, 15, 20 g both ways, weighted alike, twice.
+    force = np.repeat([1.0, 2.0, 5.0, 10.0, 15.0, 20.0], 2) * np.tile([1.0, -1.0], 6)
+    columns = np.vander(np.tile(force, 2), 4, increasing=True)
+    covariance = 4e-12 * np.linalg.inv(columns.T @ columns)
+    assert other.u["A.K_II"] == pytest.approx(math.sqrt(covariance[2, 2]), rel=1e-3)
+
+
+def test_a_target_takes_the_fewest_readings(written):
+    target = ('minimise = ["K_II"]', 'target = { K_II = "1e-8 g/g^2" }')
+    result = plan(written(ARM, target)).result
+    assert u_of(result, "K_II") <= 1e-8
+    fewer = (target, ("readings = 24", f"readings = {len(result.readings) - 1}"))
+    with pytest.raises(CounterspinError, match=r"reaches u\(A.K_II\) = 1e-08 g/g\^2. The best"):
+        plan(written(ARM, *fewer))
+
+
+def test_a_limit_of_time(written):
+    timed = ("readings = 24", 'total_time = "1 h"')
+    two = ('minimise = ["K_II"]', 'minimise = { K_II = "1e-8 g/g^2", K_F = "1e-6 g" }')
+    both = (("[limits]", REST), timed, two)
+    result = plan(written(ARM, *both)).result
+    assert result.total_time <= 3600.0
+    assert {reading.motion for reading in result.readings} == {"arm", "static"}
+    times = [reading.time for reading in result.readings]
+    assert times == sorted(times)
+    target = ('minimise = ["K_II"]', 'target = { K_II = "1.5e-8 g/g^2" }')
+    shorter = plan(written(ARM, timed, target)).result
+    assert shorter.total_time < 3600.0
+    assert u_of(shorter, "K_II") <= 1.5e-8
+
+
+def test_two_accelerometers_share_a_reading(written):
+    second = ("[model]", '[accelerometers.B]\ninput_axis = "up"\npendulous_axis = "east"\n[model]')
+    result = plan(written(TUMBLE, second)).result
+    assert {reading.accelerometer for reading in result.readings} == {"A", "B"}
+    assert u_of(result, "K_I") == pytest.approx(result.accelerometers["B"].coefficients["K_I"].u)
+
+
+# From the plan to the calibration
+
+
+def test_calibration_says_what_the_plan_has_promised(written, tmp_path):
+    planned = plan(written(ARM, ("[limits]", REST)))
+    folder = tmp_path / "planned"
+    file = write_campaign(planned, folder)
+    with pytest.raises(CampaignError, match=r"'\? ± 2e-06 g' is not a quantity|'\? ± 2e-6 g'"):
+        read_campaign(file)
+    blank = file.read_text(encoding="utf-8")
+    lines = iter(planned.result.readings)
+    truth = {"in": lambda a: a + 1.5e-5 * a**2, "out": lambda a: -a + 1.5e-5 * a**2}
+    filled = []
+    for line in blank.splitlines():
+        if line.startswith("reading ="):
+            reading = next(lines)
+            way = reading.name.split()[1]
+            size = reading.specific_force if way in truth else 0.0
+            attitude = float(reading.name.split()[2]) if way == "rest" else 0.0
+            value = truth[way](size) if way in truth else math.cos(math.radians(attitude))
+            filled.append(line.replace("?", f"{value:.9f}"))
+        else:
+            filled.append(line)
+    file.write_text("\n".join(filled), encoding="utf-8")
+    told = calibrate(folder).accelerometers["A"].coefficients
+    for symbol, predicted in planned.result.accelerometers["A"].coefficients.items():
+        assert told[symbol].estimated == predicted.estimated
+        if predicted.estimated:
+            assert told[symbol].u == pytest.approx(predicted.u, rel=1e-3), symbol
+    checked = check(folder)
+    assert u_of(checked, "K_II") == pytest.approx(u_of(planned.result, "K_II"), rel=1e-6)
+    assert len(checked.readings) == len(planned.result.readings)
+
+
+def test_forecast_of_readings_needs_their_uncertainty(written, tmp_path):
+    file = write_campaign(plan(written(TUMBLE)), tmp_path / "planned")
+    text = file.read_text(encoding="utf-8").replace("? ± 1e-6 g", "0 g")
+    file.write_text(text, encoding="utf-8")
+    with pytest.raises(CampaignError, match="needs the standard uncertainty of the reading"):
+        forecast(file)
+
+
+@pytest.mark.parametrize("order", ["mirrored", "random", "listed"])
+def test_order_has_every_reading_as_often_as_it_is_chosen(order):
+    counts = np.array([3, 0, 2, 5, 1])
+    assert np.bincount(in_order(counts, order), minlength=5).tolist() == counts.tolist()
+
+
+def test_mirrored_order_cancels_a_trend():
+    order = np.array(in_order(np.array([4, 2, 6, 0, 2]), "mirrored"))
+    assert order.tolist() == order[::-1].tolist()
+    time = np.arange(order.size) - 0.5 * (order.size - 1)
+    for place in set(order.tolist()):
+        assert time[order == place].sum() == pytest.approx(0.0)
+    # Not all of one after all of another.
+    assert np.count_nonzero(np.diff(order)) > 8
+
+
+# What is not noticed
+
+
+@pytest.mark.parametrize("ways", [("in",), ("in", "out")], ids=["one side", "both sides"])
+def test_stretch_of_the_arm(ways, written, tmp_path):
+    """a_I (1 + 4.6e-9 x 9.80665 |a_I|) is K_II on one side; with reversal it is odd."""
+    runs = [
+        f'[[runs]]\nname = "{way} {force}"\nmotion = "arm"\nreading = "0 ± 1e-6 g"\n'
+        f'rate = "{math.sqrt(force * 9.80665)!r} rad/s"\n'
+        f'axes = {{ input = "{way}ward", pendulous = "forward" }}\n'
+        for force in range(1, 21)
+        for way in ways
+    ]
+    text = ARM.partition("[[stations]]")[0] + "\n".join(runs)
+    (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+    prediction = forecast(tmp_path)
+    faults = faults_of(prediction.campaign, "A")
+    index = [fault.symbol for fault in faults].index("centrifuge.stretch")
+    place = [unknown.name for unknown in prediction.fit.model.unknowns].index("A.K_II")
+    shift = watch(prediction, faults).shift(index, place)
+    expected = 4.6e-9 * 9.80665 if len(ways) == 1 else 0.0
+    # The Earth's rate is in the radius's force and not in the stretch.
+    assert shift == pytest.approx(expected, rel=1e-4, abs=1e-11)
+
+
+def test_report_and_json_of_readings(written, tmp_path, capsys):
+    out = tmp_path / "planned"
+    file = written(ARM, ("[limits]", REST))
+    assert cli.main(["plan", str(file), "-o", str(out), "--json", str(tmp_path / "p.json")]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "24 readings" in printed
+    assert "In mirrored order" in printed
+    assert "What these runs cannot notice of A" in printed
+    assert "every reading equally often" in printed or "spread evenly" in printed
+    assert "Put what is read in the place of each ?" in printed
+    told = json.loads((tmp_path / "p.json").read_text(encoding="utf-8"))
+    assert told["runs"] == []
+    assert told["sampling_rate"] is None
+    assert len(told["readings"]) == 24
+    assert told["accelerometers"]["A"]["harmonic_share"] is None
+    assert {fault["symbol"] for fault in told["accelerometers"]["A"]["faults"]} >= {"K_4"}
+    assert cli.main(["plan", str(file), "--figures", str(tmp_path / "figures")]) == 2
+    assert "of plans with records" in capsys.readouterr().err
+
+
+# Bad input
+
+
+MISTAKES = {
+    "rates at rest": ([('positions = 24', 'rates = ["1 rad/s"]')], TUMBLE,
+                      "at rest there are no rates"),
+    "no rates": ([(f"specific_forces = [{FORCES}]", "")], ARM, "one of rates and specific_forces"),
+    "both": ([('positions = 24', 'positions = 24\nattitudes = ["level"]')], TUMBLE,
+             "one of positions and attitudes"),
+    "twice": ([('name = "out"', 'name = "in"')], ARM, 'two are called "in 1 g"'),
+    "no u": ([('u = "1e-6 g"', "")], TUMBLE, r"stations\[0\].u: is missing"),
+    "unit": ([('u = "1e-6 g"', 'u = "1e-6 V"')], TUMBLE, "'V' is not a unit"),
+    "no limit": ([("readings = 24", "")], TUMBLE, "give readings or total_time"),
+    "no time": ([("readings = 24", 'total_time = "1 h"')], TUMBLE, "needs the time of a reading"),
+    "unknown": ([('minimise = ["K_II"]', 'minimise = ["K_OO"]')], ARM, '"K_OO" is not estimated'),
+    "no machine": ([('[centrifuge]\nradius = "1.0 m"\n', "")], ARM, "centrifuge: is missing"),
+    "section": ([("[limits]", "[noise]\n[limits]")], TUMBLE, "noise: unknown key"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("changes", "text", "message"), MISTAKES.values(), ids=MISTAKES)
+def test_mistakes_are_told_by_their_key(changes, text, message, written):
+    with pytest.raises(CampaignError, match=message):
+        plan(written(text, *changes))
+
+
+def test_k_ii_at_one_g_is_not_determined(written):
+    quadratic = ('terms = ["K_F", "K_I", "delta_O"]', 'terms = ["K_F", "K_I", "K_II"]')
+    goal = (SOUGHT, 'minimise = ["K_II"]')
+    file = written(TUMBLE, quadratic, goal, ('criterion = "determinant"', ""))
+    with pytest.raises(NotIdentifiableError, match=r"A.K_II is not determined by any number of"):
+        plan(file)
+
+
+def test_every_key_is_documented():
+    page = (Path(__file__).parents[3] / "docs" / "plan.md").read_text(encoding="utf-8")
+    for settings in (StationsSettings, ReadingLimitsSettings):
+        for key in settings.model_fields:
+            assert f"`{key}`" in page, key
