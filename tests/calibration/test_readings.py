@@ -11,7 +11,6 @@ from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
 from counterspin.errors import CampaignError
-from counterspin.planning.forecast import forecast
 
 SIGMA = 2e-6
 HEAD = """schema = 1
@@ -177,7 +176,6 @@ def test_what_needs_records_says_so(tmp_path, capsys):
     calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values))
     for command in (
         lambda: simulate(tmp_path, tmp_path / "out"),
-        lambda: forecast(tmp_path),
         lambda: calibrate(tmp_path, method="two-stage", options=TwoStageOptions()),
     ):
         with pytest.raises(CampaignError, match="this campaign has readings"):
