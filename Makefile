@@ -3,6 +3,11 @@
 
 PYTHON ?= python3
 JOBS ?= 2
+DOCUMENTS ?= 20000
+RECORDS ?= 400
+KILLS ?= 40
+SEED ?= 1
+ONLY ?=
 
 VENV := .venv
 BIN := $(VENV)/bin
@@ -13,10 +18,10 @@ READY := $(VENV)/.ready
 BENCH := $(VENV)/.bench
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test quick lint format bench pictures lock clean
+.PHONY: help setup demo test quick lint format bench fuzz pictures violations coverage lock clean
 
 help: ## Show this list
-	@sed -n 's/^\([a-z]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-8s %s\n", $$1, $$2 }'
+	@sed -n 's/^\([a-z]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-10s %s\n", $$1, $$2 }'
 
 setup: $(READY) ## Make .venv with the pinned requirements and the package
 
@@ -41,6 +46,16 @@ format: $(READY) ## Format the code and mend what the linter can
 
 bench: $(READY) $(BENCH) ## Time the main jobs; make bench FULL=--full for the sizes of the targets
 	$(BIN)/python benchmarks $(FULL)
+
+violations: $(READY) ## Make the table of what violations of the model do again
+	$(BIN)/python docs/violations.py
+
+fuzz: $(READY) ## Read changed files of every format, and kill what writes; docs/bulwark.md
+	$(BIN)/python -m fuzz --documents $(DOCUMENTS) --records $(RECORDS) --kills $(KILLS) \
+	  --seed $(SEED) --only "$(ONLY)"
+
+coverage: $(READY) ## Make the table of how often intervals cover again (half an hour)
+	$(BIN)/python docs/coverage.py
 
 pictures: $(READY) ## Make the pictures and examples of the documentation again
 	$(BIN)/python docs/pictures.py

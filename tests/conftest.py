@@ -2,9 +2,17 @@
 
 import os
 
+from hypothesis import settings
+
 # The matrices are small: a second thread of linear algebra costs more than it brings, and eight
 # times as much while tests run side by side. It counts only before NumPy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# The same examples each time: a test that draws others may fail where nothing has changed. New
+# ones are drawn by `make fuzz`, and here with COUNTERSPIN_FULL=1.
+settings.register_profile("same", derandomize=True, deadline=None)
+if not os.environ.get("COUNTERSPIN_FULL"):
+    settings.load_profile("same")
 
 #: Where the durations are kept between runs, in pytest's cache.
 DURATIONS = "counterspin/durations"
@@ -46,6 +54,7 @@ def pytest_runtest_logreport(report):
 
 
 def pytest_sessionfinish(session):
-    if not hasattr(session.config, "workerinput"):  # xdist's workers report to the one that keeps
+    # xdist's workers report to the one that keeps; without pytest's cache nothing is kept.
+    if not hasattr(session.config, "workerinput") and hasattr(session.config, "cache"):
         known = session.config.cache.get(DURATIONS, {})
         session.config.cache.set(DURATIONS, known | LASTED)

@@ -9,7 +9,7 @@ import pytest
 
 from counterspin.campaign import settings, specification
 from counterspin.campaign.quantity import UNITS
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import OWN_TERMS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "campaign.md").read_text(encoding="utf-8")
 TABLES = re.findall(r"^<!-- keys: ([\w ]+) -->\n((?:\|.*\n)+)", PAGE, re.MULTILINE)
@@ -52,8 +52,8 @@ def test_keys_are_those_of_the_code(name, table):
     expected = set(keys_of(SECTIONS[name]))
     if any("and so on" in row[0] for row in body):
         # One row stands for all terms.
-        listed = [key for key in listed if key not in TERMS]
-        expected -= set(TERMS)
+        listed = [key for key in listed if key not in OWN_TERMS]
+        expected -= set(OWN_TERMS)
     assert len(listed) == len(set(listed))
     assert set(listed) == expected
 

@@ -10,6 +10,7 @@ import pytest
 
 import counterspin
 from counterspin.errors import CounterspinError, RecordError
+from counterspin.reports.shown import ShownResult
 from counterspin.results import ResultFile, ResultPart
 
 
@@ -72,6 +73,22 @@ def test_what_cannot_be_used_is_told(tmp_path, text, words):
     assert words in str(caught.value)
 
 
+def test_a_result_replaces_an_earlier_one_only_if_asked_to_and_no_other_file(tmp_path):
+    path, campaign = tmp_path / "log.json", tmp_path / "campaign.toml"
+    LOG.write(path)
+    before = path.read_bytes()
+    other = LOG.model_copy(update={"schema_version": 1, "rooms": {}})
+    with pytest.raises(CounterspinError, match="exists; name another file, or give `overwrite"):
+        other.write(path)
+    assert path.read_bytes() == before
+    other.write(path, overwrite=True)
+    assert path.read_bytes() != before
+    campaign.write_text("schema = 1", encoding="utf-8")
+    with pytest.raises(CounterspinError, match="is not the file of a log; it is not replaced"):
+        LOG.write(campaign, overwrite=True)
+    assert campaign.read_text(encoding="utf-8") == "schema = 1"
+
+
 def test_missing_files_and_folders_are_told(tmp_path):
     with pytest.raises(RecordError, match="cannot be read"):
         Log.read(tmp_path / "none.json")
@@ -86,7 +103,7 @@ def test_every_result_of_the_package_is_written_so():
     import_module("counterspin.calibration.batch")
     files = {
         cls.__name__: cls
-        for cls in ResultFile.__subclasses__()
+        for cls in ShownResult.__subclasses__()
         if cls.__module__.startswith("counterspin.")
     }
     assert set(files) == {

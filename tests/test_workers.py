@@ -1,12 +1,18 @@
 """Who does work that is shared out."""
 
+import frames
+import numpy as np  # noqa: F401 -- whose library takes the threads
 import pytest
 from clusters import cluster_of_the_page
 
 from counterspin import workers
+from counterspin.calibration import assembly
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.memory.making import make_campaign
 from counterspin.cli import main
 from counterspin.errors import CounterspinError, CounterspinWarning
-from counterspin.workers import Workers
+from counterspin.studies import study as study_module
+from counterspin.workers import Workers, one_blas_thread
 
 
 def test_more_workers_than_a_machine_can_use_are_capped_and_told(monkeypatch):
@@ -47,3 +53,58 @@ def test_cluster_of_a_laptop_listens_to_nobody_else(tmp_path):
             if connection.status == psutil.CONN_LISTEN
         }
     assert heard == {"127.0.0.1"}
+
+
+def threadpoolctl():
+    return pytest.importorskip("threadpoolctl", reason="the environment is older than the pins")
+
+
+def threads():
+    """Return how many threads the libraries of linear algebra take that are loaded."""
+    found = threadpoolctl().threadpool_info()
+    return {info["num_threads"] for info in found if info["user_api"] == "blas"}
+
+
+@pytest.fixture
+def two_threads(monkeypatch):
+    for name in workers._THREADS:
+        monkeypatch.delenv(name, raising=False)
+    with threadpoolctl().threadpool_limits(limits=2, user_api="blas"):
+        yield
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_linear_algebra_has_one_thread_until_the_last_who_asked_is_done():
+    assert threads() == {2}
+    first, second = one_blas_thread(), one_blas_thread()
+    with first:
+        second.__enter__()
+        assert threads() == {1}
+    assert threads() == {1}
+    second.__exit__(None, None, None)
+    assert threads() == {2}
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_what_the_environment_says_stays(monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    with one_blas_thread():
+        assert threads() == {2}
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_a_calibration_takes_one_thread_and_gives_the_others_back(tmp_path, monkeypatch):
+    seen = []
+    joint = assembly.joint
+    monkeypatch.setattr(assembly, "joint", lambda *a: seen.append(threads()) or joint(*a))
+    calibrate(make_campaign(frames.untrue(), frames.arrays(tmp_path)))
+    assert (seen, threads()) == ([{1}], {2})
+
+
+@pytest.mark.usefixtures("two_threads")
+def test_so_does_a_study(monkeypatch):
+    seen = []
+    prepare = study_module.prepare
+    monkeypatch.setattr(study_module, "prepare", lambda *a: seen.append(threads()) or prepare(*a))
+    study_module.study(make_campaign(frames.small()), trials=2, seed=1)
+    assert (seen, threads()) == ([{1}], {2})

@@ -21,8 +21,10 @@ The commands, as functions:
 - `history`: a coefficient of each instrument through all its results (`History`)
 - `reproduce`: the paper's figures beside what they should be (`Reproduction`)
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
-- `write_report`: its full report as HTML, PDF or Markdown
-- `read_campaign`: a description, checked (`Campaign`)
+- `report`, `write_report`: its full report as HTML, PDF or Markdown, returned or written
+- `certificate`: the Digital Calibration Certificate (`Certificate`) of a result
+- `read_campaign`: a description, checked (`Campaign`); `make_campaign`: from a mapping and data
+  frames; `Quantity`: value, standard uncertainty and unit
 
 The physics, from the ground up:
 
@@ -74,15 +76,20 @@ if TYPE_CHECKING:
     from counterspin._version import __version__ as __version__
     from counterspin.calibration.calibrate import calibrate as calibrate
     from counterspin.calibration.options import TwoStageOptions as TwoStageOptions
+    from counterspin.calibration.pages.publishing import report as report
     from counterspin.calibration.pages.publishing import write_report as write_report
     from counterspin.calibration.pages.terminal import print_result as print_result
     from counterspin.calibration.result import Result as Result
     from counterspin.calibration.result import read_result as read_result
     from counterspin.calibration.result import write_result as write_result
     from counterspin.campaign.description import read_campaign as read_campaign
+    from counterspin.campaign.memory.making import make_campaign as make_campaign
+    from counterspin.campaign.quantity import Quantity as Quantity
     from counterspin.campaign.resolved import Campaign as Campaign
     from counterspin.campaign.simulation import simulate as simulate
     from counterspin.campaign.starter import init as init
+    from counterspin.certificates.issuing import Certificate as Certificate
+    from counterspin.certificates.issuing import certificate as certificate
     from counterspin.correction.apply import ApplyOptions as ApplyOptions
     from counterspin.correction.apply import Correction as Correction
     from counterspin.correction.apply import apply as apply
@@ -137,6 +144,8 @@ _OFFERED = {
     "_version": ("__version__",),
     "campaign.description": ("read_campaign",),
     "planning.forecast": ("Forecast", "forecast"),
+    "campaign.memory.making": ("make_campaign",),
+    "campaign.quantity": ("Quantity",),
     "campaign.resolved": ("Campaign",),
     "calibration.result": ("Result", "read_result", "write_result"),
     "correction.apply": ("ApplyOptions", "Correction", "apply"),
@@ -166,7 +175,8 @@ _OFFERED = {
     "physics.observation": ("columns", "reference"),
     "physics.shared_terms": ("SHARED_TERMS",),
     "physics.spindle": ("Ripple", "Spindle", "fit_spindle"),
-    "calibration.pages.publishing": ("write_report",),
+    "calibration.pages.publishing": ("report", "write_report"),
+    "certificates.issuing": ("Certificate", "certificate"),
     "calibration.pages.terminal": ("print_result",),
     "reproduction.comparison": ("reproduce",),
     "reproduction.result": ("Reproduction",),

@@ -24,6 +24,9 @@ _MOST: Final = 200
 #: A value that is longer: in quotation marks, or without blanks.
 _LONG: Final = re.compile(rf"'[^']{{{_MOST},}}'|\"[^\"]{{{_MOST},}}\"|\S{{{_MOST + 1},}}")
 
+#: The most characters of a line.
+_LINE: Final = 3000
+
 #: As many lines at the beginning and at the end of a message are shown.
 _LINES: Final = 20
 
@@ -39,12 +42,13 @@ class CounterspinError(Exception):
         left_out = len(lines) - 2 * _LINES
         if left_out > 1:
             lines[_LINES:-_LINES] = [f"  ... and {left_out} more"]
-        return "\n".join(_LONG.sub(_shortened, line) for line in lines)
+        return "\n".join(
+            _cut(_LONG.sub(lambda value: _cut(value[0], _MOST), line), _LINE) for line in lines
+        )
 
 
-def _shortened(value: re.Match[str]) -> str:
-    text = value[0]
-    return f"{text[: _MOST // 2 - 5]} ... {text[5 - _MOST // 2 :]}"
+def _cut(text: str, most: int) -> str:
+    return text if len(text) <= most else f"{text[: most // 2 - 5]} ... {text[5 - most // 2 :]}"
 
 
 class CampaignError(CounterspinError):

@@ -10,10 +10,11 @@ from __future__ import annotations
 import errno
 import os
 import stat
-from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 from typing import Final
+
+from counterspin.frozen import frozen
 
 #: No document (campaign, plan, result, certificate) has more bytes.
 DOCUMENT_BYTES: Final = 200_000_000
@@ -28,7 +29,7 @@ _KINDS: Final = (
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class FileIdentity:
     """A file's place on its disk, its size in bytes, and when it was last written, in ns."""
 

@@ -13,17 +13,17 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO, Final
 
 from counterspin.errors import CounterspinError
+from counterspin.frozen import frozen
 
 #: How much of either end of a file is searched for a mark.
 _END: Final = 1 << 18
 
 
-@dataclass(frozen=True)
+@frozen
 class FileKind:
     """A kind of file that a command writes.
 

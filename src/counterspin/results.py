@@ -17,7 +17,7 @@ from pydantic_core import PydanticSerializationError
 
 from counterspin.errors import RecordError
 from counterspin.input import read_file
-from counterspin.output import FileKind, write_text
+from counterspin.output import FileKind, reserve, write_text
 
 #: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
 _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
@@ -26,10 +26,21 @@ _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
 _HALF: Final = re.compile(r"\\u[dD][89a-fA-F]")
 
 
-class ResultPart(BaseModel):
+#: No number of any result is larger; squares of larger ones would be beyond all numbers.
+_LARGEST: Final = 1e100
+
+#: The keys of standard uncertainties.
+_UNCERTAINTY: Final = re.compile(r"u(_\w+)?")
+
+
+class ResultPart(BaseModel):  # noqa: PLW1641 -- pydantic adds the hash of what is frozen
     """A part of a result; unknown keys are refused so that a slip is seen at once."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, ser_json_inf_nan="null")
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the two state the same, whatever either remembers beside it."""
+        return type(other) is type(self) and vars(self) == vars(other)
 
 
 class ResultFile(ResultPart):
@@ -64,8 +75,22 @@ class ResultFile(ResultPart):
         # A list of numbers is one line, however many they are.
         return _NUMBERS.sub(lambda numbers: re.sub(r"\s+", " ", numbers[0]), text) + "\n"
 
-    def write(self, path: Path | str) -> None:
-        """Write the JSON file, whole or not at all; raises CounterspinError if it cannot."""
+    def write(self, path: Path | str, *, overwrite: bool = False) -> None:
+        """Write the JSON file, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            Where.
+        overwrite
+            Whether an earlier result of the same kind may be replaced; nothing else is.
+
+        Raises
+        ------
+        CounterspinError
+            If a file is in the way, or it cannot be written.
+        """
+        reserve(Path(path), self.file_kind, overwrite=overwrite)
         write_text(Path(path), self.to_json())
 
     @classmethod
@@ -116,7 +141,7 @@ class ResultFile(ResultPart):
             first = error.errors()[0]
             where = "".join(f"{key}: " for key in first["loc"])
             raise RecordError(f"{path}: not a {cls.KIND} file: {where}{first['msg']}") from error
-        for fault in result.faults():
+        for fault in (*result.faults(), *_odd_numbers(result.model_dump(by_alias=True), "")):
             raise RecordError(f"{path}: a damaged {cls.KIND}: {fault}")
         return result
 
@@ -132,6 +157,21 @@ def _escaped(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_escaped(item) for item in value]
     return value.encode("utf-8", "backslashreplace").decode() if isinstance(value, str) else value
+
+
+def _odd_numbers(value: Any, path: str, key: str = "") -> Iterator[str]:
+    """Yield what numbers of a document no result has."""
+    if isinstance(value, dict):
+        for name, item in value.items():
+            yield from _odd_numbers(item, f"{path}.{name}" if path else name, name)
+    elif isinstance(value, list):
+        for index, item in enumerate(value):
+            yield from _odd_numbers(item, f"{path}[{index}]", key)
+    elif isinstance(value, int | float):
+        if not abs(value) <= _LARGEST:
+            yield f"{path} is larger than any number that is measured"
+        elif value < 0 and _UNCERTAINTY.fullmatch(key):
+            yield f"{path} is {value:g}, and an uncertainty is not negative"
 
 
 def _not_a_number(word: str) -> None:

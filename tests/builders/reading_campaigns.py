@@ -7,6 +7,7 @@ import numpy as np
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.readings import Readings
 from counterspin.physics.accelerometer import TERMS, Mounting
+from counterspin.physics.conditions import RunConditions, changed
 from counterspin.physics.machine import machine_term
 from counterspin.physics.motion import Site
 from counterspin.physics.station import FRAMES, Station
@@ -64,18 +65,27 @@ def readings(test, value, u, u_head=0.0, temperature=None):
         u=None if u is None else np.full(n, u),
         temperature=np.zeros(n) if temperature is None else temperature,
         time=np.arange(n) * 60.0,
+        repeats=np.ones(n),
+        scatter=np.zeros(n),
     )
 
 
-def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH):
-    """Return what is read: the exact model with the machine as it truly is."""
+def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature=None):
+    """Return what is read: the exact model with the machine as it truly is.
+
+    Slopes of coefficients, with temperature or time, are among the truth.
+    """
     count = len(test[0])
-    blank = readings(test, np.zeros(count), 1.0)
+    blank = readings(test, np.zeros(count), 1.0, temperature=temperature)
     values = []
     for index in range(count):
         turn = {} if not u_head else {"head.zero": rng.normal(0.0, u_head)}
-        actual = blank.station(index, {**dict(machine), **turn})
-        values.append(actual.indicated(SITE, truth))
+        drawn = dict(machine)
+        for symbol, size in turn.items():
+            drawn[symbol] = drawn.get(symbol, 0.0) + size
+        actual = blank.station(index, drawn)
+        lever = RunConditions(float(blank.time[index]), float(blank.temperature[index]))
+        values.append(actual.indicated(SITE, changed(truth, lever, 0.0)))
     return np.array(values) + rng.normal(0.0, sigma, count)
 
 

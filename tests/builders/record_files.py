@@ -12,7 +12,7 @@ from scipy.io import savemat
 from counterspin.errors import RecordError
 from counterspin.records.amplitude import Swing
 from counterspin.records.reading import read_record
-from counterspin.records.record import ColumnSpec, Motion, Record, RecordColumns
+from counterspin.records.record import ColumnSpec, Record, RecordColumns, StatedMotion
 
 RATE = math.pi
 RADIUS = 2.5
@@ -56,7 +56,7 @@ def read(path: Path, rate: float = RATE, block="auto", **changed) -> Record:
         "signals": {"Qx": ColumnSpec(SIGNAL)},
     }
     swings = changed.pop("swings", {"Qx": Swing(RADIUS, "m")})
-    motion = Motion(rate, swings)
+    motion = StatedMotion(rate, swings)
     return read_record(path, RecordColumns(**columns | changed), motion, block=block)
 
 

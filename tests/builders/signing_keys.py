@@ -13,10 +13,26 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import NameOID
 
+#: What a certificate may say that its key is for.
+_USAGES = (
+    "digital_signature",
+    "content_commitment",
+    "key_encipherment",
+    "data_encipherment",
+    "key_agreement",
+    "key_cert_sign",
+    "crl_sign",
+    "encipher_only",
+    "decipher_only",
+)
 
-def write_pair(folder, key, password=None):
-    """Write a key and a certificate that it has signed for itself."""
-    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "Example laboratory")])
+
+def write_pair(folder, key, password=None, *, days=(-1, 365), usage=None, common_name=None):
+    """Write a key and a certificate that it has signed for itself.
+
+    `days` from today is it valid; of `usage`, a name such as "key_encipherment", is the key.
+    """
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, common_name or "Example laboratory")])
     now = datetime.now(UTC)
     algorithm = None if isinstance(key, ed25519.Ed25519PrivateKey) else hashes.SHA256()
     made = (
@@ -25,10 +41,13 @@ def write_pair(folder, key, password=None):
         .issuer_name(name)
         .public_key(key.public_key())
         .serial_number(1)
-        .not_valid_before(now - timedelta(days=1))
-        .not_valid_after(now + timedelta(days=365))
-        .sign(key, algorithm)
+        .not_valid_before(now + timedelta(days=days[0]))
+        .not_valid_after(now + timedelta(days=days[1]))
     )
+    if usage is not None:
+        stated = dict.fromkeys(_USAGES, False) | {usage: True}
+        made = made.add_extension(x509.KeyUsage(**stated), critical=True)
+    made = made.sign(key, algorithm)
     folder.mkdir(exist_ok=True)
     encryption = BestAvailableEncryption(password) if password else NoEncryption()
     private = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, encryption)

@@ -1,6 +1,7 @@
 """A wrong description is not calibrated in silence: the radius is given as 2.6 m for 2.5 m."""
 
 import json
+import re
 
 import pytest
 from campaigns import SMALL, changed, write
@@ -57,19 +58,21 @@ def test_the_true_radius_is_good(sound, tmp_path, capsys):
 def test_another_is_contradicted_everywhere(wrong, tmp_path, capsys):
     status, out, err = calibrate(capsys, wrong, "--json", tmp_path / "r.json")
     assert status == 1
-    assert "the records contradict the result: The " in err
+    assert "the records contradict the result: A radius of the centrifuge of " in err
     assert err.endswith("--accept-misfit REASON")
-    assert out.startswith(f"{wrong.name} The records contradict this result (Q")
+    assert out.startswith(f"{wrong.name} The records contradict this result (centrifuge.radius): ")
     assert "95 %" not in out
     document = json.loads((tmp_path / "r.json").read_text(encoding="utf-8"))
     assert document["state"] == "contradicted"
     assert document["accepted_misfit"] is None
     first = document["findings"][0]
-    assert first["code"] in ("lack-of-fit", "noise-implausible")
+    assert (first["code"], first["subject"]) == ("wrong-input", "centrifuge.radius")
+    assert re.match(r"A radius of the centrifuge of (2\.499\d+|2\.500\d+) ±", first["text"])
+    assert {other["code"] for other in first["explains"]} & {"lack-of-fit", "noise-implausible"}
     assert first["contradicts"]
     for name, found in document["accelerometers"].items():
         assert found["state"] == "contradicted"
-        assert found["findings"][0]["subject"] == name
+        assert [other["code"] for other in found["findings"]] == ["wrong-input"], name
         verdict = found["conformity"]["K_II"]
         assert verdict["verdict"] == "undecided"
         assert verdict["reason"].startswith("the records contradict the result")

@@ -18,7 +18,7 @@ from counterspin.calibration.two_stage import TwoStageOptions
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
-from counterspin.errors import CampaignError, ConvergenceError
+from counterspin.errors import CampaignError, ConvergenceError, NotIdentifiableError
 
 BASE = f"""{PLACE}
 [accelerometers.Qx]
@@ -385,7 +385,9 @@ def test_a_run_with_an_error_of_its_own_is_found(tmp_path):
     z = {x.run: abs(x.z) for x in ill.accelerometers["Qx"].jackknife}
     assert max(z, key=z.get) == "run3"
     assert z["run3"] > 4
-    assert any("Without run3" in w for w in ill.accelerometers["Qx"].warnings)
+    told = [finding for finding in ill.findings if "run3" in finding.subject + finding.text]
+    assert told
+    assert ill.state != "good"
     assert not any("disagrees" in w for w in ill.accelerometers["Qy"].warnings)
 
 
@@ -542,6 +544,142 @@ def test_errors_of_the_machine_are_found_and_leave_the_coefficients_alone(
         assert c.estimated
         assert abs(c.value - value) < 4 * c.u, symbol
         assert value == 0.0 or abs(value) > 10 * c.u, symbol
+
+
+CONDITIONS = {
+    "run1": 'temperature = "19.2 degC"\ntime = "0 min"\n',
+    "run2": 'temperature = "22.9 degC"\ntime = "95 min"\n',
+    "run3": 'temperature = "20.4 degC"\ntime = "40 min"\n',
+}
+
+
+def under_conditions(*changes):
+    """The campaign with a temperature and a time of each run."""
+    stated = [
+        (f'record = "{name}.csv"\n', f'record = "{name}.csv"\n{lines}')
+        for name, lines in CONDITIONS.items()
+    ]
+    return changed(BASE, *stated, *changes)
+
+
+@pytest.mark.parametrize(
+    ("symbol", "size", "unit"),
+    [
+        ("K_F.trend", 2e-8, "g/s"),
+        ("K_F.temperature", 3e-5, "g/K"),
+        ("K_I.temperature", -1e-3, "g/g/K"),
+        ("K_II.temperature", 2e-6, "g/g^2/K"),
+    ],
+)
+def test_slopes_under_conditions_are_found_and_leave_the_coefficients_alone(
+    tmp_path, symbol, size, unit
+):
+    text = under_conditions(
+        ('"K_III"]', f'"K_III", "{symbol}"]'),
+        ("[truth.Qx]\n", f'[truth.Qx]\n"{symbol}" = "{size!r} {unit}"\n'),
+    )
+    found = calibrate(simulated(tmp_path, text))
+    assert_true(found)
+    for name, value in (("Qx", size), ("Qy", 0.0)):
+        c = found.accelerometers[name].coefficients[symbol]
+        assert c.estimated
+        assert c.unit == unit
+        assert abs(c.value - value) < 4 * c.u
+        assert abs(size) > 10 * c.u
+    assert not found.platform
+    # Whose slope it is: one accelerometer's table has nothing of the other's.
+    assert found.accelerometers["Qx"].correlation.terms.count(symbol) == 1
+    # A model without it is contradicted, or moves by what it says that a slope may move it.
+    without_it = calibrate(simulated(tmp_path / "without", changed(text, (f', "{symbol}"', ""))))
+    left = without_it.accelerometers["Qx"]
+    moved = left.coefficients["K_II"].value - found.accelerometers["Qx"].coefficients["K_II"].value
+    predicted = left.left_out[symbol].moves["K_II"] * size
+    u = found.accelerometers["Qx"].coefficients["K_II"].u
+    assert moved == pytest.approx(predicted, rel=0.1, abs=3 * u)
+
+
+def test_heating_is_considered_in_full_by_both_methods(tmp_path):
+    considered = changed(
+        BASE,
+        (
+            '"K_III"]\n',
+            '"K_III"]\nconsidered = ["K_F.heating"]\n'
+            'priors = { "K_F.heating" = "3e-6 ± 1e-6 g/g^2" }\n',
+        ),
+        ("[truth.Qx]\n", '[truth.Qx]\n"K_F.heating" = "3e-6 g/g^2"\n'),
+        ("[truth.Qy]\n", '[truth.Qy]\n"K_F.heating" = "3e-6 g/g^2"\n'),
+    )
+    folder = simulated(tmp_path, considered)
+    found = calibrate(folder)
+    assert_true(found)
+    qx = found.accelerometers["Qx"]
+    # The t^2 coefficient of K_II has half of the squared force's mean: 2 of the heating.
+    assert qx.coefficients["K_II"].u_considered == pytest.approx(2e-6, rel=0.01)
+    (line,) = (line for line in qx.budget["K_II"] if "heating" in line.source)
+    assert line.source == "K_F.heating (considered)"
+    assert line.unit == "g/g^2"
+    assert abs(qx.two_stage.z) < 4
+    two_stage = calibrate(folder, method="two-stage").accelerometers["Qx"].coefficients["K_II"]
+    assert two_stage.u_considered == pytest.approx(2e-6, rel=0.01)
+    assert abs(two_stage.value - qx.coefficients["K_II"].value) < 4 * two_stage.u_noise
+
+
+def test_a_bias_that_wanders_is_weighed_and_said(tmp_path, capsys):
+    text = changed(
+        BASE,
+        ("[noise]\n", '[noise]\nflicker = "20 ug"\nbias_walk = "60 ug/h^0.5"\n'),
+        ("[truth.noise]\n", '[truth.noise]\nflicker = "20 ug"\nbias_walk = "60 ug/h^0.5"\n'),
+    )
+    folder = simulated(tmp_path, text)
+    found = calibrate(folder)
+    assert_true(found)
+    steady = calibrate(
+        simulated(tmp_path / "steady", changed(text, ('flicker = "20 ug"\nbias_walk', "bias_walk")))
+    )
+    for name, one in found.accelerometers.items():
+        assert one.two_stage is None
+        assert one.residual.lack_of_fit_p > 1e-3
+        flicker, walk = one.noise["flicker"], one.noise["bias_walk"]
+        assert (flicker.value, flicker.unit) == (pytest.approx(20e-6 * 9.8066), "m/s^2")
+        assert walk.value == pytest.approx(1e-6 * 9.8066)
+        u = one.coefficients["K_F"].u
+        assert u > 1.5 * steady.accelerometers[name].coefficients["K_F"].u or name == "Qx"
+    assert main(["calibrate", str(folder)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "flicker 20 ug (as given); bias walk 1 ug/s^0.5 (as given)" in shown
+    with pytest.raises(NotIdentifiableError, match="two-stage method knows nothing of a bias"):
+        calibrate(folder, method="two-stage")
+
+
+def test_gravity_that_the_computer_removes_is_an_input_of_its_own(tmp_path):
+    """The computer takes 9.8066 m/s^2 away, where the campaign has found 9.8066 ± 1e-4."""
+    upright = changed(
+        BASE,
+        ('"north"\npendulous_axis = "down"', '"up"\npendulous_axis = "east"'),
+        ('"9.8066 m/s^2"', '"9.80678 m/s^2"\nremoved_gravity = "9.8066 m/s^2"'),
+        (
+            'displacement = { column = "north_m", unit = "m" }\n',
+            'displacement = { column = "north_m", unit = "m" }\nbias = "0.0037 ± 1e-7 g"\n'
+            'K_II = "-3.3e-5 ± 1e-9 g/g^2"\nK_III = "0 ± 1e-9 g/g^3"\n',
+        ),
+    )
+    folder = simulated(tmp_path, upright)
+    found = {}
+    for removed in (True, False):
+        text = changed(upright, ("9.80678 m/s^2", "9.8066 ± 1e-4 m/s^2"))
+        if not removed:
+            text = changed(text, ('removed_gravity = "9.8066 m/s^2"\n', ""))
+        (folder / "campaign.toml").write_text(text, encoding="utf-8")
+        found[removed] = calibrate(folder)
+    upright_of = {r: one.accelerometers["Qy"].coefficients for r, one in found.items()}
+    c, wrong = upright_of[True]["K_I"], upright_of[False]["K_I"]
+    assert abs(c.value - 0.9988) < 3 * c.u
+    assert c.u == pytest.approx(1e-4 / 9.8066, rel=0.1)
+    assert wrong.value - 0.9988 == pytest.approx(1.8e-4 / 9.8066, rel=0.05)
+    assert abs(wrong.value - 0.9988) > 10 * wrong.u
+    (asked,) = (f for f in found[False].findings if f.code == "removed-gravity")
+    assert "removed_gravity in [site]" in asked.text
+    assert not any(f.code == "removed-gravity" for f in found[True].findings)
 
 
 def test_a_ripple_that_a_noisy_encoder_hides_is_in_the_budget(tmp_path):

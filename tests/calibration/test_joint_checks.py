@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from counterspin.calibration.joint import shared_findings
+from counterspin.calibration.attitude_findings import shared_findings
 from counterspin.calibration.joint_checks import hidden_walk, unseen_ripple
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import Coefficient

@@ -36,13 +36,27 @@ def again(records, folder, text, method):
 def considering(left_out):
     """Return the description that considers all of that at its typical size."""
     terms = [symbol for symbol in left_out if symbol not in UNCERTAIN_INPUTS]
-    priors = [f'"{s}" = "{term(s).nominal!r} ± {term(s).typical!r} {term(s).unit}"' for s in terms]
+    # The scale factor is stated where the accelerometer is.
+    priors = [
+        f'"{s}" = "{term(s).nominal!r} ± {term(s).typical!r} {term(s).unit}"'
+        for s in terms
+        if s != "K_I"
+    ]
     model = (
-        f'[model]\nterms = ["K_F", "K_I", "K_II", "K_III"]\nconsidered = {terms!r}\n[model.priors]'
+        f'[model]\nterms = ["K_F", "K_II", "K_III"]\nconsidered = {terms!r}\n[model.priors]'
     ).replace("'", '"')
     text = changed(
-        SMALL, *EXACT_INPUTS, ("[noise]\n", "\n".join([model, *priors, "", "[noise]\n"]))
+        SMALL,
+        *EXACT_INPUTS,
+        ('"1.002 g/g"\ndisp', '"1.002 ± 1e-4 g/g"\ndisp'),
+        ('"0.999 g/g"\ndisp', '"0.999 ± 1e-4 g/g"\ndisp'),
+        ("[noise]\n", "\n".join([model, *priors, "", "[noise]\n"])),
     )
+    # What is left out is reckoned as if the runs followed each other, ever warmer by 1 K in all.
+    for name, start in (("slow", 0), ("middle", 80), ("fast", 120)):
+        record = f'record = "{name}.csv"\n'
+        when = f'time = "{start} s"\ntemperature = "{20.0 + start / 120.0!r} degC"\n'
+        text = changed(text, (record, record + when))
     # The delay of the angle is an input of the records.
     angle = 'angle = { column = "angle_rad", unit = "rad" }'
     return changed(text, (angle, angle + '\ntiming_offset = "0 ± 1e-5 s"'))
@@ -53,6 +67,7 @@ def test_it_is_the_uncertainty_of_a_model_that_considers_all_of_it(records, tmp_
     plain = calibrate(records, method=method)
     left_out = plain.accelerometers["Qx"].left_out
     assert {"K_OO", "delta_O", "platform.tilt.north", "centrifuge.radius"} <= set(left_out)
+    assert "K_I" in left_out  # stated as exact
     # The other accelerometer's own terms are those of its own axes.
     both = dict.fromkeys([*left_out, *plain.accelerometers["Qy"].left_out])
     if method == "two-stage":

@@ -5,8 +5,9 @@ import re
 
 import polars as pl
 import pytest
-from campaigns import SMALL, campaign_of, changed
+from campaigns import PLACE, SMALL, campaign_of, changed, runs
 
+from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.observed import observe
 from counterspin.campaign.simulation import simulate
 from counterspin.errors import RecordError
@@ -89,3 +90,125 @@ def test_the_same_record_twice_is_refused(plain, tmp_path, name):
     again = f'[[runs]]\nname = "again"\nrate = "0.25 rev/s"\nrecord = "{name}"\n\n[simulation]'
     with pytest.raises(RecordError, match=r"holds the same samples as .*slow\.csv"):
         list(observe(campaign_of(tmp_path, changed(SMALL, ("[simulation]", again)))))
+
+
+TRUTH = {
+    "Qx": {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5},
+    "Qy": {"K_F": -0.0037, "K_I": 0.9988, "K_II": -3.3e-5},
+    "Qz": {"K_F": 0.004, "K_I": 1.0007},
+}
+UNITS = {"K_F": "g", "K_I": "g/g", "K_II": "g/g^2"}
+REFERENCE = 'reference = "own velocity"\n'
+AXES = (("Qx", "east", "down"), ("Qy", "north", "down"), ("Qz", "up", "east"))
+
+
+def three_axes(observable, unit, noise):
+    """A computer that takes its own velocity, and the errors of all three axes."""
+    accelerometers = "".join(
+        f'[accelerometers.{name}]\ninput_axis = "{axis}"\npendulous_axis = "{pendulous}"\n'
+        f'{observable} = {{ column = "{name}", unit = "{unit}" }}\n'
+        for name, axis, pendulous in AXES
+    )
+    truth = "".join(
+        f"[truth.{name}]\n" + "".join(f'{k} = "{v} {UNITS[k]}"\n' for k, v in values.items())
+        for name, values in TRUTH.items()
+    )
+    return f"""{PLACE}{REFERENCE}
+{accelerometers}
+[noise]
+{observable} = "{noise}"
+[model]
+terms = ["K_F", "K_I", "K_II"]
+[model.priors]
+"Qz.K_I" = "1.0007 ± 1e-7 g/g"
+"Qz.K_II" = "0 ± 1e-9 g/g^2"
+{runs("run1", "run2", "run3", rates=("90 deg/s", "180 deg/s", "360 deg/s"))}
+[simulation]
+sampling_rate = "20 Hz"
+seed = 7
+revolutions = 50
+{truth}
+[truth.noise]
+{observable} = "{noise}"
+angle = "1e-6 rad"
+"""
+
+
+@pytest.fixture(
+    scope="module", params=[("displacement", "m", "0.01 m"), ("velocity", "m/s", "0.001 m/s")]
+)
+def own_velocity(request, tmp_path_factory):
+    """The description, and the folder of its records."""
+    folder = tmp_path_factory.mktemp(request.param[0])
+    text = three_axes(*request.param)
+    simulate(campaign_of(folder, text), folder)
+    return folder, text
+
+
+def far_off(result):
+    """What is more than three of its u from the truth."""
+    return {
+        f"{name}.{symbol}"
+        for name, values in TRUTH.items()
+        for symbol, true in values.items()
+        for c in [result.accelerometers[name].coefficients[symbol]]
+        if abs(c.value - true) > 3.0 * c.u
+    }
+
+
+def test_what_the_computers_own_velocity_took_off_is_put_back(own_velocity):
+    folder, text = own_velocity
+    result = calibrate(campaign_of(folder, text))
+    assert far_off(result) == set()
+    assert result.accelerometers["Qx"].coefficients["K_F"].u < 1e-7
+    assert "own-velocity" not in {f.code for f in result.findings}
+    for accelerometer in result.accelerometers.values():
+        left = accelerometer.residual
+        assert abs(left.chi2 - left.dof) < 5.0 * math.sqrt(2.0 * left.dof)
+
+
+def test_an_uncertain_latitude_counts_in_what_is_put_back(own_velocity):
+    folder, text = own_velocity
+    latitudes = ("45.75 ± 0.05 deg", "45.8 ± 0.05 deg")
+    here, there = (
+        calibrate(campaign_of(folder, changed(text, ('"45.75 deg"', f'"{latitude}"'))))
+        for latitude in latitudes
+    )
+    for name in ("Qx", "Qy"):
+        before, after = (r.accelerometers[name].coefficients["K_F"] for r in (here, there))
+        budget = here.accelerometers[name].budget["K_F"]
+        (line,) = (one for one in budget if one.source == "site.latitude (input)")
+        moved = line.sensitivity * math.radians(0.05)
+        assert abs(moved) > 5e-9  # nothing without it
+        assert after.value - before.value == pytest.approx(moved, rel=0.02)
+
+
+def test_own_velocity_is_told_where_it_is_not_stated(own_velocity):
+    folder, text = own_velocity
+    result = calibrate(campaign_of(folder, changed(text, (REFERENCE, ""))))
+    assert {"Qx.K_F", "Qx.K_II", "Qy.K_F", "Qz.K_F"} <= far_off(result)
+    (found,) = (f for f in result.findings if f.code == "own-velocity")
+    assert result.findings[0] == found
+    assert found.contradicts
+    assert {"lack-of-fit"} <= {f.code for f in found.explains}
+    assert "a computer that uses its own velocity" in found.text
+    assert 'state reference = "own velocity"' in found.text
+
+
+def test_own_velocity_that_is_stated_wrongly_is_told(own_velocity, tmp_path):
+    _, text = own_velocity
+    simulate(campaign_of(tmp_path / "given", changed(text, (REFERENCE, ""))), tmp_path)
+    result = calibrate(campaign_of(tmp_path, text))
+    (found,) = (f for f in result.findings if f.code == "own-velocity")
+    assert 'state reference = "platform"' in found.text
+    assert far_off(calibrate(campaign_of(tmp_path, changed(text, (REFERENCE, ""))))) == set()
+
+
+def test_what_is_left_of_gravity_acts_through_the_computers_velocity(tmp_path):
+    """3e-4 m/s^2 that are left upwards move the east by 2 Omega cos L 3e-4 t^3/6."""
+    site = ('"9.8066 m/s^2"', '"9.8066 m/s^2"\nremoved_gravity = "9.8063 m/s^2"')
+    text = changed(three_axes("displacement", "m", "1e-5 m"), site)
+    simulate(campaign_of(tmp_path, text), tmp_path)
+    result = calibrate(campaign_of(tmp_path, text))
+    assert far_off(result) == set()
+    assert not {"own-velocity", "lack-of-fit"} & {f.code for f in result.findings}

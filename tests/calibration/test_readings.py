@@ -4,13 +4,14 @@ import math
 
 import numpy as np
 import pytest
-from reading_campaigns import TRUTH, arm, simulated, tumble
+from reading_campaigns import SITE, TRUTH, arm, simulated, tumble
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, NotIdentifiableError
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.station import Station
 
 SIGMA = 2e-6
 HEAD = """schema = 1
@@ -104,11 +105,122 @@ def test_tumble_and_arm_together_are_surer_than_each(tmp_path):
 
 
 def test_at_one_g_k_ii_is_not_determined(tmp_path):
+    """Nothing is known of K_PP and K_OO: what is determined in place of K_II is said by name."""
     values = simulated(tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
     result = calibrated(tmp_path, model("K_F", "K_I", "K_II", "delta_O"), tumble_runs(values))
-    k_ii = result.accelerometers["A"].coefficients["K_II"]
-    assert not k_ii.estimated
-    assert k_ii.value is None
+    a = result.accelerometers["A"]
+    assert set(a.coefficients) == {"K_F", "K_I", "K_II", "delta_O"}
+    assert not a.coefficients["K_II"].estimated
+    assert a.coefficients["K_II"].value is None
+    assert a.coefficients["K_F"].u == pytest.approx(1e-4, rel=1e-3)
+    determined = {c.determined: c for c in a.confounded}
+    assert set(determined) == {"K_F + K_PP", "K_II - K_PP"}
+    difference = determined["K_II - K_PP"]
+    assert abs(difference.value - TRUTH["K_II"]) < 4.0 * difference.u
+    assert difference.u == pytest.approx(0.5773503 * SIGMA, rel=1e-3)
+    (finding,) = [f for f in result.findings if f.subject == "A.K_II"]
+    assert "K_F - K_II - K_PP - K_OO in common" in finding.text
+
+
+def test_at_one_g_k_ii_is_as_good_as_what_is_known_of_the_other_squares(tmp_path):
+    values = simulated(tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)
+    known = "".join(f'{symbol} = "0 ± 3e-6 g/g^2"\n' for symbol in ("K_PP", "K_OO"))
+    priors = f'considered = ["K_PP", "K_OO"]\n[model.priors]\n{known}'
+    asked = model("K_F", "K_I", "K_II", "delta_O", more=priors)
+    k_ii = calibrated(tmp_path, asked, tumble_runs(values)).accelerometers["A"].coefficients["K_II"]
+    assert k_ii.estimated
+    assert k_ii.u == pytest.approx(math.hypot(3e-6, 0.5773503 * SIGMA), rel=1e-3)
+
+
+def test_ten_terms_in_48_positions_at_one_g(tmp_path):
+    """Rank 9: the null vector is K_F - K_II - K_PP - K_OO, and the output names it."""
+    rng = np.random.default_rng(48)
+    terms = ["K_F", "K_I", "delta_O", "delta_P", "K_II", "K_PP", "K_OO", "K_IP", "K_IO", "K_PO"]
+    runs = ""
+    for i in range(48):
+        first, second = rng.normal(size=(2, 3))
+        first /= np.linalg.norm(first)
+        second -= (second @ first) * first
+        second /= np.linalg.norm(second)
+        station = Station("static", Mounting.from_axes(list(first), list(second)))
+        value = float(station.indicated(SITE, TRUTH) + rng.normal(0.0, SIGMA))
+        runs += (
+            f'[[runs]]\nname = "{i}"\nmotion = "static"\nreading = "{1.25 * value!r} mA"\n'
+            f"axes = {{ input = {first.tolist()}, pendulous = {second.tolist()} }}\n"
+        )
+    result = calibrated(tmp_path, model(*terms), runs)
+    a = result.accelerometers["A"]
+    undetermined = {symbol for symbol, c in a.coefficients.items() if not c.estimated}
+    assert undetermined == {"K_F", "K_II", "K_PP", "K_OO"}
+    assert all(a.coefficients[symbol].value is None for symbol in undetermined)
+    # Three combinations that the null vector leaves as they are.
+    null = {"K_F": 1.0, "K_II": -1.0, "K_PP": -1.0, "K_OO": -1.0}
+    assert len(a.confounded) == 3
+    assert set.union(*(set(c.terms) for c in a.confounded)) == set(null)
+    for c in a.confounded:
+        change = sum(w * null[t] for w, t in zip(c.weights, c.terms, strict=True))
+        assert abs(change) < 1e-6
+    texts = [f.text for f in result.findings if f.code == "not-determined"]
+    assert len(texts) == 4
+    assert all("K_F - K_II - K_PP - K_OO in common" in text for text in texts)
+
+
+@pytest.mark.parametrize("u", [SIGMA, None], ids=["noise stated", "noise to be estimated"])
+def test_fewer_readings_than_unknowns_are_refused(tmp_path, capsys, u):
+    values = simulated(tumble(3), np.random.default_rng(4), SIGMA, truth=LEVEL_TERMS)
+    with pytest.raises(NotIdentifiableError, match=r"3 readings of A cannot determine 4 coeff"):
+        calibrated(tmp_path, model(*LEVEL_TERMS, "K_III"), tumble_runs(values, u))
+    assert main(["calibrate", str(tmp_path)]) == 1
+    out = " ".join(capsys.readouterr().err.split())
+    assert "(K_F, K_I, K_III, delta_O); take more positions" in out
+
+
+ONE_SIDE = tuple(float(size) for size in range(1, 21))
+
+
+@pytest.mark.parametrize(
+    ("other", "determined"),
+    [("K_OQ", "K_II + K_OQ"), ("centrifuge.stretch", "K_II + 9.80")],
+)
+def test_one_side_only_cannot_tell_k_ii_from_what_looks_like_it(tmp_path, other, determined):
+    """There a |a| is a^2, and a stretch s of the radius makes K_I s a^2, with a in m/s^2."""
+    test = [part[:40] for part in arm(ONE_SIDE)]
+    truth = {"K_F": 2e-3, "K_II": 15e-6}
+    values = simulated(test, np.random.default_rng(5), SIGMA, truth=truth)
+    terms = ("K_F", "K_I", "K_II", other)
+    a = calibrated(tmp_path, model(*terms), arm_runs(test, values)).accelerometers["A"]
+    assert a.coefficients["K_II"].value is None
+    (confounded,) = a.confounded
+    assert confounded.terms == ["K_II", other]
+    assert confounded.determined.startswith(determined)
+    assert abs(confounded.value - 15e-6) < 4.0 * confounded.u
+    # Both sides tell them apart.
+    both = arm()
+    values = simulated(both, np.random.default_rng(6), SIGMA, truth=truth)
+    a = calibrated(tmp_path, model(*terms), arm_runs(both, values)).accelerometers["A"]
+    assert a.coefficients["K_II"].estimated
+
+
+def test_a_model_that_lacks_a_term_is_one_finding_and_not_one_a_position(tmp_path):
+    test = arm()
+    values = simulated(test, np.random.default_rng(7), SIGMA)
+    result = calibrated(tmp_path, model("K_F", "K_I", "K_II"), arm_runs(test, values))
+    (outlying,) = [f for f in result.findings if f.code == "outlying-reading"]
+    assert "of 24 readings on the arm are off the model" in outlying.text
+
+
+def test_without_a_model_the_misalignment_of_a_tumble_is_estimated(tmp_path):
+    """In a table of its own, whose columns have names of their own; no terms are asked for."""
+    truth = {**LEVEL_TERMS, "delta_O": 8e-4}
+    values = np.array([simulated(tumble(24), np.random.default_rng(9), 1e-5, truth=truth)])
+    result = calibrated(tmp_path, as_table(tmp_path, values))
+    a = result.accelerometers["A"]
+    assert list(a.coefficients) == ["K_F", "K_I", "delta_O"]
+    assert abs(a.coefficients["delta_O"].value - 8e-4) < 4.0 * a.coefficients["delta_O"].u
+    assert {f.code for f in result.findings} <= {"left-out"}
+    # Two positions, up and down, have no room for it.
+    two = tumble_runs(values[0][[0, 12]])
+    assert list(calibrated(tmp_path, two).accelerometers["A"].coefficients) == ["K_F", "K_I"]
 
 
 @pytest.mark.parametrize("stated", [True, False], ids=["noise stated", "noise estimated"])
@@ -120,6 +232,48 @@ def test_a_mistake_in_one_position_is_named(tmp_path, stated):
     assert result.state == ("contradicted" if stated else "reservations")
     outlying = [f for f in result.findings if f.code == "outlying-reading"]
     assert outlying[0].subject == "A.tumble 7"
+
+
+def as_table(folder, values, repeats=""):
+    """Write a tumble as a laboratory's table has it, one row for each of the arrays' numbers."""
+    step = 360 / values.shape[1]
+    rows = [
+        f"{i + 1},{i * step:g},{1.25 * value!r}"
+        for run in values.tolist()
+        for i, value in enumerate(run)
+    ]
+    (folder / "tumble.csv").write_text("Pos.,Winkel,Strom\n" + "\n".join(rows) + "\n")
+    columns = '{ name = "Pos.", attitude = "Winkel", reading = "Strom" }'
+    return f'[readings]\nfile = "tumble.csv"\ncolumns = {columns}\n'
+
+
+@pytest.mark.parametrize("repeats", [1, 2, 4])
+def test_a_lack_of_fit_in_one_of_24_positions_is_named(tmp_path, repeats):
+    """160 ug beside a noise of 30 ug that nobody stated, however often each position was read."""
+    rng = np.random.default_rng(repeats)
+    values = np.array([simulated(tumble(24), rng, 3e-5, truth=TRUTH) for _ in range(repeats)])
+    values[:, 17] += 160e-6
+    terms = ("K_F", "K_I", "K_II", "delta_O", "K_IP")
+    result = calibrated(tmp_path, model(*terms), as_table(tmp_path, values))
+    outlying = [f for f in result.findings if f.code == "outlying-reading"]
+    assert [f.subject for f in outlying] == ["A.18"]
+    assert "position" in outlying[0].text
+    k_ii = result.accelerometers["A"].coefficients["K_II"]
+    assert not k_ii.estimated
+    assert k_ii.value is None
+
+
+def test_positions_that_differ_more_than_repeats_are_a_lack_of_fit(tmp_path):
+    """A cubic term that the model lacks: no position stands out, the repeats show it."""
+    truth = {**LEVEL_TERMS, "K_III": 1e-5}
+    rng = np.random.default_rng(3)
+    values = np.array([simulated(tumble(24), rng, SIGMA, truth=truth) for _ in range(3)])
+    table = as_table(tmp_path, values)
+    result = calibrated(tmp_path, model(*LEVEL_TERMS), table)
+    (misfit,) = [f for f in result.findings if f.code == "lack-of-fit"]
+    assert "further off the model than repeats of one position" in misfit.text
+    fitting = calibrated(tmp_path, model(*LEVEL_TERMS, "K_III"), table)
+    assert all(f.code != "lack-of-fit" for f in fitting.findings)
 
 
 def test_readings_that_fit_have_no_outlier(tmp_path):
@@ -174,11 +328,7 @@ def test_records_on_the_arm_are_averaged(tmp_path):
 def test_what_needs_records_says_so(tmp_path, capsys):
     values = simulated(tumble(), np.random.default_rng(8), SIGMA, truth=LEVEL_TERMS)
     calibrated(tmp_path, model(*LEVEL_TERMS), tumble_runs(values))
-    for command in (
-        lambda: simulate(tmp_path, tmp_path / "out"),
-        lambda: calibrate(tmp_path, method="two-stage", options=TwoStageOptions()),
-    ):
-        with pytest.raises(CampaignError, match="this campaign has readings"):
-            command()
+    with pytest.raises(CampaignError, match="this campaign has readings"):
+        calibrate(tmp_path, method="two-stage", options=TwoStageOptions())
     assert main(["calibrate", str(tmp_path), "--budget", "--details"]) == 0
     assert "tumble 11" in capsys.readouterr().out

@@ -320,8 +320,8 @@ def test_terms_that_act_alike_are_said_with_their_combination(tmp_path, capsys):
     text = " ".join(capsys.readouterr().out.split())
     found = qx(Result.read(file))
     second, bias = found.confounded
-    assert second.terms == ["K_II", "K_OO", "platform.compliance.zy"]
-    assert second.determined == "K_II + K_OO + 1.002 platform.compliance.zy"
+    assert second.terms == ["K_II", "K_OO", "K_F.heating", "platform.compliance.zy"]
+    assert second.determined == "K_II + K_OO + 2 K_F.heating + 1.002 platform.compliance.zy"
     alike = ["platform.tilt.north", "platform.compliance.yz"]
     assert bias.terms == ["K_F", "K_PP", "delta_O", *alike]
     assert bias.determined == "K_F + K_PP - delta_O" + "".join(f" - 1.002 {s}" for s in alike)
@@ -366,7 +366,7 @@ def test_what_is_known_of_a_term_that_acts_alike_is_in_u(tmp_path):
     plain = qx(result_of(tmp_path / "a"))
     found = qx(result_of(tmp_path / "b", known))
     # The platform's compliance acts like K_OO, and still nothing is known of it.
-    assert found.confounded[0].terms == ["K_II", "platform.compliance.zy"]
+    assert found.confounded[0].terms == ["K_II", "K_F.heating", "platform.compliance.zy"]
     c = found.coefficients["K_II"]
     assert c.u_considered == pytest.approx(2e-6, rel=1e-4)
     assert c.value == pytest.approx(plain.coefficients["K_II"].value - 1e-6, rel=1e-6)

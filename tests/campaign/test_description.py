@@ -11,9 +11,9 @@ from counterspin.campaign.description import DEFAULT_TERMS, read_campaign
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
-from counterspin.physics.accelerometer import QX, QY, TERMS
+from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site
-from counterspin.physics.shared_terms import SHARED_TERMS, term
+from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
 
 BASE = (
@@ -116,7 +116,7 @@ def test_resolves_everything_to_si(tmp_path):
     assert campaign.noise.timing == "estimate"
     assert campaign.noise.angle == 0.0
     assert campaign.model.terms == ("K_F", "K_I", "K_II", "K_III")
-    assert campaign.model.limits == {s: term(s).limit for s in (*TERMS, *SHARED_TERMS)}
+    assert campaign.model.limits == {s: term(s).limit for s in (*OWN_TERMS, *SHARED_TERMS)}
     one, two = campaign.runs
     assert (one.name, one.rate) == ("run1", pytest.approx(math.pi / 2, rel=1e-15))
     assert (two.record, two.rate) == (
@@ -457,7 +457,7 @@ def test_truth_of_a_simulation(tmp_path):
 def test_truth_changes_nothing_that_a_calibration_reads(tmp_path):
     plain = read_campaign(write(tmp_path, BASE))
     with_truth = read_campaign(write(tmp_path, BASE + SIMULATED))
-    apart = {"runs", "simulation", "checksum"}
+    apart = {"runs", "simulation", "source"}
     for name in set(vars(plain)) - apart:
         assert getattr(plain, name) == getattr(with_truth, name), name
     for one, other in zip(plain.runs, with_truth.runs, strict=True):

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import polars as pl
 import pytest
 
 from counterspin.campaign.description import read_campaign
@@ -64,22 +63,6 @@ def test_a_run_on_the_arm(tmp_path):
     assert reading.temperature == pytest.approx(296.55)
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
-def test_a_table_says_the_same_as_runs(tmp_path, suffix):
-    frame = pl.DataFrame({"p": ["tumble 30"], "deg": [30], "mA": [1.082532], "u": [2e-6]})
-    if suffix == ".csv":
-        frame.write_csv(tmp_path / "readings.csv")
-    else:
-        frame.write_parquet(tmp_path / "readings.parquet")
-    table = f"""[readings]
-file = "readings{suffix}"
-columns = {{ name = "p", attitude = "deg", reading = "mA", u = "u" }}
-"""
-    (reading,) = read(tmp_path, HEAD + table).readings
-    (written,) = read(tmp_path, HEAD + RUN.replace(" ± 0.001", "")).readings
-    assert reading == written
-
-
 def test_a_reading_without_its_uncertainty_has_none(tmp_path):
     (reading,) = read(tmp_path, HEAD + RUN.replace(" ± 2e-6", "")).readings
     assert reading.u is None
@@ -102,6 +85,10 @@ SLIPS = {
         HEAD + RUN.replace("2e-6 mA", "2e-6 V"),
         "runs[0].reading: 'V' is not a unit of quantity in mA",
     ),
+    "a position that is missing": (
+        HEAD + RUN.replace("attitude", "# attitude"),
+        "runs[0].attitude: is missing: a reading at rest needs its position",
+    ),
     "a sensitivity of another unit": (
         HEAD.replace("1.25 mA/g", "1.25 V/g") + RUN,
         "accelerometers.A.output.sensitivity:",
@@ -117,7 +104,7 @@ SLIPS = {
     ),
     "no such file": (
         HEAD + '[readings]\nfile = "none.csv"\ncolumns = { reading = "mA" }\n',
-        "readings.file: none.csv cannot be read",
+        "none.csv: there is no such file",
     ),
     "a term that no reading shows": (
         HEAD + '[model]\nterms = ["K_F", "centrifuge.droop"]\n' + RUN,
@@ -144,15 +131,52 @@ def test_each_slip_is_told_with_its_key(tmp_path, slip):
     assert any(message in line for line in problems(tmp_path, text)), problems(tmp_path, text)
 
 
-def test_a_table_without_a_named_column_is_told(tmp_path):
-    (tmp_path / "r.csv").write_text("angle,mA\n0,1.25\n", encoding="utf-8")
-    text = HEAD + '[readings]\nfile = "r.csv"\ncolumns = { attitude = "angel", reading = "mA" }\n'
-    (line,) = problems(tmp_path, text)
-    assert 'r.csv has no column "angel"; did you mean "angle"?' in line
+def test_repeats_of_one_setting_are_averaged_and_their_scatter_is_kept(tmp_path):
+    several = 'reading = ["1.0 mA", "1.1 mA", "1.3 mA"]'
+    run = RUN.replace('reading = "1.082532 ± 2e-6 mA"', several)
+    (reading,) = read(tmp_path, HEAD + run).readings
+    assert reading.value == pytest.approx(3.4 / 3 / 1.25)
+    assert (reading.u, reading.repeats) == (None, 3)
+    assert reading.scatter == pytest.approx(np.var([0.8, 0.88, 1.04]) * 3)
 
 
-def test_an_empty_cell_is_told_with_its_row(tmp_path):
-    (tmp_path / "r.csv").write_text("angle,mA\n0,1.25\n30,\n", encoding="utf-8")
-    text = HEAD + '[readings]\nfile = "r.csv"\ncolumns = { attitude = "angle", reading = "mA" }\n'
-    (line,) = problems(tmp_path, text)
-    assert line.startswith('readings."r.csv row 2".reading.A:')
+TURNTABLE = """[records]
+time = { column = "t", unit = "s" }
+[[runs]]
+name = "turntable"
+rate = "6.0 rad/s"
+record = "turntable.csv"
+[[runs]]
+name = "in"
+motion = "arm"
+rate = "9.9 rad/s"
+axes = { input = "inward", pendulous = "up" }
+record = "in.csv"
+"""
+
+
+def test_records_of_the_arm_have_a_column_beside_those_of_the_turntable(tmp_path):
+    displacement = 'displacement = { column = "m", unit = "m" }\n'
+    force = 'specific_force = { column = "i", unit = "mA" }\n'
+    campaign = read(tmp_path, HEAD + displacement + force + ARM + TURNTABLE)
+    a = campaign.accelerometers["A"]
+    assert (a.observable, a.channel.column, a.force.column) == ("displacement", "m", "i")
+    assert a.force.factor == pytest.approx(9.8 / 1.25)
+    (line,) = problems(tmp_path, HEAD + displacement + ARM + TURNTABLE)
+    assert "has no specific_force: the column of its records on an arm or at rest" in line
+
+
+def test_errors_of_the_path_count_beside_readings_at_rest(tmp_path):
+    """The records show them, though no reading does; both axes of a tilt have one prior."""
+    displacement = 'displacement = { column = "m", unit = "m" }\n'
+    more = 'stretch = "0 ± 5e-9 s^2/m"\naxis_tilt = "0 ± 5 arcsec"\n'
+    turntable = TURNTABLE.split('[[runs]]\nname = "in"', maxsplit=1)[0]
+    model = '[model]\nterms = ["K_F", "K_I", "K_II", "centrifuge.stretch"]\n'
+    machine = read(tmp_path, HEAD + displacement + ARM + more + model + turntable + RUN).machine
+    assert machine.terms == ("centrifuge.stretch",)
+    assert machine.prior("centrifuge.stretch") == (0.0, 5e-9)
+    assert machine.considered == ("centrifuge.axis_tilt.east", "centrifuge.axis_tilt.north")
+    assert machine.prior("centrifuge.axis_tilt.east")[1] == pytest.approx(math.radians(5 / 3600))
+    terms = model.replace("stretch", "axis_tilt")
+    machine = read(tmp_path, HEAD + ARM + more + terms + ON_ARM).machine
+    assert machine.terms == ("centrifuge.axis_tilt.east", "centrifuge.axis_tilt.north")

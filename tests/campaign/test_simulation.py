@@ -1,6 +1,7 @@
 """Simulated records: what is in them, that they can be had again, and what stands in their way."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import polars as pl
@@ -9,6 +10,7 @@ from campaigns import SMALL, campaign_of, changed, without, write
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign import simulation as module
+from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate, simulate_run
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError
@@ -279,7 +281,7 @@ def test_nothing_half_written_is_left(tmp_path, monkeypatch):
 def test_command_line(tmp_path, capsys):
     path = write(tmp_path, SMALL)
     assert main(["simulate", str(path), "-o", str(tmp_path / "made")]) == 0
-    assert "Wrote 3 records and campaign.toml" in capsys.readouterr().out
+    assert "Wrote 3 files and campaign.toml" in capsys.readouterr().out
     assert sorted(contents(tmp_path / "made")) == sorted(["campaign.toml", *RECORDS])
     assert main(["simulate", str(path), "-o", str(tmp_path / "made")]) == 1
     error = capsys.readouterr().err
@@ -311,3 +313,50 @@ def test_more_rows_than_there_is_room_for(tmp_path):
     (problem,) = caught.value.problems
     assert problem.startswith("runs[1]: 2.51e+09 rows are more than can be simulated")
     assert not (tmp_path / "records").exists()
+
+
+# --- in memory ------------------------------------------------------------------------------------
+
+
+def test_in_memory_is_the_same_as_in_a_folder(tmp_path):
+    campaign = campaign_of(tmp_path, SMALL)
+    simulate(campaign, tmp_path / "made")
+    in_memory = simulate(campaign)
+    assert not (tmp_path / "slow.csv").exists()
+    for run in in_memory.runs:
+        written = pl.read_csv(tmp_path / "made" / run.record.name)
+        for name, values in in_memory.record_at(run.record).columns.items():
+            np.testing.assert_array_equal(written[name].to_numpy(), values)
+    assert in_memory.simulation == campaign.simulation
+    found = calibrate(in_memory)
+    assert found.accelerometers == calibrate(tmp_path / "made").accelerometers
+    assert set(found.provenance.in_memory) == set(RECORDS)
+
+
+def test_a_changed_campaign_is_simulated_with_its_changes(tmp_path):
+    changes = {"truth": {"Qx": {"K_II": "5e-5 g/g^2"}}, "noise": {"displacement": "0.02 m"}}
+    campaign = campaign_of(tmp_path, SMALL).change(**changes)
+    simulate(campaign, tmp_path / "made")
+    again = read_campaign(tmp_path / "made")
+    assert again.simulation == campaign.simulation
+    assert again.noise == campaign.noise
+    in_memory = simulate(campaign)
+    record = in_memory.runs[0].record
+    written = pl.read_csv(tmp_path / "made" / record.name)
+    np.testing.assert_array_equal(
+        written["east_m"].to_numpy(), in_memory.record_at(record).columns["east_m"]
+    )
+
+
+def test_another_seed_is_another_record(tmp_path):
+    campaign = campaign_of(tmp_path, SMALL)
+    one, other = (simulate(campaign.change(seed=seed)) for seed in (1, 2))
+    record = one.runs[0].record
+    errors = [c.record_at(record).columns["east_m"] for c in (one, other)]
+    assert np.std(errors[0] - errors[1]) == pytest.approx(0.01 * math.sqrt(2.0), rel=0.1)
+
+
+def test_a_campaign_without_its_description_is_not_simulated_in_memory(tmp_path):
+    campaign = replace(campaign_of(tmp_path, SMALL), title="other")
+    with pytest.raises(CounterspinError, match="no description of it is known"):
+        simulate(campaign)

@@ -1,13 +1,20 @@
 """The starter campaign: written once, whole, and good to simulate and calibrate as it stands."""
 
-import pytest
+from typing import get_args
 
+import pytest
+from scipy import stats
+
+import counterspin as cs
+from certificates import write_lab
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
-from counterspin.campaign.starter import init
+from counterspin.campaign.starter import Test, init
 from counterspin.cli import main
 from counterspin.errors import CounterspinError
+from counterspin.physics.accelerometer import TERMS
+from counterspin.studies.study import study
 
 
 def test_starter_can_be_simulated_and_calibrated_as_it_stands(tmp_path):
@@ -28,6 +35,64 @@ def test_starter_says_what_each_table_is_for(tmp_path):
         line.partition("#")[0].strip() for line in tables
     }
     assert sum("#" in line for line in text.splitlines()) > 20
+
+
+#: What a certificate says of the test.
+SAID = {
+    "tumble": "Read at rest in 24 positions, 24 readings",
+    "arm": "Carried round by the arm of a centrifuge (IEEE Std 836) at 6 rates, 3.132 to "
+    "14.01 rad/s, one sense, 2 mountings (in, out): 24 readings",
+    "double-turntable": "The item was carried round by a double turntable centrifuge at the rates",
+}
+
+
+@pytest.mark.parametrize("test", get_args(Test))
+def test_each_example_goes_the_whole_way(tmp_path, test, capsys):
+    """From init to the certificate; the study runs small, its coverage within what it allows."""
+    own, made = tmp_path / "own", tmp_path / "made"
+    assert main(["init", str(own), "--test", test]) == 0
+    assert main(["simulate", str(own), "-o", str(made)]) == 0
+    saved, page, certificate = (tmp_path / name for name in ("r.json", "r.html", "c.xml"))
+    assert main(["calibrate", str(made), "--json", str(saved)]) == 0
+    truth = read_campaign(own).simulation.truth
+    result = cs.read_result(saved)
+    ((name, found),) = result.accelerometers.items()
+    checked = {
+        symbol: truth.coefficients[name].get(symbol, TERMS[symbol].nominal)
+        for symbol in found.coefficients
+        if symbol in TERMS
+    }
+    assert {"K_F", "K_I", "K_II"} <= set(checked)
+    for symbol, value in checked.items():
+        c = found.coefficients[symbol]
+        assert c.estimated or symbol == "K_I"  # which displacement alone does not tell from K_IP
+        assert abs(c.value - value) < 4.0 * c.u
+    assert main(["report", str(saved), "-o", str(page)]) == 0
+    lab = write_lab(tmp_path)
+    assert main(["certificate", str(saved), str(lab), "-o", str(certificate)]) == 0
+    written = certificate.read_text("utf-8")
+    assert SAID[test] in written
+    of_records = test == "double-turntable"
+    assert ("double turntable" in written) == of_records
+    assert ("In the unit of the readings" in written) == (not of_records)
+    assert ("(IEEE Std 836)" in page.read_text("utf-8")) == (test == "arm")
+    if found.readings:
+        trials = 8
+        coefficients = study(own, trials=trials).analyses["joint"].coefficients
+        low, _ = stats.binom.interval(1.0 - 1e-5, trials, 0.95)
+        for coefficient in coefficients.values():
+            assert coefficient.covered[1] * trials >= low
+            assert abs(coefficient.bias) < 5.0 * coefficient.se_bias
+    capsys.readouterr()
+
+
+def test_tables_of_readings_that_are_there_stay(tmp_path):
+    (tmp_path / "readings.csv").write_text("mine", encoding="utf-8")
+    with pytest.raises(CounterspinError, match=r"readings\.csv exists; edit it"):
+        init(tmp_path, "tumble")
+    assert not (tmp_path / "campaign.toml").exists()
+    with pytest.raises(CounterspinError, match="`test` is one of double-turntable, tumble, arm"):
+        init(tmp_path, "centrifuge")
 
 
 def test_description_that_is_there_stays(tmp_path):

@@ -15,10 +15,10 @@ from counterspin.certificates.build import check_certifiable
 from counterspin.certificates.coverage import coverage_factor, region_factor
 from counterspin.certificates.elements import NAMESPACES, clean, factor, number
 from counterspin.certificates.reading import read_certificate
-from counterspin.certificates.units import from_si, si_unit, to_si
 from counterspin.errors import RecordError
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.si_units import from_si, si_unit, to_si
 
 G = 9.80665
 QUANTITY = "//dcc:measurementResult//dcc:quantity[@refType='basic_measuredValue']"

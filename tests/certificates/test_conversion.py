@@ -11,7 +11,7 @@ from results import coefficient, result
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.simulation import simulate
 from counterspin.certificates.conversion import covariance, in_si
-from counterspin.certificates.units import to_si
+from counterspin.physics.si_units import to_si
 
 G, U_G = 9.8066, 1e-4
 KNOWN = changed(SMALL, ('"9.8066 m/s^2"', f'"{G} ± {U_G} m/s^2"'))

@@ -2,9 +2,11 @@
 
 import io
 import json
+import tomllib
 
 import pypdf
 import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
 from results import result
 from signing_keys import write_pair
 
@@ -12,7 +14,9 @@ from certificates import LAB, find, write_lab
 from counterspin import cli
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.full_report import identifier_of
+from counterspin.certificates.issuing import certificate
 from counterspin.certificates.reading import read_certificate
+from counterspin.errors import CampaignError, CounterspinError, RecordError
 
 
 @pytest.fixture
@@ -69,8 +73,6 @@ def test_the_laboratory_s_specification_goes_before_the_campaign_s(desk, capsys)
 
 
 def test_a_signed_certificate_is_verified_and_says_that_it_is_signed(desk, capsys):
-    from cryptography.hazmat.primitives.asymmetric import ec
-
     key, cert = map(str, write_pair(desk / "k", ec.generate_private_key(ec.SECP256R1())))
     signing = ("--key", key, "--cert", cert)
     assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml", *signing)[0] == 0
@@ -83,7 +85,33 @@ def test_a_signed_certificate_is_verified_and_says_that_it_is_signed(desk, capsy
     (desk / "d.xml").write_bytes(made.replace(b">9.8<", b">9.9<", 1))
     status, out, err = command(capsys, "--verify", "d.xml", "--cert", cert)
     assert (status, out) == (1, "")
-    assert "d.xml: the signature is not valid" in err
+    assert "d.xml: the signature is not valid: the document was changed" in err
+    status, out, _ = command(capsys, "--verify", "c.xml")
+    assert status == 0
+    assert out.endswith("It is signed, but the signature was not checked: give --cert CERT.pem.\n")
+
+
+def test_the_xml_of_a_pdf_is_verified(desk, capsys):
+    key, cert = map(str, write_pair(desk / "k", ec.generate_private_key(ec.SECP256R1())))
+    assert command(capsys, "r.json", "LAB.toml", "-o", "plain.xml")[0] == 0
+    assert command(capsys, "--verify", "plain.xml")[1].endswith("It is not signed.\n")
+    signing = ("--key", key, "--cert", cert)
+    assert command(capsys, "r.json", "LAB.toml", "-o", "c.pdf", *signing)[0] == 0
+    status, out, _ = command(capsys, "--verify", "c.pdf", "--cert", cert)
+    assert status == 0
+    assert "(2.70000 ± 0.00020) x 1e-5 g/g^2" in out
+    assert "The signature is valid.\nThis is of the XML that is attached to the PDF" in out
+    # What is attached counts, whatever the pages show.
+    writer = pypdf.PdfWriter(clone_from="c.pdf")
+    writer.add_attachment("second.xml", b"<a/>")
+    writer.write("two.pdf")
+    assert "2 XML files are attached" in command(capsys, "--verify", "two.pdf")[2]
+    writer = pypdf.PdfWriter()
+    writer.add_blank_page(10, 10)
+    writer.write("none.pdf")
+    assert "no XML file is attached" in command(capsys, "--verify", "none.pdf")[2]
+    (desk / "no.pdf").write_bytes(b"%PDF-1.7 no")
+    assert "no.pdf: is not a PDF, or is damaged" in command(capsys, "--verify", "no.pdf")[2]
 
 
 def test_only_those_chosen_are_certified(desk, capsys):
@@ -116,7 +144,7 @@ CONTRADICTED = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of
 def test_a_contradicted_result_is_certified_for_a_reason_only(desk, capsys):
     for reason, status in ((None, 1), ("known play of the arm", 0)):
         found = judge_result(result(residual=CONTRADICTED), reason)
-        found.write(desk / "r.json")
+        found.write(desk / "r.json", overwrite=True)
         got, _, err = command(capsys, "r.json", "LAB.toml", "-o", "c.pdf")
         assert got == status
         assert ("r.json: Qx is contradicted by its records: The residuals are 8" in err) == bool(
@@ -156,3 +184,26 @@ def test_a_mistake_leaves_nothing_behind(desk, capsys, words, status, told):
     assert (got, out) == (status, "")
     assert told in err
     assert sorted(desk.iterdir()) == before
+
+
+def test_objects_give_the_certificate_of_their_files(desk, capsys):
+    for name in ("a.xml", "a.pdf"):
+        assert command(capsys, "r.json", "LAB.toml", "-o", name)[0] == 0
+    made = certificate(result(), tomllib.loads(LAB))
+    assert made.xml == (desk / "a.xml").read_bytes()
+    assert made.pdf() == (desk / "a.pdf").read_bytes()
+    assert (made.identifier, made.accelerometers) == (identifier_of(result()), ["Qx"])
+    assert made.write("b.xml").read_bytes() == made.xml
+    with pytest.raises(CounterspinError, match="exists; a certificate replaces no file"):
+        made.write(desk / "b.xml")
+    with pytest.raises(CampaignError, match=r"name the file \.xml or \.pdf"):
+        made.write("b.txt")
+
+
+def test_mistakes_of_objects_are_told_by_their_keys():
+    lab = tomllib.loads(LAB)
+    del lab["item"]
+    with pytest.raises(CampaignError, match=r"(?s)the laboratory's data: .*item\.name: is missing"):
+        certificate(result(), lab)
+    with pytest.raises(RecordError, match="this result was computed by the paper's equations"):
+        certificate(result().model_copy(update={"model": "as-printed"}), tomllib.loads(LAB))

@@ -1,9 +1,11 @@
 """A signed certificate can be verified, and no other passes for it."""
 
 import sys
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519, rsa
+from cryptography.x509 import load_pem_x509_certificates
 from lxml import etree
 from results import result
 from signing_keys import write_pair
@@ -11,7 +13,7 @@ from signing_keys import write_pair
 from certificates import ISSUE, lab_of
 from counterspin.certificates.build import certificate, to_bytes
 from counterspin.certificates.reading import read_certificate
-from counterspin.certificates.signature import read_signer, sign, verify
+from counterspin.certificates.signature import Signer, read_signer, sign, verify
 from counterspin.errors import CounterspinError, RecordError
 
 
@@ -36,7 +38,8 @@ def test_a_signed_certificate_verifies_and_reads_back(tmp_path, pairs, kind):
     made = signed(tmp_path, pairs[kind])
     assert etree.fromstring(made)[-1].tag == "{http://www.w3.org/2000/09/xmldsig#}Signature"
     covered = verify(made, pairs[kind][1], "x.xml")
-    found = read_certificate(covered, "x.xml")
+    assert covered.expired is None
+    found = read_certificate(covered.content, "x.xml")
     assert found.accelerometers["Qx"].coefficients["K_II"].value == pytest.approx(2.7e-5, rel=1e-15)
 
 
@@ -48,13 +51,78 @@ def test_one_changed_digit_is_noticed(tmp_path, pairs):
     made = signed(tmp_path, pairs["rsa"])
     changed = made.replace(b"<si:value>9.8</si:value>", b"<si:value>9.9</si:value>", 1)
     assert changed != made
-    with pytest.raises(RecordError, match=r"x\.xml: the signature is not valid"):
+    with pytest.raises(RecordError, match="the document was changed after the holder of"):
         verify(changed, pairs["rsa"][1], "x.xml")
 
 
 def test_somebody_else_s_signature_is_noticed(tmp_path, pairs):
-    with pytest.raises(RecordError, match="not signed by the holder of"):
-        verify(signed(tmp_path, pairs["rsa"]), pairs["ec"][1], "x.xml")
+    other = r"that of another signer \(CN=Example laboratory\), not of the holder of"
+    made = signed(tmp_path, pairs["rsa"])
+    with pytest.raises(RecordError, match=other):
+        verify(made, pairs["ec"][1], "x.xml")
+    # Whether he changed the document later does not matter.
+    with pytest.raises(RecordError, match=other):
+        verify(made.replace(b">9.8<", b">9.9<", 1), pairs["ec"][1], "x.xml")
+
+
+def test_a_changed_signature_is_told_from_a_changed_document(tmp_path, pairs):
+    root = etree.fromstring(signed(tmp_path, pairs["ec"]))
+    value = root.find(".//{http://www.w3.org/2000/09/xmldsig#}SignatureValue")
+    value.text = value.text[:10] + ("A" if value.text[10] != "A" else "B") + value.text[11:]
+    with pytest.raises(RecordError, match="the signature itself was changed"):
+        verify(etree.tostring(root), pairs["ec"][1], "x.xml")
+    stated = root.find(".//{http://www.w3.org/2000/09/xmldsig#}KeyInfo")
+    del stated[:]  # not as XML-DSig has it
+    with pytest.raises(RecordError, match="the signature is not valid"):
+        verify(etree.tostring(root), pairs["ec"][1], "x.xml")
+    root = etree.fromstring(signed(tmp_path, pairs["rsa"]))
+    stated = root.find(".//{http://www.w3.org/2000/09/xmldsig#}KeyInfo")
+    stated.getparent().remove(stated)
+    with pytest.raises(RecordError, match=r"it was changed, or is not .* names no signer"):
+        verify(etree.tostring(root), pairs["ec"][1], "x.xml")
+
+
+def test_a_certificate_that_expired_after_the_day_of_issue_counts(tmp_path):
+    """The issue is of 2026-01-20; signed with the key, as `read_signer` would refuse it today."""
+    key = ec.generate_private_key(ec.SECP256R1())
+    today = datetime.now(UTC).date()
+    since = (ISSUE.date.date() - today).days
+
+    def made_and_verified(*days):
+        folder = tmp_path / str(days[0])
+        _, cert = write_pair(folder, key, days=days)
+        given = result()
+        root = certificate(given, lab_of(folder, given), ISSUE, {}, b"%PDF")
+        signer = Signer(key, load_pem_x509_certificates(cert.read_bytes()))
+        return verify(to_bytes(sign(root, signer)), cert, "x.xml")
+
+    assert made_and_verified(since - 10, -1).expired == today - timedelta(days=1)
+    with pytest.raises(RecordError, match=r"cert\.pem was valid from .*, and the document states"):
+        made_and_verified(since + 1, -1)
+    with pytest.raises(RecordError, match=r"is valid from .* only; check the clock"):
+        made_and_verified(2, 10)
+
+
+@pytest.mark.parametrize(
+    ("made", "more", "words"),
+    [
+        (lambda: rsa.generate_private_key(65537, 1024), {}, "1024 bits; at least 2048"),
+        (lambda: ec.generate_private_key(ec.SECP192R1()), {}, "192 bits; at least 256"),
+        (None, {"days": (-10, -1)}, "only, and not today"),
+        (None, {"days": (1, 10)}, "only, and not today"),
+        (None, {"usage": "key_agreement"}, "not meant for signatures"),
+        (None, {"usage": "content_commitment"}, None),
+        (None, {"usage": "digital_signature"}, None),
+    ],
+)
+def test_a_signer_s_certificate_is_checked_at_issue(tmp_path, made, more, words):
+    key = made() if made else ec.generate_private_key(ec.SECP256R1())
+    pair = write_pair(tmp_path / "k", key, **more)
+    if words is None:
+        assert read_signer(*pair).key.key_size == 256
+    else:
+        with pytest.raises(CounterspinError, match=words):
+            read_signer(*pair)
 
 
 def test_a_signature_of_something_else_in_the_document_does_not_count(tmp_path, pairs):

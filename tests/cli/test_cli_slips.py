@@ -48,7 +48,7 @@ def told(tmp_path, monkeypatch, capsys):
         ("seed = 1", "seed = " + "[" * 5000 + "]" * 5000, "is nested too deeply"),
         ("seed = 1", "seed = " + "{a=" * 900 + "1" + "}" * 900, "is nested too deeply"),
         ('"slow.csv"', r'"sl\u0000ow.csv"', "runs[0].record: contains the character NUL"),
-        ('"2.5 m"', f'"{"x" * 5000}"', "centrifuge.radius: 'xxx"),
+        ('"2.5 m"', f'"{"x" * 5000}"', "centrifuge.radius: a quantity has at most 500 characters"),
         ('"2.5 m"', f'"{"1 " * 5000}m"', "centrifuge.radius: "),
         ("seed = 1", f"{'k' * 5000} = 1", "simulation.kkk"),
         ("seed = 1", "\n".join(f"k{n} = 1" for n in range(3000)), "3000 mistakes"),

@@ -280,7 +280,7 @@ def test_which_column_is_asked_only_where_it_is_open(folder, capsys):
 
 def test_a_row_beyond_the_model_is_named_by_its_line(folder, capsys):
     found = result({"Qx": accelerometer({"K_I": 1.0, "K_III": -1e-4})})
-    cs.write_result(found, folder / "result.json")
+    cs.write_result(found, folder / "result.json", overwrite=True)
     written("# x\nQx\n1.0\n39.0\n")
     assert run("result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv") == 1
     said = capsys.readouterr().err
@@ -290,7 +290,7 @@ def test_a_row_beyond_the_model_is_named_by_its_line(folder, capsys):
 
 
 def test_as_printed_is_refused_unless_forced(folder, capsys):
-    cs.write_result(result(model="as-printed"), folder / "result.json")
+    cs.write_result(result(model="as-printed"), folder / "result.json", overwrite=True)
     written("Qx\n1.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
     assert run(*words) == 2
@@ -303,12 +303,12 @@ def test_a_contradicted_result_is_applied_for_a_reason_only(folder, capsys):
     found = result({"Qx": accelerometer({"K_I": 1.0}, jackknife=drives)})
     written("Qx\n1.0\n")
     words = ["result.json", "data.csv", "--accelerometer", "Qx", "-o", "out.csv"]
-    judge_result(found).write(folder / "result.json")
+    judge_result(found).write(folder / "result.json", overwrite=True)
     assert run(*words, "--force") == 1
     said = " ".join(capsys.readouterr().err.split())
     assert "Qx is contradicted by its records: Without run1 K_II moves" in said
     assert not Path("out.csv").exists()
-    judge_result(found, "run1 was on the old motor").write(folder / "result.json")
+    judge_result(found, "run1 was on the old motor").write(folder / "result.json", overwrite=True)
     assert run(*words) == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "The misfit was accepted: run1 was on the old motor" in said

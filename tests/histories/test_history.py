@@ -439,3 +439,19 @@ def test_hidden_files_and_pipes_are_no_results(tmp_path):
     assert "it is a pipe, not a file" in pipe.reason
     # One that is named is meant as a result.
     assert len(only(history([folder / ".tmpx1y2.json"])).points) == 1
+
+
+def test_results_count_as_their_files(tmp_path):
+    values = [2.7e-5, 2.71e-5, 2.72e-5]
+    folder = series(tmp_path / "results", values, dates=DATES[:3])
+    of_files = history([folder])
+    results = [Result.read(file) for file in sorted(folder.glob("*.json"))]
+    in_memory = history(results)
+    (one,), (other,) = of_files.instruments, in_memory.instruments
+    assert [p.value for p in one.points] == [p.value for p in other.points] == values
+    title = results[0].title
+    assert [p.file for p in other.points] == [f"result {n} ({title})" for n in (1, 2, 3)]
+    mixed = history([folder, results[0].model_copy(update={"title": "again"})])
+    assert [unused.file for unused in mixed.left_out] == ["result 2 (again)"]
+    with pytest.raises(CounterspinError, match="no result in memory can be used"):
+        history([results[0].model_copy(update={"details": {}})])

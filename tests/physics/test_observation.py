@@ -8,6 +8,8 @@ without this package; it ends its panels at each kink of a_I*|a_I|.
 import importlib.util
 import json
 import math
+import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 
 import mpmath
@@ -22,6 +24,7 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns, reference
 from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.records.reading import ANY_REVOLUTIONS
 
 FOLDER = Path(__file__).parents[1] / "reference"
 DOCUMENT = json.loads((FOLDER / "double_integrals.json").read_text(encoding="utf-8"))
@@ -426,3 +429,31 @@ def test_a_compliance_is_a_second_order_term_of_the_accelerometer_in_every_attit
     close(pair[:, 0], -pair[:, 1])
     pair = columns(trajectory, QX, ["platform.compliance.zz", "K_PO"], TIMES, attitude=attitude)
     close(pair[:, 0], -pair[:, 1])
+
+
+@pytest.mark.parametrize("observable", ORDERS)
+def test_gravity_that_the_computer_leaves_is_in_the_reference(observable):
+    of_place = Site(9.8066, 0.7985)
+    site = replace(of_place, removed_gravity=9.8066 - 3e-4)
+    motion = Trajectory(Spindle(2.4, start_angle=0.3), 2.5, site)
+    times = np.linspace(0.0, 12.0, 49)
+    mounting = Mounting.from_axes([0.6, 0.0, 0.8], "north")
+    usual = reference(replace(motion, site=of_place), mounting, times, observable)
+    added = reference(motion, mounting, times, observable) - usual
+    order = ORDERS[observable]
+    # The parabola of a free fall; from a recorded force nothing is taken away.
+    expected = 0.8 * 3e-4 * times**order / max(order, 1) if order else np.zeros(times.size)
+    np.testing.assert_allclose(added, expected, rtol=1e-9, atol=1e-14)
+
+
+def test_the_revolutions_that_any_record_may_have_take_less_than_a_gigabyte():
+    spindle = Spindle(2.0 * math.pi, 0.0, (Ripple(2, 1e-5, 0.0),))
+    times = np.linspace(0.0, ANY_REVOLUTIONS, 100)
+    tracemalloc.start()
+    try:
+        trajectory = Trajectory(spindle, 2.5, Site(9.8, 0.7))
+        columns(trajectory, QX, ["K_I", "K_II", "platform.drift.north"], times)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 1e9

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from counterspin.physics.accelerometer import QX, QY
+from counterspin.physics.accelerometer import QX, QY, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns, parabola, reference
 from counterspin.physics.path_errors import encoder_error, true_trajectory
@@ -121,6 +121,26 @@ def test_columns_of_the_encoder_are_derivatives_of_what_is_computed_from_its_ang
     derivative = (misread(step) - misread(-step)) / (2 * step)
     got = columns(moving, QX, [symbol], TIMES, observable)[:, 0]
     np.testing.assert_allclose(got, derivative, rtol=0, atol=2e-6 * np.abs(got).max())
+
+
+@pytest.mark.parametrize("observable", ORDERS)
+def test_columns_of_a_tilted_axis_are_what_the_simulation_shows_of_it(observable):
+    """A vertical accelerometer sees it; a level one only the Earth's rate on the way up."""
+    tilt = {"centrifuge.axis_tilt.east": 2e-3, "centrifuge.axis_tilt.north": -3e-3}
+    qz = Mounting.from_axes("up", "east")
+    for mounting in (qz, QX):
+        table = columns(TRAJECTORY, mounting, list(tilt), TIMES, observable)
+        signal = recorded(TRAJECTORY, mounting, {}, tilt, TIMES, observable)
+        expected = signal - reference(TRAJECTORY, mounting, TIMES, observable)
+        np.testing.assert_allclose(
+            table @ np.array(list(tilt.values())), expected, rtol=0, atol=2e-12
+        )
+    if observable == "displacement":
+        theta = SPINDLE.angle(TIMES)
+        height = columns(TRAJECTORY, qz, list(tilt), TIMES) @ np.array(list(tilt.values()))
+        expected = 2.5 * (2e-3 * np.sin(theta) + 3e-3 * np.cos(theta))
+        np.testing.assert_allclose(height, expected, rtol=0, atol=1e-14)
+        assert not columns(TRAJECTORY, QX, list(tilt), TIMES).any()
 
 
 def test_what_an_eccentric_encoder_records():

@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 from decimal import Decimal
 from pathlib import Path
 
@@ -10,11 +11,16 @@ import pytest
 
 from counterspin.physics.accelerometer import QX, TERMS, Mounting, direction
 from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.path_errors import path_change
+from counterspin.physics.shared_terms import MOTION_TERMS
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import FRAMES, Station, mean_products
 
 REFERENCE = json.loads(
     (Path(__file__).parents[1] / "reference" / "arm_forces.json").read_text(encoding="utf-8")
+)
+TILTED = json.loads(
+    (Path(__file__).parents[1] / "reference" / "axis_tilt.json").read_text(encoding="utf-8")
 )
 SITE = Site(9.80665, 0.8)
 SYMBOLS = list(TERMS)
@@ -50,6 +56,56 @@ def test_counter_rotating_force_is_that_of_the_trajectory(rate):
     times = np.linspace(0.0, 2.0, 7)
     there = trajectory.specific_force(times)
     np.testing.assert_allclose(station.force(SITE, rate * times), there, rtol=0, atol=1e-13 * 25)
+
+
+@pytest.mark.parametrize("case", TILTED["cases"], ids=str)
+def test_force_on_an_arm_whose_axis_is_tilted_is_that_of_an_inertial_frame(case):
+    site = Site(float(TILTED["gravity"]), float(case["latitude"]))
+    radius, rate = float(case["radius"]), float(case["rate"])
+    tilt = float(case["east"]), float(case["north"])
+    station = arm("outward", "up", rate=rate, radius=radius, axis_tilt=tilt)
+    force = station.force(site, np.array([float(case["angle"])]))[0]
+    exact = np.array([float(value) for value in case["arm"]])
+    neglected = site.earth_rate**2 * radius
+    assert np.abs(force - exact).max() < neglected + 1e-12 * np.linalg.norm(exact)
+
+
+@pytest.mark.parametrize("case", TILTED["cases"], ids=str)
+def test_a_level_platform_on_a_tilted_axis_goes_up_and_down(case):
+    """The derivative by the tilt: of a reading's force, and of a record's, which are linear."""
+    site = Site(float(TILTED["gravity"]), float(case["latitude"]))
+    radius, rate = float(case["radius"]), float(case["rate"])
+    angle = np.array([float(case["angle"])])
+    size = radius * rate**2
+    for place, about in enumerate(("east", "north")):
+        exact = np.array([float(value) for value in case[f"by_{about}"]])
+        tilt = (float(place == 0), float(place == 1))
+        level = Station("counter-rotating", QX, rate=rate, radius=radius)
+        change = replace(level, axis_tilt=tilt).force(site, angle) - level.force(site, angle)
+        assert np.abs(change[0] - exact).max() < site.earth_rate**2 * radius + 1e-12 * size
+        trajectory = Trajectory(Spindle(rate, start_angle=angle[0]), radius, site)
+        row = MOTION_TERMS[f"centrifuge.axis_tilt.{about}"]
+        path = path_change(row, trajectory, np.zeros(1), 0)[0]
+        assert np.abs(path - exact).max() < site.earth_rate**2 * radius + 1e-12 * size
+
+
+def test_a_tilted_axis_leaves_nothing_in_a_mean_but_its_square():
+    """Gravity along the input axis goes once round: half the tilt squared in K_II's mean.
+
+    That is 2e-8 g^2 at 2e-4 rad, of which a K_II of 1e-5 makes 2e-13 g.
+    """
+    site, tilt = Site(9.8, 0.7, earth_rate=0.0), 2e-4
+    plain, tilted = (
+        dict(zip(SYMBOLS, means_at(arm("inward", "up", **more), site, SYMBOLS), strict=True))
+        for more in (
+            {"rate": 9.9, "radius": 1.0},
+            {"rate": 9.9, "radius": 1.0, "axis_tilt": (tilt, 0.0)},
+        )
+    )
+    assert tilted["K_I"] == pytest.approx(plain["K_I"], rel=1e-14)
+    assert tilted["K_II"] - plain["K_II"] == pytest.approx(tilt**2 / 2.0, rel=1e-4)
+    assert tilted["K_PP"] - plain["K_PP"] == pytest.approx(-(tilt**2), rel=1e-4)
+    assert tilted["delta_O"] - plain["delta_O"] == pytest.approx(-(tilt**2) / 2.0, rel=1e-4)
 
 
 def test_at_rest_gravity_alone_is_felt():

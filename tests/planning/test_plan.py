@@ -15,6 +15,7 @@ from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
+from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.planning.design import Design
 from counterspin.planning.figures import FIGURES, save_figures
@@ -25,7 +26,6 @@ from counterspin.planning.plan_file import read_plan
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings
 from counterspin.planning.result import PlanResult
 from counterspin.planning.search import Search
-from counterspin.planning.toml_text import write_document
 from counterspin.reports.text import report_console
 
 GOAL = 'minimise = ["K_II"]  '
@@ -430,6 +430,10 @@ MISTAKES = {
     "attitude": ([(ATTITUDES, 'attitudes = ["upright"]')], "is not an attitude"),
     "attitude twice": ([(ATTITUDES, 'attitudes = ["level", "level"]')], '"level" is there twice'),
     "no rate": ([('highest_rate = "1 rev/s"', "")], "give highest_rate, specific_force or rates"),
+    "flicker": ([('displacement = "0.01 m"', 'displacement = "0.01 m"\nflicker = "1 ug"')],
+                "noise.flicker: a search for runs knows nothing of a bias that wanders"),
+    "trend": ([('# considered = ["K_PP"]', 'considered = ["K_F.trend"]')],
+              '"K_F.trend" hangs on the time of each run, which a plan does not know'),
     "prior": ([('"platform.tilt" = "0 ± 0.5 arcsec"', '"platform.tilt" = "0 ± 0.5 m"')],
               "platform.tilt"),
 }  # fmt: skip
@@ -537,3 +541,18 @@ def test_every_key_is_documented():
     for settings in (LimitsSettings, GoalSettings):
         for key in settings.model_fields:
             assert f"`{key}`" in page, key
+
+
+def test_a_mapping_is_planned_as_its_file(starter):
+    file = starter(SMALL)
+    document = tomllib.loads(file.read_text(encoding="utf-8"))
+    of_file, in_memory = plan(file), plan(document)
+    assert in_memory.document == of_file.document
+    assert in_memory.result.runs == of_file.result.runs
+    assert in_memory.result.goal == of_file.result.goal
+    document["limits"]["runs"] = 1j
+    with pytest.raises(CampaignError, match=r"plan in memory: limits\.runs: a complex cannot"):
+        plan(document)
+    document["limits"]["runs"] = "many"
+    with pytest.raises(CampaignError, match=r"memory: limits\.runs: must be a whole number"):
+        plan(document)

@@ -6,11 +6,11 @@ import pytest
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.starter import init
+from counterspin.campaign.toml_text import write_document
 from counterspin.planning.faults import of_path
 from counterspin.planning.forecast import forecast
 from counterspin.planning.page import render_plan
 from counterspin.planning.plan import check, plan
-from counterspin.planning.toml_text import write_document
 from counterspin.planning.watching import watch
 from counterspin.reports.text import report_console
 

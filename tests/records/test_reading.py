@@ -130,6 +130,17 @@ def test_rows_beyond_a_gap_that_are_more_than_a_few_are_kept(tmp_path):
     assert len(record.time) == 1000
 
 
+@pytest.mark.parametrize(("revolutions", "refused"), [(4900.0, False), (5100.0, True)])
+def test_more_revolutions_than_there_is_memory_for(tmp_path, revolutions, refused):
+    columns = table(n=1000, step=revolutions * 2.0 * np.pi / RATE / 999.0)
+    path = write(tmp_path / "run.csv", columns)
+    options = {"swings": {}, "angle": None}
+    if refused:
+        assert "Beyond 5000 revolutions, 16 rows are needed" in refusal(path, **options)
+    else:
+        assert len(read(path, **options).time) == 1000
+
+
 def test_fewer_rows_than_can_follow_the_rotation(tmp_path):
     columns = table(n=100, step=2.0 * 30.01)
     options = {"swings": {}, "angle": None}

@@ -13,6 +13,7 @@ from clusters import dask_cluster
 from scipy import stats
 
 from counterspin import workers
+from counterspin.campaign.description import read_campaign
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
@@ -291,6 +292,33 @@ def prepared(folder):
     return prepare(read_study(folder), 3)
 
 
+def test_heating_that_is_considered_is_covered(tmp_path):
+    """Its spread is in u of both methods, by whole records and by sufficient statistics."""
+    text = SHORT.replace('considered = ["K_IP"]', 'considered = ["K_IP", "K_F.heating"]')
+    text = text.replace("[[runs]]", '[model.priors]\n"K_F.heating" = "0 ± 2e-6 g/g^2"\n[[runs]]', 1)
+    varying = '\n[study.vary]\n"Qx.K_F.heating" = { normal = "0 ± 2e-6 g/g^2" }\n'
+    result = study(write(tmp_path / "heated", text + varying), trials=200)
+    for analysis in ("two-stage", "joint"):
+        k_ii = coefficient(result, analysis, "Qx.K_II")
+        # u is all but that of the heating, twice: 200 trials know a scatter to 5 %.
+        assert k_ii.u == pytest.approx(4e-6, rel=0.05)
+        assert k_ii.sd / k_ii.u == pytest.approx(1.0, abs=0.2)
+
+
+def test_a_wandering_bias_is_covered_by_whole_records(tmp_path):
+    text = SHORT.replace("[noise]\n", '[noise]\nflicker = "100 ug"\n').replace(
+        "[truth.noise]\n", '[truth.noise]\nflicker = "100 ug"\n'
+    )
+    # Known beforehand, the bias would say all that the wander leaves open.
+    text = text.replace('bias = "0.004 ± 2e-6 g"', "")
+    text += '\n[study.analyses.joint]\nmethod = "joint"\n'
+    result = study(write(tmp_path / "wandering", text), trials=30)
+    k_f = coefficient(result, "joint", "Qx.K_F")
+    assert k_f.u > 5e-5
+    # The scatter of 30 is known to 13 %.
+    assert k_f.sd / k_f.u == pytest.approx(1.0, abs=0.5)
+
+
 def test_result_is_the_same_for_any_number_of_workers(varying):
     assert study(varying) == study(varying, workers=Workers(2))
 
@@ -489,3 +517,16 @@ def test_command_prints_and_writes(varying, tmp_path, capsys):
     kept = json.loads((out / "study.json").read_text())
     assert kept["trials"] == 3000
     assert set(kept["analyses"]) == {"exact", "residuals"}
+
+
+def test_a_campaign_in_memory_is_studied_as_its_file(tmp_path):
+    (tmp_path / "campaign.toml").write_text(PAPER, encoding="utf-8")
+    campaign = read_campaign(tmp_path)
+    of_file, in_memory = (study(where, trials=50, seed=2) for where in (tmp_path, campaign))
+    assert in_memory.analyses == of_file.analyses
+    changed = campaign.change(study={"vary": {"Qx.K_II": {"fixed": "5e-5 g/g^2"}}})
+    assert len(study(changed, trials=50, seed=2).varying) == 1
+    with pytest.raises(CampaignError, match=r"campaign.toml, changed in memory: study\.trails"):
+        study(campaign.change(study={"trails": 5}))
+    with pytest.raises(CounterspinError, match="no description of it is known"):
+        study(replace(campaign, title="other"))

@@ -13,7 +13,11 @@
 - `conformity`: whether coefficients meet their specifications
 - `result`, `result_parts`: what a calibration found, its JSON; what it is made of
 - `findings`: what speaks against a result, and its state
+- `attitude_findings`: whether drift and tilts are small enough for the theory
+- `diagnosis`: the cause of a misfit
 - `left_out`: what the model leaves out, at typical sizes
 - `readings`: single values beside records, or alone
+- `kinds`: each kind of test (at rest, arm, double turntable) beside the others
+- `notebook`: what else a researcher asks of a result
 - `pages`: the result as a person reads it
 """

@@ -13,6 +13,7 @@ from counterspin._version import __version__
 from counterspin.calibration.conformity import with_conformity
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.joint import joint
+from counterspin.calibration.notebook.residuals import residuals_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import Method, TwoStageOptions, command_words
 from counterspin.calibration.result import Result
@@ -27,7 +28,9 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.calibration.two_stage import two_stage
 from counterspin.calibration.two_stage_request import noise_found
+from counterspin.campaign.questions import questions
 from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.joint.unknowns import ROTATION
 
 #: More outliers than this part of a run's samples are worth a warning.
@@ -39,13 +42,16 @@ _COMPLETE_PART: Final = 0.9
 #: A rate that differs by more than this part from the nominal one is another rate.
 _OTHER_RATE: Final = 1e-3
 
+#: Rates are off alike if their parts differ by less than this part of them.
+_ALIKE: Final = 0.1
+
 
 def calibration(
     campaign: Campaign,
     observed: Sequence[ObservedRun],
     method: Method,
     options: TwoStageOptions,
-    checksums: Callable[[], Mapping[str, str]],
+    inputs: Callable[[], tuple[Mapping[str, str], Mapping[str, str]]],
     accepted_misfit: str | None = None,
 ) -> Result:
     """Estimate every coefficient, and bring together what the result says.
@@ -56,8 +62,9 @@ def calibration(
         The description and its runs.
     method, options
         As of `counterspin.calibration.calibrate.calibrate`.
-    checksums
-        Returns file name -> checksum; called at the end, as they may take longest.
+    inputs
+        Returns `inputs` and `in_memory` of the provenance; called at the end, as checksums may
+        take longest.
     accepted_misfit
         The reason for which the result is to be used though the records contradict it.
 
@@ -75,11 +82,15 @@ def calibration(
         if method == "joint"
         else _in_two_stages(campaign, observed, options)
     )
+    causes = estimated.pop("causes")
     estimated["findings"] += [
+        *_asked_about(campaign),
         *_other_rates(observed),
         *_many_outliers(estimated["runs"], len(campaign.accelerometers)),
         *_odd_ends(observed),
     ]
+    checksums, in_memory = inputs()
+    residuals = estimated.pop("residuals", ())
     result = Result(
         method=method,
         title=campaign.title,
@@ -95,12 +106,14 @@ def calibration(
         warnings=_remarks(campaign),
         provenance=Provenance(
             version=__version__,
-            inputs=dict(checksums()),
+            inputs=dict(checksums),
+            in_memory=dict(in_memory),
             options=command_words(method, options),
         ),
         **estimated,
     )
-    result = judge_result(result, accepted_misfit)
+    result._residuals = residuals
+    result = judge_result(result, accepted_misfit, causes)
     if campaign.specifications is None:
         return result
     return with_conformity(result, campaign.specifications)
@@ -113,6 +126,11 @@ def _jointly(campaign: Campaign, observed: Sequence[ObservedRun]) -> dict[str, A
         "accelerometers": outcome.accelerometers,
         "platform": outcome.platform,
         "confounded": outcome.confounded,
+        "correlation": outcome.correlation,
+        "residuals": residuals_of(
+            outcome.estimate.fit,
+            {name: OBSERVABLES[a.observable] for name, a in campaign.accelerometers.items()},
+        ),
         "runs": {
             run.run.name: run_result(
                 run,
@@ -123,6 +141,7 @@ def _jointly(campaign: Campaign, observed: Sequence[ObservedRun]) -> dict[str, A
             for run in observed
         },
         "findings": [*outcome.findings],
+        "causes": outcome.causes,
     }
 
 
@@ -148,6 +167,7 @@ def _in_two_stages(
             for run in observed
         },
         "findings": [],
+        "causes": (),
     }
 
 
@@ -232,20 +252,33 @@ def _many_outliers(runs: Mapping[str, RunResult], accelerometers: int) -> list[F
 
 
 def _other_rates(observed: Sequence[ObservedRun]) -> list[Finding]:
-    """Return the runs whose spindle turned at another rate than the description says."""
-    findings = []
+    """Return the runs whose spindle turned at another rate than the description says.
+
+    Where all runs did, by the same part, it is the time that they share.
+    """
+    findings, parts = [], []
     for run in observed:
         if run.rotation is None:
             continue
         name, rate = run.run.name, run.rotation.spindle.rate
-        off = abs(rate / run.run.rate - 1.0)
-        if off > _OTHER_RATE:
+        part = rate / run.run.rate - 1.0
+        parts.append(part)
+        if abs(part) > _OTHER_RATE:
             text = (
                 f"{name}: the spindle turned at {rate:.6f} rad/s, not at the nominal "
                 f"{run.run.rate:.6f} rad/s; the recorded angle is what counts."
             )
-            findings.append(Finding(code="other-rate", subject=name, text=text, size=off))
-    return findings
+            findings.append(Finding(code="other-rate", subject=name, text=text, size=abs(part)))
+    least, most = min(parts, default=0.0), max(parts, default=0.0)
+    if len(findings) < 2 or len(findings) < len(parts) or most - least > _ALIKE * abs(most):
+        return findings
+    text = (
+        f"The spindle turned {abs(most):.3%} {'faster' if most > 0.0 else 'slower'} than stated in "
+        "every run alike: the clock of the records is off by that, or its unit, or what is stated "
+        "of the rates. Times and rates are taken as they were recorded."
+    )
+    size = abs(most)
+    return [Finding(code="time-base", subject="records.time", text=text, size=size)]
 
 
 def _odd_ends(observed: Sequence[ObservedRun]) -> list[Finding]:
@@ -270,6 +303,13 @@ def _odd_ends(observed: Sequence[ObservedRun]) -> list[Finding]:
             )
             findings.append(Finding(code="lone-rows", subject=name, text=text, size=lone))
     return findings
+
+
+def _asked_about(campaign: Campaign) -> list[Finding]:
+    return [
+        Finding(code=question.code, subject=question.subject, text=question.text)
+        for question in questions(campaign)
+    ]
 
 
 def _remarks(campaign: Campaign) -> list[str]:

@@ -11,14 +11,18 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.options import Method, TwoStageOptions
 from counterspin.calibration.result import Result
 from counterspin.errors import CounterspinError
-from counterspin.results import ResultFile, ResultPart
+from counterspin.reports.shown import ShownResult
+from counterspin.results import ResultPart
 from counterspin.workers import ALONE, Workers, worker_pool
+
+if TYPE_CHECKING:
+    from counterspin.reports.text import Report
 
 
 class FailedCampaign(ResultPart):
@@ -27,7 +31,7 @@ class FailedCampaign(ResultPart):
     error: str
 
 
-class BatchResult(ResultFile):
+class BatchResult(ShownResult):
     """What became of each campaign, by its folder as it was named."""
 
     KIND: ClassVar[str] = "batch"
@@ -53,6 +57,11 @@ class BatchResult(ResultFile):
             and outcome.state == "contradicted"
             and outcome.accepted_misfit is None
         ]
+
+    def _report(self) -> Report:
+        from counterspin.calibration.pages.batch import render_batch
+
+        return render_batch(self)
 
 
 def calibrate_many(

@@ -7,14 +7,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from hashlib import sha256
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from counterspin.calibration.options import Method, TwoStageOptions
 from counterspin.campaign.checksums import Checksums
+from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError
 from counterspin.records.isolation import is_isolated, prepare
+from counterspin.records.memory import MemoryTable
+from counterspin.workers import one_blas_thread
 
 if TYPE_CHECKING:
     from counterspin.calibration.observed import ObservedRun
@@ -74,22 +79,24 @@ def calibrate(
 
         campaign = where if isinstance(where, Campaign) else read_campaign(where)
         beside.submit(_load, campaign)
-        observed = _observed(campaign, progress)
-        from counterspin.calibration.assembly import calibration
+        with one_blas_thread():
+            observed = _observed(campaign, progress)
+            from counterspin.calibration.assembly import calibration
 
-        return calibration(
-            campaign,
-            observed,
-            method,
-            options or TwoStageOptions(),
-            lambda: _by_name(campaign, observed, checksums),
-            accept_misfit,
-        )
+            return calibration(
+                campaign,
+                observed,
+                method,
+                options or TwoStageOptions(),
+                lambda: _provenance(campaign, observed, checksums),
+                accept_misfit,
+            )
 
 
 def _load(campaign: Campaign) -> None:
     """Load beside the first record what the reading needs, then what comes after it."""
-    if not all(is_isolated(run.record) for run in campaign.runs):
+    records = [campaign.record_at(run.record) for run in campaign.runs]
+    if not all(isinstance(r, MemoryTable) or is_isolated(r) for r in records):
         import_module("polars")
     import_module("counterspin.calibration.assembly")
 
@@ -122,22 +129,50 @@ def _observed(
     return tuple(observed)
 
 
-def _by_name(
+def _provenance(
     campaign: Campaign, observed: Sequence[ObservedRun], checksums: Checksums
-) -> dict[str, str]:
-    """Return file name -> checksum, of the description and of every record."""
+) -> tuple[dict[str, str], dict[str, str]]:
+    """Return the checksums of description and records by name, and which were in memory only."""
     for run in observed:
+        if run.record.identity is None:
+            continue
         if checksums.identity(run.run.record) != run.record.identity:
             raise RecordError(
                 f"{run.run.record}: the file was changed while the campaign was calibrated; the "
                 "result would state the checksum of another. Wait until it is complete."
             )
-    files = [campaign.path, *(run.record for run in campaign.runs), *campaign.tables]
+    description, checksum, how = _described(campaign)
+    inputs = {description: checksum}
+    in_memory = {description: how} if how else {}
+    files = []
+    for file in (*(run.record for run in campaign.runs), *campaign.tables):
+        if isinstance(record := campaign.record_at(file), Path):
+            files.append(file)
+        else:
+            inputs[_name(campaign, file)] = record.checksum
+            in_memory[_name(campaign, file)] = "arrays"
     names = (_name(campaign, file) for file in files)
-    by_name = dict(zip(names, checksums.of(files), strict=True))
-    if campaign.checksum is not None:
-        by_name[_name(campaign, campaign.path)] = campaign.checksum
-    return by_name
+    inputs |= dict(zip(names, checksums.of(files), strict=True))
+    # What was read with the description is known as it was then.
+    inputs |= {_name(campaign, file): sha for file, sha in campaign.table_checksums.items()}
+    return inputs, in_memory
+
+
+def _described(campaign: Campaign) -> tuple[str, str, str | None]:
+    """Return the description's name and checksum, and how it differs from a file's, if it does."""
+    source = campaign.source
+    if source is None:
+        # Somebody replaced a part of it: what was used is all that can be said.
+        import numpy as np
+
+        with np.printoptions(threshold=1_000_000, precision=17):
+            used = repr(replace(campaign, path=Path(), folder=Path()))
+        return DESCRIPTION_NAME, f"sha256:{sha256(used.encode()).hexdigest()}", "changed"
+    name = DESCRIPTION_NAME if source.file is None else _name(campaign, source.file)
+    how = None
+    if source.in_memory:
+        how = f"changed: {', '.join(source.changed)}" if source.changed else "made in Python"
+    return name, source.content_checksum(), how
 
 
 def _name(campaign: Campaign, file: Path) -> str:

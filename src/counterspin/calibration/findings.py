@@ -4,6 +4,7 @@ Every check of a calibration reports a `Finding`. `judge_result` adds those that
 numbers of the result itself, ranks them and sets the states; pages only draw them.
 
 - `judge_result`: a result with its findings and states
+- `from_numbers`: the findings that follow from the numbers of one accelerometer
 - `refusal`: why a result may not be certified or applied
 - `hidden_noise`: the finding that most of u is noise that the records do not show
 - `lack_of_fit`: the finding that residuals are not noise; `equivalent_deviations`: its size
@@ -17,6 +18,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Final
 
+from counterspin.calibration.diagnosis.causes import Cause, below_causes, merged
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -42,7 +44,9 @@ _HIDDEN_SHARE: Final = 0.5
 LARGEST_WALK: Final = 5e-4
 
 
-def judge_result(result: Result, accepted_misfit: str | None = None) -> Result:
+def judge_result(
+    result: Result, accepted_misfit: str | None = None, causes: Sequence[Cause] = ()
+) -> Result:
     """Return the result with its findings ranked and its states set.
 
     Parameters
@@ -53,15 +57,17 @@ def judge_result(result: Result, accepted_misfit: str | None = None) -> Result:
     accepted_misfit
         The reason for which a contradicted result is to be used all the same; it is kept where
         the result is contradicted.
+    causes
+        What was found to be wrong with the campaign; what it accounts for stands below it.
     """
     if result.state is not None:
         return result
     accelerometers = {
-        name: _judge(name, accelerometer, result)
+        name: _judge(name, accelerometer, result, causes)
         for name, accelerometer in result.accelerometers.items()
     }
     own = [finding for judged in accelerometers.values() for finding in judged.findings]
-    everything = ranked([*result.findings, *own])
+    everything = ranked(merged([*result.findings, *own]))
     state = state_of(everything)
     return result.model_copy(
         update={
@@ -74,19 +80,21 @@ def judge_result(result: Result, accepted_misfit: str | None = None) -> Result:
     )
 
 
-def _judge(name: str, accelerometer: AccelerometerResult, result: Result) -> AccelerometerResult:
+def _judge(
+    name: str, accelerometer: AccelerometerResult, result: Result, causes: Sequence[Cause]
+) -> AccelerometerResult:
     # An earlier version has sentences only.
     sentences = [] if accelerometer.findings else accelerometer.warnings
-    findings = ranked(
-        [
-            *accelerometer.findings,
-            *(
-                Finding(code="warning", subject=name, text=text.removeprefix(f"{name}: "))
-                for text in sentences
-            ),
-            *_from_numbers(name, accelerometer, result),
-        ]
-    )
+    found = [
+        *accelerometer.findings,
+        *(
+            Finding(code="warning", subject=name, text=text.removeprefix(f"{name}: "))
+            for text in sentences
+        ),
+        *_of_the_whole(name, accelerometer, result),
+        *from_numbers(name, accelerometer, result.inputs.gravity),
+    ]
+    findings = ranked(below_causes(name, found, causes))
     return accelerometer.model_copy(
         update={
             "findings": findings,
@@ -98,12 +106,13 @@ def _judge(name: str, accelerometer: AccelerometerResult, result: Result) -> Acc
 
 
 def ranked(findings: Iterable[Finding]) -> list[Finding]:
-    """Return findings with the gravest first: contradictions, wrong equations, then by size."""
+    """Return findings, contradictions first, then wrong equations, causes, and the rest by size."""
     return sorted(
         findings,
         key=lambda finding: (
             not finding.contradicts,
             finding.code != "as-printed",
+            not finding.explains,
             -(finding.size or 0.0),
         ),
     )
@@ -142,7 +151,7 @@ def refusal(result: Result, names: Iterable[str]) -> str | None:
 # Findings from the numbers of a result
 
 
-def _from_numbers(
+def _of_the_whole(
     name: str, accelerometer: AccelerometerResult, result: Result
 ) -> Iterator[Finding]:
     known = {(finding.code, finding.subject) for finding in accelerometer.findings}
@@ -157,9 +166,24 @@ def _from_numbers(
         yield Finding(
             code="not-determined", subject=subject, text="These records do not determine K_II."
         )
+
+
+def from_numbers(
+    name: str, accelerometer: AccelerometerResult, gravity: float
+) -> Iterator[Finding]:
+    """Yield what follows from the residuals, the noise, the runs and the two-stage method.
+
+    Parameters
+    ----------
+    name, accelerometer
+        The accelerometer and its result.
+    gravity
+        m/s^2.
+    """
+    known = {(finding.code, finding.subject) for finding in accelerometer.findings}
     if ("lack-of-fit", name) not in known:
         yield from _misfit(name, accelerometer.residual)
-    yield from _implausible_noise(name, accelerometer, result.inputs.gravity)
+    yield from _implausible_noise(name, accelerometer, gravity)
     # Where the residuals are far beyond the noise, uncertainties are too small by as much, and what
     # exceeds them for that reason alone is no finding of its own.
     excess = _times_noise(accelerometer.residual) or 1.0
@@ -171,7 +195,7 @@ def _from_numbers(
     ):
         yield Finding(
             code="methods-disagree",
-            subject=subject,
+            subject=f"{name}.K_II",
             text="The two-stage method does not agree: its K_II differs by "
             f"{format_number(z)} of the standard uncertainties of the difference.",
             size=z,

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Final
 
+from counterspin.calibration.attitude_findings import large_tilts, shared_findings
+from counterspin.calibration.diagnosis.causes import Cause
+from counterspin.calibration.diagnosis.search import causes_of
 from counterspin.calibration.joint_checks import (
     compare,
     hidden_walk,
@@ -22,15 +23,19 @@ from counterspin.calibration.joint_parts import (
     correlation,
     noise_lines,
     residual,
+    whole_correlation,
 )
 from counterspin.calibration.joint_problem import model_of, noise_of, series_of
 from counterspin.calibration.joint_traces import traces
 from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.kinds import Kinds, compare_kinds
 from counterspin.calibration.left_out import joint_omissions, with_typical
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.readings import (
+    SQUARES,
     AccelerometerReadings,
     in_output_units,
+    only_at_rest,
     outlying_readings,
     radii,
     with_readings,
@@ -40,21 +45,19 @@ from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
     ConfoundedTerms,
+    Correlation,
     Finding,
     OmittedTerm,
 )
 from counterspin.campaign.resolved import Campaign
+from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR
-
-#: Drift (deg/h) times time squared (s^2) at which first order in the attitude errs by 0.01 m.
-_FIRST_ORDER_LIMIT: Final = 0.2 * 400.0**2
 
 
-@dataclass(frozen=True)
+@frozen
 class JointOutcome:
     """What the joint fit says: the result's parts, and what they come from."""
 
@@ -64,7 +67,9 @@ class JointOutcome:
     fits: Mapping[str, Mapping[str, dict[str, float | str | None]]]
     outliers: Mapping[str, int]
     confounded: tuple[ConfoundedTerms, ...]
+    correlation: Correlation | None
     findings: tuple[Finding, ...]
+    causes: tuple[Cause, ...]
     estimate: Estimate
 
 
@@ -105,6 +110,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         for name in campaign.accelerometers
     ]
     omissions = joint_omissions(views)
+    kinds = compare_kinds(views)
     shared = {
         unknown: coefficient(estimated, assessment, index)
         for index, unknown in enumerate(model.unknowns)
@@ -115,19 +121,28 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
     for record, mask in zip(estimated.series, estimated.outliers, strict=True):
         outliers[record.run] += int(record.count[mask].sum())
     longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
+    accelerometers = {
+        view.name: _accelerometer(view, observed, omissions[view.name], kinds[view.name])
+        for view in views
+    }
+    runs = {
+        run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
+        for run in observed
+    }
+    found = [
+        *shared_findings(shared, longest),
+        *large_tilts(campaign, runs, accelerometers),
+    ]
     return JointOutcome(
-        accelerometers={
-            view.name: _accelerometer(view, observed, omissions[view.name]) for view in views
-        },
+        accelerometers=accelerometers,
         platform={u.symbol: c for u, c in shared.items() if not u.owner},
-        runs={
-            run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
-            for run in observed
-        },
+        runs=runs,
         fits={run.run.name: run_fits(views, run.run.name) for run in observed},
         outliers=outliers,
         confounded=tuple(confounded_platform(assessment)),
-        findings=tuple(shared_findings(shared, longest)),
+        correlation=whole_correlation(estimated, assessment),
+        findings=tuple(found),
+        causes=causes_of(views, accelerometers),
         estimate=estimated,
     )
 
@@ -157,7 +172,10 @@ def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coe
 
 
 def _accelerometer(
-    view: AccelerometerView, observed: Sequence[ObservedRun], omissions: dict[str, OmittedTerm]
+    view: AccelerometerView,
+    observed: Sequence[ObservedRun],
+    omissions: dict[str, OmittedTerm],
+    kinds: Kinds,
 ) -> AccelerometerResult:
     name, estimated = view.name, view.estimate
     own = {
@@ -176,7 +194,7 @@ def _accelerometer(
         ),
         correlation=correlation(view),
         confounded=confounded(view),
-        residual=residual(view),
+        residual=residual(kinds.judged),
         noise=noise_lines(view),
         budget={
             symbol: budget_lines(estimated, index, name)
@@ -188,56 +206,33 @@ def _accelerometer(
         left_out=omissions,
         traces=traces(view, observed),
         readings=[line for part in view.readings for line in part.results()],
+        kinds=kinds.results,
         output=in_output_units(view.campaign, name, own),
         findings=[
-            *residual_findings(view),
-            *outlying_readings(name, view.readings),
+            *kinds.findings,
+            *residual_findings(kinds.judged),
+            *outlying_readings(name, kinds.judged.readings),
             *hidden_walk(view),
             *unseen_ripple(view),
-            *_undetermined(own, name),
+            *_undetermined(view, own),
         ],
         **described(view.accelerometer, own),
     )
 
 
-def _large_drift(symbol: str, drift: Coefficient, longest: float) -> list[Finding]:
-    """Return a finding where a drift is, or with its uncertainty may be, too large."""
-    rate, u = (abs(x or 0.0) / DEGREE_PER_HOUR for x in (drift.value, drift.u))
-    limit = _FIRST_ORDER_LIMIT / longest**2
-    if rate + 2.0 * u <= limit:
-        return []
-    is_ = f"is {rate:.2g} deg/h" if rate > limit else f"may reach {rate + 2.0 * u:.2g} deg/h"
-    text = (
-        f"{symbol} {is_} (u {u:.1g} deg/h): in runs of {longest:.0f} s the platform's attitude is "
-        f"a first-order matter up to about {limit:.2g} deg/h only."
-    )
-    return [Finding(code="large-drift", subject=symbol, text=text, size=(rate + 2.0 * u) / limit)]
+def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> list[Finding]:
+    def text(symbol: str) -> str:
+        said = f"The records do not determine {symbol}, and nothing is known of it beforehand."
+        if symbol in ("K_F", "K_II", *SQUARES) and only_at_rest(view.campaign):
+            said += (
+                " At 1 g the squares of the specific forces add up to one, so that in no positions "
+                "can K_F - K_II - K_PP - K_OO in common be seen: state what is known of K_PP and "
+                "K_OO, or test at other forces."
+            )
+        return said
 
-
-def _undetermined(own: Mapping[str, Coefficient], name: str) -> list[Finding]:
     return [
-        Finding(
-            code="not-determined",
-            subject=f"{name}.{symbol}",
-            text=f"The records do not determine {symbol}, and nothing is known of it beforehand.",
-        )
+        Finding(code="not-determined", subject=f"{view.name}.{symbol}", text=text(symbol))
         for symbol, c in own.items()
         if c.value is None
     ]
-
-
-def shared_findings(coefficients: Mapping[Unknown, Coefficient], longest: float) -> list[Finding]:
-    """Return what speaks against the unknowns that all share; `longest` run in s."""
-    findings = []
-    for unknown, c in coefficients.items():
-        if unknown.symbol in TERMS:
-            continue
-        if c.value is None:
-            text = (
-                f"The records do not determine {unknown.name}, and nothing is known of it "
-                "beforehand."
-            )
-            findings.append(Finding(code="not-determined", subject=unknown.name, text=text))
-        if unknown.symbol.startswith("platform.drift") and c.value is not None:
-            findings += _large_drift(unknown.symbol, c, longest)
-    return findings

@@ -22,8 +22,8 @@ from counterspin.calibration.result_parts import Comparison, Finding, Jackknife
 from counterspin.calibration.two_stage_request import walk_is_stated
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.joint import encoder
-from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
+from counterspin.physics.shared_terms import OWN_TERMS
 
 
 def jackknife(view: AccelerometerView) -> list[Jackknife]:
@@ -60,11 +60,14 @@ def jackknife(view: AccelerometerView) -> list[Jackknife]:
 
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
-    """Return what the tests of an accelerometer's residuals found, as one finding."""
+    """Return what the tests of an accelerometer's residuals found: one finding for all records."""
+    found = readings_fit(view.name, view.readings)
     if not view.has_records:
-        return readings_fit(view.name, residual(view))
+        return found
     tests = view.diagnostics
-    return [lack_of_fit(view.name, tests.findings, residual(view))] if tests.findings else []
+    if tests.findings:
+        found.insert(0, lack_of_fit(view.name, tests.findings, residual(view)))
+    return found
 
 
 def run_fits(
@@ -115,7 +118,7 @@ def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Compari
     for (run, symbol), effect, sd in zip(
         stage.considered, second.sensitivity_considered[0], second.considered_sd, strict=True
     ):
-        owner = view.name if symbol in TERMS else run
+        owner = view.name if symbol in OWN_TERMS else run
         if (owner, symbol) in considered:
             joint_effect, _ = considered.pop((owner, symbol))
             both += ((effect - joint_effect) * sd) ** 2
@@ -149,7 +152,8 @@ def _considered(view: AccelerometerView, index: int) -> dict[tuple[str, str], tu
             solution.considered_sd,
             strict=False,
         )
-        if term.symbol not in encoder.SYMBOLS and machine_term(term.symbol) is None
+        if term.symbol not in encoder.SYMBOLS
+        and (term.symbol in OWN_TERMS or machine_term(term.symbol) is None)
     }
 
 

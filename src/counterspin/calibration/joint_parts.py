@@ -1,12 +1,13 @@
 """The parts of a joint result that are read off the solution: values, budgets, correlations.
 
-- `coefficient`, `budget_lines`, `correlation`, `confounded`, `residual`, `noise_lines`,
-  `record_noise`
+- `coefficient`, `budget_lines`, `confounded`, `residual`, `noise_lines`, `record_noise`
+- `correlation`: of one accelerometer and the platform; `whole_correlation`: of all together
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
@@ -29,7 +30,7 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.inference.noise.model import NoiseModel
-from counterspin.inference.noise.variance_components import VarianceComponents
+from counterspin.inference.noise.variance_components import COMPONENTS, VarianceComponents
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import SHARED_TERMS, symbol_of, term
@@ -129,21 +130,36 @@ def _symbol(estimate: Estimate, source: str) -> str:
 
 def correlation(view: AccelerometerView) -> Correlation | None:
     """Return the correlations of an accelerometer's own and the platform's coefficients."""
-    unknowns, determined = view.fit.model.unknowns, view.assessment.determined
-    index = [
-        place
-        for place, unknown in enumerate(unknowns)
-        if determined.get(unknown.name)
-        and (unknown.owner == view.name or unknown.symbol not in TERMS)
-    ]
-    if not index:
-        return None
-    covariance = view.fit.solution.covariance[np.ix_(index, index)]
-    u = np.sqrt(np.diag(covariance))
-    return Correlation(
-        terms=[unknowns[place].name.removeprefix(view.name + ".") for place in index],
-        matrix=(covariance / np.outer(u, u)).tolist(),
+    own = f"{view.name}."
+    return _correlation(
+        view.estimate,
+        {
+            place: unknown.name.removeprefix(own)
+            for place, unknown in enumerate(view.fit.model.unknowns)
+            if view.assessment.determined.get(unknown.name)
+            and (unknown.owner == view.name or unknown.symbol not in TERMS)
+        },
     )
+
+
+def whole_correlation(estimate: Estimate, assessment: Assessment) -> Correlation | None:
+    """Return the correlations of everything determined, but for the runs' own rotations."""
+    return _correlation(
+        estimate,
+        {
+            place: unknown.name
+            for place, unknown in enumerate(estimate.fit.model.unknowns)
+            if assessment.determined.get(unknown.name) and unknown.symbol not in ROTATION
+        },
+    )
+
+
+def _correlation(estimate: Estimate, terms: Mapping[int, str]) -> Correlation | None:
+    if not terms:
+        return None
+    covariance = estimate.fit.solution.covariance[np.ix_(list(terms), list(terms))]
+    u = np.sqrt(np.diag(covariance))
+    return Correlation(terms=list(terms.values()), matrix=(covariance / np.outer(u, u)).tolist())
 
 
 def confounded(view: AccelerometerView) -> list[ConfoundedTerms]:
@@ -195,10 +211,12 @@ def residual(view: AccelerometerView) -> Residual:
 
 def noise_lines(view: AccelerometerView) -> dict[str, NoiseLine]:
     """Return the noise used, component by component, given or estimated."""
+    of_readings = readings_noise(view.readings)
     if not view.has_records:
-        return readings_noise(view.readings)
+        return of_readings
     components = view.estimate.components.get(view.name)
-    return record_noise(view.fit.noise[view.name], components, view.accelerometer.observable)
+    of_records = record_noise(view.fit.noise[view.name], components, view.accelerometer.observable)
+    return of_records | of_readings
 
 
 def record_noise(
@@ -207,9 +225,9 @@ def record_noise(
     """Return noise of records, component by component, given or estimated."""
     unit = OBSERVABLES[observable]
     lines = {}
-    for place, (part, label, its_unit) in enumerate(
-        (("white", observable, unit), ("random_walk", "acceleration", WALK_UNIT))
-    ):
+    labels = (observable, "acceleration", "flicker", "bias_walk")
+    units = (unit, WALK_UNIT, "m/s^2", "m/s^2/s^0.5")
+    for place, (part, label, its_unit) in enumerate(zip(COMPONENTS, labels, units, strict=True)):
         size = float(getattr(noise, part))
         estimated = components is not None and part in components.estimated
         dropped = components is not None and part in components.dropped

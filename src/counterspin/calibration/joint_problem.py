@@ -2,7 +2,8 @@
 
 - `series_of`: the data
 - `model_of`: what is estimated, considered and uncertain
-- `left_out_of`, `exact_inputs`: what the model says nothing of
+- `left_out_of`, `left_out_of_machine`: what the model says nothing of
+- `exact_terms`, `exact_inputs`: what it has as exact
 - `noise_of`: what is known of the noise
 """
 
@@ -16,6 +17,7 @@ import numpy as np
 
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.readings import machine_of
+from counterspin.campaign.machine import symbols_shown
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import Accelerometer, Campaign, Run
 from counterspin.campaign.terms import acts
@@ -24,9 +26,11 @@ from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.physics import observation
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.accelerometer import Term
+from counterspin.physics.conditions import ConditionTerm
 from counterspin.physics.inputs import UNCERTAIN_INPUTS
-from counterspin.physics.shared_terms import SHARED_TERMS, term
+from counterspin.physics.machine import machine_term
+from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS, term
 
 #: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
 _ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
@@ -57,6 +61,7 @@ def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Seri
                     in_g=accelerometer.channel.unit.endswith("g"),
                     jitter=_jitter(campaign, run.run, accelerometer),
                     angle_error=run.rotation.error if run.rotation else None,
+                    by_latitude=None if signal.by_latitude is None else signal.by_latitude[keep],
                 )
             )
     return tuple(series)
@@ -80,13 +85,13 @@ def model_of(campaign: Campaign) -> Unknowns:
     considered: list[Considered] = []
     model = campaign.model
     for name, accelerometer in campaign.accelerometers.items():
-        for symbol in TERMS:
+        for symbol in OWN_TERMS:
             prior = _pair(accelerometer.priors.get(symbol))
             if symbol in model.terms:
                 unknowns.append(Unknown(name, symbol, prior, model.limits[symbol]))
             elif prior is not _NOTHING:
                 considered.append(Considered(name, symbol, prior, model.limits[symbol]))
-    platform = [s for s in (*model.terms, *model.considered) if s not in TERMS]
+    platform = [s for s in (*model.terms, *model.considered) if s not in OWN_TERMS]
     for symbol in platform:
         prior = _pair(model.priors.get(symbol))
         owners = [run.name for run in campaign.runs] if term(symbol).per_run else [""]
@@ -112,24 +117,62 @@ def model_of(campaign: Campaign) -> Unknowns:
 def left_out_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
     """Return the terms that could reach an accelerometer and that its model says nothing of.
 
-    Each is taken as a considered term without uncertainty; a tilt is one term for each run.
+    A term that is stated as exact is one of them: its uncertainty is missing. Each is taken as a
+    considered term without uncertainty; a tilt is one term for each run.
     """
     accelerometer, model = campaign.accelerometers[name], campaign.model
-    known = {*model.terms, *model.considered, *accelerometer.priors}
+    machine = campaign.machine
+    known = {*model.terms, *model.considered, *machine.terms, *machine.considered}
+    known = {*known, *accelerometer.priors} - exact_terms(campaign, name)
     terms = [
         Considered(name, row.symbol, (row.nominal, 0.0), model.limits[row.symbol])
-        for row in TERMS.values()
-        if row.symbol not in known
+        for row in OWN_TERMS.values()
+        if row.symbol not in known and _acts(campaign, row)
     ]
+    attitudes = {run.attitude.tobytes(): run.attitude for run in campaign.runs}
     for row in SHARED_TERMS.values():
         if campaign.angle is None and row.symbol.startswith("encoder."):
             continue
-        reached = [run for run in campaign.runs if acts(row, accelerometer.mounting, run.attitude)]
+        reaching = {key for key, own in attitudes.items() if acts(row, accelerometer.mounting, own)}
+        reached = [run for run in campaign.runs if run.attitude.tobytes() in reaching]
         if row.symbol not in known and reached:
             owners = [run.name for run in reached] if row.per_run else [""]
             limit = model.limits[row.symbol]
             terms += [Considered(owner, row.symbol, (0.0, 0.0), limit) for owner in owners]
     return tuple(terms)
+
+
+def left_out_of_machine(campaign: Campaign, name: str) -> tuple[Considered, ...]:
+    """Return likewise the terms of the machine that the readings of an accelerometer could show.
+
+    Without radii of mountings: of these the radius of the centrifuge is known.
+    """
+    machine = campaign.machine
+    stated = {symbol for symbol, prior in machine.priors.items() if prior.u > 0.0}
+    known = {*machine.terms, *machine.considered, *stated, *OWN_TERMS}
+    own = tuple(reading for reading in campaign.readings if reading.accelerometer == name)
+    terms = []
+    for symbol in symbols_shown(own):
+        row, mounting = machine_term(symbol) or (None, "")
+        if row is None or symbol in known or symbol == f"centrifuge.radius.{mounting}":
+            continue
+        owner = name if row.of_accelerometer else ""
+        terms.append(Considered(owner, symbol, (0.0, 0.0), row.limit))
+    return tuple(terms)
+
+
+def exact_terms(campaign: Campaign, name: str) -> set[str]:
+    """Return the terms that an accelerometer's campaign states without an uncertainty."""
+    model = campaign.model
+    stated = {**campaign.accelerometers[name].priors}
+    stated |= {s: q for s, q in model.priors.items() if s in (*model.terms, *model.considered)}
+    return {symbol for symbol, prior in stated.items() if prior.u == 0.0}
+
+
+def _acts(campaign: Campaign, row: Term | ConditionTerm) -> bool:
+    """Return whether a term can act on records: one of temperature needs more than one run."""
+    by_warmth = isinstance(row, ConditionTerm) and row.condition == "temperature"
+    return not by_warmth or len(campaign.runs) > 1
 
 
 def _pair(quantity: Quantity | None) -> tuple[float, float]:
@@ -183,7 +226,12 @@ def noise_of(campaign: Campaign) -> dict[str, NoiseRequest]:
         quantisation = step if isinstance(step, float) else 0.0
         # A record without any noise cannot be weighted: then the residuals have to say.
         silent = white == 0.0 and walk == 0.0 and quantisation == 0.0
-        requests[name] = everything if silent else NoiseRequest(white, walk, quantisation)
+        if silent:
+            white, walk, quantisation = everything.white, everything.random_walk, 0.0
+        wander = (_given(noise.flicker), _given(noise.bias_walk))
+        if noise.wanders and white == 0.0 and None in (walk, *wander):
+            white = None  # beside what wanders there is white noise
+        requests[name] = NoiseRequest(white, walk, quantisation, *wander)
     return requests
 
 

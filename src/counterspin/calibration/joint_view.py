@@ -6,12 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 from counterspin.calibration.readings import AccelerometerReadings
 from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import Diagnostics, diagnose
 from counterspin.inference.identifiability import Assessment
 from counterspin.inference.joint.estimation import Estimate
@@ -22,7 +22,7 @@ from counterspin.inference.joint.prepared import Prepared
 _LEAST_FREEDOM: Final = 0.5
 
 
-@dataclass(frozen=True)
+@frozen
 class AccelerometerView:
     """A joint fit as one accelerometer sees it.
 

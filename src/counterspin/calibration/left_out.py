@@ -1,10 +1,10 @@
-"""What a model leaves out: terms, and inputs stated as exact, at their typical sizes.
+"""What a model leaves out: terms, and what is stated as exact, at their typical sizes.
 
 An uncertainty knows only of what the model has. What it says nothing of moves the estimates all the
 same, by its size times their sensitivity to it: hence a second uncertainty with all of that at
 typical sizes, and the terms by name that decide it.
 
-- `joint_omissions`, `two_stage_omissions`: what each would move the coefficients by
+- `joint_omissions`, `omissions_of`, `two_stage_omissions`: what each would move the coefficients by
 - `with_typical`: coefficients with the second uncertainty
 - `decisive`, `Effect`: what moves a coefficient by more than its u
 """
@@ -13,56 +13,96 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.joint_problem import exact_inputs, left_out_of
+from counterspin.calibration.joint_problem import (
+    exact_inputs,
+    exact_terms,
+    left_out_of,
+    left_out_of_machine,
+)
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, OmittedTerm
 from counterspin.campaign.resolved import Campaign
+from counterspin.frozen import frozen
+from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.omitted_terms import sensitivities
+from counterspin.inference.readings import Readings
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.inputs import UNCERTAIN_INPUTS
+from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import term
 
 
 def joint_omissions(views: Sequence[AccelerometerView]) -> dict[str, dict[str, OmittedTerm]]:
     """Return by accelerometer what each thing left out would move its coefficients by.
 
-    Of a term that every run has anew, the runs' effects are combined as independent ones. Nothing
-    is said where readings were fitted beside records, or alone.
-
     Parameters
     ----------
     views
         Of all accelerometers of one fit.
     """
-    campaign, fit = views[0].campaign, views[0].fit
-    if not fit.prepared or any(view.readings for view in views):
-        return {view.name: {} for view in views}
-    terms = {view.name: left_out_of(campaign, view.name) for view in views}
+    # What the dividing head adds is in the readings' noise already.
+    readings = [
+        replace(part.readings, u=part.sigma, u_head=np.zeros_like(part.sigma))
+        for view in views
+        for part in view.readings
+    ]
+    places = {view.name: view.places for view in views}
+    return omissions_of(views[0].campaign, views[0].fit, places, readings)
+
+
+def omissions_of(
+    campaign: Campaign,
+    fit: JointFit,
+    places: Mapping[str, Mapping[str, int]],
+    readings: Sequence[Readings],
+) -> dict[str, dict[str, OmittedTerm]]:
+    """Return by accelerometer what each thing left out would move its coefficients by.
+
+    Of a term that every run has anew, the runs' effects are combined as independent ones.
+
+    Parameters
+    ----------
+    campaign, fit
+        A campaign and its fit, of records that may be still to come.
+    places
+        By accelerometer and symbol, the place among the fit's unknowns.
+    readings
+        That are part of the fit, each with its noise.
+    """
+    terms = {
+        name: (*left_out_of(campaign, name), *left_out_of_machine(campaign, name))
+        for name in places
+    }
     # Accelerometers share the platform's terms, and all of them one set of columns.
     every = list(dict.fromkeys(other for own in terms.values() for other in own))
+    column_of = {other: column for column, other in enumerate(every)}
     inputs = exact_inputs(campaign)
-    moved = sensitivities(fit, every, inputs)
+    moved = sensitivities(fit, every, inputs, readings)
     omissions: dict[str, dict[str, OmittedTerm]] = {}
-    for view in views:
-        places = list(view.places.values())
+    for name, own in places.items():
+        rows, exact = list(own.values()), exact_terms(campaign, name)
         by_symbol: dict[str, list[Array]] = {}
-        for other in terms[view.name]:
-            effect = moved[places, every.index(other)]
+        for other in terms[name]:
+            effect = moved[rows, column_of[other]]
+            if other.symbol in exact and other.symbol in own:
+                # What is held at a value is off by the whole of its error.
+                effect[list(own).index(other.symbol)] = -1.0
             by_symbol.setdefault(other.symbol, []).append(effect)
-        for place, symbol in enumerate(inputs, start=len(every)):
-            by_symbol[symbol] = [moved[places, place]]
-        omissions[view.name] = {
+        for column, symbol in enumerate(inputs, start=len(every)):
+            by_symbol[symbol] = [moved[rows, column]]
+        omissions[name] = {
             symbol: _omitted(
                 campaign,
                 symbol,
-                view.places,
+                own,
                 effects[0] if len(effects) == 1 else np.linalg.norm(effects, axis=0),
             )
             for symbol, effects in by_symbol.items()
@@ -73,7 +113,7 @@ def joint_omissions(views: Sequence[AccelerometerView]) -> dict[str, dict[str, O
 def two_stage_omissions(
     campaign: Campaign, second: SecondStage, request: TwoStageRequest
 ) -> dict[str, OmittedTerm]:
-    """Return what the things of which nothing is known would move the second stage's estimates by.
+    """Return what the things that are not known would move the second stage's estimates by.
 
     Parameters
     ----------
@@ -87,6 +127,9 @@ def two_stage_omissions(
     omissions = {
         symbol: _omitted(campaign, symbol, second.symbols, second.shift(symbol))
         for symbol in second.ignored
+    } | {
+        symbol: _omitted(campaign, symbol, second.symbols, effects)
+        for symbol, effects in second.exact_shifts().items()
     }
     for place, symbol in enumerate(("centrifuge.radius", "site.gravity")):
         if symbol not in exact_inputs(campaign):
@@ -108,11 +151,14 @@ def _omitted(
         for name, effect in zip(coefficients, effects, strict=True)
         if name in TERMS
     }
-    known = UNCERTAIN_INPUTS.get(symbol)
+    row: Any = UNCERTAIN_INPUTS.get(symbol)
+    if row is None:
+        machine = machine_term(symbol)
+        row = machine[0] if machine is not None else term(symbol)
     return OmittedTerm(
         sensitivity=moves.get("K_II"),
-        unit=known.unit if known else term(symbol).unit,
-        typical=known.typical if known else campaign.model.typical[symbol],
+        unit=row.unit,
+        typical=campaign.model.typical.get(symbol, row.typical),
         moves=moves,
     )
 
@@ -143,13 +189,13 @@ def with_typical(
                 )
             }
         )
-        if c.estimated and c.u is not None and symbol in TERMS
+        if c.u is not None and symbol in TERMS and (c.estimated or symbol in omissions)
         else c
         for symbol, c in coefficients.items()
     }
 
 
-@dataclass(frozen=True)
+@frozen
 class Effect:
     """What one thing left out does to a coefficient at its typical size.
 

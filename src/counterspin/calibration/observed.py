@@ -9,27 +9,34 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.resolved import Accelerometer, Campaign, Channel, Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
+from counterspin.frozen import frozen
 from counterspin.physics import observation
+from counterspin.physics.conditions import AT_REFERENCE, RunConditions
 from counterspin.physics.motion import Trajectory
+from counterspin.physics.own_velocity import AxisError, taken
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
 from counterspin.records.amplitude import Swing
 from counterspin.records.reading import read_record
-from counterspin.records.record import ColumnSpec, Motion, Record, RecordColumns
+from counterspin.records.record import ColumnSpec, Record, RecordColumns, StatedMotion
 
 #: Horizontal part of an input axis from which its signal is held to the motion's wave.
 _HORIZONTAL: Final = 0.05
 
+#: rad, over which a change with the latitude is taken.
+_STEP: Final = 1e-5
 
-@dataclass(frozen=True)
+
+@frozen
 class Signal:
     """One accelerometer's output in one run, less what a perfect system would have recorded.
 
@@ -39,13 +46,18 @@ class Signal:
         Whose it is.
     error
         S - S_ref in m, m/s or m/s^2, shape (n,), at the record's times; NaN where it is missing.
+        What a computer took off with its own velocity is put back.
+    by_latitude
+        Change of what is put back with the latitude, m/rad and so on, shape (n,); None of a
+        computer that is given the platform's velocity.
     """
 
     accelerometer: Accelerometer
     error: Array
+    by_latitude: Array | None = None
 
 
-@dataclass(frozen=True)
+@frozen
 class ObservedRun:
     """One run as the estimators see it.
 
@@ -94,22 +106,26 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
         {name: _column(a.channel) for name, a in campaign.accelerometers.items()},
     )
     first_with: dict[bytes, Run] = {}
+    lengths: dict[str, float] = {}
     for run in campaign.runs:
         swings = {
             name: swing
             for name, accelerometer in campaign.accelerometers.items()
             if (swing := _swing(campaign, run, accelerometer)) is not None
         }
-        record = read_record(run.record, columns, Motion(run.rate, swings))
+        source = campaign.record_at(run.record)
+        record = read_record(source, columns, StatedMotion(run.rate, swings))
         samples = _samples_digest(record)
         earlier = first_with.setdefault(samples, run)
         if earlier is not run:
             raise RecordError(
-                f"{run.record}: holds the same samples as {earlier.record} (runs {earlier.name} "
-                f"and {run.name}). A record counts once: remove one of the runs, or give its own "
-                "record."
+                f"{source}: holds the same samples as {campaign.record_at(earlier.record)} (runs "
+                f"{earlier.name} and {run.name}). A record counts once: remove one of the runs, or "
+                "give its own record."
             )
-        yield observe_run(campaign, run, record)
+        # When a run was made may hang on how long those before it lasted.
+        lengths[run.name] = float(record.time[-1])
+        yield observe_run(campaign, run, record, conditions_of(campaign, lengths)[run.name])
 
 
 def _samples_digest(record: Record) -> bytes:
@@ -139,7 +155,9 @@ def _column(channel: Channel) -> ColumnSpec:
     return ColumnSpec(channel.column, channel.factor)
 
 
-def observe_run(campaign: Campaign, run: Run, record: Record) -> ObservedRun:
+def observe_run(
+    campaign: Campaign, run: Run, record: Record, conditions: RunConditions = AT_REFERENCE
+) -> ObservedRun:
     """Identify the rotation of one run and take the reference displacement away.
 
     Parameters
@@ -148,6 +166,8 @@ def observe_run(campaign: Campaign, run: Run, record: Record) -> ObservedRun:
         The description and one of its runs.
     record
         The run's record.
+    conditions
+        Under which it was made.
     """
     rotation = None
     if record.angle is not None:
@@ -155,7 +175,7 @@ def observe_run(campaign: Campaign, run: Run, record: Record) -> ObservedRun:
         # The angle of a row was sampled `timing_offset` after its displacement.
         rotation = fit_spindle(record.time + late, record.angle, run.rate, weights=record.count)
     spindle = rotation.spindle if rotation else Spindle(run.rate)
-    trajectory = Trajectory(spindle, campaign.radius.value, campaign.site)
+    trajectory = Trajectory(spindle, campaign.radius.value, campaign.site, conditions=conditions)
     signals = {}
     for name, accelerometer in campaign.accelerometers.items():
         reference = observation.over_blocks(
@@ -166,4 +186,26 @@ def observe_run(campaign: Campaign, run: Run, record: Record) -> ObservedRun:
             record.time_sd,
         )
         signals[name] = Signal(accelerometer, record.signals[name] - reference)
+    if campaign.own_velocity:
+        signals = _of_platform_velocity(campaign, run, record.time, signals)
     return ObservedRun(run, record, rotation, trajectory, signals)
+
+
+def _of_platform_velocity(
+    campaign: Campaign, run: Run, time: Array, signals: Mapping[str, Signal]
+) -> dict[str, Signal]:
+    """Return the signals that a computer which is given the platform's velocity would have made."""
+    errors = []
+    for signal in signals.values():
+        accelerometer = signal.accelerometer
+        axis = accelerometer.mounting.turned(run.attitude).input_axis
+        # The reference has what is left of gravity in it; the velocity is off by that too.
+        left = observation.gravity_left(campaign.site, axis, time, accelerometer.observable)
+        errors.append(AxisError(axis, accelerometer.observable, time, signal.error + left))
+    site = campaign.site
+    north = replace(site, latitude=site.latitude + _STEP)
+    back, there = taken(site, errors), taken(north, errors)
+    return {
+        name: Signal(signal.accelerometer, signal.error + part, (moved - part) / _STEP)
+        for (name, signal), part, moved in zip(signals.items(), back, there, strict=True)
+    }

@@ -7,8 +7,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
+
+from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
     from counterspin.physics.as_printed import RippleModel
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 Method = Literal["joint", "two-stage"]
 
 
-@dataclass(frozen=True)
+@frozen
 class TwoStageOptions:
     """How the paper's method is applied.
 

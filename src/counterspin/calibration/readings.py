@@ -1,8 +1,11 @@
 """Readings of a campaign in the joint fit: at rest, on an arm, on a double turntable.
 
-- `with_readings`: an estimate from records, if there are any, with the readings beside them
+- `with_readings`, `with_groups`: an estimate from records, if there are any, with the readings
+  beside them
 - `machine_of`: the machine's terms as unknowns and considered terms
-- `groups_of`, `block_name`: the readings that have one noise, and what they are called in a budget
+- `only_at_rest`: whether gravity is the only force
+- `block_name`: what readings that have one noise are called in a budget
+- `SQUARES`: terms that 1 g cannot tell from K_II
 - `AccelerometerReadings`: what was read of one accelerometer, and how it fits
 """
 
@@ -10,8 +13,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from dataclasses import replace
+from typing import Any, Final
 
 import numpy as np
 
@@ -23,22 +26,30 @@ from counterspin.calibration.result_parts import (
     ReadingResult,
     Residual,
 )
+from counterspin.campaign.reading_groups import groups_of
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import Campaign
+from counterspin.errors import CampaignError, NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail, student_cdf
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
-from counterspin.inference.readings import Readings, ReadingsFit, solve_readings
+from counterspin.inference.least_squares import Solution
+from counterspin.inference.readings import Position, Readings, ReadingsFit, judge, solve_readings
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
-from counterspin.physics.station import Station
 from counterspin.records.mean import mean_of_record
 from counterspin.records.record import ColumnSpec
 
 #: Terms that no position at 1 g tells from K_II and K_F: the squares' sum is that of gravity.
-_SQUARES: Final = ("K_PP", "K_OO")
+SQUARES: Final = ("K_PP", "K_OO")
+
+#: As many positions that are off may each be a mistake; more, and more than this share of all, are
+#: the model's.
+_FEW: Final = 3
+_SHARE: Final = 0.25
 
 #: Words for the motions.
 _WORDS: Final = {
@@ -61,16 +72,22 @@ def machine_of(campaign: Campaign) -> tuple[list[Unknown], list[Considered]]:
         for symbol in machine.considered
         for owner in _owners(campaign, symbol)
     ]
-    at_rest = all(reading.motion == "static" for reading in campaign.readings)
-    if campaign.readings and not campaign.runs and at_rest and "K_II" in campaign.model.terms:
+    if only_at_rest(campaign) and "K_II" in campaign.model.terms:
+        # What nobody asks for counts all the same: K_II is no more than K_II - K_PP or K_II - K_OO.
         named = {*campaign.model.terms, *campaign.model.considered}
-        considered += [
-            Considered(name, symbol, (0.0, TERMS[symbol].limit), TERMS[symbol].limit)
+        unknowns += [
+            Unknown(name, symbol, (0.0, TERMS[symbol].limit), TERMS[symbol].limit, asked=False)
             for name, accelerometer in campaign.accelerometers.items()
-            for symbol in _SQUARES
+            for symbol in SQUARES
             if symbol not in named and symbol not in accelerometer.priors
         ]
     return unknowns, considered
+
+
+def only_at_rest(campaign: Campaign) -> bool:
+    """Return whether readings at rest are all that a campaign has."""
+    motions = {reading.motion for reading in campaign.readings}
+    return motions == {"static"} and not campaign.runs
 
 
 def _owners(campaign: Campaign, symbol: str) -> list[str]:
@@ -84,7 +101,7 @@ def _limit(symbol: str) -> float:
     return row.limit
 
 
-@dataclass(frozen=True)
+@frozen
 class AccelerometerReadings:
     """The readings of one accelerometer in one motion, and how they fit.
 
@@ -92,25 +109,68 @@ class AccelerometerReadings:
     ----------
     readings
         What was read.
-    sigma, residuals, standardised
+    sigma, noise, residuals, standardised
         As of `ReadingsFit`, shape (n,).
     dof
         Of an estimated noise; infinite where it was stated.
     freedom
         Readings less what the fit follows of them.
+    positions, linear
+        As of `ReadingsFit`.
     """
 
     readings: Readings
     sigma: np.ndarray
+    noise: float
     residuals: np.ndarray
     standardised: np.ndarray
     dof: float
     freedom: float
+    positions: tuple[Position, ...] = ()
+    linear: Any = None
+
+    def under(self, solution: Solution, model: Unknowns) -> AccelerometerReadings:
+        """Return how the same readings fit another solution that has followed them."""
+        judged = judge(self.readings, self.linear, solution, model)
+        return replace(
+            self,
+            residuals=judged.residuals,
+            standardised=judged.standardised,
+            freedom=judged.freedom,
+            positions=judged.positions,
+        )
+
+    @property
+    def block_name(self) -> str:
+        """What they are called in a budget, and among the blocks of the fit."""
+        return block_name(self.readings)
 
     @property
     def words(self) -> str:
         """What these readings are called."""
         return _WORDS[self.readings.motion]
+
+    @property
+    def misfit_of_positions(self) -> float | None:
+        """Probability of residuals beside the repeats' scatter as large as these; None without.
+
+        The F test of lack of fit against pure error: Draper and Smith, Applied Regression
+        Analysis, 3rd ed., section 2.1.
+        """
+        own = self.residuals / self.sigma
+        again = float(np.sum(self.readings.repeats - 1.0))
+        scatter = float(np.sum(self.readings.scatter)) / self.noise**2
+        squares = float(own @ own) + scatter
+        for position in self.positions:
+            places = list(position.places)
+            again += len(places) - 1.0
+            scatter += float(np.sum((own[places] - own[places].mean()) ** 2))
+        left = self.dof - again
+        if math.isinf(self.dof) or again < 1.0 or left < 0.5 or scatter <= 0.0:
+            return None
+        from scipy.special import fdtrc
+
+        return float(fdtrc(left, again, max(squares - scatter, 0.0) / left / (scatter / again)))
 
     def results(self) -> list[ReadingResult]:
         """Return each reading as a result shows it."""
@@ -118,6 +178,9 @@ class AccelerometerReadings:
             ReadingResult(
                 name=name,
                 motion=self.readings.motion,
+                mounting=self.readings.mountings[i],
+                input_axis=tuple(map(float, station.mounting.matrix[0])),
+                pendulous_axis=tuple(map(float, station.mounting.matrix[1])),
                 rate=station.rate,
                 value=float(self.readings.value[i]),
                 u=float(self.sigma[i]),
@@ -130,21 +193,36 @@ class AccelerometerReadings:
         ]
 
     def outlying(self) -> list[tuple[str, float, float]]:
-        """Return name, residual (g) and standardised residual of readings that noise leaves open.
+        """Return name, residual (g) and standardised residual of what noise leaves open.
 
-        Each is compared with the noise of the others (externally studentised), at the level of
-        the other tests shared out among the readings.
+        Each reading, and the readings of each position that was read more than once together, are
+        compared with the noise of the others (externally studentised), at the level of the other
+        tests shared out among them.
         """
-        z, dof = self.standardised, self.dof
+        single = [
+            Position((place,), float(residual), float(z))
+            for place, (residual, z) in enumerate(
+                zip(self.residuals, self.standardised, strict=True)
+            )
+        ]
+        every = [*self.positions, *single]
+        z, dof = np.array([each.standardised for each in every]), self.dof
         if math.isfinite(dof):
             with np.errstate(divide="ignore", invalid="ignore"):
                 z = np.where(z**2 < dof, z * np.sqrt((dof - 1.0) / (dof - z**2)), np.inf * z)
         others = max(dof - 1.0, 1.0)
         p = np.array([2.0 * student_cdf(others, -abs(size)) for size in z.tolist()])
-        return [
-            (self.readings.names[i], float(self.residuals[i]), float(z[i]))
-            for i in np.flatnonzero(p < SIGNIFICANCE / z.size)
-        ]
+        found: list[tuple[str, float, float]] = []
+        said: dict[int, float] = {}
+        for i in np.flatnonzero(p < SIGNIFICANCE / z.size):
+            places, size = every[i].places, abs(float(z[i]))
+            # A reading is named beside its position only where it alone is the worse.
+            if any(size <= said.get(place, 0.0) for place in places):
+                continue
+            said |= dict.fromkeys(places, size)
+            names = list(dict.fromkeys(self.readings.names[place] for place in places))
+            found.append((", ".join(names), every[i].residual, float(z[i])))
+        return found
 
 
 def with_readings(
@@ -164,9 +242,19 @@ def with_readings(
     Raises
     ------
     NotIdentifiableError, ConvergenceError
-        As `solve_readings`.
+        As `solve_readings`; or if there are fewer readings than coefficients.
     """
+    _require_values(campaign)
+    if estimated is None:
+        _require_enough(campaign, model)
     groups = groups_of(campaign, [_averaged(campaign, reading) for reading in campaign.readings])
+    return with_groups(estimated, model, groups)
+
+
+def with_groups(
+    estimated: Estimate | None, model: Unknowns, groups: Sequence[Readings]
+) -> tuple[Estimate, tuple[AccelerometerReadings, ...]]:
+    """Return the estimate with readings in groups; as `with_readings`."""
     if estimated is None:
         beside: tuple[object, ...] = ()
         fit = solve_readings(groups, model)
@@ -184,10 +272,33 @@ def with_readings(
     parts = tuple(
         AccelerometerReadings(*part)
         for part in zip(
-            groups, fit.sigma, fit.residuals, fit.standardised, fit.dof, fit.freedom, strict=True
+            groups,
+            fit.sigma,
+            fit.noise,
+            fit.residuals,
+            fit.standardised,
+            fit.dof,
+            fit.freedom,
+            fit.positions,
+            fit.linear,
+            strict=True,
         )
     )
     return replace(estimated, fit=joint, dof=dof), parts
+
+
+def _require_enough(campaign: Campaign, model: Unknowns) -> None:
+    """Refuse fewer readings of an accelerometer than coefficients of which nothing is known."""
+    for name in campaign.accelerometers:
+        count = sum(reading.accelerometer == name for reading in campaign.readings)
+        free = [u.symbol for u in model.unknowns if u.owner == name and math.isinf(u.prior[1])]
+        if count < len(free):
+            have = f"{count} readings" if count != 1 else "1 reading"
+            raise NotIdentifiableError(
+                f"{campaign.path}: {have} of {name} cannot determine {len(free)} coefficients "
+                f"({', '.join(free)}); take more positions, ask for fewer in model.terms, or give "
+                "priors"
+            )
 
 
 def _effective_dof(dof: np.ndarray, fit: ReadingsFit, records: int) -> np.ndarray:
@@ -214,13 +325,26 @@ def _effective_dof(dof: np.ndarray, fit: ReadingsFit, records: int) -> np.ndarra
         return 1.0 / inverse
 
 
+def _require_values(campaign: Campaign) -> None:
+    blank = [reading.name for reading in campaign.readings if math.isnan(reading.value)]
+    if blank:
+        raise CampaignError(
+            str(campaign.path),
+            [
+                f'"{blank[0]}" and {len(blank) - 1} other readings have no value yet: write what '
+                "was read, or make values from [truth] with `counterspin simulate`"
+            ],
+        )
+
+
 def _averaged(campaign: Campaign, reading: Reading) -> Reading:
     """Return a reading with its value: that of a record is its mean over whole revolutions."""
     if reading.record is None:
         return reading
-    channel = campaign.accelerometers[reading.accelerometer].channel
+    channel = campaign.accelerometers[reading.accelerometer].force
+    assert channel is not None
     mean = mean_of_record(
-        reading.record,
+        campaign.record_at(reading.record),
         ColumnSpec(campaign.time.column, campaign.time.factor),
         ColumnSpec(channel.column, channel.factor),
         reading.rate,
@@ -233,44 +357,6 @@ def block_name(group: Readings) -> str:
     """Return what a group of readings is called in a budget."""
     estimated = "" if group.u is not None else " (noise estimated)"
     return f"{group.accelerometer}: {_WORDS[group.motion]}{estimated}"
-
-
-def groups_of(campaign: Campaign, readings: Sequence[Reading]) -> list[Readings]:
-    """Return the readings by accelerometer, motion and whether their noise was stated."""
-    keys = dict.fromkeys((r.accelerometer, r.motion, r.u is None) for r in readings)
-    return [
-        _group(
-            campaign,
-            [r for r in readings if (r.accelerometer, r.motion, r.u is None) == key],
-        )
-        for key in keys
-    ]
-
-
-def _group(campaign: Campaign, readings: Sequence[Reading]) -> Readings:
-    first = readings[0]
-    every = [r.temperature for r in campaign.readings if r.temperature is not None]
-    reference = campaign.reference_temperature
-    if reference is None:
-        reference = float(np.mean(every)) if every else 0.0
-    start = min((r.time for r in campaign.readings if r.time is not None), default=0.0)
-    return Readings(
-        accelerometer=first.accelerometer,
-        motion=first.motion,
-        names=tuple(r.name for r in readings),
-        site=campaign.site,
-        stations=tuple(
-            Station(r.motion, r.axes, rate=r.rate, radius=campaign.radius.value if r.rate else 0.0)
-            for r in readings
-        ),
-        mountings=tuple(r.mounting for r in readings),
-        head=np.array([r.head for r in readings]),
-        u_head=np.array([r.u_head for r in readings]),
-        value=np.array([r.value for r in readings]),
-        u=None if first.u is None else np.array([r.u for r in readings], dtype=float),
-        temperature=np.array([(r.temperature or reference) - reference for r in readings]),
-        time=np.array([(r.time or start) - start for r in readings]),
-    )
 
 
 def residual_of(parts: Sequence[AccelerometerReadings]) -> Residual:
@@ -304,35 +390,58 @@ def readings_noise(parts: Sequence[AccelerometerReadings]) -> dict[str, NoiseLin
     }
 
 
-def readings_fit(name: str, residual: Residual) -> list[Finding]:
-    """Return a finding where residuals of readings are not the noise that was stated."""
-    p = residual.lack_of_fit_p
-    if p is None or p >= SIGNIFICANCE:
-        return []
-    return [
-        lack_of_fit(
-            name,
-            [f"the residuals of the readings are not the noise that was stated (p = {p:.2g})"],
-            residual,
+def readings_fit(name: str, parts: Sequence[AccelerometerReadings]) -> list[Finding]:
+    """Return a finding for each motion whose residuals are not noise.
+
+    Noise that was stated is what they are compared with; noise that was estimated shows a misfit
+    where positions were read more than once.
+    """
+    findings = []
+    for part in parts:
+        stated = math.isinf(part.dof)
+        residual = residual_of([part])
+        p = residual.lack_of_fit_p if stated else part.misfit_of_positions
+        if p is None or p >= SIGNIFICANCE:
+            continue
+        said = (
+            f"the residuals of the {part.words} are not the noise that was stated"
+            if stated
+            else f"{part.words}: positions are further off the model than repeats of one position "
+            "are from each other"
         )
-    ]
+        findings.append(lack_of_fit(name, [f"{said} (p = {p:.2g})"], residual))
+    return findings
 
 
 def outlying_readings(name: str, parts: Sequence[AccelerometerReadings]) -> list[Finding]:
-    """Return a finding for each reading that stands out."""
-    return [
-        Finding(
-            code="outlying-reading",
-            subject=f"{name}.{reading}",
-            text=f'The reading "{reading}" is {residual * 1e6:+.3g} ug off the model, '
-            f"{abs(z):.1f} of its standard deviations: look at this position, or at what the "
-            "model lacks.",
-            size=abs(z),
-            contradicts=abs(z) > CONTRADICTS and math.isinf(part.dof),
+    """Return a finding for each position that stands out, or one where many of a motion do."""
+    findings = []
+    for part in parts:
+        found = part.outlying()
+        if len(found) <= max(_FEW, _SHARE * part.readings.size):
+            findings += [_outlying(part, name, *one) for one in found]
+            continue
+        worst = max(found, key=lambda one: abs(one[2]))
+        finding = _outlying(part, name, *worst)
+        text = (
+            f"{len(found)} of {part.readings.size} {part.words} are off the model, so that it is "
+            f"the model which lacks something. {finding.text}"
         )
-        for part in parts
-        for reading, residual, z in part.outlying()
-    ]
+        findings.append(finding.model_copy(update={"text": text}))
+    return findings
+
+
+def _outlying(
+    part: AccelerometerReadings, name: str, reading: str, residual: float, z: float
+) -> Finding:
+    return Finding(
+        code="outlying-reading",
+        subject=f"{name}.{reading}",
+        text=f'The position "{reading}" reads {residual * 1e6:+.3g} ug off the model, '
+        f"{abs(z):.1f} of its standard deviations: look at it, or at what the model lacks.",
+        size=abs(z),
+        contradicts=abs(z) > CONTRADICTS and math.isinf(part.dof),
+    )
 
 
 def radii(campaign: Campaign, shared: Mapping[Unknown, Coefficient]) -> dict[Unknown, Coefficient]:

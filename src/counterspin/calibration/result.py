@@ -12,13 +12,19 @@ else is SI unless its unit stands beside it.
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator, Sized
-from typing import Any
+from collections.abc import Collection, Iterator, Sequence, Sized
+from typing import TYPE_CHECKING, Any, Final
 
+import numpy as np
+from pydantic import PrivateAttr
+
+from counterspin.calibration.notebook.labelled import Covariance
+from counterspin.calibration.notebook.si_estimate import StatedGravity
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
     ConfoundedTerms,
+    Correlation,
     Finding,
     Inputs,
     Provenance,
@@ -27,16 +33,36 @@ from counterspin.calibration.result_parts import (
     Trace,
 )
 from counterspin.campaign.resolved import Accelerometer
+from counterspin.errors import CounterspinError
 from counterspin.physics.accelerometer import TERMS
-from counterspin.results import ResultFile
+from counterspin.physics.observation import ORDERS
+from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.reports.shown import ShownResult, on_axes
+
+if TYPE_CHECKING:
+    from counterspin.calibration.notebook.residuals import RunResiduals
+    from counterspin.reports.blocks import Block, Picture
+
+#: Why a result has no whole residuals: its file holds what the pictures need, and no more.
+_NO_RESIDUALS = (
+    "whole residuals are kept by what `calibrate` returns for the joint method, not by a file; "
+    "calibrate the campaign again"
+)
+
+#: No coefficient is larger in g-units; its powers would be beyond all numbers.
+_LARGEST_COEFFICIENT: Final = 1e30
+#: No sample is so large that the normal distribution has a farther quantile for it.
+_FARTHEST_QUANTILE: Final = 30.0
+#: Fewer degrees of freedom no estimate has.
+_FEWEST_DOF: Final = 0.1
 
 
-class Result(ResultFile):
+class Result(ShownResult):
     """A calibration's result; see the parts.
 
     `state` is the worst of the accelerometers' and of the campaign's own; `findings` are those of
     all of them. `accepted_misfit` is the reason for which a contradicted result is used all the
-    same.
+    same. `correlation` is that of everything determined, accelerometers and platform together.
     """
 
     method: str
@@ -48,11 +74,194 @@ class Result(ResultFile):
     accelerometers: dict[str, AccelerometerResult]
     platform: dict[str, Coefficient] = {}
     confounded: list[ConfoundedTerms] = []
+    correlation: Correlation | None = None
     runs: dict[str, RunResult]
     inputs: Inputs
     details: dict[str, str] = {}
     warnings: list[str] = []
     provenance: Provenance
+
+    _residuals: tuple[RunResiduals, ...] = PrivateAttr(default=())
+
+    def model_post_init(self, context: Any, /) -> None:  # noqa: ARG002 -- pydantic's signature
+        """Tell each coefficient the gravity in whose units it is."""
+        if not 0.0 < self.inputs.gravity < math.inf:
+            return  # `faults` says so
+        for name, accelerometer in self.accelerometers.items():
+            for symbol, c in accelerometer.coefficients.items():
+                c._gravity = self.gravity_of(name, symbol)
+        of_runs = (c for run in self.runs.values() for c in run.terms.values())
+        for c in (*self.platform.values(), *of_runs):
+            c._gravity = StatedGravity(self.inputs.gravity, self.inputs.u_gravity)
+
+    def gravity_of(self, name: str, symbol: str) -> StatedGravity:
+        """Return the g in whose units an accelerometer's coefficient is, and what it does to it."""
+        inputs = self.inputs
+        sensitivity = _to_gravity(self, self.accelerometers[name], symbol)
+        return StatedGravity(inputs.gravity, inputs.u_gravity, sensitivity)
+
+    def __getstate__(self) -> dict[Any, Any]:
+        """Return what is pickled: the numbers, without whole residuals."""
+        state = super().__getstate__()
+        private = dict(state["__pydantic_private__"] or {})
+        return state | {"__pydantic_private__": private | {"_residuals": ()}}
+
+    def coefficient(self, name: str) -> Coefficient:
+        """Return a coefficient by its whole name.
+
+        Parameters
+        ----------
+        name
+            Such as ``Qx.K_II``, ``platform.drift.north`` or ``run1.platform.tilt.north``.
+
+        Raises
+        ------
+        KeyError
+            If there is none of that name; the message lists those that there are.
+        """
+        if name in self.platform:
+            return self.platform[name]
+        owners = {n: a.coefficients for n, a in self.accelerometers.items()}
+        owners |= {n: run.terms for n, run in self.runs.items()}
+        for owner, own in owners.items():
+            symbol = name.removeprefix(f"{owner}.")
+            if symbol != name and symbol in own:
+                return own[symbol]
+        known = [f"{owner}.{symbol}" for owner, own in owners.items() for symbol in own]
+        raise KeyError(f"{name}; there are {', '.join([*known, *self.platform])}")
+
+    @property
+    def covariance(self) -> Covariance | None:
+        """Covariances of everything determined; None where the result states no correlations."""
+        correlation = self.correlation
+        if correlation is None and len(self.accelerometers) == 1:
+            # Results of versions that had no joint matrix.
+            ((name, accelerometer),) = self.accelerometers.items()
+            correlation = accelerometer.correlation
+            if correlation is not None:
+                own = accelerometer.coefficients
+                terms = [f"{name}.{s}" if s in own else s for s in correlation.terms]
+                correlation = correlation.model_copy(update={"terms": terms})
+        if correlation is None:
+            return None
+        found = {place: c for place, c in enumerate(map(self._found, correlation.terms)) if c}
+        places, u = list(found), np.array([c.u for c in found.values()], dtype=float)
+        return Covariance(
+            tuple(correlation.terms[place] for place in places),
+            np.outer(u, u) * correlation.values[np.ix_(places, places)],
+            tuple(c.unit for c in found.values()),
+        )
+
+    def _found(self, name: str) -> Coefficient | None:
+        """Return a coefficient with its u; None where somebody has taken it out of the result."""
+        try:
+            c = self.coefficient(name)
+        except KeyError:
+            return None
+        return c if c.u is not None else None
+
+    def stated_covariance(self) -> Covariance:
+        """Return `covariance`; CounterspinError with the reason where there is none."""
+        covariance = self.covariance
+        if covariance is None:
+            raise CounterspinError(
+                "the result states no correlations between its accelerometers: the two-stage "
+                "method estimates each by itself, and versions before 0.2 did not write them"
+            )
+        return covariance
+
+    def table(self, library: str = "polars") -> Any:
+        """Return the coefficients as a frame; see `counterspin.calibration.notebook.tables`."""
+        from counterspin.calibration.notebook.tables import frame
+
+        return frame(self, library)
+
+    def to_latex(self) -> str:
+        """Return the coefficients as a LaTeX ``tabular``."""
+        from counterspin.calibration.notebook.tables import latex_table
+
+        return latex_table(self)
+
+    def to_uncertainties(self) -> dict[str, Any]:
+        """Return the coefficients for the package uncertainties, with their correlations."""
+        from counterspin.calibration.notebook.packages import to_uncertainties
+
+        return to_uncertainties(self)
+
+    def to_gtc(self) -> dict[str, Any]:
+        """Return the coefficients for the package GTC, with their correlations."""
+        from counterspin.calibration.notebook.packages import to_gtc
+
+        return to_gtc(self)
+
+    def residuals(
+        self, accelerometer: str | None = None, run: str | None = None
+    ) -> list[RunResiduals]:
+        """Return whole residuals as arrays, of all accelerometers and runs or of those named.
+
+        Raises
+        ------
+        CounterspinError
+            If the result was read from a file, or is of the two-stage method.
+        KeyError
+            If there are none of that name.
+        """
+        from counterspin.calibration.notebook.residuals import choose
+
+        if not self._residuals:
+            raise CounterspinError(_NO_RESIDUALS)
+        return choose(self._residuals, accelerometer, run)
+
+    def plot_residuals(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
+        """Draw the residuals over time, a picture a run; `axes` as for `reports.shown.on_axes`."""
+        from counterspin.calibration.notebook.plots import residual_pictures
+
+        return self._drawn(residual_pictures(self, self._name(accelerometer)), axes)
+
+    def plot_spectrum(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
+        """Draw the spectrum of the whitened residuals."""
+        from counterspin.calibration.notebook.plots import spectrum_pictures
+
+        return self._drawn(spectrum_pictures(self, self._name(accelerometer)), axes)
+
+    def plot_budget(
+        self, accelerometer: str | None = None, coefficient: str = "K_II", *, axes: Any = None
+    ) -> list[Any]:
+        """Draw what the uncertainty of a coefficient consists of."""
+        from counterspin.calibration.notebook.plots import budget_pictures
+
+        return self._drawn(budget_pictures(self, self._name(accelerometer), coefficient), axes)
+
+    def plot_displacement(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
+        """Draw what was recorded less the reference, and the fit, a picture a run."""
+        from counterspin.calibration.notebook.plots import displacement_pictures
+
+        return self._drawn(displacement_pictures(self.residuals(self._name(accelerometer))), axes)
+
+    def _name(self, accelerometer: str | None) -> str:
+        """Return the accelerometer meant: the first one where none is named."""
+        name = accelerometer or next(iter(self.accelerometers))
+        if name not in self.accelerometers:
+            raise KeyError(f"{name}; there are {', '.join(self.accelerometers)}")
+        return name
+
+    def _drawn(self, pictures: Sequence[Picture], axes: Any) -> list[Any]:
+        if not pictures:
+            raise CounterspinError("the result keeps nothing of which this picture could be drawn")
+        return on_axes(pictures, axes)
+
+    def __repr__(self) -> str:
+        """Return state, coefficients and the gravest finding, at most 20 lines."""
+        from counterspin.calibration.notebook.tables import brief
+
+        return brief(self)
+
+    __str__ = __repr__
+
+    def _first_screen(self) -> Sequence[Block]:
+        from counterspin.calibration.pages.sections import first_screen
+
+        return first_screen(self)
 
     def faults(self) -> Iterator[str]:
         """Yield what would be applied or shown wrongly, though each part looks like one."""
@@ -60,11 +269,19 @@ class Result(ResultFile):
             yield f"the gravity is {self.inputs.gravity} m/s^2"
         if not self.accelerometers:
             yield "it has no accelerometers"
+        together = [*self.confounded]
+        for accelerometer in self.accelerometers.values():
+            together += accelerometer.confounded
+        if any(len(confounded.terms) < 2 for confounded in together):
+            yield "fewer than two terms are said not to be told apart"
         for name, run in self.runs.items():
             if not 0.0 < abs(run.rate) < math.inf:
                 yield f"the rate of {name} is {run.rate} rad/s"
+        if self.correlation is not None:
+            yield from _matrix_faults("its correlation matrix", self.correlation)
         for name, accelerometer in self.accelerometers.items():
             yield from _faults_of(name, accelerometer)
+            yield from _model_faults(name, accelerometer)
 
 
 read_result = Result.read
@@ -98,6 +315,18 @@ def described(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str,
     }
 
 
+def _to_gravity(result: Result, accelerometer: AccelerometerResult, symbol: str) -> float:
+    """Return what a coefficient moves by per m/s^2 of the g assumed."""
+    c = accelerometer.coefficients[symbol]
+    if result.method == "two-stage" and symbol in TERMS and c.value is not None:
+        # b2 of a coefficient of degree n goes with g^(1-n).
+        return (len(TERMS[symbol].factors) - 1) * c.value / result.inputs.gravity
+    for line in accelerometer.budget.get(symbol, ()):
+        if line.source == "site.gravity (input)" and line.sensitivity is not None:
+            return line.sensitivity
+    return 0.0
+
+
 def _faults_of(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
     if not accelerometer.coefficients:
         yield f"{name} has no coefficients"
@@ -108,17 +337,35 @@ def _faults_of(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
     }.items():
         if symbol in TERMS and c.unit != TERMS[symbol].unit:
             yield f"{symbol} of {name} is in {c.unit}, not in {TERMS[symbol].unit}"
-        if not (math.isfinite(c.value or 0.0) and 0.0 <= (c.u or 0.0) < math.inf):
+        if not (abs(c.value or 0.0) < _LARGEST_COEFFICIENT > (c.u or 0.0) >= 0.0):
             yield f"{symbol} of {name} is {c.value} ± {c.u}"
-        if c.dof is not None and not 0.0 < c.dof < math.inf:
+        if c.dof is not None and not _FEWEST_DOF <= c.dof < math.inf:
             yield f"{symbol} of {name} has {c.dof} degrees of freedom"
     if accelerometer.correlation:
-        size = len(accelerometer.correlation.terms)
-        if [len(row) for row in accelerometer.correlation.matrix] != [size] * size:
-            yield f"the correlation matrix of {name} is not one of {size} terms"
+        yield from _matrix_faults(f"the correlation matrix of {name}", accelerometer.correlation)
     for run, trace in accelerometer.traces.items():
+        quantiles = trace.quantiles.normal if trace.quantiles else []
+        if (trace.rows or 1) < 1 or any(abs(z) > _FARTHEST_QUANTILE for z in quantiles):
+            yield f"rows or quantiles in the trace of {name} in {run} are none"
         if any(len(set(map(len, together))) > 1 for together in _drawn_together(trace)):
             yield f"lists in the trace of {name} in {run} are of unequal length"
+
+
+def _model_faults(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
+    if accelerometer.observable not in (None, *ORDERS):
+        yield f"the observable of {name} is {accelerometer.observable!r}"
+    for symbol, omitted in accelerometer.left_out.items():
+        if omitted.typical is None and symbol not in (*TERMS, *SHARED_TERMS):
+            yield f"{symbol!r}, left out of the model of {name}, is no term, and has no size"
+    residual = accelerometer.residual
+    if min(residual.chi2 or 0.0, residual.dof, residual.rms) < 0.0:
+        yield f"a size of the residuals of {name} is negative"
+
+
+def _matrix_faults(words: str, correlation: Correlation) -> Iterator[str]:
+    size = len(correlation.terms)
+    if [len(row) for row in correlation.matrix] != [size] * size:
+        yield f"{words} is not one of {size} terms"
 
 
 def _drawn_together(trace: Trace) -> Iterator[tuple[Sized, ...]]:

@@ -8,6 +8,7 @@ beside it.
 - `BudgetLine`, `Jackknife`, `Comparison`, `OmittedTerm`, `Conformity`: what it rests on
 - `State`, `Finding`: whether it may be relied on, and what speaks against it
 - `Trace` and its parts: the residuals of a run, thinned for pictures
+- `ReadingResult`, `KindOfTest`, `Shift`: single values; each kind of test beside the others
 - `AccelerometerResult`, `RunResult`, `Inputs`, `Provenance`: what holds these
 """
 
@@ -15,6 +16,15 @@ from __future__ import annotations
 
 from typing import Final, Literal
 
+import numpy as np
+from pydantic import PrivateAttr
+
+from counterspin.arrays import Array
+from counterspin.calibration.notebook.labelled import Labelled
+from counterspin.calibration.notebook.latex import latex_number, latex_unit
+from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
+from counterspin.inference.conformity import expanded_uncertainty
+from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.results import ResultPart
 
 #: Whether what a calibration says may be relied on: fully, with what its findings say in mind, or
@@ -59,6 +69,67 @@ class Coefficient(ResultPart):
     unit: str
     estimated: bool
 
+    _gravity: StatedGravity | None = PrivateAttr(default=None)
+
+    def __str__(self) -> str:
+        """Return such as ``27.04160(72) ug/g^2``, in the unit of the field."""
+        unit, factor = field_unit(self.unit)
+        if self.value is None or self.u is None:
+            return NOT_DETERMINED
+        text = f"{format_compact(self.value * factor, self.u * factor)} {unit}"
+        return text if self.estimated else f"{text} (prior, {NOT_DETERMINED})"
+
+    __repr__ = __str__
+
+    def _repr_latex_(self) -> str:
+        unit, factor = field_unit(self.unit)
+        if self.value is None or self.u is None:
+            return NOT_DETERMINED
+        number = latex_number(format_compact(self.value * factor, self.u * factor))
+        return rf"${number}\,{latex_unit(unit)}$"
+
+    def interval(self, coverage: float = 0.95) -> tuple[float, float]:
+        """Return the coverage interval by Student's t, in `unit` (GUM G.3).
+
+        Parameters
+        ----------
+        coverage
+            Its probability, between 0 and 1.
+
+        Raises
+        ------
+        ValueError
+            If the coefficient is not determined, or there is no such probability.
+        """
+        if not 0.0 < coverage < 1.0:
+            raise ValueError(f"a coverage probability lies between 0 and 1; got {coverage}")
+        value, u = self._stated()
+        half = expanded_uncertainty(u, self.dof, coverage)
+        return value - half, value + half
+
+    def to_si(self, gravity: float | None = None) -> SiEstimate:
+        """Return the coefficient in SI, where much of what an uncertain g does to it cancels.
+
+        Parameters
+        ----------
+        gravity
+            An exact g of the unit, m/s^2. None: that of the result which the coefficient is of.
+
+        Raises
+        ------
+        ValueError
+            If the coefficient is not determined, or stands in no result and no g is given.
+        """
+        stated = self._gravity if gravity is None else StatedGravity(gravity)
+        if stated is None:
+            raise ValueError("this coefficient stands in no result: say which `gravity` it is in")
+        return si_estimate(*self._stated(), self.unit, self.dof, stated)
+
+    def _stated(self) -> tuple[float, float]:
+        if self.value is None or self.u is None:
+            raise ValueError("the records do not determine this coefficient")
+        return self.value, self.u
+
 
 def countable(dof: float) -> float | None:
     """Return degrees of freedom as a result states them: None where they are as good as infinite.
@@ -68,11 +139,27 @@ def countable(dof: float) -> float | None:
     return dof if dof < _AS_GOOD_AS_INFINITE else None
 
 
-class Correlation(ResultPart):
-    """Correlation matrix of the estimated coefficients, rows in the order of `terms`."""
+class Correlation(ResultPart, Labelled):
+    """Correlation matrix of the estimated coefficients, rows in the order of `terms`.
+
+    ``correlation["K_F", "K_II"]`` is one of them, ``np.asarray(correlation)`` all.
+    """
 
     terms: list[str]
     matrix: list[list[float]]
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The terms."""
+        return tuple(self.terms)
+
+    @property
+    def values(self) -> Array:
+        """The correlations, shape (p, p)."""
+        return np.array(self.matrix)
+
+    __repr__ = Labelled.__repr__
+    __str__ = Labelled.__repr__
 
 
 class ConfoundedTerms(ResultPart):
@@ -230,6 +317,8 @@ class Finding(ResultPart):
         where it has no size.
     contradicts
         Whether the records contradict the result, so that it must not be used.
+    explains
+        Of a cause: what else was found and would not be if this were put right.
     """
 
     code: str
@@ -237,6 +326,7 @@ class Finding(ResultPart):
     text: str
     size: float | None = None
     contradicts: bool = False
+    explains: list[Finding] = []
 
 
 class Fold(ResultPart):
@@ -301,16 +391,55 @@ class Trace(ResultPart):
 class ReadingResult(ResultPart):
     """One reading: value, standard uncertainty and residual in g; `z` is None where it fits wholly.
 
-    `rate` in rad/s; `z` is the residual over its own standard deviation.
+    `rate` in rad/s; `z` is the residual over its own standard deviation. The axes are in the frame
+    of the motion: east, north, up, or outward, forward, up on an arm.
     """
 
     name: str
     motion: str
+    mounting: str = ""
+    input_axis: tuple[float, ...] = ()
+    pendulous_axis: tuple[float, ...] = ()
     rate: float
     value: float
     u: float
     residual: float
     z: float | None
+
+
+class Shift(ResultPart):
+    """How far a coefficient moves when something is left out; `z` is the shift over its u."""
+
+    shift: float
+    u: float
+    z: float
+
+
+class KindOfTest(ResultPart):
+    """What one kind of test says of an accelerometer, and how far it agrees with the others.
+
+    Attributes
+    ----------
+    kind
+        ``at rest``, ``arm`` or ``double turntable``.
+    count
+        Of its records and readings.
+    coefficients
+        By this kind alone, with all that is known beforehand; None where it does not determine one.
+    without
+        By coefficient that the others determine: how far it moves when this kind is left out.
+    chi2, dof, p
+        Squares of what the kind says less what the others predict over their variances, in how many
+        directions, and the probability of more; None where the others predict nothing of it.
+    """
+
+    kind: str
+    count: int
+    coefficients: dict[str, Coefficient]
+    without: dict[str, Shift] = {}
+    chi2: float
+    dof: int
+    p: float | None
 
 
 class AccelerometerResult(ResultPart):
@@ -339,6 +468,8 @@ class AccelerometerResult(ResultPart):
         By run: residuals for pictures.
     readings
         Single values, at rest, on an arm or on a turntable.
+    kinds
+        Each kind of test beside the others; empty where there is one kind only.
     output
         ``bias`` and ``scale_factor`` in the unit of its readings; empty where that is g.
     """
@@ -362,6 +493,7 @@ class AccelerometerResult(ResultPart):
     conformity: dict[str, Conformity] = {}
     traces: dict[str, Trace] = {}
     readings: list[ReadingResult] = []
+    kinds: list[KindOfTest] = []
     output: dict[str, Coefficient] = {}
     warnings: list[str] = []
 
@@ -434,11 +566,24 @@ class Provenance(ResultPart):
     version
         Of counterspin.
     inputs
-        By file, its SHA-256.
+        By file, its SHA-256; of what was in memory, that of the file's text as it would be
+        written, or of the arrays.
+    in_memory
+        Those of them that no file says, and why: ``made in Python``, ``changed`` and the keys, or
+        ``arrays``.
     options
         Of the command, as they are typed, where they are not the defaults.
     """
 
     version: str
     inputs: dict[str, str]
+    in_memory: dict[str, str] = {}
     options: list[str] = []
+
+    @property
+    def shown(self) -> list[tuple[str, str]]:
+        """The inputs as a report lists them, each with its checksum."""
+        return [
+            (f"{name} (in memory)" if name in self.in_memory else name, checksum)
+            for name, checksum in self.inputs.items()
+        ]

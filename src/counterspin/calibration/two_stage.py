@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,6 +34,7 @@ from counterspin.calibration.two_stage_findings import (
 )
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.variance_components import VarianceComponents
@@ -42,11 +43,10 @@ from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import term
+from counterspin.physics.shared_terms import OWN_TERMS, term
 
 
-@dataclass(frozen=True)
+@frozen
 class TwoStageOutcome:
     """Both stages of one accelerometer: what the result says, and what it says it from."""
 
@@ -230,7 +230,7 @@ def _coefficients(
             estimate if estimate.estimated and alone else _known(accelerometer, symbol)
         )
     for symbol in campaign.model.terms:
-        if symbol in TERMS and symbol not in coefficients:
+        if symbol in OWN_TERMS and symbol not in coefficients:
             coefficients[symbol] = _known(accelerometer, symbol)
     return coefficients
 

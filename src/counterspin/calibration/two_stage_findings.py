@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.findings import CONTRADICTS, equivalent_deviations, hidden_noise
-from counterspin.calibration.joint_problem import left_out_of
+from counterspin.calibration.joint_problem import exact_terms, left_out_of
 from counterspin.calibration.result_parts import (
     Coefficient,
     ConfoundedTerms,
@@ -39,7 +39,9 @@ def asked_only(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, .
 
 def unmodelled(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, ...]:
     """Return the terms that nothing is known of beforehand, asked for or not."""
-    others = [other.symbol for other in left_out_of(campaign, accelerometer.name)]
+    exact = exact_terms(campaign, accelerometer.name)
+    everything = left_out_of(campaign, accelerometer.name)
+    others = [other.symbol for other in everything if other.symbol not in exact]
     return tuple(dict.fromkeys([*asked_only(campaign, accelerometer), *others]))
 
 

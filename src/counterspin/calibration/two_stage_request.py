@@ -37,12 +37,18 @@ def request_of(
     Raises
     ------
     NotIdentifiableError
-        If the accelerometer's record is not a displacement along a horizontal axis.
+        If the accelerometer's record is not a displacement along a horizontal axis, or its bias
+        wanders.
     """
     if accelerometer.observable != "displacement":
         raise NotIdentifiableError(
             f"{accelerometer.name}: the two-stage method needs the displacement, and this record "
             f"is of {accelerometer.observable.replace('_', ' ')}; use the joint method"
+        )
+    if campaign.noise is not None and campaign.noise.wanders:
+        raise NotIdentifiableError(
+            f"{accelerometer.name}: the two-stage method knows nothing of a bias that wanders "
+            "(noise.flicker, noise.bias_walk); use the joint method"
         )
     for run in campaign.runs:
         strobe_angle(accelerometer.mounting.turned(run.attitude).input_axis)

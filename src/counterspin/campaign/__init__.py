@@ -10,9 +10,17 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `truth`: the true values of a simulated campaign; a calibration does not read them
 - `specification`: tolerance limits of coefficients, and the decision rule
 - `resolved`: the campaign as the calculation sees it, in SI
-- `toml_file`: files in TOML; `description`: `read_campaign`, from the file to the resolved campaign
-- `readings`, `machine`: single values, at rest or on a machine; what the machine does to them
+- `toml_file`, `toml_text`: files in TOML, read and written
+- `description`: `read_campaign`, from the file to the resolved campaign
+- `readings`, `readings_table`: single values, at rest or on a machine, in runs or in a table
+- `machine`: what the machine does to them
+- `reading_groups`: such values as simulation and fit take them
+- `questions`: what a description says that may well be a slip
+- `conditions`: when runs were made, and how warm it was
+- `memory`: campaigns made or changed in Python, and written as folders
 - `checksums`: of a campaign's files
 - `starter`: a commented campaign to start from
-- `simulation`: records of a campaign whose coefficients are known
+- `simulation`: records and readings of a campaign whose coefficients are known
+- `reading_truth`, `reading_simulation`, `reading_files`: what is true of simulated readings, their
+  values, and the files that have them
 """

@@ -100,6 +100,8 @@ class Problems:
                 if kind == "extra_forbidden":
                     known = _known_keys(model, loc[:-1])
                     message = "unknown key" + did_you_mean(str(loc[-1]), known)
+                elif kind == "literal_error" and loc[-1] != "schema":
+                    message = f"{str(mistake['input'])!r} is none of {mistake['ctx']['expected']}"
                 elif kind == "value_error":
                     message = str(mistake["ctx"]["error"])
                 else:

@@ -14,16 +14,19 @@ from pathlib import Path
 from typing import Any
 
 from counterspin.campaign.checking import M, Problems
-from counterspin.campaign.machine import MachineModel, resolve_machine
-from counterspin.campaign.quantity import Quantity, parse, unit_factor
+from counterspin.campaign.conditions import check_conditions
+from counterspin.campaign.machine import MachineModel, errors_of_the_path, resolve_machine
+from counterspin.campaign.memory.source import Source, keep
+from counterspin.campaign.quantity import Quantity, check_unit, parse, unit_factor
+from counterspin.campaign.reading_truth import of_records, resolve_reading_truth
 from counterspin.campaign.readings import (
     Output,
     Reading,
     is_reading,
-    read_table,
     read_temperature,
     resolve_reading,
 )
+from counterspin.campaign.readings_table import read_table
 from counterspin.campaign.resolved import (
     Accelerometer,
     Campaign,
@@ -55,7 +58,7 @@ from counterspin.campaign.terms import (
     about_nominal,
     refuse_encoder,
     resolve_model,
-    with_stretch,
+    with_errors_of_the_path,
 )
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
@@ -108,7 +111,7 @@ def read_campaign(path: Path | str) -> Campaign:
     campaign = resolve_campaign(raw, file, problems)
     if campaign is None:
         raise CampaignError(str(file), problems.lines)
-    return replace(campaign, checksum=checksum)
+    return keep(campaign, Source(raw, campaign.path, checksum, raw))
 
 
 def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> Campaign | None:
@@ -141,6 +144,7 @@ class _DescriptionReader:
         self.raw_accelerometers = self._table("accelerometers")
         runs = raw.get("runs")
         self.raw_runs = runs if isinstance(runs, list) else []
+        self.table_checksums: dict[Path, str] = {}
 
     def _table(self, key: str) -> Mapping[str, Any]:
         value = self.raw.get(key)
@@ -180,15 +184,22 @@ class _DescriptionReader:
         if settings is not None:
             attitudes = [run.attitude for run in runs]
             if readings:
-                settings, machine = resolve_machine(settings, centrifuge, readings, problems)
+                settings, machine = resolve_machine(
+                    settings, centrifuge, readings, problems, recorded=bool(runs)
+                )
             model, priors = resolve_model(
                 settings, mountings, attitudes, given, problems=problems, gravity=gravity
             )
-            if not readings and centrifuge is not None and centrifuge.stretch is not None:
-                model = with_stretch(model, centrifuge.stretch, problems)
+            if not readings and centrifuge is not None:
+                model = with_errors_of_the_path(model, errors_of_the_path(centrifuge), problems)
             if records is not None and records.angle is None:
                 refuse_encoder(model, problems)
-        simulation = self._simulation(noise) if self.simulated else None
+            reference = self._reference_temperature(centrifuge)
+            also = (*machine.terms, *machine.considered)
+            check_conditions(model, also, self._placed(runs), reference, problems)
+        simulation = None
+        if self.simulated:
+            simulation = self._simulation(noise, readings, outputs, centrifuge)
         specifications = self._specifications()
         if problems.lines:
             return None
@@ -205,6 +216,7 @@ class _DescriptionReader:
                 priors[name],
                 table.serial_number,
                 outputs[name],
+                self._force(name, table, outputs[name]),
             )
             for name, table in tables.items()
             if table is not None
@@ -218,13 +230,18 @@ class _DescriptionReader:
             title=info.title or self.file.parent.name,
             path=self.file,
             folder=self.file.parent,
-            site=Site(site.gravity.value, site.latitude.value),
+            site=Site(
+                site.gravity.value,
+                site.latitude.value,
+                removed_gravity=site.removed_gravity,
+            ),
             gravity=site.gravity,
             latitude=site.latitude,
             radius=centrifuge.radius if centrifuge else Quantity(0.0, 0.0, "m"),
             time=self._channel(records.time, "s") if records else Channel("", 1.0, "s"),
             angle=self._channel(records.angle, "rad") if records and records.angle else None,
             timing_offset=records.timing_offset if records else None,
+            own_velocity=records is not None and records.reference == "own velocity",
             accelerometers=accelerometers,
             noise=noise,
             model=model,
@@ -236,6 +253,7 @@ class _DescriptionReader:
             machine=machine,
             reference_temperature=self._reference_temperature(centrifuge),
             tables=self._tables(),
+            table_checksums=self.table_checksums,
         )
 
     def _check_sections(self, readings: Sequence[Reading]) -> None:
@@ -254,14 +272,17 @@ class _DescriptionReader:
             if table is None or table.output is None:
                 continue
             path = ("accelerometers", name, "output")
-            wanted = f"{table.output.unit}/g"
+            unit = self.problems.attempt((*path, "unit"), check_unit, table.output.unit)
+            if unit is None:
+                continue
+            wanted = f"{unit}/g"
             sensitivity = self.problems.attempt(
                 (*path, "sensitivity"), exact, table.output.sensitivity, wanted
             )
             if sensitivity == 0.0:
                 self.problems.add((*path, "sensitivity"), "must not be zero")
             elif sensitivity is not None:
-                outputs[name] = Output(table.output.unit, sensitivity)
+                outputs[name] = Output(unit, sensitivity)
         return outputs
 
     def _readings(
@@ -271,10 +292,12 @@ class _DescriptionReader:
             (raw, ("runs", index)) for index, raw in enumerate(self.raw_runs) if is_reading(raw)
         ]
         if "readings" in self.raw:
-            runs += read_table(self.raw["readings"], self.file.parent, outputs, self.problems)
-        readings = []
+            folder, checksums = self.file.parent, self.table_checksums
+            runs += read_table(self.raw["readings"], folder, outputs, self.problems, checksums)
+        readings: list[Reading] = []
+        blank: list[tuple[str | int, ...]] = []
         for raw, path in runs:
-            readings += resolve_reading(
+            own = resolve_reading(
                 raw,
                 path,
                 mountings,
@@ -283,7 +306,23 @@ class _DescriptionReader:
                 problems=self.problems,
                 gravity=self.gravity,
             )
+            if any(math.isnan(reading.value) for reading in own):
+                blank.append((*path, "reading"))
+            readings += [self._with_length(reading) for reading in own]
+        if blank and not self.simulated:
+            others = f", nor have {len(blank) - 1} others" if len(blank) > 1 else ""
+            self.problems.add(
+                blank[0],
+                f"has no value yet{others}; write what was read, or [truth] to simulate it",
+            )
         return tuple(readings)
+
+    def _with_length(self, reading: Reading) -> Reading:
+        """Return a reading with the length of its record, where it is simulated on a machine."""
+        if reading.duration is not None or not reading.rate or not self.simulated:
+            return reading
+        turns = self._sampling().revolutions
+        return replace(reading, duration=turns * 2.0 * math.pi / abs(reading.rate))
 
     def _tables(self) -> tuple[Path, ...]:
         """Return the files of readings."""
@@ -313,6 +352,18 @@ class _DescriptionReader:
                 return Channel("", 1.0, "")
         factor = self.problems.attempt(path, unit_factor, settings.unit, output.unit) or 1.0
         return Channel(settings.column, factor / output.sensitivity * self.gravity, settings.unit)
+
+    def _force(self, name: str, table: Any, output: Output | None) -> Channel | None:
+        """Return the column that records on an arm or at rest are read from, if there are any."""
+        if not any(is_reading(raw) and "record" in raw for raw in self.raw_runs):
+            return None
+        if table.specific_force is None:
+            self.problems.add(
+                ("accelerometers", name),
+                "has no specific_force: the column of its records on an arm or at rest",
+            )
+            return None
+        return self._recorded(name, table, "specific_force", output)
 
     def _channel(self, settings: Any, si_unit: str) -> Channel:
         if settings is None:
@@ -364,8 +415,12 @@ class _DescriptionReader:
             if not isinstance(table, dict):
                 continue
             given = [key for key in OBSERVABLES if key in table]
-            if not given and not any(not is_reading(raw) for raw in self.raw_runs):
+            turned = any(not is_reading(raw) for raw in self.raw_runs)
+            carried = any(is_reading(raw) and "record" in raw for raw in self.raw_runs)
+            if not turned and (not given or carried):
                 observables[name] = "specific_force"  # readings are all there is of it
+            elif turned and carried and len(given) == 2 and given[-1] == "specific_force":
+                observables[name] = given[0]  # the other one is of records on an arm or at rest
             elif len(given) == 1:
                 observables[name] = given[0]
             else:
@@ -406,7 +461,12 @@ class _DescriptionReader:
         if table.output is None:
             self.problems.add(path, "needs output = { unit = ..., sensitivity = ... } beside it")
             return None
-        unit = f"{table.output.unit}/g"
+        plain = self.problems.attempt(
+            ("accelerometers", name, "output", "unit"), check_unit, table.output.unit
+        )
+        if plain is None:
+            return None
+        unit = f"{plain}/g"
         known = self.problems.attempt(path, parse, table.sensitivity_prior, unit)
         nominal = self.problems.attempt(path, parse, table.output.sensitivity, unit)
         if known is None or nominal is None or nominal.value == 0.0:
@@ -415,7 +475,7 @@ class _DescriptionReader:
 
     def _runs(self) -> list[Run]:
         runs = []
-        truth = self._table("truth")
+        truth = of_records(self._table("truth"), {}, self.problems)
         default = self._sampling()
         names: dict[str, int] = {}
         records: dict[str, int] = {}
@@ -442,11 +502,31 @@ class _DescriptionReader:
                 )
             elif settings.truth is not None:
                 self.problems.add((*path, "truth"), "needs [simulation] or [truth] beside it")
-            record = self.file.parent / settings.record
+            warmth = self.problems.attempt(
+                (*path, "temperature"), read_temperature, settings.temperature
+            )
             runs.append(
-                Run(settings.name, settings.rate, record, settings.attitude, duration, own_truth)
+                Run(
+                    name=settings.name,
+                    rate=settings.rate,
+                    record=self.file.parent / settings.record,
+                    attitude=settings.attitude,
+                    duration=duration,
+                    truth=own_truth,
+                    temperature=warmth,
+                    time=settings.time,
+                )
             )
         return runs
+
+    def _placed(self, runs: Sequence[Run]) -> list[tuple[int, Run]]:
+        """Return runs with their places in the description."""
+        places = {
+            raw.get("name"): place
+            for place, raw in enumerate(self.raw_runs)
+            if isinstance(raw, dict) and isinstance(raw.get("name"), str)
+        }
+        return [(places[run.name], run) for run in runs]
 
     def _once(
         self, value: Any, seen: dict[str, int], path: tuple[str | int, ...], index: int
@@ -460,15 +540,31 @@ class _DescriptionReader:
         )
         return settings or SimulationSettings()
 
-    def _simulation(self, noise: StatedNoise | None) -> Simulation:
-        return resolve_simulation(
+    def _simulation(
+        self,
+        noise: StatedNoise | None,
+        readings: Sequence[Reading],
+        outputs: Mapping[str, Output | None],
+        centrifuge: CentrifugeSettings | None,
+    ) -> Simulation:
+        simulation = resolve_simulation(
             self._sampling(),
-            self._table("truth"),
+            of_records(self._table("truth"), outputs, self.problems),
             self.raw_accelerometers,
             noise,
             problems=self.problems,
             gravity=self.gravity,
         )
+        machine, spread = resolve_reading_truth(
+            self._table("truth"),
+            readings,
+            outputs,
+            centrifuge,
+            problems=self.problems,
+            gravity=self.gravity,
+        )
+        truth = replace(simulation.truth, machine=machine, reading_noise=spread)
+        return replace(simulation, truth=truth)
 
     def _specifications(self) -> Specifications | None:
         if not isinstance(self.raw.get("specification"), dict):

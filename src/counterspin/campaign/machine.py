@@ -2,20 +2,25 @@
 
 - `MachineModel`: what is estimated and what is considered
 - `symbols_shown`: every term of the machine that readings can show
+- `errors_of_the_path`: what [centrifuge] says of terms that records show too
 - `resolve_machine`: takes them out of [model], whose other terms are settled in `terms`
+- `expand`: what a name stands for; `less_nominal`: a radius as a deviation
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Final
 
 from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
+from counterspin.campaign.toml_file import flat_keys
+from counterspin.frozen import frozen
+from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.machine import MACHINE_TERMS, machine_term
 from counterspin.physics.shared_terms import SHARED_TERMS
 
@@ -37,7 +42,7 @@ _AT_REST: Final = ["K_F", "K_I"]
 _TURNING: Final = [*_AT_REST, "K_II"]
 
 
-@dataclass(frozen=True)
+@frozen
 class MachineModel:
     """What is estimated and considered of the machine.
 
@@ -64,6 +69,8 @@ def resolve_machine(
     centrifuge: CentrifugeSettings | None,
     readings: Sequence[Reading],
     problems: Problems,
+    *,
+    recorded: bool = False,
 ) -> tuple[ModelSettings, MachineModel]:
     """Take the machine's terms out of [model].
 
@@ -72,19 +79,27 @@ def resolve_machine(
     settings
         The section as it stands.
     centrifuge
-        The machine, if there is one; its stretch and droop are priors.
+        The machine, if there is one; its stretch, droop and tilt are priors.
     readings
         Of the campaign, at least one.
     problems
         Where mistakes are noted.
+    recorded
+        Whether there are records of a double turntable beside the readings.
 
     Returns
     -------
     tuple
         The section without the machine's terms, and these.
     """
-    known = symbols_shown(readings)
+    known = symbols_shown(readings, recorded=recorded)
     terms = _expanded(settings.terms or (), "terms", known, problems)
+    for index, name in enumerate(settings.terms or ()):
+        if name in CONDITION_TERMS and CONDITION_TERMS[name].condition == "force":
+            problems.add(
+                ("model", "terms", index),
+                f'"{name}" cannot be told from K_II; put it into model.considered, with a prior',
+            )
     considered = _expanded(settings.considered, "considered", known, problems)
     priors = _of_centrifuge(centrifuge, known) | _given(
         settings.priors, known, centrifuge, problems
@@ -99,22 +114,47 @@ def resolve_machine(
     considered += tuple(s for s, prior in priors.items() if s not in used and _counts(s, prior))
     left = settings.model_copy(
         update={
-            "terms": _own_terms(settings, readings),
+            "terms": _own_terms(settings, readings, recorded),
             "considered": [name for name in settings.considered if not _is_machine(name)],
-            "priors": {k: v for k, v in _flat(settings.priors).items() if not _is_machine(k)},
+            "priors": {k: v for k, v in flat_keys(settings.priors).items() if not _is_machine(k)},
         }
     )
     return left, MachineModel(terms, considered, priors)
 
 
-def _own_terms(settings: ModelSettings, readings: Sequence[Reading]) -> list[str] | None:
+def _own_terms(
+    settings: ModelSettings, readings: Sequence[Reading], recorded: bool
+) -> list[str] | None:
     """Return the accelerometer's and platform's terms to estimate; None: the usual ones."""
     if settings.terms is not None:
         return [name for name in settings.terms if not _is_machine(name)]
     motions = {reading.motion for reading in readings}
-    if motions == {"static"}:
-        return list(_AT_REST)
-    return None if "counter-rotating" in motions else list(_TURNING)
+    if "counter-rotating" in motions or recorded:
+        return None
+    terms = _AT_REST if motions == {"static"} else _TURNING
+    return [*terms, *_misalignments(readings, len(terms))]
+
+
+def _misalignments(readings: Sequence[Reading], beside: int) -> list[str]:
+    """Return the misalignments that positions at rest show, as far as there are readings for them.
+
+    An instrument is never on its fixture without any: left out they would be a lack of fit.
+    """
+    shown: list[str] = []
+    for symbol, axis in (("delta_O", 1), ("delta_P", 2)):
+        along = {round(r.axes.matrix[axis][2], 6) for r in readings if r.motion == "static"}
+        if len(along) > 1 and len(readings) > beside + len(shown) + 1:
+            shown.append(symbol)
+    return shown
+
+
+def errors_of_the_path(centrifuge: CentrifugeSettings) -> dict[str, Quantity]:
+    """Return the priors that [centrifuge] gives to terms that records show too."""
+    priors = {} if centrifuge.stretch is None else {"centrifuge.stretch": centrifuge.stretch}
+    if centrifuge.axis_tilt is not None:
+        axes = ("centrifuge.axis_tilt.east", "centrifuge.axis_tilt.north")
+        priors |= dict.fromkeys(axes, centrifuge.axis_tilt)
+    return priors
 
 
 def _of_centrifuge(
@@ -123,11 +163,9 @@ def _of_centrifuge(
     """Return what [centrifuge] says of the machine's terms, as deviations."""
     if centrifuge is None:
         return {}
-    priors = {
-        f"centrifuge.{key}": quantity
-        for key in ("stretch", "droop")
-        if (quantity := getattr(centrifuge, key)) is not None
-    }
+    priors = errors_of_the_path(centrifuge)
+    if centrifuge.droop is not None:
+        priors["centrifuge.droop"] = centrifuge.droop
     radius = Quantity(0.0, centrifuge.radius.u, "m")
     radii = (symbol for symbol in known if symbol.startswith("centrifuge.radius."))
     return priors | (dict.fromkeys(radii, radius) if radius.u else {})
@@ -141,11 +179,11 @@ def _given(
 ) -> dict[str, Quantity]:
     """Return what [model.priors] says of the machine's terms, as deviations."""
     priors: dict[str, Quantity] = {}
-    for key, text in _flat(raw).items():
+    for key, text in flat_keys(raw).items():
         if not _is_machine(key):
             continue
         path = ("model", "priors", key)
-        symbols = _expand(key, known)
+        symbols = expand(key, known)
         if not symbols:
             problems.add(path, f'no reading shows "{key}"' + did_you_mean(key, known))
         for symbol in symbols:
@@ -153,7 +191,7 @@ def _given(
             assert row is not None
             prior = problems.attempt(path, parse, text, row.unit)
             if prior is not None:
-                priors[symbol] = _less_nominal(symbol, prior, centrifuge)
+                priors[symbol] = less_nominal(symbol, prior, centrifuge)
     return priors
 
 
@@ -162,7 +200,7 @@ def _counts(symbol: str, prior: Quantity) -> bool:
     return prior.u > 0.0 and not symbol.startswith("centrifuge.radius.")
 
 
-def _less_nominal(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | None) -> Quantity:
+def less_nominal(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | None) -> Quantity:
     """Return a prior as a deviation: a radius may be given as such, or as its deviation."""
     if not symbol.startswith("centrifuge.radius.") or centrifuge is None:
         return prior
@@ -171,9 +209,10 @@ def _less_nominal(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings |
     return Quantity(value, prior.u, prior.unit)
 
 
-def symbols_shown(readings: Sequence[Reading]) -> tuple[str, ...]:
-    """Return every term of the machine that these readings can show."""
-    motions = {reading.motion for reading in readings}
+def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tuple[str, ...]:
+    """Return every term of the machine that these readings can show, and records beside them."""
+    motions = {str(reading.motion) for reading in readings}
+    motions |= {"counter-rotating"} if recorded else set()
     mountings = dict.fromkeys((r.mounting, r.motion) for r in readings if r.mounting)
     symbols: dict[str, None] = {}
     for row in MACHINE_TERMS.values():
@@ -190,13 +229,14 @@ def symbols_shown(readings: Sequence[Reading]) -> tuple[str, ...]:
 
 
 def _is_machine(name: str) -> bool:
-    if machine_term(name) is not None:
+    whole = "." in name and any(symbol.startswith(f"{name}.") for symbol in MACHINE_TERMS)
+    if whole or machine_term(name) is not None:
         return True
     shown_by_records = any(f"{symbol}.".startswith(f"{name}.") for symbol in SHARED_TERMS)
     return name.startswith(_FAMILIES) and not shown_by_records
 
 
-def _expand(name: str, known: Iterable[str]) -> tuple[str, ...]:
+def expand(name: str, known: Iterable[str]) -> tuple[str, ...]:
     """Return the terms that a name stands for: itself, or all that begin with it."""
     return tuple(s for s in known if s == name or s.startswith(f"{name}."))
 
@@ -208,19 +248,9 @@ def _expanded(
     for index, name in enumerate(names):
         if not _is_machine(name):
             continue
-        found = _expand(name, known)
+        found = expand(name, known)
         if not found:
             path: Path = ("model", key, index)
             problems.add(path, f'no reading shows "{name}"' + did_you_mean(name, known))
         symbols |= dict.fromkeys(found)
     return tuple(symbols)
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{key}.")
-        else:
-            flat[prefix + key] = value
-    return flat

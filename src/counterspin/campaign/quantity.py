@@ -10,7 +10,7 @@ Where the site's gravity is given, m/s^2 and g convert into each other.
 
 - `Quantity`: value, standard uncertainty, unit
 - `parse`: text to `Quantity` in the unit that is wanted
-- `unit_factor`: the factor from one unit to another
+- `unit_factor`: the factor from one unit to another; `check_unit`: a unit alone
 - `NUMBER`, `PLUS_MINUS`: patterns of a number and of the sign before an uncertainty
 """
 
@@ -19,9 +19,10 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
+
+from counterspin.frozen import frozen
 
 #: The dimensions.
 BASES: Final = (
@@ -91,6 +92,7 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
     "Hz": ("a frequency", "Hz, kHz, 1/s"),
     "1": ("a plain ratio", "1, ppm"),
     "m/s^2/Hz^0.5": ("a random-walk coefficient", "g/Hz^0.5, ug/Hz^0.5, m/s^2/Hz^0.5, m/s/s^0.5"),
+    "m/s^2/s^0.5": ("a random walk of a bias", "ug/h^0.5, g/s^0.5, m/s^2/s^0.5"),
     "g": ("a specific force", "g, mg, ug"),
     "g/g": ("a scale factor", "g/g, ppm"),
     "g/g^2": ("a second-order coefficient", "g/g^2, mg/g^2, ug/g^2"),
@@ -101,6 +103,9 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
     "rad/g": ("a compliance", "arcsec/g, rad/g"),
     "s^2/m": ("a stretch per acceleration", "s^2/m, ppm/g"),
 }
+
+#: No quantity takes more characters.
+_LONGEST: Final = 500
 
 #: Sizes of measured quantities, in SI and g-units; squares of sizes outside could overflow.
 _SIZE_RANGE: Final = (1e-60, 1e60)
@@ -118,7 +123,7 @@ _FACTOR = re.compile(
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class Quantity:
     """A value with its standard uncertainty.
 
@@ -172,6 +177,8 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
         if not math.isfinite(text):  # type: ignore[arg-type]
             raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
         raise ValueError(f'a number without its unit; write "{example}" ({kind}: {accepted})')
+    if len(text) > _LONGEST:
+        raise ValueError(f"a quantity has at most {_LONGEST} characters; this has {len(text)}")
     clean = text.strip().replace("−", "-")
     if _NOT_FINITE.search(clean):
         raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
@@ -222,8 +229,7 @@ def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> floa
         wanted: 1 Hz of rotation may mean 1 rev/s or 1 rad/s.
     """
     kind, accepted = _advice(wanted)
-    written = unit.strip().replace("**", "^").replace("µ", "u").replace("μ", "u")
-    written = written.replace("°", "deg").replace("·", "*").replace("²", "^2").replace("³", "^3")
+    written = _plain(unit)
     names = _names(written, kind, accepted)
     if not names <= set(UNITS):
         unknown = ", ".join(sorted(repr(name) for name in names - set(UNITS)))
@@ -248,6 +254,26 @@ def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> floa
     if power != 0.0 and gravity is not None:
         factor *= gravity**-power
     return factor
+
+
+def _plain(unit: str) -> str:
+    """Return a unit without the signs that stand for others."""
+    written = unit.strip().replace("**", "^").replace("µ", "u").replace("μ", "u")
+    return written.replace("°", "deg").replace("·", "*").replace("²", "^2").replace("³", "^3")
+
+
+def check_unit(unit: str) -> str:
+    """Return a unit in which something is wanted, in plain signs; ValueError if it is none."""
+    written = _plain(unit[:_LONGEST])
+    wrong = f"{unit!r} is not a unit that is known here"
+    try:
+        known = _names(written, wrong, "m, V, mA, ...") <= set(UNITS)
+        factor, _ = _evaluate(written) if known else (math.nan, {})
+    except ValueError as error:
+        raise ValueError(wrong) from error
+    if not 0.0 < factor < math.inf:
+        raise ValueError(wrong)
+    return written
 
 
 def _unit_once(value: str, twice: re.Match[str], gravity: float | None) -> str:

@@ -1,21 +1,20 @@
 """Readings in a campaign: runs with one value each, at rest, on an arm or on a double turntable.
 
-They stand in ``[[runs]]`` with a ``reading``, or in a table that ``[readings]`` names: every row of
-the table becomes such a run, so that both are checked alike.
+They stand in ``[[runs]]`` with a ``reading``, or in a table that ``[readings]`` names
+(`counterspin.campaign.readings_table`): every row of the table becomes such a run, so that both are
+checked alike.
 
-- `ReadingRunSettings`, `ReadingsSettings`: what may stand there
-- `Reading`, `Output`: what comes of it
+- `ReadingRunSettings`, `ReadingAxes`: what may stand there
+- `Reading`, `Output`: what comes of it; `BLANK`: in place of a value
 - `is_reading`: which of the runs are readings
-- `read_table`: the rows of a table as runs; `resolve_reading`: a run as readings
+- `resolve_reading`: a run as readings
 """
 
 from __future__ import annotations
 
-import io
 import math
 import re
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -27,9 +26,19 @@ from counterspin.campaign.attitude import attitude_rows, read_direction
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.quantity import parse
-from counterspin.campaign.settings import SettingsSection, Text, read_exactly
+from counterspin.campaign.settings import (
+    PositiveRatio,
+    Seconds,
+    SettingsSection,
+    Text,
+    read_exactly,
+)
+from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import FRAMES, MotionKind
+
+#: Stands where a reading has no value yet: before it is taken, or simulated.
+BLANK: Final = "?"
 
 #: Kelvin at 0 degC; only differences of temperature count.
 _ZERO_CELSIUS: Final = 273.15
@@ -37,8 +46,12 @@ _ZERO_CELSIUS: Final = 273.15
 _TEMPERATURE = re.compile(r"\s*([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s*(degC|°C|K)\s*")
 _TURN = re.compile(r"(.+?)\s+about\s+(\w+)")
 
-#: Columns that a table of readings may have, beside those of the readings themselves.
-_COLUMNS: Final = ("name", "motion", "rate", "attitude", "temperature", "time", "mounting")
+#: The motions, as they are written.
+MotionWord = Literal["counter-rotating", "arm", "static"]
+
+
+#: A reading, or repeats of one at the same setting.
+Written = Text | Annotated[list[Text], Field(min_length=1)]
 
 
 class ReadingAxes(SettingsSection):
@@ -52,31 +65,20 @@ class ReadingRunSettings(SettingsSection):
     """[[runs]] with a reading: one value at one station."""
 
     name: Text
-    motion: Literal["counter-rotating", "arm", "static"] = "counter-rotating"
-    reading: Text | dict[str, Text] | None = None
+    motion: MotionWord = "counter-rotating"
+    reading: Written | dict[str, Written] | None = None
     record: Text | None = None
     rate: Annotated[float, read_exactly("rad/s")] = 0.0
-    attitude: Any = "level"
+    attitude: Any = None
     axes: ReadingAxes | None = None
     mounting: str = ""
     temperature: Text | None = None
     time: Annotated[float, read_exactly("s")] | None = None
+    duration: Seconds | None = None
+    revolutions: PositiveRatio | None = None
 
 
-class ReadingsSettings(SettingsSection):
-    """[readings]: a table in place of many [[runs]]."""
-
-    file: Text
-    columns: dict[str, str | dict[str, str]] = Field(min_length=1)
-    motion: Literal["counter-rotating", "arm", "static"] = "static"
-    about: Text = "north"
-    attitude_unit: Text = "deg"
-    rate_unit: Text = "rad/s"
-    axes: ReadingAxes | None = None
-    mounting: str = ""
-
-
-@dataclass(frozen=True)
+@frozen
 class Output:
     """What an accelerometer's readings are in.
 
@@ -92,7 +94,7 @@ class Output:
     sensitivity: float
 
 
-@dataclass(frozen=True)
+@frozen
 class Reading:
     """One reading of one accelerometer.
 
@@ -106,7 +108,7 @@ class Reading:
         rad/s.
     value, u
         Indication in g by the nominal sensitivity, and its standard uncertainty; None: not stated.
-        Of a record, 0 and None until it is read.
+        Of a record, 0 and None until it is read; NaN where `BLANK` stands.
     record
         The file whose mean is the reading; None: the value is given.
     head
@@ -115,6 +117,12 @@ class Reading:
         Random standard uncertainty of the head's angle, rad.
     temperature, time
         K and s; None where they were not recorded.
+    duration
+        Length of the record that is simulated, s; None: not stated.
+    repeats
+        How many repeats at one setting the value is the mean of.
+    scatter
+        Sum of squares of the repeats about their mean, g^2.
     """
 
     name: str
@@ -130,6 +138,9 @@ class Reading:
     temperature: float | None
     time: float | None
     record: Path | None = None
+    duration: float | None = None
+    repeats: int = 1
+    scatter: float = 0.0
 
 
 def is_reading(raw: object) -> bool:
@@ -167,19 +178,17 @@ def resolve_reading(
     if settings is None:
         return []
     before = len(problems.lines)
-    if settings.motion == "static" and settings.rate != 0.0:
-        problems.add((*path, "rate"), "a static run does not turn; leave the rate out")
-    if settings.motion != "static" and settings.rate == 0.0:
-        problems.add((*path, "rate"), f"is missing: a run with motion {settings.motion} turns")
-    attitude = problems.attempt((*path, "attitude"), _attitude, settings.attitude)
+    _check_station(settings, path, problems)
+    attitude = problems.attempt((*path, "attitude"), _attitude, settings.attitude or "level")
     temperature = problems.attempt((*path, "temperature"), read_temperature, settings.temperature)
+    duration = _duration(settings, path, problems)
     if (settings.reading is None) == (settings.record is None):
         problems.add(path, "give one of reading and record")
         return []
     values = settings.reading
     if settings.record is not None:
         values = dict.fromkeys(mountings, "")
-    if isinstance(values, str):
+    if isinstance(values, str | list):
         if len(mountings) > 1:
             problems.add(
                 (*path, "reading"),
@@ -197,9 +206,10 @@ def resolve_reading(
                 where, f'no accelerometer is called "{name}"' + did_you_mean(name, mountings)
             )
             continue
-        read: tuple[float, float | None] | None = (0.0, None)
+        read: _Value | None = _Value(0.0, None)
         if settings.record is None:
-            read = problems.attempt(where, _value, text, outputs.get(name), gravity)
+            texts = [text] if isinstance(text, str) else text
+            read = problems.attempt(where, _value, texts, outputs.get(name), gravity)
         axes = problems.attempt(path, _axes, settings, mountings[name], attitude)
         if read is None or axes is None or attitude is None:
             continue
@@ -212,16 +222,40 @@ def resolve_reading(
                 mounting=settings.mounting,
                 axes=axes,
                 rate=settings.rate,
-                value=read[0],
-                u=read[1],
+                value=read.mean,
+                u=read.u,
                 head=head,
                 u_head=u_head,
                 temperature=temperature,
                 time=settings.time,
                 record=folder / settings.record if settings.record else None,
+                duration=duration,
+                repeats=read.repeats,
+                scatter=read.scatter,
             )
         )
     return readings if len(problems.lines) == before else []
+
+
+def _check_station(settings: ReadingRunSettings, path: KeyPath, problems: Problems) -> None:
+    """Note what is missing of where a reading is taken, or too much."""
+    if settings.motion == "static" and settings.rate != 0.0:
+        problems.add((*path, "rate"), "a static run does not turn; leave the rate out")
+    if settings.motion != "static" and settings.rate == 0.0:
+        problems.add((*path, "rate"), f"is missing: a run with motion {settings.motion} turns")
+    if settings.motion == "static" and settings.attitude is None and settings.axes is None:
+        problems.add((*path, "attitude"), "is missing: a reading at rest needs its position")
+
+
+def _duration(settings: ReadingRunSettings, path: KeyPath, problems: Problems) -> float | None:
+    """Return the length of a record, s, where it is stated."""
+    if settings.revolutions is None:
+        return settings.duration
+    if settings.duration is not None:
+        problems.add((*path, "duration"), "revolutions is given too; keep one")
+    elif settings.rate == 0.0:
+        problems.add((*path, "revolutions"), "a run that does not turn has a duration")
+    return 2.0 * math.pi * settings.revolutions / abs(settings.rate or 1.0)
 
 
 def read_temperature(text: str | None) -> float | None:
@@ -234,14 +268,31 @@ def read_temperature(text: str | None) -> float | None:
     return float(match[1]) + (0.0 if match[2] == "K" else _ZERO_CELSIUS)
 
 
-def _value(text: str, output: Output | None, gravity: float) -> tuple[float, float | None]:
-    """Return a reading in g by the nominal sensitivity, and its uncertainty where it is stated."""
-    if output is None:
-        quantity, size = parse(text, "g", gravity=gravity), 1.0
-    else:
-        quantity, size = parse(text, output.unit), output.sensitivity
-    u = quantity.u / abs(size)
-    return quantity.value / size, u if u > 0.0 else None
+@frozen
+class _Value:
+    """Mean of repeats in g by the nominal sensitivity, its u where all state theirs."""
+
+    mean: float
+    u: float | None
+    repeats: int = 1
+    scatter: float = 0.0
+
+
+def _value(texts: Sequence[str], output: Output | None, gravity: float) -> _Value:
+    """Return what repeats of one reading say."""
+    unit, size = ("g", 1.0) if output is None else (output.unit, output.sensitivity)
+    conversion = gravity if output is None else None
+    written = [
+        f"0 {text.removeprefix(BLANK) or unit}" if text.startswith(BLANK) else text
+        for text in texts
+    ]
+    quantities = [parse(text, unit, gravity=conversion) for text in written]
+    values = np.array([quantity.value for quantity in quantities]) / size
+    u = np.array([quantity.u for quantity in quantities]) / abs(size)
+    mean = float(values.mean()) if written == list(texts) else math.nan
+    if (u > 0.0).all():
+        return _Value(mean, float(np.linalg.norm(u)) / len(texts), len(texts))
+    return _Value(mean, None, len(texts), float(np.sum((values - mean) ** 2)))
 
 
 def _attitude(value: Any) -> tuple[Array, tuple[float, float, float], float]:
@@ -268,7 +319,7 @@ def _axes(
                 'pendulous = "up" }'
             )
         return mounting if attitude is None else mounting.turned(attitude[0])
-    if settings.attitude != "level":
+    if settings.attitude is not None:
         raise ValueError("has axes and an attitude; keep one")
     names = FRAMES[settings.motion]
     return Mounting.from_axes(
@@ -282,132 +333,3 @@ def _direction(value: str | list[float], names: Mapping[str, Any]) -> list[float
             raise ValueError(f'no direction is called "{value}" here' + did_you_mean(value, names))
         return list(names[value])
     return value
-
-
-def read_table(
-    raw: Any, folder: Path, accelerometers: Mapping[str, Output | None], problems: Problems
-) -> Iterator[tuple[dict[str, Any], KeyPath]]:
-    """Yield the rows of the table that ``[readings]`` names, as runs, with where each stands.
-
-    Parameters
-    ----------
-    raw
-        The section.
-    folder
-        Of the campaign.
-    accelerometers
-        Names, and what their readings are in.
-    problems
-        Where mistakes are noted.
-    """
-    settings = problems.check(ReadingsSettings, raw, ("readings",))
-    if settings is None:
-        return
-    frame = problems.attempt(("readings", "file"), _load, folder / settings.file)
-    if frame is None:
-        return
-    columns = {k: v for k, v in settings.columns.items() if isinstance(v, str)}
-    values = {
-        k: _by_accelerometer(settings.columns.get(k), accelerometers) for k in ("reading", "u")
-    }
-    if not values["reading"]:
-        problems.add(
-            ("readings", "columns"), "reading is missing: the column that holds the values"
-        )
-        return
-    wanted = {**columns, **values["reading"], **values["u"]}
-    for key in columns:
-        if key not in (*_COLUMNS, "reading", "u"):
-            problems.add(("readings", "columns", key), "unknown key" + did_you_mean(key, _COLUMNS))
-    for column in dict.fromkeys(wanted.values()):
-        if column not in frame.columns:
-            problems.add(
-                ("readings", "columns"),
-                f'{settings.file} has no column "{column}"' + did_you_mean(column, frame.columns),
-            )
-    if any(line.startswith("readings") for line in problems.lines):
-        return
-    for index, row in enumerate(frame.iter_rows(named=True)):
-        path: KeyPath = ("readings", f"{settings.file} row {index + 1}")
-        yield _as_run(row, index, settings, columns, values, accelerometers), path
-
-
-def _by_accelerometer(
-    column: str | dict[str, str] | None, accelerometers: Mapping[str, Any]
-) -> dict[str, str]:
-    if isinstance(column, dict):
-        return column
-    return {} if column is None else dict.fromkeys(list(accelerometers)[:1], column)
-
-
-def _load(path: Path) -> Any:
-    """Return a table as a polars frame; ValueError if it cannot be read."""
-    import polars as pl
-
-    suffix = path.suffix.lower()
-    try:
-        content = io.BytesIO(path.read_bytes())
-        if suffix == ".csv":
-            return pl.read_csv(content, infer_schema_length=None)
-        if suffix == ".parquet":
-            return pl.read_parquet(content)
-        if suffix == ".xlsx":
-            return pl.read_excel(content)
-    except OSError as error:
-        raise ValueError(f"{path.name} cannot be read ({error.strerror})") from error
-    except ModuleNotFoundError as error:
-        raise ValueError(
-            f"{path.name}: Excel files need the package fastexcel; install it, or save the table "
-            "as CSV"
-        ) from error
-    except Exception as error:
-        raise ValueError(f"{path.name} is damaged or no table ({str(error)[:150]})") from error
-    raise ValueError(f"{path.name}: a table of readings is .csv, .parquet or .xlsx")
-
-
-def _as_run(
-    row: Mapping[str, Any],
-    index: int,
-    settings: ReadingsSettings,
-    columns: Mapping[str, str],
-    values: Mapping[str, Mapping[str, str]],
-    accelerometers: Mapping[str, Output | None],
-) -> dict[str, Any]:
-    """Return a row as a run would be written."""
-
-    def cell(key: str) -> Any:
-        return row[columns[key]] if key in columns else None
-
-    run: dict[str, Any] = {"name": str(cell("name") or f"reading {index + 1}")}
-    run["motion"] = str(cell("motion") or settings.motion)
-    if (rate := cell("rate")) and float(rate) != 0.0:
-        run["rate"] = f"{float(rate)!r} {settings.rate_unit}"
-    attitude = cell("attitude")
-    if isinstance(attitude, str):
-        run["attitude"] = attitude
-    elif attitude is not None:
-        run["attitude"] = f"{float(attitude)!r} {settings.attitude_unit} about {settings.about}"
-    if settings.axes is not None and run["motion"] != "static":
-        run["axes"] = settings.axes.model_dump()
-    run["mounting"] = str(cell("mounting") or settings.mounting)
-    if (temperature := cell("temperature")) is not None:
-        run["temperature"] = (
-            temperature if isinstance(temperature, str) else f"{float(temperature)!r} degC"
-        )
-    if (time := cell("time")) is not None:
-        run["time"] = time if isinstance(time, str) else f"{float(time)!r} s"
-    run["reading"] = {
-        name: _written(row[column], row.get(values["u"].get(name, "")), accelerometers.get(name))
-        for name, column in values["reading"].items()
-    }
-    return run
-
-
-def _written(value: Any, u: Any, output: Output | None) -> str:
-    unit = output.unit if output else "g"
-    if value is None or (isinstance(value, float) and math.isnan(value)):
-        return "empty"
-    if isinstance(value, str):
-        return value
-    spread = f" ± {float(u)!r}" if u is not None and np.isfinite(float(u)) else ""
-    return f"{float(value)!r}{spread} {unit}"

@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from counterspin.arrays import Array
 from counterspin.campaign.machine import MachineModel
@@ -21,9 +22,14 @@ from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Output, Reading
 from counterspin.campaign.specification import Specifications
 from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.spindle import Spindle
+from counterspin.records.memory import MemoryTable
+
+if TYPE_CHECKING:
+    from counterspin.campaign.memory.source import Source
 
 
 def sample_count(duration: float, sampling_rate: float) -> int:
@@ -37,7 +43,7 @@ def sample_count(duration: float, sampling_rate: float) -> int:
     return math.floor(duration * sampling_rate * (1.0 + 1e-12)) + 1
 
 
-@dataclass(frozen=True)
+@frozen
 class Channel:
     """One column of the record files.
 
@@ -57,7 +63,7 @@ class Channel:
     unit: str
 
 
-@dataclass(frozen=True)
+@frozen
 class Accelerometer:
     """One accelerometer under calibration.
 
@@ -79,6 +85,8 @@ class Accelerometer:
         Free text, or None.
     output
         What its readings are in; None: g or m/s^2.
+    force
+        The column of specific force in records on an arm or at rest; None if there are none.
     """
 
     name: str
@@ -88,9 +96,10 @@ class Accelerometer:
     priors: Mapping[str, Quantity]
     serial_number: str | None = None
     output: Output | None = None
+    force: Channel | None = None
 
 
-@dataclass(frozen=True)
+@frozen
 class StatedNoise:
     """Noise of the records: SI, or ``"estimate"`` where it is to be estimated from residuals.
 
@@ -100,6 +109,8 @@ class StatedNoise:
         White noise of the observable, standard deviation a sample: m, m/s, m/s^2.
     acceleration
         White noise of the accelerometer, random-walk coefficient N: m/s^2/Hz^0.5.
+    flicker, bias_walk
+        Wander of the accelerometer's bias: instability B, m/s^2, and random walk K, m/s^2/s^0.5.
     quantisation
         Step of the recorded displacement, m.
     angle, timing
@@ -110,12 +121,19 @@ class StatedNoise:
     velocity: float | str = 0.0
     specific_force: float | str = 0.0
     acceleration: float | str = 0.0
+    flicker: float | str = 0.0
+    bias_walk: float | str = 0.0
     quantisation: float | str = 0.0
     angle: float | str = 0.0
     timing: float | str = 0.0
 
+    @property
+    def wanders(self) -> bool:
+        """Whether the bias wanders, or may."""
+        return self.flicker != 0.0 or self.bias_walk != 0.0
 
-@dataclass(frozen=True)
+
+@frozen
 class ErrorModel:
     """Which terms are estimated and which are carried in the uncertainty.
 
@@ -141,7 +159,7 @@ class ErrorModel:
     typical: Mapping[str, float]
 
 
-@dataclass(frozen=True)
+@frozen
 class RunTruth:
     """True spindle motion and platform errors of one simulated run.
 
@@ -157,7 +175,7 @@ class RunTruth:
     shared: Mapping[str, float]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Run:
     """One run at constant nominal rate.
 
@@ -176,6 +194,8 @@ class Run:
     truth
         Truth of a simulated run; None where nothing is to be simulated. A calibration does not
         read it.
+    temperature, time
+        K, and s of its beginning by any clock; None where they were not recorded.
     """
 
     name: str
@@ -184,9 +204,11 @@ class Run:
     attitude: Array
     duration: float | None = None
     truth: RunTruth | None = None
+    temperature: float | None = None
+    time: float | None = None
 
 
-@dataclass(frozen=True)
+@frozen
 class SimulatedTruth:
     """True values of the simulated accelerometers; platform and spindle are in `RunTruth`.
 
@@ -198,16 +220,23 @@ class SimulatedTruth:
         Accelerometer -> error of the displacement at the start of each run and of its rate of
         change: m, m/s.
     noise
-        True noise; every component a number.
+        True noise of records; every component a number.
+    machine
+        Term of the machine -> true value less nominal, SI.
+    reading_noise
+        Accelerometer -> true noise of its readings, g; of one that is not named, each reading has
+        that which is stated with it.
     """
 
     coefficients: Mapping[str, Mapping[str, float]]
     start_offset: Mapping[str, float]
     start_velocity: Mapping[str, float]
     noise: StatedNoise
+    machine: Mapping[str, float] = field(default_factory=dict)
+    reading_noise: Mapping[str, float] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@frozen
 class Simulation:
     """How `counterspin simulate` makes the records.
 
@@ -226,7 +255,7 @@ class Simulation:
     truth: SimulatedTruth
 
 
-@dataclass(frozen=True)
+@frozen
 class Campaign:
     """A campaign description, checked and resolved.
 
@@ -246,6 +275,9 @@ class Campaign:
         Column of the spindle's angle, in rad; None: the nominal rate is taken.
     timing_offset
         How much later than its displacement the angle of a row was sampled, s; None: not stated.
+    own_velocity
+        Whether the navigation computer takes its own velocity for the Coriolis acceleration, and
+        not the platform's.
     accelerometers
         By name, in the file's order.
     noise
@@ -261,9 +293,12 @@ class Campaign:
         `comment`), only what is there.
     specifications
         Tolerance limits of the coefficients; None if the file states none.
-    checksum
-        SHA-256 of the description as it was read, such as ``sha256:9f86...``; None if it was made
-        otherwise.
+    tables, table_checksums
+        Files of readings, and SHA-256 of those that were read with the description.
+    frames
+        Records that are in memory, by the files in whose place they are.
+    source
+        The description that it was resolved from; None of a copy that `dataclasses.replace` made.
     """
 
     title: str
@@ -287,7 +322,88 @@ class Campaign:
     machine: MachineModel = field(default_factory=MachineModel)
     reference_temperature: float | None = None
     tables: tuple[Path, ...] = ()
-    checksum: str | None = None
+    table_checksums: Mapping[Path, str] = field(default_factory=dict)
+    frames: Mapping[Path, MemoryTable] = field(default_factory=dict, repr=False)
+    own_velocity: bool = False
+    source: Source | None = field(default=None, init=False, repr=False, compare=False)
+
+    def record_at(self, file: Path) -> Path | MemoryTable:
+        """Return the record in memory that stands in the place of a file, or else the file."""
+        return self.frames.get(file, file)
+
+    def change(self, **changes: Any) -> Campaign:
+        """Return the campaign with named changes, checked as its description was.
+
+        Parameters
+        ----------
+        **changes
+            ``title``, ``gravity``, ``latitude``, ``radius``, ``terms``, ``considered``,
+            ``priors``, ``noise``, ``truth``, ``seed``, ``sampling_rate``, or another section of
+            ``campaign.toml``: what to write there. A mapping changes the keys it has; None takes
+            a key away. ``accelerometers`` and ``runs``: the names of those that stay, or a
+            mapping from names to changes. ``records``: as of `make_campaign`. Any other key is
+            named with dots, ``**{"records.time.column": "t"}``.
+
+        Raises
+        ------
+        CampaignError
+            With every mistake, as of a file.
+
+        Notes
+        -----
+        A prior takes the place of one in the accelerometer's own table (``bias``). Where terms
+        are changed, the priors of those that are left out go with them.
+        """
+        from counterspin.campaign.memory.changes import change_campaign
+
+        return change_campaign(self, changes)
+
+    def join(self, *others: Campaign) -> Campaign:
+        """Return one campaign with the runs of this one and of others, for one fit.
+
+        Parameters
+        ----------
+        *others
+            Of the same site, centrifuge, accelerometers, noise, model and columns.
+
+        Returns
+        -------
+        Campaign
+            A run whose name is taken has the campaign's number behind it, ``slow (2)``. The
+            truth is kept where all have the same.
+
+        Raises
+        ------
+        CampaignError
+            With all that they do not have in common.
+        """
+        from counterspin.campaign.memory.joining import join_campaigns
+
+        return join_campaigns([self, *others])
+
+    def write(self, folder: Path | str, *, overwrite: bool = False) -> Path:
+        """Write ``campaign.toml`` and all records, from which the same result comes.
+
+        Parameters
+        ----------
+        folder
+            Made if it is not there.
+        overwrite
+            Whether files that are already there may be replaced.
+
+        Returns
+        -------
+        Path
+            The description.
+
+        Raises
+        ------
+        CounterspinError
+            If a file is in the way, cannot be written, or a record is not there.
+        """
+        from counterspin.campaign.memory.writing import write_campaign
+
+        return write_campaign(self, folder, overwrite=overwrite)
 
     def require_records(self, what: str) -> None:
         """Raise CampaignError if there is no record, which `what` needs, or a reading beside."""

@@ -29,6 +29,7 @@ from pydantic import (
 from counterspin.campaign.attitude import attitude_rows, read_direction
 from counterspin.campaign.quantity import Quantity, parse, unit_factor
 from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.shared_terms import SHARED_TERMS
 
 #: Ending of a record file -> its format.
@@ -78,11 +79,12 @@ def positive(value: Any) -> Any:
     return value
 
 
-def _of_earth(value: Quantity) -> Quantity:
+def _of_earth(value: Any) -> Any:
     positive(value)
-    if not _GRAVITY_RANGE[0] < value.value < _GRAVITY_RANGE[1]:
+    size = value.value if isinstance(value, Quantity) else value
+    if not _GRAVITY_RANGE[0] < size < _GRAVITY_RANGE[1]:
         raise ValueError(
-            f"{value.value:.6g} m/s^2 cannot be gravity on Earth, which is about 9.8 m/s^2; "
+            f"{size:.6g} m/s^2 cannot be gravity on Earth, which is about 9.8 m/s^2; "
             "check the number and its unit"
         )
     return value
@@ -218,6 +220,9 @@ class SiteSettings(SettingsSection):
 
     gravity: Annotated[Quantity, _uncertain("m/s^2"), AfterValidator(_of_earth)]
     latitude: Annotated[Quantity, _uncertain("rad"), AfterValidator(_latitude)]
+    removed_gravity: Annotated[float, read_exactly("m/s^2"), AfterValidator(_of_earth)] | None = (
+        None
+    )
 
 
 class CentrifugeSettings(SettingsSection):
@@ -226,6 +231,7 @@ class CentrifugeSettings(SettingsSection):
     radius: Annotated[Quantity, _uncertain("m"), AfterValidator(positive)]
     stretch: Annotated[Quantity, _uncertain("s^2/m")] | None = None
     droop: Annotated[Quantity, _uncertain("rad s^2")] | None = None
+    axis_tilt: Annotated[Quantity, _uncertain("rad")] | None = None
     reference_temperature: Text | None = None
 
 
@@ -251,6 +257,7 @@ class RecordsSettings(SettingsSection):
     time: TimeChannel
     angle: AngleChannel | None = None
     timing_offset: Annotated[Quantity, _uncertain("s")] | None = None
+    reference: Literal["platform", "own velocity"] = "platform"
 
 
 class DisplacementChannel(_Channel):
@@ -320,6 +327,8 @@ class NoiseSettings(SettingsSection):
     velocity: Annotated[float | str, _noise_size("m/s")] = 0.0
     specific_force: Annotated[float | str, _noise_size("m/s^2")] = 0.0
     acceleration: Annotated[float | str, _noise_size("m/s^2/Hz^0.5")] = 0.0
+    flicker: Annotated[float | str, _noise_size("m/s^2")] = 0.0
+    bias_walk: Annotated[float | str, _noise_size("m/s^2/s^0.5")] = 0.0
     quantisation: Annotated[float | str, _noise_size("m")] = 0.0
     angle: Annotated[float | str, _noise_size("rad")] = 0.0
     timing: Annotated[float | str, _noise_size("s")] = 0.0
@@ -402,7 +411,7 @@ class _AccelerometerTruthKeys(SettingsSection):
 AccelerometerTruthSettings = create_model(
     "AccelerometerTruthSettings",
     __base__=_AccelerometerTruthKeys,
-    **_keys(_TERM_UNITS, read_exactly),
+    **_keys(_TERM_UNITS | {row.symbol: row.unit for row in CONDITION_TERMS.values()}, read_exactly),
 )
 
 
@@ -425,4 +434,6 @@ class RunSettings(SettingsSection):
     )
     duration: Seconds | None = None
     revolutions: PositiveRatio | None = None
+    temperature: Text | None = None
+    time: Annotated[float, read_exactly("s")] | None = None
     truth: dict[str, Any] | None = None

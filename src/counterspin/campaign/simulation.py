@@ -1,22 +1,31 @@
-"""`counterspin simulate`: records of a campaign whose coefficients are known.
+"""`counterspin simulate`: records and readings of a campaign whose coefficients are known.
 
-- `simulate`: a campaign description with [truth] tables -> record files in a folder
+- `simulate`: a campaign description with [truth] tables -> record files in a folder, or a campaign
+  with its records in memory
 - `simulate_run`: one run's columns, in memory
 """
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable, Mapping
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Final
+from typing import Final, overload
 
 import numpy as np
 import polars as pl
 
 from counterspin.arrays import Array
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import read_campaign
+from counterspin.campaign.reading_files import filled_description, filled_table
+from counterspin.campaign.reading_simulation import simulate_mean_record, stream, true_readings
+from counterspin.campaign.reading_truth import unfit_readings
+from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import (
     Accelerometer,
     Campaign,
@@ -28,10 +37,12 @@ from counterspin.campaign.resolved import (
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.output import make_folder, write_open, write_whole
+from counterspin.output import make_folder, write_open, write_text, write_whole
 from counterspin.physics import observation, simulation
 from counterspin.physics.motion import Trajectory
-from counterspin.physics.path_errors import encoder_error
+from counterspin.physics.own_velocity import AxisError, of_own_velocity
+from counterspin.physics.path_errors import encoder_error, true_trajectory
+from counterspin.records.memory import memory_table
 
 #: How the record of each ending is written.
 WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
@@ -43,10 +54,16 @@ WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
 _MOST_ROWS: Final = 10**8
 
 
+@overload
 def simulate(
     where: Path | str | Campaign, folder: Path | str, *, overwrite: bool = False
-) -> tuple[Path, ...]:
-    """Write the records of every run, and the campaign's description beside them.
+) -> tuple[Path, ...]: ...
+@overload
+def simulate(where: Path | str | Campaign) -> Campaign: ...
+def simulate(
+    where: Path | str | Campaign, folder: Path | str | None = None, *, overwrite: bool = False
+) -> tuple[Path, ...] | Campaign:
+    """Make the records of every run and the readings, in memory or as files.
 
     Each run draws from a random stream of its own, so that adding a run at the end, or changing
     one, changes no other.
@@ -56,43 +73,48 @@ def simulate(
     where
         A campaign's description file or its folder, or a campaign already read; with [truth].
     folder
-        Where to write; made if it is not there.
+        Where to write the records, and the description beside them; made if it is not there.
+        None: nothing is written.
     overwrite
         Whether records that are already there may be replaced.
 
     Returns
     -------
-    tuple of Path
-        The record files, in the order of the runs.
+    tuple of Path, or Campaign
+        The record files, in the order of the runs; the table of readings, if there is one.
+        Without a folder: the campaign with its records in memory, and its truth.
 
     Raises
     ------
     CampaignError
         If the description is wrong, the truth is missing or not credible, or a record's format
-        cannot be written.
+        cannot be written; a table of readings is made only as a file.
     CounterspinError
         If a file is in the way or cannot be written.
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
-    campaign.require_records("simulate")
+    _refuse_unfit(campaign)
+    if folder is None:
+        return _simulated_in_memory(campaign)
     folder = Path(folder)
-    if campaign.simulation is None:
-        raise CampaignError(
-            str(campaign.path),
-            ["truth: missing; `simulate` needs [truth.NAME] tables with the true coefficients"],
-        )
-    _refuse_long_runs(campaign, campaign.simulation.sampling_rate)
-    if problems := unfit(campaign):
-        raise CampaignError(str(campaign.path), problems)
     targets = _targets(campaign, folder)
+    readings, head_errors = true_readings(campaign)
+    noise = stream(campaign, 1)
+    text = filled_description(campaign, readings, noise) if readings else None
+    if (table := filled_table(campaign, readings, noise) if readings else None) is not None:
+        targets = (*targets, *_inside(campaign, folder, {"readings.file": table[0]}))
+    if text is None and campaign.source is not None and campaign.source.in_memory:
+        text = campaign.source.text
     description = folder / DESCRIPTION_NAME
-    own = description.exists() and description.samefile(campaign.path)
+    read_from = campaign.source.file if campaign.source else campaign.path
+    own = description.exists() and read_from is not None and description.samefile(read_from)
     if description.exists() and not own and not _is_simulated(description):
         raise CounterspinError(
             f"{description} is not of a simulated campaign; its files are not replaced: simulate "
             "into another folder"
         )
-    in_the_way = [path for path in (*targets, *([] if own else [description])) if path.exists()]
+    replaced = [description] if text is not None or not own else []
+    in_the_way = [path for path in (*targets, *replaced) if path.exists()]
     if in_the_way and not overwrite:
         raise CounterspinError(
             f"{in_the_way[0]} exists; simulate into another folder, or give `overwrite=True`"
@@ -100,14 +122,95 @@ def simulate(
     for place in (folder, *(target.parent for target in targets)):
         make_folder(place)
 
-    streams = np.random.SeedSequence(campaign.simulation.seed).spawn(len(campaign.runs))
-    for run, stream, target in zip(campaign.runs, streams, targets, strict=True):
-        frame = pl.DataFrame(simulate_run(campaign, run, np.random.default_rng(stream)))
-        write = WRITERS[target.suffix.lower()]
-        write_whole(target, partial(write, frame))
-    if not own:
+    frames = [
+        *_run_records(campaign),
+        *_mean_records(campaign, head_errors),
+        *([table[1]] if table else []),
+    ]
+    for frame, target in zip(frames, targets, strict=True):
+        write_whole(target, partial(WRITERS[target.suffix.lower()], frame))
+    if text is not None:
+        write_text(description, text)
+    elif not own:
         write_whole(description, partial(shutil.copyfile, campaign.path))
     return targets
+
+
+def _refuse_unfit(campaign: Campaign) -> None:
+    """Raise CampaignError for a campaign that cannot be simulated."""
+    if campaign.simulation is None:
+        raise CampaignError(
+            str(campaign.path),
+            ["truth: missing; `simulate` needs [truth.NAME] tables with the true coefficients"],
+        )
+    _refuse_long_runs(campaign, campaign.simulation.sampling_rate)
+    if problems := [*unfit(campaign), *unfit_readings(campaign)]:
+        raise CampaignError(str(campaign.path), problems)
+
+
+def _simulated_in_memory(campaign: Campaign) -> Campaign:
+    """Return a campaign with simulated records and readings."""
+    source = campaign.source
+    if source is None:
+        raise CounterspinError(
+            f"{campaign.path}: the campaign was changed by other means than `change`, so that no "
+            "description of it is known; make the change with `change`"
+        )
+    if "readings" in source.document:
+        raise CampaignError(
+            str(campaign.path), ["readings: a table of readings is simulated into a folder only"]
+        )
+    readings, head_errors = true_readings(campaign)
+    noise = stream(campaign, 1)
+    text = filled_description(campaign, readings, noise) if readings else None
+    if text is not None:
+        source = replace(source, document=tomllib.loads(text))
+    files = dict.fromkeys(run.record for run in campaign.runs)
+    files |= dict.fromkeys(r.record for r in campaign.readings if r.record is not None)
+    frames = [*_run_records(campaign), *_mean_records(campaign, head_errors)]
+    names = {run.record: run.name for run in campaign.runs}
+    names |= {r.record: r.name for r in campaign.readings if r.record is not None}
+    tables = {
+        file: memory_table(f"{names[file]} in memory", frame)
+        for file, frame in zip(files, frames, strict=True)
+    }
+    from counterspin.campaign.memory.making import resolved_in_memory
+
+    return resolved_in_memory(source, tables, campaign.folder, Problems(source.document))
+
+
+def _run_records(campaign: Campaign) -> Iterator[pl.DataFrame]:
+    """Yield the records of the double turntable's runs."""
+    assert campaign.simulation is not None
+    streams = np.random.SeedSequence(campaign.simulation.seed).spawn(len(campaign.runs))
+    for run, own in zip(campaign.runs, streams, strict=True):
+        yield pl.DataFrame(simulate_run(campaign, run, np.random.default_rng(own)))
+
+
+def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFrame]:
+    """Yield the records whose means are readings, with a column for each accelerometer."""
+    assert campaign.simulation is not None
+    noise = campaign.simulation.truth.noise
+    recorded = [(reading, float(head_errors[i])) for i, reading in enumerate(campaign.readings)]
+    by_file: dict[Path, list[tuple[Reading, float]]] = {}
+    for reading, error in recorded:
+        if reading.record is not None:
+            by_file.setdefault(reading.record, []).append((reading, error))
+    for index, own in enumerate(by_file.values()):
+        generator = stream(campaign, 2 + index)
+        columns: dict[str, Array] = {}
+        for reading, error in own:
+            accelerometer = campaign.accelerometers[reading.accelerometer]
+            time, angle, signal = simulate_mean_record(campaign, reading, error)
+            if not columns:
+                stamps = _noisy(generator, time, noise.timing)
+                columns[campaign.time.column] = stamps / campaign.time.factor
+                if campaign.angle is not None:
+                    angle = _noisy(generator, angle, noise.angle)
+                    columns[campaign.angle.column] = angle / campaign.angle.factor
+            signal = _measured(generator, time, signal, accelerometer, noise)
+            columns[accelerometer.channel.column] = signal / accelerometer.channel.factor
+        yield pl.DataFrame(columns)
 
 
 def _is_simulated(description: Path) -> bool:
@@ -119,32 +222,47 @@ def _is_simulated(description: Path) -> bool:
 
 def _refuse_long_runs(campaign: Campaign, sampling_rate: float) -> None:
     problems = [
-        f"runs[{index}]: {run.duration * sampling_rate:.3g} rows are more than can be simulated "
+        f"{where}: {duration * sampling_rate:.3g} rows are more than can be simulated "
         f"at once ({_MOST_ROWS:.0e}); choose fewer revolutions, a shorter duration or a lower "
         "simulation.sampling_rate"
-        for index, run in enumerate(campaign.runs)
-        if run.duration is not None and run.duration * sampling_rate > _MOST_ROWS
+        for where, duration in _durations(campaign)
+        if duration * sampling_rate > _MOST_ROWS
     ]
     if problems:
         raise CampaignError(str(campaign.path), problems)
 
 
+def _durations(campaign: Campaign) -> Iterator[tuple[str, float]]:
+    for index, run in enumerate(campaign.runs):
+        if run.duration is not None:
+            yield f"runs[{index}]", run.duration
+    for reading in campaign.readings:
+        if reading.record is not None and reading.duration is not None:
+            yield f'run "{reading.name}"', reading.duration
+
+
 def _targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:
     """Return where each record goes: the place that it has in the campaign's own folder."""
+    records = {f"runs[{index}].record": run.record for index, run in enumerate(campaign.runs)}
+    of_readings = dict.fromkeys(r.record for r in campaign.readings if r.record is not None)
+    names = {r.record: r.name for r in campaign.readings}
+    records |= {f'record of the run "{names[path]}"': path for path in of_readings}
+    return _inside(campaign, folder, records)
+
+
+def _inside(campaign: Campaign, folder: Path, files: Mapping[str, Path]) -> tuple[Path, ...]:
+    """Return where files go: the places that they have in the campaign's own folder."""
     targets, problems = [], []
-    for index, run in enumerate(campaign.runs):
-        if run.record.suffix.lower() not in WRITERS:
+    for key, file in files.items():
+        if file.suffix.lower() not in WRITERS:
+            problems.append(f"{key}: {file.name} cannot be simulated; write .csv or .parquet")
+        elif ".." in file.parts or not file.is_relative_to(campaign.folder):
             problems.append(
-                f"runs[{index}].record: {run.record.name} cannot be simulated; "
-                "write .csv or .parquet"
-            )
-        elif ".." in run.record.parts or not run.record.is_relative_to(campaign.folder):
-            problems.append(
-                f"runs[{index}].record: {run.record} is not inside the campaign's folder, so that "
+                f"{key}: {file} is not inside the campaign's folder, so that "
                 "a simulation has no place for it; name a file beside the description"
             )
         else:
-            targets.append(folder / run.record.relative_to(campaign.folder))
+            targets.append(folder / file.relative_to(campaign.folder))
     if problems:
         raise CampaignError(str(campaign.path), problems)
     return tuple(targets)
@@ -178,7 +296,12 @@ def simulate_run(
     if campaign.simulation is None or run.truth is None or run.duration is None:
         raise ValueError("this campaign says nothing of what to simulate")
     truth, rate = campaign.simulation.truth, campaign.simulation.sampling_rate
-    trajectory = Trajectory(run.truth.spindle, campaign.radius.value, campaign.site)
+    trajectory = Trajectory(
+        run.truth.spindle,
+        campaign.radius.value,
+        campaign.site,
+        conditions=conditions_of(campaign)[run.name],
+    )
     times = np.arange(sample_count(run.duration, rate)) / rate
     noise = truth.noise
     columns = {campaign.time.column: _noisy(generator, times, noise.timing) / campaign.time.factor}
@@ -187,20 +310,58 @@ def simulate_run(
         angle = run.truth.spindle.angle(times + late)
         angle = _noisy(generator, angle + encoder_error(run.truth.shared, angle), noise.angle)
         columns[campaign.angle.column] = angle / campaign.angle.factor
+    indicated = _indicated(campaign, run, trajectory, times)
+    for name, accelerometer in campaign.accelerometers.items():
+        signal = indicated[name]
+        order = observation.ORDERS[accelerometer.observable]
+        if noise.wanders and times.size > 1:
+            signal = signal + simulation.bias_wander(
+                generator,
+                times,
+                _number(noise.flicker),
+                _number(noise.bias_walk),
+                order,
+                trajectory.conditions.start,
+            )
+        signal = _measured(generator, times, signal, accelerometer, noise)
+        columns[accelerometer.channel.column] = signal / accelerometer.channel.factor
+    return columns
+
+
+def _indicated(
+    campaign: Campaign, run: Run, trajectory: Trajectory, times: Array
+) -> dict[str, Array]:
+    """Return what the navigation computer makes along each input axis, without noise."""
+    assert campaign.simulation is not None
+    assert run.truth is not None
+    truth, shared = campaign.simulation.truth, run.truth.shared
+    signals = {}
     for name, accelerometer in campaign.accelerometers.items():
         signal = simulation.recorded(
             trajectory,
             accelerometer.mounting,
             truth.coefficients.get(name, {}),
-            run.truth.shared,
+            shared,
             times,
             accelerometer.observable,
             attitude=run.attitude,
         )
-        signal = signal + _start_error(truth, name, times, accelerometer.observable)
-        signal = _measured(generator, times, signal, accelerometer, noise)
-        columns[accelerometer.channel.column] = signal / accelerometer.channel.factor
-    return columns
+        signals[name] = signal + _start_error(truth, name, times, accelerometer.observable)
+    if not campaign.own_velocity:
+        return signals
+    site = replace(campaign.site, removed_gravity=None)  # its velocity is off by what is left too
+    moved = true_trajectory(replace(trajectory, site=site), shared)
+    errors = []
+    for name, accelerometer in campaign.accelerometers.items():
+        observable = accelerometer.observable
+        axis = accelerometer.mounting.turned(run.attitude).input_axis
+        true = observation.reference(moved, accelerometer.mounting, times, observable, run.attitude)
+        errors.append(AxisError(axis, observable, times, signals[name] - true))
+    felt = of_own_velocity(site, errors)
+    return {
+        name: signal + new - one.error
+        for (name, signal), new, one in zip(signals.items(), felt, errors, strict=True)
+    }
 
 
 def _start_error(truth: SimulatedTruth, name: str, times: Array, observable: str) -> Array | float:

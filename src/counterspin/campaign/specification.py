@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Collection, Mapping
-from dataclasses import dataclass
 from typing import Annotated, Any, Final, get_args
 
 from pydantic import AfterValidator, PlainValidator
@@ -20,6 +19,7 @@ from pydantic import AfterValidator, PlainValidator
 from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.settings import SettingsSection, exact
+from counterspin.frozen import frozen
 from counterspin.inference.conformity import DecisionRule, RuleName
 from counterspin.physics.accelerometer import TERMS
 
@@ -34,7 +34,7 @@ _BOUND = re.compile(r"(abs\s*)?(<=|>=)\s*(.*)")
 _TOLERANCE = re.compile(PLUS_MINUS)
 
 
-@dataclass(frozen=True)
+@frozen
 class Specification:
     """Tolerance limits of a coefficient.
 
@@ -54,7 +54,7 @@ class Specification:
     unit: str
 
 
-@dataclass(frozen=True)
+@frozen
 class Specifications:
     """All specifications of a campaign or certificate.
 

@@ -1,37 +1,62 @@
-"""`counterspin init`: a commented campaign description to start from."""
+"""`counterspin init`: a commented campaign to start from, for each kind of test."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
+from typing import Final, Literal, get_args
 
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError
 from counterspin.output import make_folder, write_text
 
+#: The kinds of test there is an example of.
+Test = Literal["double-turntable", "tumble", "arm"]
 
-def init(folder: Path | str) -> Path:
-    """Write the example description into a folder.
+#: Of each kind its description, and the table of readings beside it.
+_EXAMPLES: Final[Mapping[str, tuple[str, str | None]]] = {
+    "double-turntable": ("starter.toml", None),
+    "tumble": ("starter_tumble.toml", "starter_tumble.csv"),
+    "arm": ("starter_arm.toml", "starter_arm.csv"),
+}
+
+#: The table of readings, as the descriptions name it.
+_TABLE: Final = "readings.csv"
+
+
+def init(folder: Path | str, test: Test = "double-turntable") -> Path:
+    """Write an example description into a folder, and the table that its readings go into.
 
     Parameters
     ----------
     folder
         Made if it is not there.
+    test
+        Which example: records of a double turntable, readings of a multi-position tumble, or
+        readings on the arm of a centrifuge.
 
     Returns
     -------
     Path
-        The file written.
+        The description.
 
     Raises
     ------
     CounterspinError
-        If there is a description already, or the folder cannot be written.
+        If there is no such test, there is a description or table already, or the folder cannot be
+        written.
     """
+    if test not in _EXAMPLES:
+        raise CounterspinError(f"`test` is one of {', '.join(get_args(Test))}, not {test!r}")
     folder = Path(folder)
-    target = folder / DESCRIPTION_NAME
-    if target.exists():
-        raise CounterspinError(f"{target} exists; edit it, or choose another folder")
+    description, table = _EXAMPLES[test]
+    written = {DESCRIPTION_NAME: description} | ({_TABLE: table} if table else {})
+    for name in written:
+        if (folder / name).exists():
+            raise CounterspinError(f"{folder / name} exists; edit it, or choose another folder")
     make_folder(folder)
-    write_text(target, (files("counterspin.campaign") / "starter.toml").read_text("utf-8"))
-    return target
+    for name, example in written.items():
+        text = (files("counterspin.campaign") / example).read_text("utf-8")
+        write_text(folder / name, text)
+    return folder / DESCRIPTION_NAME

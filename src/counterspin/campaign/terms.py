@@ -24,8 +24,10 @@ from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.resolved import ErrorModel
 from counterspin.campaign.settings import ModelSettings, exact
+from counterspin.campaign.toml_file import flat_keys
 from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.shared_terms import (
+    OWN_TERMS,
     SHARED_TERMS,
     MotionTerm,
     PlatformTerm,
@@ -68,10 +70,21 @@ def acts(row: SharedTerm, mounting: Mounting, attitude: Array) -> bool:
     """
     input_axis = mounting.turned(attitude).input_axis
     if isinstance(row, MotionTerm):
-        return float(np.linalg.norm(input_axis[:2])) > _ROUNDING
+        # A tilted axis lifts the platform; all else moves it in the level plane.
+        moved = input_axis[2:] if row.kind == "axis_tilt" else input_axis[:2]
+        return float(np.linalg.norm(moved)) > _ROUNDING
     if row.kind == "compliance":
         return float(np.linalg.norm(np.cross(attitude[row.axis], input_axis))) > _ROUNDING
+    steady = row.force_axis is not None and abs(float(attitude[row.force_axis] @ _UP)) > _ROUNDING
+    if steady and _leans(row, input_axis, attitude):
+        return True  # as a drift
     return _leaves_a_mean(row, input_axis, attitude, None)
+
+
+def _leans(row: PlatformTerm, input_axis: Array, attitude: Array) -> bool:
+    """Return whether gravity leaks into the input axis as the platform turns by a term."""
+    axis = np.eye(3)[row.axis] if row.kind == "tilt" else attitude[row.axis]
+    return abs(float(np.cross(axis, input_axis) @ _UP)) > _ROUNDING
 
 
 def rows_of(
@@ -183,25 +196,28 @@ def resolve_model(
     return ErrorModel(terms, considered, platform, limits, typical), accelerometers
 
 
-def with_stretch(model: ErrorModel, stretch: Quantity, problems: Problems) -> ErrorModel:
-    """Return a model with the stretch of [centrifuge], considered if it is not estimated.
+def with_errors_of_the_path(
+    model: ErrorModel, priors: Mapping[str, Quantity], problems: Problems
+) -> ErrorModel:
+    """Return a model with what [centrifuge] says of the path, considered if it is not estimated.
 
     Parameters
     ----------
     model
         As [model] has it.
-    stretch
-        Relative growth of the radius per acceleration, s^2/m.
+    priors
+        By symbol.
     problems
         Where mistakes are noted.
     """
-    symbol = "centrifuge.stretch"
-    if symbol in model.priors:
-        problems.add(("model", "priors", symbol), "is given in [centrifuge] too; keep one")
-    considered = model.considered
-    if symbol not in (*model.terms, *considered):
-        considered = (*considered, symbol)
-    return replace(model, considered=considered, priors={**model.priors, symbol: stretch})
+    for symbol, prior in priors.items():
+        if symbol in model.priors:
+            problems.add(("model", "priors", symbol), "is given in [centrifuge] too; keep one")
+        considered = model.considered
+        if symbol not in (*model.terms, *considered):
+            considered = (*considered, symbol)
+        model = replace(model, considered=considered, priors={**model.priors, symbol: prior})
+    return model
 
 
 def refuse_encoder(model: ErrorModel, problems: Problems) -> None:
@@ -218,7 +234,7 @@ def _expand(
     attitudes: Sequence[Array],
     problems: Problems,
 ) -> tuple[str, ...]:
-    if name in TERMS or name in SHARED_TERMS:
+    if name in OWN_TERMS or name in SHARED_TERMS:
         return (name,)
     if name not in BARE_NAMES:
         _unknown(name, path, problems)
@@ -234,22 +250,11 @@ def _expand(
 
 
 def _unknown(name: str, path: Path, problems: Problems) -> None:
-    known = [*TERMS, *BARE_NAMES, *SHARED_TERMS]
+    known = [*OWN_TERMS, *BARE_NAMES, *SHARED_TERMS]
     hint = did_you_mean(name, known)
     if "known:" in hint:
-        hint = f"; known: {', '.join([*TERMS, *BARE_NAMES])}"
+        hint = f"; known: {', '.join([*OWN_TERMS, *BARE_NAMES])}"
     problems.add(path, f'no term is called "{name}"' + hint)
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Undo TOML's nesting of ``platform.tilt = ...`` written without quotation marks."""
-    flat: dict[str, Any] = {}
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            flat |= _flat(value, f"{prefix}{key}.")
-        else:
-            flat[prefix + key] = value
-    return flat
 
 
 def _widest_first(names: Iterable[str]) -> list[str]:
@@ -267,14 +272,15 @@ def _resolve_priors(
     """Return platform priors, and each accelerometer's; a narrower name overrides a wider."""
     platform: dict[str, Quantity] = {}
     merged = {name: dict(priors) for name, priors in given.items()}
-    flat = _flat(raw)
+    flat = flat_keys(raw)
     for key in _widest_first(flat):
         path = ("model", "priors", key)
-        owner, _, last = key.rpartition(".")
-        if owner in given and last in TERMS:
+        owner, _, last = key.partition(".")
+        if owner in given and last in OWN_TERMS:
             symbols, owners = {last}, [owner]
-        elif key in TERMS:
+        elif key in OWN_TERMS:
             symbols, owners = {key}, [name for name in given if f"{name}.{key}" not in flat]
+            last = key
         elif key in SHARED_TERMS:
             symbols, owners = {key}, []
         elif key in BARE_NAMES:
@@ -327,7 +333,7 @@ def _require_priors(
     for symbol in considered:
         lacking = (
             [name for name, priors in accelerometers.items() if symbol not in priors]
-            if symbol in TERMS
+            if symbol in OWN_TERMS
             else []
             if symbol in platform
             else ["the machine"]
@@ -346,9 +352,10 @@ def _resolve_sizes(
     """Return every term's largest credible size (``limits``) or its ``typical`` one."""
     attribute = {"limits": "limit", "typical": "typical"}[kind]
     sizes = {
-        symbol: float(getattr(row, attribute)) for symbol, row in {**TERMS, **SHARED_TERMS}.items()
+        symbol: float(getattr(row, attribute))
+        for symbol, row in {**OWN_TERMS, **SHARED_TERMS}.items()
     }
-    flat = _flat(raw)
+    flat = flat_keys(raw)
     for key in _widest_first(flat):
         path = ("model", kind, key)
         symbols = [row.symbol for row in BARE_NAMES.get(key, ())] or [key]

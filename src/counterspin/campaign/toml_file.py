@@ -1,6 +1,8 @@
 """TOML files, read with errors that say where.
 
 - `load_document`: a file's tables; `load_with_checksum`: and the checksum of what was read
+- `unusable`: what is TOML and no value of any key
+- `flat_keys`: tables inside tables as keys with dots
 - `description_file`: the description's file of a campaign
 """
 
@@ -10,7 +12,7 @@ import hashlib
 import os
 import re
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,6 +24,8 @@ CAMPAIGN_ADVICE: Final = "`counterspin init DIR` makes a campaign to start from"
 
 #: No TOML file has more bytes.
 _TEXT_BYTES: Final = 20_000_000
+#: Nor is any text in it longer.
+_LONGEST: Final = 10_000
 
 DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
 
@@ -30,6 +34,17 @@ def description_file(where: Path | str) -> Path:
     """Return the description's file, of a campaign's folder or of the file itself."""
     given = Path(where)
     return given / DESCRIPTION_NAME if os.path.isdir(given) else given  # noqa: PTH112 -- any name
+
+
+def flat_keys(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Undo TOML's nesting of keys with dots that are not quoted, ``platform.tilt = ...``."""
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            flat |= flat_keys(value, f"{prefix}{key}.")
+        else:
+            flat[prefix + key] = value
+    return flat
 
 
 def load_document(file: Path, advice: str = CAMPAIGN_ADVICE) -> dict[str, Any]:
@@ -49,7 +64,7 @@ def load_with_checksum(file: Path, advice: str) -> tuple[dict[str, Any], str]:
         content = read_file(file, _TEXT_BYTES)
         # Editors on Windows put a byte-order mark before the text; TOML knows none.
         document = tomllib.loads(content.decode("utf-8-sig"))
-        faults = list(_unusable(document, ""))
+        faults = list(unusable(document, ""))
         if not faults:
             return document, f"sha256:{hashlib.sha256(content).hexdigest()}"
         raise CampaignError(str(file), faults)
@@ -72,15 +87,17 @@ def load_with_checksum(file: Path, advice: str) -> tuple[dict[str, Any], str]:
     raise CampaignError(str(file), [problem])
 
 
-def _unusable(value: Any, path: str) -> Iterator[str]:
+def unusable(value: Any, path: str) -> Iterator[str]:
     """Yield what is TOML, or almost, and no value of any key: long integers, and NUL in texts."""
     if isinstance(value, dict):
         for key, item in value.items():
-            yield from _unusable(item, f"{path}.{key}" if path else key)
+            yield from unusable(item, f"{path}.{key}" if path else key)
     elif isinstance(value, list):
         for index, item in enumerate(value):
-            yield from _unusable(item, f"{path}[{index}]")
+            yield from unusable(item, f"{path}[{index}]")
     elif isinstance(value, int) and not -(2**63) <= value < 2**63:
         yield f"{path}: an integer has at most 64 bits"
     if isinstance(value, str) and "\0" in value:
         yield f"{path}: contains the character NUL"
+    if isinstance(value, str) and len(value) > _LONGEST:
+        yield f"{path}: a text has at most {_LONGEST} characters"

@@ -34,12 +34,11 @@ from counterspin.campaign.settings import (
     SimulationSettings,
     SpindleTruthSettings,
 )
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import SHARED_TERMS, term
+from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
 
 #: Tables of [truth] that are not accelerometers, and so no names for one.
-TRUTH_TABLES: Final = ("spindle", "platform", "centrifuge", "encoder", "noise")
+TRUTH_TABLES: Final = ("spindle", "platform", "centrifuge", "encoder", "noise", "machine")
 
 #: Table of [truth] -> its keys, of the errors that all accelerometers share.
 _SHARED_TABLES: Final[Mapping[str, type[SettingsSection]]] = {
@@ -97,7 +96,7 @@ def resolve_simulation(
         )
         if table is None:
             continue
-        values = {symbol: getattr(table, symbol) for symbol in TERMS}
+        values = {symbol: getattr(table, symbol) for symbol in OWN_TERMS}
         coefficients[name] = {s: value for s, value in values.items() if value is not None}
         offsets[name], velocities[name] = table.start_offset, table.start_velocity
     true_noise = _true_noise(raw_truth, noise, problems, gravity)

@@ -7,7 +7,7 @@ records do not determine is named as such, and missing data of the laboratory is
 - `issuing`: from a result to the file, and back
 - `build`: the document; `administrative`, `statements`, `measurement`: its parts
 - `wording`: the sentences; `front`: the same in words, before the report
-- `elements`, `units`, `coverage`: elements of DCC and D-SI, SI units, coverage factors
+- `elements`, `coverage`: elements of DCC and D-SI, coverage factors
 - `conversion`: coefficients in SI, with what the uncertainty of g does there
-- `schema`, `signature`, `reading`: validating, signing, reading back
+- `schema`, `signature`, `attached`, `reading`: validating, signing, reading back, from a PDF too
 """

@@ -9,15 +9,15 @@ from __future__ import annotations
 import datetime
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 from counterspin._version import __version__
 from counterspin.calibration.result import Result
 from counterspin.certificates.elements import ENGLISH, Element, dcc, text
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer, Person
+from counterspin.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class Issue:
     """Identifier and date of a certificate.
 

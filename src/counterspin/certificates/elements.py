@@ -18,8 +18,8 @@ from typing import Any, Final
 from lxml import etree
 
 from counterspin.certificates.coverage import coverage_factor
-from counterspin.certificates.units import SiUnit
 from counterspin.inference.conformity import COVERAGE
+from counterspin.physics.si_units import SiUnit
 from counterspin.reports.numbers import round_to_uncertainty
 
 DCC: Final = "https://ptb.de/dcc"

@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from counterspin.calibration.notebook.si_estimate import SiEstimate
 from counterspin.calibration.pages.accelerometer import rests_on
+from counterspin.calibration.pages.motions import lines_of_tests, readings_of
 from counterspin.calibration.pages.verdict import misfit_blocks
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates import wording
 from counterspin.certificates.administrative import Issue
-from counterspin.certificates.conversion import SiEstimate, in_si
+from counterspin.certificates.conversion import in_si
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import factor
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
@@ -39,9 +41,14 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
     yield _two_columns(_item(lab, result))
     yield Heading("Results")
     yield from misfit_blocks(result)
+    if readings_of(result):
+        for line in lines_of_tests(result):
+            yield Paragraph(typeset(line))
     for name in lab.certified(result):
         coefficients = result.accelerometers[name].coefficients
         yield typeset_block(results_table(name, coefficients, in_si(result, name)))
+        for line in wording.output_lines(result.accelerometers[name]):
+            yield Paragraph(typeset(line))
         for line in wording.not_determined(name, result.accelerometers[name]):
             yield Paragraph(typeset(line), "warning")
         for line in rests_on(result.accelerometers[name]):

@@ -1,34 +1,36 @@
 """From a result to a certificate's file, and from the file back to its numbers.
 
-- `issue_certificate`: read, check, build, sign, validate, write
-- `Outcome`: what was written
-- `check_certificate`: validate, verify the signature, read the numbers
+- `certificate`: check, build, sign, validate; `Certificate`: what comes out, and its files
+- `issue_certificate`: read, do that, write
+- `check_certificate`, `Checked`: validate, verify the signature, read the numbers
 - `certificate_blocks`: the numbers of a certificate as a page
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from datetime import UTC, datetime, time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import field
+from datetime import UTC, date, datetime, time
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, Literal
 
 from counterspin.calibration.conformity import with_conformity
 from counterspin.calibration.pages.full_report import document, identifier_of
 from counterspin.calibration.pages.publishing import issue_date
 from counterspin.calibration.result import Result
 from counterspin.certificates.administrative import Issue
-from counterspin.certificates.build import certificate, check_certifiable, to_bytes
+from counterspin.certificates.attached import read_document
+from counterspin.certificates.build import certificate as dcc_document
+from counterspin.certificates.build import check_certifiable, to_bytes
 from counterspin.certificates.conversion import with_exact_g
 from counterspin.certificates.front import TITLE, front_blocks, results_table
 from counterspin.certificates.lab import Lab, example_keys, read_lab
 from counterspin.certificates.reading import Certified, read_certificate
 from counterspin.certificates.schema import check_schema
-from counterspin.certificates.signature import read_signer, sign, verify
+from counterspin.certificates.signature import Signer, is_signed, read_signer, sign, verify
 from counterspin.certificates.statements import Verdicts
 from counterspin.errors import CampaignError, CounterspinError, RecordError
-from counterspin.input import read_file
+from counterspin.frozen import frozen
 from counterspin.output import write_whole
 from counterspin.reports.blocks import Block, Heading, Paragraph
 from counterspin.reports.numbers import format_number
@@ -37,23 +39,118 @@ from counterspin.reports.numbers import format_number
 FORMATS: Final = (".xml", ".pdf")
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What was written.
+@frozen(eq=False)
+class Certificate:
+    """A certificate.
 
     Attributes
     ----------
     identifier
-        Of the certificate.
+        By which it is known.
     accelerometers
         The names of those certified.
     notes
         What the laboratory should check, in sentences.
+    xml
+        The certificate (DCC), signed if a key was given.
+    pages
+        Makes the PDF.
     """
 
     identifier: str
     accelerometers: list[str]
     notes: list[str]
+    xml: bytes = field(repr=False)
+    pages: Callable[[], bytes] = field(repr=False)
+
+    def pdf(self) -> bytes:
+        """Return pages to read (PDF/A-3), with the XML attached byte for byte."""
+        return self.pages()
+
+    def write(self, path: Path | str) -> Path:
+        """Write the certificate, as XML or PDF by the ending of the name; return the path.
+
+        Raises
+        ------
+        CampaignError
+            If the name ends otherwise.
+        CounterspinError
+            If there is such a file already, or it cannot be written.
+        """
+        path = Path(path)
+        _check_place(path)
+        data = self.pdf() if path.suffix.lower() == ".pdf" else self.xml
+        write_whole(path, lambda part: part.write_bytes(data))
+        return path
+
+
+def _check_place(output: Path) -> None:
+    """Refuse a name of another kind, and one of a file that is there."""
+    if output.suffix.lower() not in FORMATS:
+        raise CampaignError("certificate", [f"{output}: name the file .xml or .pdf"])
+    if output.is_file():
+        raise CounterspinError(
+            f"{output} exists; a certificate replaces no file, least of all an issued one: name "
+            "another"
+        )
+
+
+def certificate(
+    result: Result | Path | str,
+    lab: Mapping[str, Any] | Path | str,
+    *,
+    schema: Path | None = None,
+    key: Path | None = None,
+    cert: Path | None = None,
+) -> Certificate:
+    """Make the certificate of a result; `Certificate.write` writes it.
+
+    Parameters
+    ----------
+    result
+        The result, or its JSON file.
+    lab
+        What ``LAB.toml`` says, as nested mappings with the same keys; or the file.
+    schema
+        Folder or file of DCC's schema, against which the certificate is validated.
+    key, cert
+        Private key and its X.509 certificate, PEM: the certificate is signed.
+
+    Raises
+    ------
+    CampaignError
+        If the laboratory's data have missing keys or mistakes.
+    RecordError
+        If the result cannot be read or must not be certified.
+    CounterspinError
+        If key or schema cannot be used.
+    """
+    if (key is None) != (cert is None):
+        raise CampaignError("certificate", ["`key` and `cert` are given together"])
+    found = result if isinstance(result, Result) else Result.read(result)
+    data, specifications = read_lab(lab, found)
+    names = data.certified(found)
+    try:
+        check_certifiable(found, names)
+    except RecordError as error:
+        if isinstance(result, Result):
+            raise
+        raise RecordError(f"{result}: {error}") from error
+    signer = read_signer(key, cert) if key is not None and cert is not None else None
+    issue = _issue(data, found, signed=signer is not None)
+    judged = found if specifications is None else with_conformity(found, specifications)
+    verdicts = {name: judged.accelerometers[name].conformity for name in names}
+    root = dcc_document(found, data, issue, verdicts, _report(data, judged, issue, verdicts))
+    xml = to_bytes(root if signer is None else sign(root, signer))
+    if schema is not None:
+        check_schema(xml, schema, f"certificate {issue.identifier}")
+    return Certificate(
+        identifier=issue.identifier,
+        accelerometers=names,
+        notes=[*_notes(data, found, issue), *_signer_notes(signer, issue)],
+        xml=xml,
+        pages=lambda: _report(data, judged, issue, verdicts, attach=xml),
+    )
 
 
 def issue_certificate(
@@ -64,7 +161,7 @@ def issue_certificate(
     schema: Path | None = None,
     key: Path | None = None,
     cert: Path | None = None,
-) -> Outcome:
+) -> Certificate:
     """Write the certificate of a result.
 
     Parameters
@@ -90,39 +187,10 @@ def issue_certificate(
     CounterspinError
         If key or schema cannot be used, or the file cannot be written.
     """
-    if output.suffix.lower() not in FORMATS:
-        raise CampaignError("certificate", [f"{output}: name the file .xml or .pdf"])
-    if output.is_file():
-        raise CounterspinError(
-            f"{output} exists; a certificate replaces no file, least of all an issued one: name "
-            "another"
-        )
-    if (key is None) != (cert is None):
-        raise CampaignError("certificate", ["`key` and `cert` are given together"])
-    result = Result.read(result_file)
-    lab, specifications = read_lab(lab_file, result)
-    names = lab.certified(result)
-    try:
-        check_certifiable(result, names)
-    except RecordError as error:
-        raise RecordError(f"{result_file}: {error}") from error
-    signer = read_signer(key, cert) if key is not None and cert is not None else None
-    issue = _issue(lab, result, signed=signer is not None)
-    judged = result if specifications is None else with_conformity(result, specifications)
-    verdicts = {name: judged.accelerometers[name].conformity for name in names}
-    report = _report(lab, judged, issue, verdicts)
-    root = certificate(result, lab, issue, verdicts, report)
-    data = to_bytes(root if signer is None else sign(root, signer))
-    if schema is not None:
-        check_schema(data, schema, str(output))
-    if output.suffix.lower() == ".pdf":
-        data = _report(lab, judged, issue, verdicts, attach=data)
-    write_whole(output, lambda part: part.write_bytes(data))
-    return Outcome(
-        identifier=issue.identifier,
-        accelerometers=names,
-        notes=list(_notes(lab, result, issue)),
-    )
+    _check_place(output)
+    made = certificate(result_file, lab_file, schema=schema, key=key, cert=cert)
+    made.write(output)
+    return made
 
 
 def _notes(lab: Lab, result: Result, issue: Issue) -> Iterator[str]:
@@ -133,6 +201,18 @@ def _notes(lab: Lab, result: Result, issue: Issue) -> Iterator[str]:
         yield f"The day of issue, {day}, lies before certificate.end, {lab.certificate.end}."
     if keys := example_keys(lab):
         yield f"Still the example's: {', '.join(keys)}."
+
+
+def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
+    if signer is None:
+        return
+    end = signer.certificates[0].not_valid_after_utc.date()
+    begin = signer.certificates[0].not_valid_before_utc.date()
+    if not begin <= issue.date.date() <= end:
+        yield (
+            f"The day of issue, {issue.date.date()}, lies outside of the signer's certificate "
+            f"({begin} to {end}): from {end} on the signature will count for nothing."
+        )
 
 
 def _issue(lab: Lab, result: Result, *, signed: bool) -> Issue:
@@ -180,10 +260,37 @@ def _as_chapter(blocks: list[Block]) -> Iterator[Block]:
 # Back
 
 
+@frozen
+class Checked:
+    """What a certificate's file holds, and what its signature is worth.
+
+    Attributes
+    ----------
+    certified
+        The numbers.
+    signature
+        ``none``, ``unchecked`` (no certificate of the signer was given) or ``valid``.
+    expired
+        When the signer's certificate expired, after the day of issue; None: it has not, or was not
+        given.
+    """
+
+    certified: Certified
+    signature: Literal["none", "unchecked", "valid"]
+    expired: date | None = None
+
+
 def check_certificate(
     path: Path, *, schema: Path | None = None, cert: Path | None = None
-) -> Certified:
+) -> Checked:
     """Read a certificate's numbers; with a schema validated, with a signer's certificate verified.
+
+    Parameters
+    ----------
+    path
+        The XML, or the PDF that carries it.
+    schema, cert
+        As in `issue_certificate`; the signer's certificate, PEM.
 
     Raises
     ------
@@ -193,16 +300,15 @@ def check_certificate(
     CounterspinError
         If schema or cert cannot be used.
     """
-    try:
-        data = read_file(path)
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+    data = read_document(path)
     if schema is not None:
         check_schema(data, schema, str(path))
-    if cert is not None:
-        # Only what the signature covers is read.
-        data = verify(data, cert, str(path))
-    return read_certificate(data, str(path))
+    if cert is None:
+        signed = is_signed(data, str(path))
+        return Checked(read_certificate(data, str(path)), "unchecked" if signed else "none")
+    # Only what the signature covers is read.
+    verified = verify(data, cert, str(path))
+    return Checked(read_certificate(verified.content, str(path)), "valid", verified.expired)
 
 
 def certificate_blocks(certified: Certified) -> Iterator[Block]:

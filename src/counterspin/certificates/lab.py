@@ -22,6 +22,7 @@ from pydantic import AfterValidator, Field, PlainValidator
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean, key_path
+from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.settings import SettingsSection
 from counterspin.campaign.specification import Specifications, resolve_specifications
@@ -163,8 +164,17 @@ class Lab(SettingsSection):
         return part.serial_number or result.accelerometers[name].serial_number
 
 
-def read_lab(path: Path | str, result: Result) -> tuple[Lab, Specifications | None]:
+def read_lab(
+    path: Mapping[str, Any] | Path | str, result: Result
+) -> tuple[Lab, Specifications | None]:
     """Read the file and check it against the result that is to be certified.
+
+    Parameters
+    ----------
+    path
+        The file, or what it says as nested mappings.
+    result
+        The result.
 
     Returns
     -------
@@ -177,9 +187,13 @@ def read_lab(path: Path | str, result: Result) -> tuple[Lab, Specifications | No
         With every missing key and mistake, each with its path; or that the file is missing,
         not UTF-8 or not TOML.
     """
-    path = Path(path)
-    raw = load_document(path, advice="`certificates.lab.write_example` makes one")
-    problems = Problems(raw)
+    if isinstance(path, Mapping):
+        source, problems = "the laboratory's data", Problems(path)
+        raw = plain(path, (), problems)
+    else:
+        source = str(path)
+        raw = load_document(Path(path), advice="`certificates.lab.write_example` makes one")
+        problems = Problems(raw)
     # Of a missing table, each required key is reported.
     empty: dict[str, Any] = {"persons": [{}]}
     empty |= {key: {} for key in ("certificate", "laboratory", "customer", "item")}
@@ -196,7 +210,7 @@ def read_lab(path: Path | str, result: Result) -> tuple[Lab, Specifications | No
             gravity=result.inputs.gravity,
         )
     if lab is None or problems.lines:
-        raise CampaignError(str(path), problems.lines)
+        raise CampaignError(source, problems.lines)
     return lab, specifications
 
 

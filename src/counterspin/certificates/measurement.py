@@ -7,11 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 
+from counterspin.calibration.notebook.si_estimate import SiEstimate
+from counterspin.calibration.pages.motions import readings_of
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.certificates import wording
 from counterspin.certificates.administrative import item_id, software
-from counterspin.certificates.conversion import SiEstimate, covariance, in_si
+from counterspin.certificates.conversion import covariance, in_si
 from counterspin.certificates.coverage import region_factor
 from counterspin.certificates.elements import (
     Element,
@@ -27,9 +29,9 @@ from counterspin.certificates.elements import (
 )
 from counterspin.certificates.lab import Lab
 from counterspin.certificates.statements import quantity_id
-from counterspin.certificates.units import SiUnit, si_unit, to_si
 from counterspin.inference.conformity import COVERAGE
 from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.si_units import SiUnit, si_unit, to_si
 
 
 def measurement_results(lab: Lab, result: Result) -> Element:
@@ -71,14 +73,28 @@ def _conditions(lab: Lab, result: Result) -> Iterator[Element]:
         ("Geographic latitude", inputs.latitude, inputs.latitude_unit),
         ("Radius of the centrifuge", inputs.radius, inputs.radius_unit),
     ):
+        if name.startswith("Radius") and not value:
+            continue  # of a campaign at rest
         yield _condition(name, _quantity(real(value, si_unit(unit)[0])))
-    yield _condition(
-        "Rotation rate of each run",
-        *(
-            _quantity(real(run.rate, si_unit(run.rate_unit)[0], u=run.u_rate), name)
-            for name, run in result.runs.items()
-        ),
-    )
+    if result.runs:
+        yield _condition(
+            "Rotation rate of each run",
+            *(
+                _quantity(real(run.rate, si_unit(run.rate_unit)[0], u=run.u_rate), name)
+                for name, run in result.runs.items()
+            ),
+        )
+    rates = {
+        (reading.name, reading.rate): None
+        for readings in readings_of(result).values()
+        for reading in readings
+        if reading.rate
+    }
+    if rates:
+        yield _condition(
+            "Rotation rate of each reading",
+            *(_quantity(real(rate, si_unit("rad/s")[0]), name) for name, rate in rates),
+        )
     platform = {
         symbol: c
         for symbol, c in result.platform.items()
@@ -147,7 +163,7 @@ def _result_file(result: Result) -> Element:
 
 
 def _input_files(result: Result) -> Element:
-    lines = [f"{file} {checksum}" for file, checksum in result.provenance.inputs.items()]
+    lines = [f"{file} {checksum}" for file, checksum in result.provenance.shown]
     return dcc(
         "metaData",
         text("name", "Input files and their checksums"),
@@ -169,10 +185,22 @@ def _accelerometer(lab: Lab, result: Result, name: str) -> Element:
             "results",
             _coefficients(lab, result, name, estimates),
             _covariance(accelerometer, estimates),
+            _in_output(accelerometer),
         ),
         _warnings(accelerometer),
         id=f"result-{item}",
         refId=item,
+    )
+
+
+def _in_output(accelerometer: AccelerometerResult) -> Element | None:
+    """Return bias and scale factor in the unit of the readings."""
+    if not (lines := wording.output_lines(accelerometer)):
+        return None
+    return dcc(
+        "result",
+        text("name", "In the unit of the readings"),
+        dcc("data", rich("text", *lines)),
     )
 
 

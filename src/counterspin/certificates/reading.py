@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -16,9 +15,10 @@ import numpy.typing as npt
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates.elements import NAMESPACES, Element
 from counterspin.certificates.schema import parse
-from counterspin.certificates.units import from_si
 from counterspin.errors import RecordError
+from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.si_units import from_si
 
 _RESULT: Final = "dcc:measurementResults/dcc:measurementResult"
 _GRAVITY: Final = (
@@ -32,7 +32,7 @@ _COLUMN: Final = f"{_REGION}/si:covarianceMatrixXMLList/si:columnXMLList"
 _DOF: Final = "dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:real/si:value"
 
 
-@dataclass(frozen=True)
+@frozen
 class CertifiedAccelerometer:
     """One accelerometer in a certificate, in g-units of the certificate's g, taken as exact.
 
@@ -49,7 +49,7 @@ class CertifiedAccelerometer:
     covariance: npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@frozen
 class Certified:
     """The numbers of a certificate; gravity in m/s^2."""
 
@@ -129,7 +129,11 @@ def _covariance(
     scale = np.array([from_si(1.0, TERMS[symbol].unit, gravity) for symbol in terms])
     if in_si.shape != (len(terms), len(terms)):
         raise ValueError("the covariance matrix has another size than the list")
-    return in_si * np.outer(scale, scale)
+    with np.errstate(over="ignore", invalid="ignore"):
+        covariance: npt.NDArray[np.float64] = in_si * np.outer(scale, scale)
+    if not np.all(np.isfinite(covariance)):
+        raise ValueError("the covariance matrix holds numbers beyond measure")
+    return covariance
 
 
 def _designation(root: Element, part: Element) -> str:

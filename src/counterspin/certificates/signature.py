@@ -2,20 +2,34 @@
 
 - `Signer`, `read_signer`: the signer's key and certificate
 - `sign`: a certificate with its signature
-- `verify`: whether a certificate is unchanged since the expected signer signed it
+- `verify`, `Verified`: whether a certificate is unchanged since the expected signer signed it
+- `is_signed`: whether it has a signature
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from base64 import b64decode
+from datetime import UTC, date, datetime, timedelta
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.certificates.elements import Element
+from counterspin.certificates.elements import NAMESPACES, Element
+from counterspin.certificates.schema import parse
 from counterspin.errors import CounterspinError, RecordError
+from counterspin.frozen import frozen
 from counterspin.input import read_file
 
-_SIGNATURE: Final = "{http://www.w3.org/2000/09/xmldsig#}Signature"
+_NAMESPACE: Final = "{http://www.w3.org/2000/09/xmldsig#}"
+_SIGNATURE: Final = f"{_NAMESPACE}Signature"
+#: What the document says of its signer.
+_STATED: Final = f"{_SIGNATURE}//{_NAMESPACE}X509Certificate"
+
+#: The smallest keys: RSA by NIST SP 800-131A, elliptic curves likewise; bits.
+_RSA_BITS: Final = 2048
+_CURVE_BITS: Final = 256
+
+#: Characters of what a certificate or a library says that a message repeats.
+_REASON_LENGTH: Final = 150
 
 _SIGNXML_MISSING: Final = (
     "signatures need the package signxml, which is not installed; it comes with "
@@ -23,7 +37,7 @@ _SIGNXML_MISSING: Final = (
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class Signer:
     """Who signs.
 
@@ -39,14 +53,32 @@ class Signer:
     certificates: list[Any]
 
 
+@frozen
+class Verified:
+    """What the expected signer has signed.
+
+    Attributes
+    ----------
+    content
+        The signed part of the document: everything but the signature.
+    expired
+        The day on which the signer's certificate expired, after the day of issue; None: it is
+        valid.
+    """
+
+    content: bytes
+    expired: date | None
+
+
 def read_signer(key: Path, certificate: Path) -> Signer:
     """Read a private key and the certificate that belongs to it, both PEM.
 
     Raises
     ------
     CounterspinError
-        If signxml is not installed, a file is missing or cannot be used, the key is encrypted or of
-        a kind that XML signatures do not support, or key and certificate do not match.
+        If signxml is not installed, a file is missing or cannot be used, the key is encrypted, too
+        small or of a kind that XML signatures do not support, key and certificate do not match, or
+        the certificate is not valid now or not for signatures.
     """
     _signxml()
     from cryptography.hazmat.primitives.asymmetric import ec, rsa
@@ -66,7 +98,38 @@ def read_signer(key: Path, certificate: Path) -> Signer:
     certificates = _read_certificates(certificate)
     if certificates[0].public_key() != private.public_key():
         raise CounterspinError(f"{certificate}: is not the certificate of the key {key}")
+    _refuse_small(private, key)
+    _refuse_unfit(certificates[0], certificate)
     return Signer(private, certificates)
+
+
+def _refuse_small(private: Any, source: Path) -> None:
+    from cryptography.hazmat.primitives.asymmetric import rsa
+
+    least = _RSA_BITS if isinstance(private, rsa.RSAPrivateKey) else _CURVE_BITS
+    if private.key_size < least:
+        raise CounterspinError(
+            f"{source}: the key has {private.key_size} bits; at least {least} are needed"
+        )
+
+
+def _refuse_unfit(certificate: Any, source: Path) -> None:
+    """Refuse a certificate with which a signature of now would be worth nothing."""
+    from cryptography.x509 import ExtensionNotFound, KeyUsage
+
+    begin, end = certificate.not_valid_before_utc, certificate.not_valid_after_utc
+    if not begin <= datetime.now(UTC) <= end:
+        raise CounterspinError(
+            f"{source}: is valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d} only, and not today"
+        )
+    try:
+        usage = certificate.extensions.get_extension_for_class(KeyUsage).value
+    except ExtensionNotFound:
+        return
+    except ValueError as error:
+        raise CounterspinError(f"{source}: its extensions are damaged") from error
+    if not (usage.digital_signature or usage.content_commitment):
+        raise CounterspinError(f"{source}: its key is not meant for signatures (key usage)")
 
 
 def sign(root: Element, signer: Signer) -> Element:
@@ -79,8 +142,11 @@ def sign(root: Element, signer: Signer) -> Element:
     return signing.sign(root, key=signer.key, cert=signer.certificates)
 
 
-def verify(document: bytes, certificate: Path, source: str) -> bytes:
+def verify(document: bytes, certificate: Path, source: str) -> Verified:
     """Check that a certificate was signed by the expected signer and not changed since.
+
+    A signer's certificate that has expired counts as long as it was valid on the day of issue. That
+    day is what the signed document says of itself.
 
     Parameters
     ----------
@@ -92,38 +158,121 @@ def verify(document: bytes, certificate: Path, source: str) -> bytes:
     source
         What the document is called in messages.
 
-    Returns
-    -------
-    bytes
-        The signed part of the document: everything but the signature.
-
     Raises
     ------
     RecordError
-        If it is not signed, was changed, or was signed by somebody else.
+        If it is not signed, was signed by somebody else or changed since, or the signer's
+        certificate was not valid; the message says which.
     CounterspinError
         If signxml is not installed or the certificate cannot be read.
     """
-    signxml = _signxml()
-    from counterspin.certificates.schema import parse
+    _signxml()
+    from signxml.exceptions import InvalidDigest
 
     trusted = _read_certificates(certificate)[0]
     root = parse(document, source)
     if root.find(_SIGNATURE) is None:
         raise RecordError(f"{source}: is not signed")
-    # The place matters: a signature deeper in the document could cover something else.
-    expected = signxml.SignatureConfiguration(location="./", expect_references=1)
     try:
-        verified = signxml.XMLVerifier().verify(root, x509_cert=trusted, expect_config=expected)
-    except (signxml.InvalidSignature, signxml.InvalidInput) as error:
+        verified = _verified(root, trusted.public_key())
+    except InvalidDigest as error:
         raise RecordError(
-            f"{source}: the signature is not valid: the document was changed after it was signed, "
-            f"or was not signed by the holder of {certificate} ({error})"
+            f"{source}: the signature is not valid: the document was changed after the holder of "
+            f"{certificate} had signed it"
+        ) from error
+    except Exception as error:  # whatever signxml, lxml and cryptography raise
+        raise RecordError(
+            f"{source}: the signature is not valid: {_whose(root, certificate)}"
         ) from error
     covered: Any = verified.signed_xml
     if covered is None or covered.tag != root.tag:
         raise RecordError(f"{source}: the signature does not cover the whole document")
-    return bytes(verified.signed_data)
+    return Verified(
+        bytes(verified.signed_data), _expired(trusted, _issued(covered), certificate, source)
+    )
+
+
+def is_signed(document: bytes, source: str) -> bool:
+    """Return whether a certificate has a signature; RecordError if it is not XML."""
+    return parse(document, source).find(_SIGNATURE) is not None
+
+
+def _verified(root: Any, key: Any) -> Any:
+    """Return what a key has signed of a document; raises what signxml raises if it has not."""
+    signxml = _signxml()
+    # signxml takes certificates that are valid today. Whether the signer's was valid when it
+    # mattered is judged here, so that signxml gets the key in a certificate of the day.
+    wrapped = _certificate_of_today(key)
+    # The place matters: a signature deeper in the document could cover something else.
+    expected = signxml.SignatureConfiguration(location="./", expect_references=1)
+    return signxml.XMLVerifier().verify(root, x509_cert=wrapped, expect_config=expected)
+
+
+def _certificate_of_today(key: Any) -> Any:
+    from cryptography import x509
+    from cryptography.hazmat.primitives import hashes
+    from cryptography.hazmat.primitives.asymmetric import ec
+
+    name = x509.Name([x509.NameAttribute(x509.NameOID.COMMON_NAME, "signer")])
+    now = datetime.now(UTC)
+    return (
+        x509.CertificateBuilder()
+        .subject_name(name)
+        .issuer_name(name)
+        .public_key(key)
+        .serial_number(1)
+        .not_valid_before(now - timedelta(days=1))
+        .not_valid_after(now + timedelta(days=1))
+        .sign(ec.generate_private_key(ec.SECP256R1()), hashes.SHA256())
+    )
+
+
+def _whose(root: Any, certificate: Path) -> str:
+    """Say whose signature it is that is not of the expected signer."""
+    from cryptography.x509 import load_der_x509_certificate
+    from signxml.exceptions import InvalidDigest
+
+    try:
+        stated = load_der_x509_certificate(b64decode(root.findtext(_STATED)))
+    except (TypeError, ValueError):
+        return f"it was changed, or is not of the holder of {certificate}; it names no signer"
+    try:
+        _verified(root, stated.public_key())
+    except InvalidDigest:
+        pass  # the document was changed after the other signer had signed it
+    except Exception:  # whatever signxml and cryptography raise
+        return "the signature itself was changed"
+    subject = stated.subject.rfc4514_string()[:_REASON_LENGTH]
+    return f"it is that of another signer ({subject}), not of the holder of {certificate}"
+
+
+def _issued(root: Any) -> date | None:
+    """Return the day of issue that a certificate states."""
+    text = root.findtext(".//dcc:coreData/dcc:issueDate", namespaces=NAMESPACES)
+    try:
+        return date.fromisoformat((text or "").strip())
+    except ValueError:
+        return None
+
+
+def _expired(trusted: Any, issued: date | None, certificate: Path, source: str) -> date | None:
+    """Return when the signer's certificate expired, None if it has not; raises if it never was."""
+    now = datetime.now(UTC)
+    begin, end = trusted.not_valid_before_utc, trusted.not_valid_after_utc
+    if begin > now:
+        raise RecordError(
+            f"{source}: {certificate} is valid from {begin:%Y-%m-%d} only; check the clock"
+        )
+    if now <= end:
+        return None
+    if issued is None or not begin.date() <= issued <= end.date():
+        day = "no day of issue" if issued is None else f"the day of issue {issued}"
+        raise RecordError(
+            f"{source}: {certificate} was valid from {begin:%Y-%m-%d} to {end:%Y-%m-%d}, and the "
+            f"document states {day}: nothing says that it was signed while the signer could"
+        )
+    last: date = end.date()
+    return last
 
 
 def _signxml() -> Any:

@@ -2,6 +2,7 @@
 
 - `uncertainty_statement`, `unit_statement`, `scope_statement`: for the whole certificate
 - `method_name`, `method_lines`: the method
+- `output_lines`: bias and scale factor in the unit of the readings
 - `coefficient_line`: one coefficient in g-units
 - `not_determined`: coefficients that are not certified
 - `is_determined`: whether a coefficient is certified
@@ -13,13 +14,14 @@ from __future__ import annotations
 from typing import Final
 
 from counterspin.calibration.pages.basis import model_blocks
+from counterspin.calibration.pages.motions import lines_of_tests, readings_of
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Conformity
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import factor
-from counterspin.certificates.units import si_unit
 from counterspin.inference.conformity import COVERAGE
 from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.si_units import si_unit
 from counterspin.reports.blocks import Paragraph
 from counterspin.reports.numbers import format_estimate, format_number, format_share
 
@@ -91,14 +93,35 @@ def method_name(result: Result) -> str:
 
 def method_lines(result: Result) -> list[str]:
     """Return what was observed, how the coefficients follow, and the accelerometers' model."""
+    done = (
+        list(lines_of_tests(result))
+        if readings_of(result)
+        else ["The item was carried round by a double turntable centrifuge at the rates stated."]
+    )
     return [
-        "The item was carried round by a double turntable centrifuge at the rates stated.",
+        *done,
         *(block.text for block in model_blocks(result) if isinstance(block, Paragraph)),
         "The model is not divided by K_I: IEEE Std 1293 divides by it, so that its K2 is K_II/K_I.",
     ]
 
 
 # Coefficients
+
+
+def output_lines(accelerometer: AccelerometerResult) -> list[str]:
+    """Return bias and scale factor in the unit of the readings, with U and k."""
+    lines = []
+    for key, c in accelerometer.output.items():
+        if not is_determined(c):
+            continue
+        assert c.u is not None
+        k = coverage_factor(c.dof)
+        shown = format_estimate(c.value, k * c.u, c.unit)
+        name = {"bias": "bias (K0 times K1 of IEEE Std 1293)", "scale_factor": "scale factor K1"}[
+            key
+        ]
+        lines.append(f"In the unit of the readings: {name}: {shown} (U, k = {factor(k)}).")
+    return lines
 
 
 def coefficient_line(symbol: str, coefficient: Coefficient) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -10,10 +9,11 @@ from cyclopts import Parameter
 
 from counterspin.cli.words import OutputFolder, group
 from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
 
 
 @group
-@dataclass(frozen=True)
+@frozen
 class Forces:
     """What the file's numbers are, and what is known of the other axes.
 

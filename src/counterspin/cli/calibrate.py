@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal
 
 from counterspin.cli.words import NOT_SAVED, Saved, group
 from counterspin.errors import CounterspinError
+from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
     from counterspin.calibration.options import TwoStageOptions
@@ -21,7 +21,7 @@ _WHAT_TO_DO: Final = (
 
 
 @group
-@dataclass(frozen=True)
+@frozen
 class Estimation:
     """How the coefficients are estimated.
 
@@ -50,7 +50,7 @@ class Estimation:
 
 
 @group
-@dataclass(frozen=True)
+@frozen
 class Printed:
     """What is printed beside the coefficients.
 
@@ -67,7 +67,7 @@ class Printed:
 
 
 @group
-@dataclass(frozen=True)
+@frozen
 class BatchWorkers:
     """Who calibrates several campaigns.
 

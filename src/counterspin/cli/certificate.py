@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 from counterspin.cli.words import OutputFile, group, say
 from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
 
 
 @group
-@dataclass(frozen=True)
+@frozen
 class Signature:
     """What a certificate is signed with, or must have been signed with.
 
@@ -55,7 +55,7 @@ def certificate(
     init
         In place of all else: write a commented example of LAB.toml to this file.
     verify
-        In place of a result: a certificate, to check it and print its numbers.
+        In place of a result: a certificate, XML or PDF, to check it and print its numbers.
     """
     from counterspin.certificates.issuing import (
         certificate_blocks,
@@ -67,16 +67,27 @@ def certificate(
 
     if sum(given is not None for given in (result, init, verify)) != 1:
         raise CampaignError(
-            "certificate", ["give RESULT and LAB.toml, or --init LAB.toml, or --verify FILE.xml"]
+            "certificate", ["give RESULT and LAB.toml, or --init LAB.toml, or --verify FILE"]
         )
     if init is not None:
         say(f"Wrote {write_example(init)}. Fill it in; all of it is an example.")
         return
     if verify is not None:
         checked = check_certificate(verify, schema=schema, cert=signature.cert)
-        report_console().print(Report(list(certificate_blocks(checked))))
-        unchecked = signature.cert is None
-        say("", "No signature was checked." if unchecked else "The signature is valid.")
+        report_console().print(Report(list(certificate_blocks(checked.certified))))
+        said = {
+            "none": "It is not signed.",
+            "unchecked": "It is signed, but the signature was not checked: give --cert CERT.pem.",
+            "valid": "The signature is valid.",
+        }
+        say("", said[checked.signature])
+        if checked.expired is not None:
+            say(
+                f"The signer's certificate expired on {checked.expired}; it was valid on the day "
+                "of issue that the certificate states."
+            )
+        if verify.suffix.lower() == ".pdf":
+            say("This is of the XML that is attached to the PDF; its pages are not signed.")
         return
     if result is None or lab is None or output is None:
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
 from counterspin.cli.words import NOT_SAVED, OutputFile, Saved, group, say, shell_word
 from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
 
 
 @group
-@dataclass(frozen=True)
+@frozen
 class Unsaid:
     """What a campaign that is checked does not say itself.
 

@@ -57,5 +57,5 @@ def report(
     if output is None:
         report_console().print(Report(document(result)))
         return
-    write_report(result, output, identifier=identifier, issued=issued)
+    write_report(result, output, identifier=identifier, issued=issued, overwrite=overwrite)
     say(f"Wrote {output}.")

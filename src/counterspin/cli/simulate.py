@@ -1,4 +1,4 @@
-"""`counterspin simulate`: records of a campaign whose coefficients are known."""
+"""`counterspin simulate`: records and readings of a campaign whose coefficients are known."""
 
 from __future__ import annotations
 
@@ -8,18 +8,23 @@ from counterspin.cli.words import OutputFolder, say
 
 
 def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False) -> None:
-    """Make the records of a campaign whose coefficients are known.
+    """Make the records and readings of a campaign whose coefficients are known.
 
     Parameters
     ----------
     campaign
         Campaign description with [truth] tables, or its folder.
     output
-        Folder for the records and a copy of the description.
+        Folder for the records, the readings and the description.
     overwrite
-        Replace records that are already there.
+        Replace files that are already there.
     """
+    from counterspin.campaign.description import read_campaign
+    from counterspin.campaign.questions import questions
     from counterspin.campaign.simulation import simulate as run
 
-    written = run(campaign, output, overwrite=overwrite)
-    say(f"Wrote {len(written)} records and campaign.toml to {output}.")
+    described = read_campaign(campaign)
+    written = run(described, output, overwrite=overwrite)
+    say(*(f"Warning: {question.text}" for question in questions(described)))
+    files = f"{len(written)} {'file' if len(written) == 1 else 'files'} and " if written else ""
+    say(f"Wrote {files}campaign.toml to {output}.")

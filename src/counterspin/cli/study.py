@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
 from counterspin.cli.words import NOT_SAVED, OutputFile, Saved, group
 from counterspin.errors import CounterspinError
+from counterspin.frozen import frozen
 
 
 @group
-@dataclass(frozen=True)
+@frozen
 class TrialSettings:
     """How many trials, and how they are made.
 
@@ -31,7 +31,7 @@ class TrialSettings:
 
 
 @group
-@dataclass(frozen=True)
+@frozen
 class StudyWorkers:
     """Who makes them.
 

@@ -14,7 +14,6 @@ import re
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING, Annotated, Final, TextIO
@@ -22,6 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Final, TextIO
 from cyclopts import App, Parameter
 
 from counterspin.errors import CounterspinError
+from counterspin.frozen import frozen
 from counterspin.output import FileKind, reserve
 from counterspin.reports.typography import speakable, visible
 
@@ -37,7 +37,7 @@ group = Parameter(name="*")
 
 
 @group
-@dataclass(frozen=True)
+@frozen
 class Saved:
     """Where a command's result is written.
 
@@ -63,7 +63,7 @@ class Saved:
         failure = None
         if self.json is not None:
             try:
-                result.write(self.json)
+                result.write(self.json, overwrite=self.overwrite)
             except CounterspinError as error:
                 failure = error
         try:

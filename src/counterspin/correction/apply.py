@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Any, Final
 
 import numpy as np
@@ -21,6 +21,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
 from counterspin.campaign.quantity import parse, unit_factor
 from counterspin.errors import CampaignError, RecordError
+from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
 
@@ -43,7 +44,7 @@ _ROUNDING: Final = 1e-6
 Force = npt.ArrayLike | str
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Correction:
     """Corrected specific force along an accelerometer's input axis.
 
@@ -73,7 +74,7 @@ class Correction:
     warnings: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class ApplyOptions:
     """How a result is applied.
 

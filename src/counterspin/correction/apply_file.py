@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +20,7 @@ from counterspin.calibration.result import Result
 from counterspin.campaign.quantity import unit_factor
 from counterspin.correction.apply import ApplyOptions, Correction, apply, instrument_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
+from counterspin.frozen import frozen
 from counterspin.output import FileKind, holds, reserve, write_open, write_whole
 from counterspin.physics.inversion import NotInvertibleError
 from counterspin.records.tables import locate, read_numbers, read_table
@@ -36,7 +37,7 @@ _SEPARATORS: Final[Mapping[str, str | None]] = {
 _CORRECTED: Final = FileKind("a file that counterspin corrected", holds(b"_corrected_u"))
 
 
-@dataclass(frozen=True)
+@frozen
 class Level:
     """One row: its indicated specific force, its correction, its u, in the file's unit."""
 
@@ -45,7 +46,7 @@ class Level:
     u: float
 
 
-@dataclass(frozen=True)
+@frozen
 class CorrectedFile:
     """What was written.
 

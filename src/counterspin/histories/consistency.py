@@ -12,18 +12,18 @@ these are not scaled.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.inference.conformity import expanded_uncertainty
 from counterspin.inference.distributions import chi_square_tail, normal_cdf
 from counterspin.inference.plain_fit import Fit, fit
 
 
-@dataclass(frozen=True)
+@frozen
 class Agreement:
     """How measurements scatter about a fit, in their own uncertainties.
 
@@ -46,7 +46,7 @@ class Agreement:
     birge: float | None
 
 
-@dataclass(frozen=True)
+@frozen
 class Mean:
     """A weighted mean.
 
@@ -70,7 +70,7 @@ class Mean:
     z: Array
 
 
-@dataclass(frozen=True)
+@frozen
 class Drift:
     """A straight line over time.
 

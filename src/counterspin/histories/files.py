@@ -17,6 +17,7 @@ from typing import Any, Final, Literal
 from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
 from counterspin.errors import CampaignError, RecordError
+from counterspin.frozen import frozen
 from counterspin.histories.result import UnusedResult
 from counterspin.input import read_file
 
@@ -28,7 +29,7 @@ _HIDDEN_REASON: Final = "is hidden, as what an interrupted command leaves behind
 _SUMMARY_REASON: Final = "is a summary of several campaigns; write a result for each"
 
 
-@dataclass(frozen=True)
+@frozen
 class DatedResult:
     """What one result says of one accelerometer.
 
@@ -76,13 +77,13 @@ class Collected:
     passed_over: list[str] = field(default_factory=list)
 
 
-def collect(paths: Sequence[Path], term: str) -> Collected:
+def collect(given: Sequence[Path | Result], term: str) -> Collected:
     """Read all results that are named or lie in the folders named, whatever their schema.
 
     Parameters
     ----------
-    paths
-        Files and folders; folders are searched with all their subfolders.
+    given
+        Results, files and folders; folders are searched with all their subfolders.
     term
         Symbol of the coefficient.
 
@@ -96,6 +97,7 @@ def collect(paths: Sequence[Path], term: str) -> Collected:
     CampaignError
         If a path does not exist; all of them are named.
     """
+    paths = [path for path in given if isinstance(path, Path)]
     missing = [f"{path}: there is no such file or folder" for path in paths if not path.exists()]
     if missing:
         raise CampaignError("history", missing)
@@ -124,6 +126,10 @@ def collect(paths: Sequence[Path], term: str) -> Collected:
             )
         else:
             _enter(file, term, collected)
+    for place, result in enumerate(given, 1):
+        if isinstance(result, Result):
+            name = f"result {place}" + (f" ({result.title})" if result.title else "")
+            _enter_result(judge_result(result), name, term, collected)
     return collected
 
 
@@ -166,13 +172,15 @@ def _enter(file: Path, term: str, collected: Collected) -> None:
         reason = str(error).removeprefix(f"{file}: ")
         collected.damaged.append(UnusedResult(file=str(file), reason=reason))
         return
+    _enter_result(result, str(file), term, collected)
+
+
+def _enter_result(result: Result, file: str, term: str, collected: Collected) -> None:
     date = _date(result.details.get("date"))
     for name in result.accelerometers:
-        outcome = _record(result, name, term, str(file), date)
+        outcome = _record(result, name, term, file, date)
         if isinstance(outcome, str):
-            collected.left_out.append(
-                UnusedResult(file=str(file), accelerometer=name, reason=outcome)
-            )
+            collected.left_out.append(UnusedResult(file=file, accelerometer=name, reason=outcome))
         else:
             collected.records.append(outcome)
 

@@ -12,6 +12,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Final
 
+from counterspin.calibration.result import Result
 from counterspin.campaign.checking import did_you_mean
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.histories.consistency import Agreement, Drift, Mean, drift, en_score, weighted_mean
@@ -33,14 +34,14 @@ _YEAR: Final = timedelta(days=365.25)
 
 
 def history(
-    paths: Sequence[Path | str], *, term: str = "K_II", serial: str | None = None
+    paths: Sequence[Path | str | Result], *, term: str = "K_II", serial: str | None = None
 ) -> History:
     """Collect the results of each instrument, oldest first.
 
     Parameters
     ----------
     paths
-        Result files, and folders in which all are found.
+        Results, their files, and folders in which all are found.
     term
         Symbol of the coefficient.
     serial
@@ -61,7 +62,7 @@ def history(
     """
     if term not in TERMS:
         raise CampaignError("`term`", [_unknown(term)])
-    collected = collect([Path(path) for path in paths], term)
+    collected = collect([p if isinstance(p, Result) else Path(p) for p in paths], term)
     _leave_out_repeated(collected)
     if not collected.records:
         raise CounterspinError(_nothing(paths, collected))
@@ -121,8 +122,8 @@ def _leave_out_repeated(collected: Collected) -> None:
             )
 
 
-def _nothing(paths: Sequence[Path | str], collected: Collected) -> str:
-    where = ", ".join(map(str, paths))
+def _nothing(paths: Sequence[Path | str | Result], collected: Collected) -> str:
+    where = ", ".join("memory" if isinstance(p, Result) else str(p) for p in paths)
     lost = [*collected.damaged, *collected.left_out]
     if not lost:
         return f"no results in {where}; `write_result` writes one" + (

@@ -9,9 +9,13 @@ Values are in the unit of the term, in g-units of one gravity, which is stated.
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from counterspin.results import ResultFile, ResultPart
+from counterspin.reports.shown import ShownResult, on_axes
+from counterspin.results import ResultPart
+
+if TYPE_CHECKING:
+    from counterspin.reports.text import Report
 
 #: Whether the results of an instrument agree.
 Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
@@ -125,7 +129,7 @@ class UnusedResult(ResultPart):
     reason: str
 
 
-class History(ResultFile):
+class History(ShownResult):
     """The history of all instruments.
 
     Attributes
@@ -159,3 +163,14 @@ class History(ResultFile):
     damaged: list[UnusedResult]
     passed_over: list[str]
     notes: list[str]
+
+    def plot(self, *, axes: Any = None) -> list[Any]:
+        """Draw the control chart of each instrument."""
+        from counterspin.histories.page import history_plots
+
+        return on_axes(list(history_plots(self)), axes)
+
+    def _report(self) -> Report:
+        from counterspin.histories.page import render_history
+
+        return render_history(self)

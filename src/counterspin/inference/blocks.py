@@ -9,7 +9,6 @@ offset and start velocity are projected out on the way.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -17,11 +16,12 @@ import numpy.typing as npt
 
 from counterspin.arrays import PART, Array, in_parts, triangle_of
 from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
 
 _CHUNK: Final = 32 * PART  #: rows copied at a time, which bounds the memory
 
 
-@dataclass(frozen=True)
+@frozen
 class Block:
     """What one record says about the shared unknowns, in rotated rows of unit variance.
 

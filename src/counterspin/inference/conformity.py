@@ -13,9 +13,9 @@ uncertainty has few degrees of freedom (JCGM 101:2008, 6.4.9). No knowledge of o
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final, Literal
 
+from counterspin.frozen import frozen
 from counterspin.inference.distributions import student_cdf, student_quantile
 
 RuleName = Literal["simple", "guarded", "probability"]
@@ -25,7 +25,7 @@ Verdict = Literal["pass", "fail", "undecided"]
 COVERAGE: Final = 0.95
 
 
-@dataclass(frozen=True)
+@frozen
 class DecisionRule:
     """By which rule conformity is decided.
 
@@ -59,7 +59,7 @@ class DecisionRule:
             raise ValueError(f"the probability needed lies between 0.5 and 1; got {self.needed}")
 
 
-@dataclass(frozen=True)
+@frozen
 class Judgement:
     """What a decision rule says of one item.
 

@@ -15,12 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail, log_binomial, normal_cdf
 
 Array = NDArray[np.float64]
@@ -36,7 +37,7 @@ SIGNIFICANCE: Final = 0.01
 CHI_SQUARE_SIGNIFICANCE: Final = SIGNIFICANCE / 4.0
 
 
-@dataclass(frozen=True)
+@frozen
 class RunDiagnostics:
     """Tests of one run's whitened residuals.
 
@@ -71,7 +72,7 @@ class RunDiagnostics:
     periodogram: Array = field(repr=False, compare=False)
 
 
-@dataclass(frozen=True)
+@frozen
 class Diagnostics:
     """Tests of a whole fit.
 

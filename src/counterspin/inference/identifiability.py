@@ -14,7 +14,6 @@ the combination that they do determine.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
@@ -22,6 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array, triangle_of
+from counterspin.frozen import frozen
 from counterspin.inference.least_squares import Solution
 
 #: What stands for "no information": a factor of 1e12 below a column's own, far enough to exceed
@@ -38,7 +38,7 @@ _NEGLIGIBLE: Final = 0.1
 _TWINS: Final = 1.0 - 1e-6
 
 
-@dataclass(frozen=True)
+@frozen
 class Confounded:
     """Terms that the data alone hardly tell apart, and a combination of them that is determined.
 
@@ -70,7 +70,7 @@ class Confounded:
     u: float
 
 
-@dataclass(frozen=True)
+@frozen
 class Assessment:
     """Which unknowns are determined, and what stands behind those that are not.
 

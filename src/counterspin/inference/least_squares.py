@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -24,6 +23,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array, triangle_of
 from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block, dependent
 
 #: The numerical regularisation of an unknown without a prior, in units of its credible limit.
@@ -32,7 +32,7 @@ from counterspin.inference.blocks import Block, dependent
 REGULARISATION: Final = 1e4
 
 
-@dataclass(frozen=True)
+@frozen
 class Combination:
     """A linear combination of the unknowns and where its uncertainty comes from.
 
@@ -68,7 +68,7 @@ class Combination:
         return math.hypot(self.noise, self.unseen, self.unresolved, *self.prior, *self.considered)
 
 
-@dataclass(frozen=True)
+@frozen
 class _Rows:
     """The factorised problem, rotation @ triangle, kept for `Solution.combine`."""
 
@@ -80,7 +80,7 @@ class _Rows:
     considered: Array  # (data, q)
 
 
-@dataclass(frozen=True)
+@frozen
 class Solution:
     """The estimate, its uncertainty by source, and how well the model fits.
 
@@ -158,6 +158,44 @@ class Solution:
         rotation: Array = self._rows.rotation[: self._rows.data]
         followed: Array = np.sum(rotation**2, axis=1)
         return followed
+
+    def root_of(self, rows: Array) -> Array:
+        """Return G with G @ G.T the `least_covariance` of rows @ unknowns, shape (n, f).
+
+        From the factors, for the reason that `combine` gives.
+
+        Parameters
+        ----------
+        rows
+            Shape (n, p).
+        """
+        free = self._rows.free
+        return np.asarray(np.linalg.solve(self._rows.triangle.T, rows[:, free].T).T, np.float64)
+
+    def unexplained(self, data: Array, priors: Array) -> Array:
+        """Return what no value of the unknowns explains of columns beside those of the problem.
+
+        Parameters
+        ----------
+        data
+            In the blocks' stacked rows, shape (n, c).
+        priors
+            In the rows of the unknowns' priors, each divided by its sd, shape (p, c); what stands
+            in rows of unknowns without a prior, or exactly known, is left out.
+
+        Returns
+        -------
+        Array
+            Shape (rows, c), first the blocks' rows; orthogonal to the columns of the problem.
+        """
+        rows = self._rows
+        stacked = np.zeros((rows.rotation.shape[0], data.shape[1]))
+        stacked[: rows.data] = data
+        stacked[rows.data : rows.data + rows.prior_of.size] = priors[rows.prior_of]
+        # Twice: what rounding leaves of the first projection matters where little is left.
+        for _ in range(2):
+            stacked -= rows.rotation @ (rows.rotation.T @ stacked)
+        return stacked
 
     def combine(self, weights: npt.ArrayLike) -> Combination:
         """Return a linear combination of the unknowns, its uncertainty split by source.

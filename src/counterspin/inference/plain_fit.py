@@ -6,18 +6,18 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.inference.blocks import reduce_block
 from counterspin.inference.least_squares import solve
 
 
-@dataclass(frozen=True)
+@frozen
 class Fit:
     """A plain least-squares fit.
 

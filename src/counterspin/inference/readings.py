@@ -4,8 +4,9 @@ A reading is linear in the coefficients and nearly so in what the machine does; 
 taken at the estimate, and taken again there until it settles (Gauss-Newton). The readings become
 blocks of square-root information, which are solved together with the blocks of records.
 
-- `Readings`: what was read, and where
+- `Readings`: what was read, and where; `Position`: readings of one position
 - `solve_readings`, `ReadingsFit`: readings alone, or together with records
+- `judge`, `Judged`: how readings fit another solution
 - `blocks_at`, `rows_at`: what readings tell at given values of the unknowns, before they are taken
 """
 
@@ -13,15 +14,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError, NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block, reduce_block
-from counterspin.inference.joint.fit import solve_blocks
+from counterspin.inference.joint.fit import solve_blocks, solve_relaxed
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.physics.accelerometer import TERMS
@@ -54,7 +56,7 @@ _HEAD_STEP: Final = 1e-5
 _SYMBOLS: Final = tuple(TERMS)
 
 
-@dataclass(frozen=True)
+@frozen
 class Readings:
     """Readings of one accelerometer in one motion, n of them, with noise of one kind.
 
@@ -83,6 +85,10 @@ class Readings:
         K from the reference temperature, shape (n,).
     time
         s from the first reading, shape (n,).
+    repeats
+        How many repeats at one setting each value is the mean of, shape (n,). Where `u` is None.
+    scatter
+        Sums of squares of these repeats about their means, g^2, shape (n,).
     """
 
     accelerometer: str
@@ -97,6 +103,8 @@ class Readings:
     u: Array | None
     temperature: Array
     time: Array
+    repeats: Array
+    scatter: Array
 
     def products(self, machine: Mapping[str, float]) -> Array:
         """Return every term's mean product at each reading, shape (n, number of `TERMS`).
@@ -106,8 +114,27 @@ class Readings:
         machine
             The machine's terms that move stations, less nominal, by symbol.
         """
-        stations = [self.station(index, machine) for index in range(self.size)]
+        turning = {s: (size, self.acting(s)) for s, size in machine.items() if size != 0.0}
+        stations = []
+        for index, unmoved in enumerate(self.stations):
+            station = unmoved
+            for symbol, (size, acting) in turning.items():
+                if acting[index]:
+                    station = moved(station, symbol, size, self.head[index])
+            stations.append(station)
         return mean_products(stations, self.site, _SYMBOLS)
+
+    @property
+    def read_again(self) -> tuple[tuple[int, ...], ...]:
+        """Places of the readings of each position that was read more than once."""
+        same: dict[tuple[object, ...], list[int]] = {}
+        for place, (station, mounting) in enumerate(
+            zip(self.stations, self.mountings, strict=True)
+        ):
+            # Where an axis points is known to rounding only.
+            axes = tuple(np.round(station.mounting.matrix, 9).ravel().tolist())
+            same.setdefault((axes, station.rate, mounting), []).append(place)
+        return tuple(tuple(places) for places in same.values() if len(places) > 1)
 
     @property
     def size(self) -> int:
@@ -124,9 +151,13 @@ class Readings:
         return np.array([float(own == mounting) for own in self.mountings])
 
     def lever(self, symbol: str) -> Array:
-        """Return what a slope of a coefficient is multiplied with: K or s, shape (n,)."""
+        """Return what a slope of a coefficient is multiplied with: K, s or g^2, shape (n,)."""
         row, _ = machine_term(symbol) or (None, "")
         assert row is not None
+        if row.recorded == "force":
+            g = self.site.gravity
+            forces = [station.radius * station.rate**2 / g for station in self.stations]
+            return np.asarray(np.square(forces))
         return self.temperature if row.recorded == "temperature" else self.time
 
     def station(self, index: int, machine: Mapping[str, float]) -> Station:
@@ -138,7 +169,7 @@ class Readings:
         return station
 
 
-@dataclass(frozen=True)
+@frozen
 class ReadingsFit:
     """A solved problem with readings; lists are in the order of the `Readings`.
 
@@ -150,6 +181,8 @@ class ReadingsFit:
         The readings' square-root information.
     sigma
         Standard uncertainty of each reading, the head's part included, g, shape (n,).
+    noise
+        Of one repeat where it was estimated, g; elsewhere it means nothing.
     dof
         Degrees of freedom of an estimated noise; infinite where it was stated.
     freedom
@@ -159,15 +192,32 @@ class ReadingsFit:
     standardised
         Residuals over their own standard deviation, with leverages and considered terms counted,
         shape (n,); NaN where the fit follows a reading wholly.
+    positions
+        The same of the readings of one position together, for each position that was read more
+        than once: places of the readings, their mean residual (g), and this standardised.
+    linear
+        The readings linearised at the estimate, for `judge`.
     """
 
     solution: Solution
     blocks: tuple[Block, ...]
     sigma: tuple[Array, ...]
+    noise: tuple[float, ...]
     dof: tuple[float, ...]
     freedom: tuple[float, ...]
     residuals: tuple[Array, ...]
     standardised: tuple[Array, ...]
+    positions: tuple[tuple[Position, ...], ...]
+    linear: tuple[_Part, ...]
+
+
+@frozen
+class Position:
+    """Readings of one position: their places, their mean residual, g, and this standardised."""
+
+    places: tuple[int, ...]
+    residual: float
+    standardised: float
 
 
 def solve_readings(
@@ -196,25 +246,36 @@ def solve_readings(
     ConvergenceError
         If derivatives or noise do not settle.
     """
-    estimate = np.array([unknown.prior_mean for unknown in model.unknowns])
+    known = np.array([unknown.prior_mean for unknown in model.unknowns])
+    limits = np.array([unknown.limit for unknown in model.unknowns])
+    estimate = point = known
     noise = [_first_noise(one) for one in readings]
+    # What is considered is in the residuals too. Noise is therefore found beside it, as if it were
+    # estimated with its prior; else it would be taken for noise.
+    plain = Unknowns(model.unknowns)
+    relaxed = any(one.u is None for one in readings) and bool(model.considered or model.inputs)
     for _ in range(_ROUNDS):
-        parts = [_Part.of(one, model, estimate) for one in readings]
+        parts = [_Part.of(one, model, point) for one in readings]
         # The columns hold while only the noise is another.
         for _ in range(_NOISE_ROUNDS):
             weighted = [part.with_noise(size) for part, size in zip(parts, noise, strict=True)]
             blocks = [part.block() for part in weighted]
             solution = solve_blocks([*beside, *blocks], model)
-            before = noise
+            before, followed, found = noise, weighted, solution
+            if relaxed:
+                followed = [part.relaxed() for part in weighted]
+                found = solve_relaxed([*beside, *blocks], model)
             noise = [
-                _noise_again(one, part, solution, model, own)
-                for one, part, own in zip(readings, weighted, before, strict=True)
+                _noise_again(one, part, found, plain, own)
+                for one, part, own in zip(readings, followed, before, strict=True)
             ]
             changes = (abs(new / old - 1.0) for new, old in zip(noise, before, strict=True))
             if max(changes) < _SETTLED:
                 break
         moves = np.abs(solution.estimate - estimate) / np.where(solution.u > 0, solution.u, 1.0)
         estimate = solution.estimate
+        # What is not determined, and may be anything, is no place to take derivatives at.
+        point = np.where(solution.u < limits, estimate, known)
         if moves.max(initial=0.0) < _SETTLED:
             break
     else:
@@ -222,17 +283,52 @@ def solve_readings(
             f"the fit of the readings did not settle in {_ROUNDS} rounds; give the terms of the "
             "machine priors, or state the standard uncertainties of the readings"
         )
-    freedom = tuple(part.freedom(solution) for part in weighted)
+    judged = [
+        judge(one, part, solution, model) for one, part in zip(readings, weighted, strict=True)
+    ]
+    freedom = tuple(each.freedom for each in judged)
     return ReadingsFit(
         solution,
         tuple(blocks),
         tuple(part.sigma for part in weighted),
+        tuple(noise),
         tuple(
-            left if one.u is None else math.inf for one, left in zip(readings, freedom, strict=True)
+            part.freedom(found) + _freedom_of_repeats(one) if one.u is None else math.inf
+            for one, part in zip(readings, followed, strict=True)
         ),
         freedom,
-        tuple(part.left(solution, model) for part in weighted),
-        tuple(part.standardised(solution, model) for part in weighted),
+        tuple(each.residuals for each in judged),
+        tuple(each.standardised for each in judged),
+        tuple(each.positions for each in judged),
+        tuple(weighted),
+    )
+
+
+@frozen
+class Judged:
+    """How readings fit a solution; as the attributes of `ReadingsFit`, of one group."""
+
+    freedom: float
+    residuals: Array
+    standardised: Array
+    positions: tuple[Position, ...]
+
+
+def judge(one: Readings, part: _Part, solution: Solution, model: Unknowns) -> Judged:
+    """Return how readings fit a solution that has followed them, perhaps with others beside.
+
+    Parameters
+    ----------
+    one, part
+        The readings, and what `ReadingsFit.linear` has of them.
+    solution, model
+        The solution and its model.
+    """
+    return Judged(
+        part.freedom(solution),
+        part.left(solution, model),
+        part.standardised(solution, model),
+        tuple(part.position(places, solution, model) for places in one.read_again),
     )
 
 
@@ -266,7 +362,7 @@ def rows_at(
     return [(part.design / part.sigma[:, None], part.fixed / part.sigma[:, None]) for part in parts]
 
 
-@dataclass(frozen=True)
+@frozen
 class _Part:
     """Readings linearised at an estimate: target = design @ unknowns + fixed @ considered."""
 
@@ -274,6 +370,7 @@ class _Part:
     fixed: Array  # (n, q)
     target: Array  # (n,), g, less what a perfect system indicates
     stated: Array | None  # (n,), g, without the head's part
+    repeats: Array  # (n,)
     head: Array  # (n,), the head's random part, g
     sigma: Array  # (n,), g, both together
 
@@ -334,14 +431,20 @@ class _Part:
             np.column_stack(fixed or [np.empty((one.size, 0))]),
             one.value - perfect,
             one.u,
+            one.repeats,
             head,
             head,
         )
 
     def with_noise(self, noise: float) -> _Part:
-        """Return the same with a noise for readings that state none."""
-        own = np.full(self.target.size, noise) if self.stated is None else self.stated
+        """Return the same with a noise, of one repeat, for readings that state none."""
+        own = noise / np.sqrt(self.repeats) if self.stated is None else self.stated
         return replace(self, sigma=np.hypot(own, self.head))
+
+    def relaxed(self) -> _Part:
+        """Return the same with what is considered among the unknowns, after the others."""
+        every = np.hstack([self.design, self.fixed])
+        return replace(self, design=every, fixed=self.fixed[:, :0])
 
     def block(self) -> Block:
         weight = 1.0 / self.sigma[:, None]
@@ -371,15 +474,28 @@ class _Part:
 
     def standardised(self, solution: Solution, model: Unknowns) -> Array:
         """Return the residuals over their own standard deviations."""
+        every = [(place,) for place in range(self.target.size)]
+        return np.array([self.position(p, solution, model).standardised for p in every])
+
+    def position(self, places: Sequence[int], solution: Solution, model: Unknowns) -> Position:
+        """Return the weighted mean of some residuals, and it over its own standard deviation."""
+        weights = np.zeros(self.target.size)
+        weights[list(places)] = 1.0 / self.sigma[list(places)] ** 2
+        weights /= weights.sum()
         spread = np.append(
             [term.prior[1] for term in model.considered], list((model.inputs or {}).values())
         )
-        shifted = (self.fixed + self.design @ solution.sensitivity_considered) * spread
-        variance = 1.0 - self.leverages(solution)
-        variance = variance + np.sum((shifted / self.sigma[:, None]) ** 2, axis=1)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            z = self.left(solution, model) / (self.sigma * np.sqrt(variance))
-        return np.where(variance > 1e-9, z, np.nan)
+        of_noise = float(np.sum((weights * self.sigma) ** 2))
+        followed = weights @ self.design
+        covariance = solution.covariance_noise + solution.covariance_prior
+        left = of_noise - float(followed @ (covariance + solution.covariance_unresolved) @ followed)
+        shifted = (weights @ self.fixed + followed @ solution.sensitivity_considered) * spread
+        variance = max(left, 0.0) + float(shifted @ shifted)
+        residual = float(weights @ self.left(solution, model))
+        seen = variance > 1e-9 * of_noise
+        return Position(
+            tuple(places), residual, residual / math.sqrt(variance) if seen else math.nan
+        )
 
 
 def _with_input(one: Readings, name: str, change: float, machine: Mapping[str, float]) -> Readings:
@@ -404,6 +520,11 @@ def _first_noise(one: Readings) -> float:
     return 1e-6 * float(np.max(np.abs(one.value), initial=1e-3))
 
 
+def _freedom_of_repeats(one: Readings) -> float:
+    """Return the degrees of freedom that repeats at one setting have among themselves."""
+    return float(np.sum(one.repeats - 1.0))
+
+
 def _noise_again(
     one: Readings, part: _Part, solution: Solution, model: Unknowns, own: float
 ) -> float:
@@ -411,15 +532,17 @@ def _noise_again(
     if one.u is not None:
         return 1.0
     left_over = 1.0 - part.leverages(solution)
-    if left_over.sum() < 0.5:
+    again = _freedom_of_repeats(one)
+    if left_over.sum() + again < 0.5:
         raise NotIdentifiableError(
             f"{one.accelerometer}: {one.size} readings ({one.motion}) without a stated uncertainty "
             "cannot tell their noise beside the unknowns; state it, or take more readings than "
             "there are unknowns"
         )
     # Where the head's part is known, the score of the rest: each reading by the share that it has.
-    share = (own / part.sigma) ** 2
+    share = (own / part.sigma) ** 2 / part.repeats
     left = part.left(solution, model) / part.sigma
-    size = own * math.sqrt(float(share @ left**2) / float(share @ left_over))
+    squares = float(share @ left**2) + float(one.scatter.sum()) / own**2
+    size = own * math.sqrt(squares / (float(share @ left_over) + again))
     # Readings without any noise, such as simulated ones, must not end in a division by zero.
     return max(size, _LEAST_BESIDE_HEAD * float(np.sqrt(np.mean(part.head**2))), 1e-15)

@@ -5,14 +5,18 @@ Modules, lowest first:
 - `spindle`: the angle model of the spindle (Eq. 1-4) and its fit to a recorded angle
 - `angle_error`: how far that fit may be from the true angle, and the effect on the motion
 - `accelerometer`: mountings, the error model (Eq. 7) and the table of its terms
+- `conditions`: slopes of coefficients with temperature, time and force
 - `shared_terms`: error terms of what carries the accelerometers
 - `inputs`: radius, gravity, latitude, timing, and how well they are known where nobody says
+- `si_units`: from g-units to SI
+- `gravity`: what gravity is to be expected at a latitude and a height
 - `motion`: exact position, velocity and specific force of the platform; harmful acceleration
 - `station`: where one reading is taken, at rest, on an arm or on a double turntable
 - `machine`: what centrifuge, fixture, dividing head, temperature and time do to it
 - `quadrature`: single and double time integrals along a trajectory, to rounding
 - `path_errors`: an unbalanced spindle, an arm that stretches, an eccentric encoder
 - `observation`: columns, the displacement per unit of each coefficient
+- `own_velocity`: errors of a computer that takes its own velocity for the Coriolis acceleration
 - `inversion`: the error model's inverse, from an indication to the specific force
 - `correction`: accelerometers corrected together, and how uncertain that leaves them
 - `simulation`: what an imperfect system records, without linearisation

@@ -18,15 +18,15 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 
 
-@dataclass(frozen=True)
+@frozen
 class Term:
     """One error term of the accelerometer: coefficient x product of a_I, a_P, a_O.
 
@@ -185,13 +185,14 @@ def direction(value: str | Sequence[float]) -> Array:
             raise ValueError(f"no direction is called {value!r}; known: {', '.join(DIRECTIONS)}")
         return np.array(DIRECTIONS[value])
     vec = np.asarray(value, dtype=float)
-    length = float(np.linalg.norm(vec))
+    # The square of a finite number may be beyond all numbers.
+    length = math.hypot(*vec.flat)
     if vec.shape != (3,) or not math.isfinite(length) or length == 0.0:
         raise ValueError(f"a direction needs three finite components, not all zero; got {value}")
     return vec / length
 
 
-@dataclass(frozen=True)
+@frozen
 class Mounting:
     """Where an accelerometer's axes point.
 

@@ -12,12 +12,12 @@ and sine of harmonics of the revolution. The encoder's noise leaves the coeffici
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 
 #: What the three polynomials stand for.
 SLOW: Final = ("angle", "rate", "drift")
@@ -28,7 +28,7 @@ SLOW: Final = ("angle", "rate", "drift")
 HARMONICS: Final = 4
 
 
-@dataclass(frozen=True)
+@frozen
 class AngleError:
     """Deviation of the true angle from an identified one.
 

@@ -12,12 +12,12 @@ in turn, until the forces converge.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array, semidefinite_root
+from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.inversion import NotInvertibleError, invert
 
@@ -30,7 +30,7 @@ _MAX_ROUNDS: Final = 100
 _PROJECTION_ROUNDING: Final = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class CalibratedAccelerometer:
     """A calibrated accelerometer.
 
@@ -60,7 +60,7 @@ class CalibratedAccelerometer:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Known:
     """A direction along which the specific force is known without an accelerometer.
 
@@ -79,7 +79,7 @@ class Known:
     u: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Corrected:
     """What the accelerometers' indications stand for.
 

@@ -9,11 +9,12 @@ be assumed stands here, as the typical sizes of terms stand in the table of term
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
+from counterspin.frozen import frozen
 
-@dataclass(frozen=True)
+
+@frozen
 class UncertainInput:
     """One input.
 

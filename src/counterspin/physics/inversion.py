@@ -113,7 +113,8 @@ def _rising(
     if beyond.size:
         worst = int(beyond[0])
         level = float(side[worst] * turn[worst])
-        reach = float(y[worst] + side[worst] * _value(poly, turn)[worst])
+        there = _value(poly[:, worst : worst + 1], turn[worst : worst + 1])
+        reach = float(y[worst] + side[worst] * there[0])
         raise NotInvertibleError(
             int(rows[worst]),
             f"cannot be corrected: it indicates {y[worst]:.6g} g, and this model has its turning "

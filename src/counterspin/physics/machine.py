@@ -12,18 +12,19 @@ centrifuges and from IEEE Std 836.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.physics.accelerometer import TERMS
+from counterspin.frozen import frozen
+from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.shared_terms import MOTION_TERMS
 from counterspin.physics.station import Station
 
 
-@dataclass(frozen=True)
+@frozen
 class MachineTerm:
     """One error term of the machine that carries the accelerometer.
 
@@ -42,7 +43,8 @@ class MachineTerm:
     multiplies
         The accelerometer's coefficient whose product it multiplies, with `recorded`; else empty.
     recorded
-        ``temperature`` (K from the reference temperature) or ``time`` (s from the first reading).
+        ``temperature`` (K from the reference temperature), ``time`` (s from the first reading) or
+        ``force`` (the centripetal one, whose square in g^2 multiplies).
     """
 
     symbol: str
@@ -66,9 +68,10 @@ class MachineTerm:
 
 
 #: Shown by records as well as by readings.
-_STRETCH: Final = MOTION_TERMS["centrifuge.stretch"]
+_OF_THE_PATH: Final = [row for row in MOTION_TERMS.values() if row.kind in ("stretch", "axis_tilt")]
 
-_EVERYWHERE: Final = ("arm", "counter-rotating", "static")
+_TURNING: Final = ("arm", "counter-rotating")
+_EVERYWHERE: Final = (*_TURNING, "static")
 _ABOUT: Final = ("east", "north", "outward", "forward", "up")
 
 #: Every term of the machine, by symbol.
@@ -76,8 +79,9 @@ MACHINE_TERMS: Final[Mapping[str, MachineTerm]] = {
     row.symbol: row
     for row in (
         MachineTerm("centrifuge.radius.MOUNTING", "m", 0.1, 1e-3, "radius of a mounting"),
-        MachineTerm(
-            _STRETCH.symbol, _STRETCH.unit, _STRETCH.limit, _STRETCH.typical, _STRETCH.words
+        *(
+            MachineTerm(row.symbol, row.unit, row.limit, row.typical, row.words)
+            for row in _OF_THE_PATH
         ),
         MachineTerm("centrifuge.droop", "rad s^2", 1e-3, 1e-8, "droop of the arm", ("arm",)),
         *(
@@ -94,23 +98,16 @@ MACHINE_TERMS: Final[Mapping[str, MachineTerm]] = {
         MachineTerm("head.zero", "rad", 1e-2, 2.5e-5, "zero of the dividing head", ("static",)),
         *(
             MachineTerm(
-                f"{symbol}.temperature",
-                f"{TERMS[symbol].unit}/K",
-                limit,
-                typical,
-                f"change of {symbol} with temperature",
-                _EVERYWHERE,
-                symbol,
-                "temperature",
+                row.symbol,
+                row.unit,
+                row.limit,
+                row.typical,
+                row.words,
+                _TURNING if row.condition == "force" else _EVERYWHERE,
+                row.coefficient,
+                row.condition,
             )
-            for symbol, limit, typical in (
-                ("K_F", 1e-2, 5e-6),
-                ("K_I", 1e-2, 1e-4),
-                ("K_II", 1e-5, 1e-8),
-            )
-        ),
-        MachineTerm(
-            "K_F.trend", "g/s", 1e-3, 1.7e-9, "change of K_F with time", _EVERYWHERE, "K_F", "time"
+            for row in CONDITION_TERMS.values()
         ),
     )
 }
@@ -153,6 +150,10 @@ def moved(station: Station, symbol: str, size: float, head: Array) -> Station:
             return replace(station, radius=station.radius + size)
         case ["centrifuge", "stretch"]:
             return replace(station, stretch=station.stretch + size)
+        case ["centrifuge", "axis_tilt", axis]:
+            east, north = station.axis_tilt
+            east, north = (east + size, north) if axis == "east" else (east, north + size)
+            return replace(station, axis_tilt=(east, north))
         case ["centrifuge", "droop"]:
             return replace(station, droop=station.droop + size)
         case ["fixture", "misalignment", _, axis]:

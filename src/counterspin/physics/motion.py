@@ -12,14 +12,15 @@ same circle and the lever arm inside the case cancels. Vectors are east-north-up
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.physics import quadrature
+from counterspin.physics.conditions import AT_REFERENCE, RunConditions
 from counterspin.physics.spindle import Spindle
 
 _TINY: Final = float(np.finfo(float).tiny)
@@ -27,7 +28,7 @@ _TINY: Final = float(np.finfo(float).tiny)
 EARTH_RATE: Final = 7.292115e-5  #: rad/s, rotation rate of the Earth (WGS 84)
 
 
-@dataclass(frozen=True)
+@frozen
 class Site:
     """Where the centrifuge stands.
 
@@ -39,11 +40,20 @@ class Site:
         Geodetic latitude, rad.
     earth_rate
         Rotation rate of the Earth, rad/s; 0 leaves the Coriolis acceleration out.
+    removed_gravity
+        Gravity that the navigation computer takes away, m/s^2; None: the very one of the site,
+        whatever that is.
     """
 
     gravity: float
     latitude: float
     earth_rate: float = EARTH_RATE
+    removed_gravity: float | None = None
+
+    @property
+    def gravity_left(self) -> float:
+        """What the navigation computer leaves of gravity, upwards, m/s^2."""
+        return 0.0 if self.removed_gravity is None else self.gravity - self.removed_gravity
 
     @property
     def earth_rotation(self) -> Array:
@@ -53,7 +63,7 @@ class Site:
         )
 
 
-@dataclass(frozen=True)
+@frozen
 class Trajectory:
     """The motion of the platform during one run.
 
@@ -69,6 +79,11 @@ class Trajectory:
         Relative growth of the radius per centripetal acceleration, s^2/m.
     imbalance
         (n, c, s): the radius is longer by c cos n theta + s sin n theta, m.
+    axis_tilt
+        Small right-handed turns of the spindle's axis about east and north, rad. To first order:
+        the platform is lifted by the tilt times its position, and its level position stays.
+    conditions
+        When the run began, and how warm it was.
     """
 
     spindle: Spindle
@@ -76,6 +91,13 @@ class Trajectory:
     site: Site
     stretch: float = 0.0
     imbalance: tuple[tuple[int, float, float], ...] = ()
+    axis_tilt: tuple[float, float] = (0.0, 0.0)
+    conditions: RunConditions = AT_REFERENCE
+
+    @property
+    def centripetal(self) -> float:
+        """Centripetal force at the spindle's rate, g."""
+        return self.radius * self.spindle.rate**2 / self.site.gravity
 
     def at(self, t: Array) -> Motion:
         """Return the motion at times in s, shape (n,)."""
@@ -168,7 +190,7 @@ class Motion:
         position: Array = self.trajectory.radius * _vectors(cos, sin)
         if self._growth is not None:
             position += _vectors(self._growth[0] * cos, self._growth[0] * sin)
-        return position
+        return self._lifted(position)
 
     @cached_property
     def velocity(self) -> Array:
@@ -180,7 +202,7 @@ class Motion:
             growth, outward, _ = self._growth
             forward = growth * self._rate
             velocity += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
-        return velocity
+        return self._lifted(velocity)
 
     @cached_property
     def acceleration(self) -> Array:
@@ -194,7 +216,14 @@ class Motion:
             outward = curve - growth * squared
             forward = 2.0 * speed * self._rate + growth * alpha
             acceleration += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
-        return acceleration
+        return self._lifted(acceleration)
+
+    def _lifted(self, level: Array) -> Array:
+        """Return a vector of the level plane, or its derivative, as the tilted axis lifts it."""
+        east, north = self.trajectory.axis_tilt
+        if east or north:
+            level[..., 2] = east * level[..., 1] - north * level[..., 0]
+        return level
 
     @cached_property
     def harmful_acceleration(self) -> Array:
@@ -230,10 +259,13 @@ class Motion:
         total: Array = quadrature.integrate(squared, edges, self.t, 1)[:, 0]
         return total
 
-    def _turned_by_earth(self, level: Array) -> Array:
-        """Return 2 Omega x a vector without a part upwards."""
+    def _turned_by_earth(self, vector: Array) -> Array:
+        """Return 2 Omega x a vector."""
         _, north, up = 2.0 * self.trajectory.site.earth_rotation
-        return _vectors(-up * level[..., 1], up * level[..., 0], -north * level[..., 0])
+        turned = _vectors(-up * vector[..., 1], up * vector[..., 0], -north * vector[..., 0])
+        if any(self.trajectory.axis_tilt):
+            turned[..., 0] += north * vector[..., 2]
+        return turned
 
 
 def _vectors(east: Array, north: Array, up: Array | None = None) -> Array:

@@ -6,7 +6,8 @@ double time integrals for displacement, single for velocity, and none for specif
 
 - `columns`: one column for each term of the table, along any trajectory
 - `reference`: what a perfect system would have recorded
-- `over_blocks`: either of them for block means
+- `gravity_left`: the part of it that the navigation computer leaves of gravity
+- `over_blocks`: columns or reference for block means
 - `parabola`: the t^2 coefficients at constant rate, in closed form
 """
 
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
@@ -22,9 +23,11 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.physics import quadrature
 from counterspin.physics.accelerometer import Mounting, Term
-from counterspin.physics.motion import Motion, Trajectory
+from counterspin.physics.conditions import AT_REFERENCE, ConditionTerm
+from counterspin.physics.motion import Motion, Site, Trajectory
 from counterspin.physics.path_errors import path_change
-from counterspin.physics.shared_terms import MotionTerm, PlatformTerm, SharedTerm, term
+from counterspin.physics.quadrature import Panels
+from counterspin.physics.shared_terms import AnyTerm, MotionTerm, PlatformTerm, SharedTerm, term
 
 #: How often each observable integrates the specific force.
 ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}
@@ -40,7 +43,9 @@ def reference(
     observable: str = "displacement",
     attitude: Array = LEVEL,
 ) -> Array:
-    """Return what a perfect system records along an accelerometer's input axis (Eq. 11).
+    """Return what perfect accelerometers record along an accelerometer's input axis (Eq. 11).
+
+    Gravity that the navigation computer leaves is in it, as S'' = f - f_h has it.
 
     Parameters
     ----------
@@ -61,7 +66,29 @@ def reference(
         "velocity": trajectory.velocity,
         "specific_force": trajectory.specific_force,
     }[observable]
-    return motion(times) @ mounting.turned(attitude).input_axis
+    axis = mounting.turned(attitude).input_axis
+    result: Array = motion(times) @ axis
+    if trajectory.site.gravity_left:
+        result = result + gravity_left(trajectory.site, axis, times, observable)
+    return result
+
+
+def gravity_left(site: Site, input_axis: Array, times: Array, observable: str) -> Array:
+    """Return what the navigation computer leaves of gravity in a record, shape (n,).
+
+    Parameters
+    ----------
+    site
+        With the gravity that the computer removes.
+    input_axis
+        In the run's attitude, east-north-up, shape (3,).
+    times, observable
+        As for `columns`.
+    """
+    order = ORDERS[observable]
+    if order == 0:  # from a force nothing is taken away
+        return np.zeros(times.size)
+    return site.gravity_left * float(input_axis[2]) * times**order / order
 
 
 def columns(
@@ -110,23 +137,37 @@ def columns(
     shown = _Shown(trajectory, mounting.turned(attitude), attitude, times, order)
     linear = {i: vector for i, row in enumerate(rows) if (vector := shown.along(row)) is not None}
     bias = [i for i, row in enumerate(rows) if row.symbol == "K_F"]
-    kinked = [i for i, row in enumerate(rows) if isinstance(row, Term) and "|I|" in row.factors]
+    kinked = [i for i, row in enumerate(rows) if isinstance(row, Term) and _has_kink(row)]
     path = [i for i, row in enumerate(rows) if isinstance(row, MotionTerm)]
-    smooth = [i for i in range(len(rows)) if i not in (*linear, *bias, *kinked, *path)]
+    slopes = {i: row for i, row in enumerate(rows) if isinstance(row, ConditionTerm)}
+    smooth = [i for i in range(len(rows)) if i not in (*linear, *bias, *kinked, *path, *slopes)]
     result = np.empty((len(rows), times.size))
     result[bias] = trajectory.site.gravity * times**order / max(1, order)
     if kinked:
-        result[kinked] = shown.kinked([rows[i] for i in kinked])
+        with_kink = [row for row in rows if isinstance(row, Term) and _has_kink(row)]
+        result[kinked] = shown.kinked(with_kink)
     if smooth or linear:
-        result[smooth], force = shown.smooth([rows[i] for i in smooth], bool(linear))
+        integrated = [row for i in smooth if not isinstance(row := rows[i], ConditionTerm)]
+        result[smooth], force = shown.smooth(integrated, bool(linear))
         for i, vector in linear.items():
             result[i] = vector @ force
     for i in path:
         row = rows[i]
         assert isinstance(row, MotionTerm)
         result[i] = path_change(row, trajectory, times, order) @ shown.input_axis
-    result[[i for i, row in enumerate(rows) if not isinstance(row, Term)]] *= scale_factor
+    for i, row in slopes.items():
+        own = columns(trajectory, mounting, [row.coefficient], times, observable, attitude=attitude)
+        result[i] = row.lever(trajectory.conditions, trajectory.centripetal) * own[:, 0]
+        if row.condition == "time":  # it goes on changing within the run
+            result[i] += trajectory.site.gravity * times ** (order + 1) / math.factorial(order + 1)
+    # The accelerometer sees what is shared through its scale factor.
+    shared = [i for i, row in enumerate(rows) if isinstance(row, PlatformTerm | MotionTerm)]
+    result[shared] *= scale_factor
     return result.T
+
+
+def _has_kink(row: Term) -> bool:
+    return "|I|" in row.factors
 
 
 def over_blocks(function: Callable[[Array], Array], times: Array, spread: Array) -> Array:
@@ -155,6 +196,16 @@ def over_blocks(function: Callable[[Array], Array], times: Array, spread: Array)
     return mean
 
 
+@lru_cache(maxsize=8)
+def _along(trajectory: Trajectory, duration: float) -> tuple[Panels, Motion]:
+    """Return the panels of a trajectory and the motion at their nodes.
+
+    Kept for a while: accelerometers of one run share them, and so do a fit and its checks.
+    """
+    panels = Panels(quadrature.panel_edges(trajectory.spindle, duration))
+    return panels, trajectory.at(panels.nodes)
+
+
 class _Shown:
     """The integrals along one trajectory at one set of times."""
 
@@ -173,7 +224,7 @@ class _Shown:
         """The input axis in the run's attitude, east-north-up, shape (3,)."""
         return self._axes.input_axis
 
-    def along(self, row: Term | SharedTerm) -> Array | None:
+    def along(self, row: AnyTerm) -> Array | None:
         """Return the vector whose product with the specific force is the term, if there is one."""
         if isinstance(row, Term):
             if len(row.factors) != 1:
@@ -190,7 +241,8 @@ class _Shown:
         if self._order == 0:
             motion = self._trajectory.at(self._times)
             return self._integrands(rows, motion), motion.specific_force.T
-        integrals = self._integrals(rows, self._edges(), with_force and self._order == 2)
+        panels, motion = _along(self._trajectory, self._duration)
+        integrals = self._integrals(rows, panels, motion, with_force and self._order == 2)
         if self._order == 1:
             return integrals, self._trajectory.velocity_of_specific_force(self._times).T
         if not with_force:
@@ -202,26 +254,27 @@ class _Shown:
         motion, along = self._trajectory, self._axes.input_axis
         if self._order == 0:
             return self._integrands(rows, motion.at(self._times))
-        breaks = quadrature.sign_changes(lambda t: motion.specific_force(t) @ along, self._edges())
-        return self._integrals(rows, self._edges(breaks))
+        edges = quadrature.panel_edges(motion.spindle, self._duration)
+        breaks = quadrature.sign_changes(lambda t: motion.specific_force(t) @ along, edges)
+        panels = Panels(quadrature.panel_edges(motion.spindle, self._duration, breaks))
+        return self._integrals(rows, panels, motion.at(panels.nodes))
 
     def _integrals(
-        self, rows: Sequence[Term | SharedTerm], edges: Array, with_path: bool = False
+        self,
+        rows: Sequence[Term | SharedTerm],
+        panels: Panels,
+        motion: Motion,
+        with_path: bool = False,
     ) -> Array:
         """Return the integrals of terms, before them if wanted those of the path, east and north.
 
         All functions are integrated together: where the times lie in the panels is found once.
         """
-        panels = quadrature.Panels(edges)
-        motion = self._trajectory.at(panels.nodes)
         terms = self._integrands(rows, motion)
         if self._order == 1:
             return panels.integrals(self._times, once=terms)
         path = motion.position.T[:2] if with_path else None
         return panels.integrals(self._times, once=path, twice=terms)
-
-    def _edges(self, breaks: Array | None = None) -> Array:
-        return quadrature.panel_edges(self._trajectory.spindle, self._duration, breaks)
 
     def _integrands(self, rows: Sequence[Term | SharedTerm], motion: Motion) -> Array:
         """Return what the terms integrate, m/s^2 per unit coefficient and K_I, shape (k, m)."""
@@ -330,12 +383,21 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
         raise ValueError("closed forms need a horizontal input axis and a vertical pendulous axis")
     row = term(symbol)
     force = radius * rate**2 / gravity
+    if isinstance(row, ConditionTerm):
+        return 0.5 * gravity * row.lever(AT_REFERENCE, force)
     if isinstance(row, Term):
         vertical = float(matrix[1, 2]) ** row.factors.count("P")  # a_P is -1 with P down
         horizontal = force ** sum(factor != "P" for factor in row.factors)
         return 0.5 * gravity * row.sign * vertical * horizontal * _mean_of_harmonics(row.factors)
-    if isinstance(row, MotionTerm):
-        return 0.0  # the path comes back to where it was after each revolution
+    if isinstance(row, PlatformTerm):
+        return _parabola_of_platform(row, matrix, rate, radius, gravity)
+    return 0.0  # the path comes back to where it was after each revolution
+
+
+def _parabola_of_platform(
+    row: PlatformTerm, matrix: Array, rate: float, radius: float, gravity: float
+) -> float:
+    force = radius * rate**2 / gravity
     seen = np.cross(np.eye(3)[row.axis], matrix[0])
     if row.kind == "tilt":
         return 0.5 * gravity * float(seen[2])

@@ -1,7 +1,8 @@
 """Errors of the path: the centrifuge does not carry the platform where the recorded angle says.
 
-A spindle out of balance and an arm that stretches change the radius; an eccentric encoder records
-another angle than the spindle's. Neither is in the reference, so both show in every record.
+A spindle out of balance and an arm that stretches change the radius; a spindle whose axis is tilted
+lifts and lowers the platform once a revolution; an eccentric encoder records another angle than the
+spindle's. None of these is in the reference, so all show in every record.
 
 - `true_trajectory`: the path of a machine with these errors, without linearisation
 - `encoder_error`: what its encoder adds to the angle
@@ -22,14 +23,14 @@ from counterspin.physics.shared_terms import MOTION_TERMS, MotionTerm
 
 
 def true_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Trajectory:
-    """Return the path with the radius's errors, where there are any.
+    """Return the path with the errors of radius and axis, where there are any.
 
     Parameters
     ----------
     trajectory
         On the circle.
     shared
-        Shared terms by symbol, SI; those that do not change the radius are left alone.
+        Shared terms by symbol, SI; those that do not change the path are left alone.
     """
     rows = {MOTION_TERMS[s]: value for s, value in shared.items() if s in MOTION_TERMS}
     imbalance = tuple(
@@ -38,9 +39,13 @@ def true_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Traj
         if row.kind == "imbalance" and value != 0.0
     )
     stretch = sum(value for row, value in rows.items() if row.kind == "stretch")
-    if not imbalance and stretch == 0.0:
+    tilt = (
+        shared.get("centrifuge.axis_tilt.east", 0.0),
+        shared.get("centrifuge.axis_tilt.north", 0.0),
+    )
+    if not imbalance and stretch == 0.0 and tilt == (0.0, 0.0):
         return trajectory
-    return replace(trajectory, stretch=stretch, imbalance=imbalance)
+    return replace(trajectory, stretch=stretch, imbalance=imbalance, axis_tilt=tilt)
 
 
 def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
@@ -83,7 +88,7 @@ def path_change(row: MotionTerm, trajectory: Trajectory, times: Array, order: in
     """
     if row.kind == "encoder":
         return _turned_back(row, trajectory, times, order)
-    # The motion is linear in the radius: a whole unit of the error shows its derivative.
+    # The motion is linear in radius and tilt: a whole unit of the error shows its derivative.
     moved = true_trajectory(trajectory, {row.symbol: 1.0}).at(times)
     circle = trajectory.at(times)
     change: Array

@@ -3,22 +3,25 @@
 - `PlatformTerm`, `PLATFORM_TERMS`: the platform's attitude and its gyros
 - `MotionTerm`, `MOTION_TERMS`: the path on which the centrifuge carries the platform
 - `SharedTerm`, `SHARED_TERMS`: both
-- `term`: the row of any table with a symbol; `symbol_of`: the symbol in an unknown's name
+- `term`, `AnyTerm`: the row of any table with a symbol; `symbol_of`: the symbol in an unknown's
+  name
+- `OWN_TERMS`: the terms of which each accelerometer has its own, slopes under conditions included
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
+from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import TERMS, Term
+from counterspin.physics.conditions import CONDITION_TERMS, ConditionTerm
 
 DEGREE_PER_HOUR: Final = math.radians(1.0) / 3600.0  #: rad/s
 
 
-@dataclass(frozen=True)
+@frozen
 class PlatformTerm:
     """One error term of the platform: it turns the attitude and so every accelerometer's axes.
 
@@ -140,23 +143,25 @@ PLATFORM_TERMS: Final[Mapping[str, PlatformTerm]] = {
 }
 
 
-@dataclass(frozen=True)
+@frozen
 class MotionTerm:
     """One error of the path: the centrifuge's radius, or the angle that its encoder records.
 
     With the spindle's angle theta and the radius R, the platform is at the distance
     R (1 + stretch R w^2) + sum of c cos n theta + s sin n theta from the axis, and the encoder
-    records theta + sum of c cos n theta + s sin n theta. The errors are those of the machine, the
-    same in every run.
+    records theta + sum of c cos n theta + s sin n theta. An axis that is tilted by a about east and
+    b about north carries the platform R (a sin theta - b cos theta) above the level; the platform
+    itself stays level, and its own tilt is a `PlatformTerm`. The errors are those of the machine,
+    the same in every run.
 
     Attributes
     ----------
     symbol
         Such as ``centrifuge.imbalance.1.cos``.
     kind
-        ``stretch``, ``imbalance`` or ``encoder``.
+        ``stretch``, ``imbalance``, ``axis_tilt`` or ``encoder``.
     harmonic, quadrature
-        n, and ``cos`` or ``sin``; 0 and empty for the stretch.
+        n, and ``cos`` or ``sin``; 0 and empty for the stretch and the tilts.
     unit, limit, typical
         As of `PlatformTerm`.
     words
@@ -207,6 +212,19 @@ MOTION_TERMS: Final[Mapping[str, MotionTerm]] = {
         ),
         *(
             MotionTerm(
+                f"centrifuge.axis_tilt.{axis}",
+                "axis_tilt",
+                0,
+                "",
+                "rad",
+                1e-2,
+                10.0 * _ARCSEC,
+                f"tilt of the spindle's axis about {axis}",
+            )
+            for axis in ("east", "north")
+        ),
+        *(
+            MotionTerm(
                 f"encoder.harmonic.{n}.{wave}",
                 "encoder",
                 n,
@@ -224,13 +242,19 @@ MOTION_TERMS: Final[Mapping[str, MotionTerm]] = {
 
 SHARED_TERMS: Final[Mapping[str, SharedTerm]] = {**PLATFORM_TERMS, **MOTION_TERMS}
 
+OWN_TERMS: Final[Mapping[str, Term | ConditionTerm]] = {**TERMS, **CONDITION_TERMS}
+
 
 def symbol_of(name: str) -> str:
     """Return the term in the name of an unknown: ``K_II`` of ``Qx.K_II``."""
     return name if name in SHARED_TERMS else name.partition(".")[2] or name
 
 
-def term(symbol: str) -> Term | SharedTerm:
+#: A row of any table.
+AnyTerm = Term | ConditionTerm | SharedTerm
+
+
+def term(symbol: str) -> AnyTerm:
     """Return the row of the table with this symbol.
 
     Raises
@@ -238,8 +262,8 @@ def term(symbol: str) -> Term | SharedTerm:
     ValueError
         If there is no such term; the message lists those there are.
     """
-    row = TERMS.get(symbol) or SHARED_TERMS.get(symbol)
+    row = TERMS.get(symbol) or CONDITION_TERMS.get(symbol) or SHARED_TERMS.get(symbol)
     if row is None:
-        known = ", ".join([*TERMS, *SHARED_TERMS])
+        known = ", ".join([*TERMS, *CONDITION_TERMS, *SHARED_TERMS])
         raise ValueError(f"no term is called {symbol!r}; known: {known}")
     return row

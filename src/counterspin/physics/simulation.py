@@ -6,21 +6,28 @@ through the complete error model and integrates, products of small terms include
 
 - `attitude_error`: the platform's rotation vector
 - `recorded`: the indicated displacement, velocity or specific force, without noise
-- `accelerometer_walk`: accelerometer noise, integrated as often as the observable is
+- `accelerometer_walk`, `bias_wander`: noise of accelerometer and bias, integrated as often as the
+  observable is
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.physics import observation, quadrature
 from counterspin.physics.accelerometer import Mounting, indicated
+from counterspin.physics.conditions import CONDITION_TERMS, changed
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.path_errors import true_trajectory
 from counterspin.physics.shared_terms import PLATFORM_TERMS
+
+#: Flicker of a bias has a longest period of a day, Hz; what is slower is bias.
+SLOWEST_FLICKER: Final = 1.0 / 86400.0
 
 
 def attitude_error(
@@ -88,7 +95,8 @@ def recorded(
     mounting
         The accelerometer's axes in the level attitude.
     coefficients
-        Accelerometer terms by symbol, g-units; those not named are nominal.
+        Accelerometer terms by symbol, slopes under conditions included, g-units; those not named
+        are nominal.
     shared
         Terms of platform and motion by symbol, SI.
     times
@@ -106,6 +114,12 @@ def recorded(
     trajectory = true_trajectory(trajectory, shared)
     platform = {symbol: value for symbol, value in shared.items() if symbol in PLATFORM_TERMS}
     g = trajectory.site.gravity
+    trend = sum(
+        slope
+        for symbol, slope in coefficients.items()
+        if symbol in CONDITION_TERMS and CONDITION_TERMS[symbol].condition == "time"
+    )
+    coefficients = changed(coefficients, trajectory.conditions, trajectory.centripetal)
     scale_error = coefficients.get("K_I", 1.0) - 1.0
 
     def residual(t: Array) -> Array:
@@ -113,7 +127,7 @@ def recorded(
         force = trajectory.specific_force(t)
         psi = attitude_error(trajectory, platform, t, attitude)
         sensed = indicated(axes, coefficients, _turned(force, psi) / g)
-        return g * sensed - (1.0 + scale_error) * (force @ axes.input_axis)
+        return g * (sensed + trend * t) - (1.0 + scale_error) * (force @ axes.input_axis)
 
     # The scale factor's own part has an exact integral, which a quadrature would spoil.
     exact = observation.columns(
@@ -178,4 +192,68 @@ def accelerometer_walk(
         return velocity
     inside = random_walk * step**1.5 * (0.5 * z1 + z2 / np.sqrt(12.0))
     position: Array = np.concatenate([[0.0], np.cumsum(velocity[:-1] * step + inside)])
+    return position
+
+
+def bias_wander(
+    generator: np.random.Generator,
+    times: Array,
+    flicker: float,
+    bias_walk: float,
+    order: int,
+    before: float = 0.0,
+) -> Array:
+    """Draw the wander of a bias as the observable shows it.
+
+    Flicker is a sum of waves whose variances are those of the spectrum B^2/(2 pi f), from a day's
+    period to half the sampling rate: line by line of eight times the record's length, and slower
+    ones in bands of a tenth of a decade.
+
+    Parameters
+    ----------
+    generator
+        Source of random numbers.
+    times
+        s, evenly spaced, shape (n,), at least 2.
+    flicker, bias_walk
+        Bias instability B, m/s^2, and random walk K of the bias, m/s^2/s^0.5.
+    order
+        As for `accelerometer_walk`; 0 is the bias itself.
+    before
+        For how long the bias had walked at the first time, s.
+
+    Returns
+    -------
+    Array
+        Shape (n,), zero at the first time for orders 1 and 2.
+    """
+    n, step = times.size, float(times[1] - times[0])
+    bias = np.zeros(n)
+    if flicker > 0.0:
+        lines = 8 * n
+        k = np.arange(1, lines // 2)
+        # Variance between the middles of the gaps to the neighbours: B^2/pi ln(f2/f1).
+        size = flicker * np.sqrt(np.log((k + 0.5) / (k - 0.5)) / math.pi)
+        waves = np.zeros(lines // 2 + 1, dtype=complex)
+        waves[k] = 0.5 * size * (generator.standard_normal((2, k.size)).T @ [1.0, 1j])
+        bias += np.fft.irfft(waves * lines, lines)[:n]
+        first = 0.5 / (lines * step)
+        low = min(SLOWEST_FLICKER, 0.1 * first)
+        edges = np.geomspace(low, first, 2 + math.ceil(10.0 * math.log10(first / low)))
+        sizes = flicker * np.sqrt(np.diff(np.log(edges)) / math.pi)
+        phases = 2.0 * math.pi * np.sqrt(edges[1:] * edges[:-1])[:, None] * (times - times[0])
+        a, b = sizes * generator.standard_normal((2, sizes.size))
+        bias += a @ np.cos(phases) + b @ np.sin(phases)
+    if bias_walk > 0.0:
+        steps = generator.standard_normal(n) * np.sqrt(np.append(before, np.full(n - 1, step)))
+        bias += bias_walk * np.cumsum(steps)
+    if order == 0:
+        return bias
+    # The bias is taken as linear between samples.
+    gained = 0.5 * step * (bias[1:] + bias[:-1])
+    velocity = np.concatenate([[0.0], np.cumsum(gained)])
+    if order == 1:
+        return velocity
+    moved = velocity[:-1] * step + (2.0 * bias[:-1] + bias[1:]) * step**2 / 6.0
+    position: Array = np.concatenate([[0.0], np.cumsum(moved)])
     return position

@@ -11,13 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array, in_parts, triangle_of, triangular_root
 from counterspin.errors import ConvergenceError, NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.physics.angle_error import HARMONICS, AngleError, slow_part
 
 TURN: Final = 2.0 * math.pi  #: rad
@@ -25,7 +26,7 @@ TURN: Final = 2.0 * math.pi  #: rad
 MAX_HARMONICS: Final = 8  #: highest ripple harmonic that `fit_spindle` tries by itself
 
 
-@dataclass(frozen=True)
+@frozen
 class Ripple:
     """One periodic fluctuation of the angular rate, w_n sin(n w0 t + phi_n).
 
@@ -44,7 +45,7 @@ class Ripple:
     phase: float
 
 
-@dataclass(frozen=True)
+@frozen
 class Spindle:
     """The spindle's motion, Eq. 1-4 with any number of harmonics.
 
@@ -128,7 +129,7 @@ class Spindle:
         return max((ripple.harmonic for ripple in self.ripples), default=0)
 
 
-@dataclass(frozen=True)
+@frozen
 class SpindleFit:
     """A spindle identified from a recorded angle.
 
@@ -232,7 +233,7 @@ def _supported(ripple: Ripple, u_ripple: tuple[float, float], samples: int) -> b
     return ripple.amplitude**2 > 2.0 * math.log(samples * MAX_HARMONICS) * u_ripple[0] ** 2
 
 
-@dataclass(frozen=True)
+@frozen
 class _Coefficients:
     """What a fit found of 1, t/span, (t/span)^2 and cos, sin of each harmonic; rad."""
 

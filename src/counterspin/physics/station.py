@@ -17,12 +17,12 @@ right-handed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import DIRECTIONS, TERMS, Mounting
 from counterspin.physics.motion import Site
 
@@ -47,10 +47,8 @@ FRAMES: Final[Mapping[str, Mapping[str, tuple[float, float, float]]]] = {
 #: Angles of a revolution at which the mean is taken: exact for products of degree below this.
 _ANGLES: Final = 16
 
-_FORWARD: Final = np.array([0.0, 1.0, 0.0])
 
-
-@dataclass(frozen=True)
+@frozen
 class Station:
     """Where and how one reading is taken.
 
@@ -69,6 +67,8 @@ class Station:
     droop
         Turn of the instrument about forward per squared rate, rad s^2: a positive one lowers the
         outer end of the arm. Of the arm only.
+    axis_tilt
+        Small right-handed turns of the spindle's axis about east and north, rad.
     turn
         Small right-handed turn of the instrument about the axes of the frame, rad, shape (3,).
     """
@@ -79,6 +79,7 @@ class Station:
     radius: float = 0.0
     stretch: float = 0.0
     droop: float = 0.0
+    axis_tilt: tuple[float, float] = (0.0, 0.0)
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def force(self, site: Site, angle: Array) -> Array:
@@ -97,39 +98,75 @@ class Station:
             m/s^2, shape (n, 3). Neglected: the square of the Earth's rate times the radius
             (1.3e-8 m/s^2 at 2.5 m) and the turn of the plumb line across the radius.
         """
-        w = self.rate
-        radius = self.radius * (1.0 + self.stretch * self.radius * w * w)
-        _, north, up = site.earth_rotation
-        cos, sin = np.cos(angle), np.sin(angle)
-        inward = radius * w * w
-        # 2 Omega x v of the velocity R w forward; the part along the arm is the same everywhere.
-        coriolis = 2.0 * radius * w * up
-        lifted = site.gravity + 2.0 * radius * w * north * sin
-        if self.motion == "arm":
-            return np.stack([np.full_like(cos, -inward - coriolis), 0.0 * cos, lifted], axis=-1)
-        along = -inward - coriolis
-        return np.stack([along * cos, along * sin, lifted], axis=-1)
+        force: Array = _forces([self], site, angle)[0]
+        return force
+
+    def axes_under_load(self) -> Array:
+        """Return the axes I, P, O with droop and turn, rows, shape (3, 3)."""
+        axes: Array = _axes_under_load([self])[0]
+        return axes
 
     def indicated(self, site: Site, coefficients: Mapping[str, float]) -> float:
         """Return the mean indication in g; coefficients that are not named are nominal."""
         values = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
         return float(mean_products([self], site, list(TERMS))[0] @ values)
 
-    def axes_under_load(self) -> Array:
-        """Return the axes I, P, O with droop and turn, rows, shape (3, 3)."""
-        turn = np.array(self.turn) + self.droop * self.rate**2 * _FORWARD
-        size = float(np.linalg.norm(turn))
-        axes = self.mounting.matrix
-        if size == 0.0:
-            return axes
-        about = turn / size
-        # Rodrigues, row by row.
-        turned: Array = (
-            np.cos(size) * axes
-            + np.sin(size) * np.cross(about, axes)
-            + (1.0 - np.cos(size)) * (axes @ about)[:, None] * about
-        )
-        return turned
+
+def _forces(stations: Sequence[Station], site: Site, angles: Array) -> Array:
+    """Return `Station.force` of several stations, shape (stations, angles, 3)."""
+    w, radius, stretch = (
+        np.array([[part] for part in parts])
+        for parts in zip(*((s.rate, s.radius, s.stretch) for s in stations), strict=True)
+    )
+    about_east, about_north = (
+        np.array([[s.axis_tilt[axis]] for s in stations]) for axis in range(2)
+    )
+    radius = radius * (1.0 + stretch * radius * w * w)
+    cos, sin = np.cos(angles), np.sin(angles)
+    _, north, up = site.earth_rotation
+    # 2 Omega x v of the velocity R w forward; the part along the arm is the same everywhere. The
+    # platform stays level; a tilted axis lifts and lowers it.
+    along = -radius * (w * w + 2.0 * w * up)
+    rises = radius * (about_east * sin - about_north * cos)
+    speed = radius * w * (about_east * cos + about_north * sin)
+    lifted = site.gravity + 2.0 * radius * w * north * sin - w * w * rises
+    forces = np.stack([along * cos + 2.0 * north * speed, along * sin, lifted], axis=-1)
+    carried = np.array([station.motion == "arm" for station in stations])
+    if not carried.any():
+        return forces
+    # The machine's axes lean with its spindle: gravity and the Earth's rotation as they see them.
+    w, radius = w[carried], radius[carried]
+    leaning = np.column_stack([about_east, about_north, np.zeros(len(stations))])[carried]
+    machine = _turned(np.broadcast_to(np.eye(3), (w.size, 3, 3)), leaning)
+    earth = (machine @ site.earth_rotation)[:, :, None]
+    plumb = site.gravity * machine[:, :, 2, None]
+    forces[carried, :, 0] = (
+        plumb[:, 0] * cos + plumb[:, 1] * sin - radius * (w * w + 2.0 * w * earth[:, 2])
+    )
+    forces[carried, :, 1] = plumb[:, 1] * cos - plumb[:, 0] * sin
+    forces[carried, :, 2] = plumb[:, 2] + 2.0 * radius * w * (earth[:, 0] * cos + earth[:, 1] * sin)
+    return forces
+
+
+def _axes_under_load(stations: Sequence[Station]) -> Array:
+    """Return `Station.axes_under_load` of several stations, shape (stations, 3, 3)."""
+    turns = np.array([station.turn for station in stations])
+    turns[:, 1] += [station.droop * station.rate**2 for station in stations]
+    return _turned(np.array([station.mounting.axes for station in stations]), turns)
+
+
+def _turned(axes: Array, turns: Array) -> Array:
+    """Return axes, rows, after right-handed turns (Rodrigues), shapes (n, 3, 3) and (n, 3)."""
+    if not turns.any():
+        return axes
+    size = np.linalg.norm(turns, axis=1)[:, None, None]
+    about = turns[:, None] / np.where(size > 0.0, size, 1.0)
+    x, y, z = np.moveaxis(axes, -1, 0)
+    u, v, w = np.moveaxis(about, -1, 0)
+    across = np.stack([v * z - w * y, w * x - u * z, u * y - v * x], axis=-1)
+    along = np.sum(axes * about, axis=-1)[..., None] * about
+    turned: Array = np.cos(size) * axes + np.sin(size) * across + (1.0 - np.cos(size)) * along
+    return turned
 
 
 def mean_products(stations: Sequence[Station], site: Site, symbols: Sequence[str]) -> Array:
@@ -155,8 +192,9 @@ def mean_products(stations: Sequence[Station], site: Site, symbols: Sequence[str
         If a symbol is no term of an accelerometer.
     """
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False, dtype=np.float64)
-    a_ipo = np.empty((3, len(stations), _ANGLES))
-    for index, station in enumerate(stations):
-        a_ipo[:, index] = station.axes_under_load() @ station.force(site, angles).T
+    forces = _forces(stations, site, angles)
+    a_ipo = np.einsum("nij,nmj->inm", _axes_under_load(stations), forces)
     a_ipo /= site.gravity
-    return np.stack([TERMS[symbol].evaluate(a_ipo).mean(axis=-1) for symbol in symbols], axis=-1)
+    products = np.stack([TERMS[symbol].evaluate(a_ipo) for symbol in symbols], axis=-1)
+    means: Array = products.mean(axis=1)
+    return means

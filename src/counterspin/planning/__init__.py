@@ -12,6 +12,6 @@
 - `faults`, `watching`: what may be wrong, and what a campaign would notice of it
 - `predicted`, `requirements`: what the runs will tell, and what the centrifuge must be for it
 - `figure_curves`: the curves of the figures
-- `result`: what planning found, its JSON; `toml_text`: the campaign it writes
+- `result`: what planning found, its JSON
 - `page`, `figures`: a plan as a person reads it
 """

@@ -10,12 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final, Literal, NamedTuple
 
 import numpy as np
 
 from counterspin.arrays import Array, triangle_of
+from counterspin.frozen import frozen
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.planning.run_information import RunInformation
 
@@ -36,7 +36,7 @@ class RunType(NamedTuple):
     sense: int
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Design:
     """Runs of a campaign.
 
@@ -78,7 +78,7 @@ class Design:
         )
 
 
-@dataclass(frozen=True)
+@frozen
 class Limits:
     """What a campaign may be.
 
@@ -177,7 +177,7 @@ class Limits:
         return chosen
 
 
-@dataclass(frozen=True)
+@frozen
 class Criterion:
     """What is to be small.
 

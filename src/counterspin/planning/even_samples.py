@@ -17,7 +17,6 @@ through them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cache
 from typing import Final
 
@@ -25,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array, triangle_of
+from counterspin.frozen import frozen
 from counterspin.planning.angle_functions import shifted
 
 #: Largest angle by which the highest harmonic of the products may turn from sample to sample, rad.
@@ -47,7 +47,7 @@ _KERNEL: Final = (
 _BINOMIAL: Final = ((1,), (1, 1), (1, 2, 1), (1, 3, 3, 1), (1, 4, 6, 4, 1))
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class EvenSamples:
     """Samples, or means of adjoining blocks of samples, evenly spaced in angle; one row a run.
 

@@ -6,12 +6,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import Mounting
@@ -19,7 +19,7 @@ from counterspin.physics.motion import Site
 from counterspin.physics.observation import ORDERS
 
 
-@dataclass(frozen=True)
+@frozen
 class PlannedInstrument:
     """One accelerometer as a plan sees it.
 
@@ -45,7 +45,7 @@ class PlannedInstrument:
         return ORDERS[self.observable]
 
 
-@dataclass(frozen=True)
+@frozen
 class Setup:
     """What is planned: instruments, attitudes, unknowns.
 

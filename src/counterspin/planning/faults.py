@@ -1,8 +1,8 @@
 """Faults that a campaign's model leaves out, and what each would do to its estimates unseen.
 
-A fault is a term of the table that is neither estimated nor considered, at its typical size, or a
-bias that heating changes. Each moves the estimates, and leaves something in the
-residuals; where that is too little, the plan cannot notice it.
+A fault is a term of the table that is neither estimated nor considered, at its typical size. Each
+moves the estimates, and leaves something in the residuals; where that is too little, the plan
+cannot notice it.
 
 - `Fault`, `Part`, `faults_of`, `of_path`: what may be wrong
 - `square`, `mean_square`: K_II itself in the same form, and without its harmonics
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -21,6 +20,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import left_out_of
 from counterspin.campaign.machine import symbols_shown
 from counterspin.campaign.resolved import Campaign
+from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Considered
 from counterspin.physics.machine import machine_term
@@ -34,7 +34,7 @@ Columns = Callable[[Series], Array | None]
 _NO_TERM: Final = Considered("nobody", "", (0.0, 0.0), 1.0)
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Part:
     """What a fault, or a part of it, shows of one unit: in records and, of a term, in readings."""
 
@@ -42,7 +42,7 @@ class Part:
     term: Considered = _NO_TERM
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Fault:
     """Something that may be wrong, and that the model does not know.
 
@@ -92,7 +92,7 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
             shown = Considered(owner, symbol, (0.0, 0.0), row.limit)
             parts = (Part(lambda _: None, shown),)
             terms.append(Fault(symbol, row.words, row.typical, row.unit, parts))
-    return [*terms, *((_HEATING,) if campaign.runs else ())]
+    return terms
 
 
 def of_path(symbol: str) -> Fault:
@@ -155,19 +155,3 @@ def _of_term(part: Considered, campaign: Campaign) -> Part:
         return series.columns([part.symbol], factor)[:, 0] if part.concerns(series) else None
 
     return Part(columns, part)
-
-
-def _heating(series: Series) -> Array:
-    """Return what a bias shows that grows by 1 g for each g^2 of the centripetal force."""
-    motion = series.trajectory
-    force = motion.radius * motion.spindle.rate**2 / motion.site.gravity
-    return np.asarray(force**2 * series.columns(["K_F"], 1.0)[:, 0])
-
-
-_HEATING: Final = Fault(
-    "K_F.heating",
-    "bias that grows with the square of the force",
-    1e-7,
-    "g/g^2",
-    (Part(_heating),),
-)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -20,10 +20,13 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_problem import model_of
-from counterspin.calibration.readings import block_name, groups_of
+from counterspin.calibration.readings import block_name
+from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import read_campaign
+from counterspin.campaign.reading_groups import groups_of
 from counterspin.campaign.resolved import Campaign, Run, sample_count
 from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit, solve_blocks, solve_joint
@@ -32,15 +35,15 @@ from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.readings import blocks_at
-from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import ORDERS
+from counterspin.physics.shared_terms import OWN_TERMS
 from counterspin.physics.spindle import Spindle
 from counterspin.planning.experimental_setup import PlannedInstrument, Setup
 from counterspin.records.reduction import block_size
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Forecast:
     """A campaign's uncertainties as they will be.
 
@@ -150,7 +153,8 @@ def _check(campaign: Campaign, sampling_rate: float | None) -> None:
         problems.append("simulation.sampling_rate: missing; a prediction needs it")
     noise = _noise(campaign)
     for name, accelerometer in campaign.accelerometers.items() if campaign.runs else ():
-        for key in (accelerometer.observable, "acceleration", "quantisation", "timing"):
+        own = (accelerometer.observable, "acceleration", "flicker", "bias_walk")
+        for key in (*own, "quantisation", "timing"):
             if not isinstance(noise.get(key, "estimate"), float):
                 problems.append(f"noise.{key}: a prediction needs its size")
         sizes = [noise.get(key) for key in (accelerometer.observable, "acceleration")]
@@ -176,7 +180,11 @@ def noise_of_records(campaign: Campaign) -> dict[str, NoiseModel]:
     for name, accelerometer in campaign.accelerometers.items():
         step = noise["quantisation"] if accelerometer.observable == "displacement" else 0.0
         models[name] = NoiseModel(
-            float(noise[accelerometer.observable]), float(noise["acceleration"]), float(step)
+            float(noise[accelerometer.observable]),
+            float(noise["acceleration"]),
+            float(step),
+            float(noise["flicker"]),
+            float(noise["bias_walk"]),
         )
     return models
 
@@ -207,7 +215,12 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     series = Series(
         accelerometer=name,
         run=run.name,
-        trajectory=Trajectory(Spindle(run.rate), campaign.radius.value, campaign.site),
+        trajectory=Trajectory(
+            Spindle(run.rate),
+            campaign.radius.value,
+            campaign.site,
+            conditions=conditions_of(campaign)[run.name],
+        ),
         mounting=accelerometer.mounting,
         observable=accelerometer.observable,
         attitude=run.attitude,
@@ -234,7 +247,7 @@ def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unk
     values = []
     for unknown in unknowns:
         known = truth.get(unknown.owner, {}).get(unknown.symbol)
-        if unknown.symbol not in TERMS and platform:
+        if unknown.symbol not in OWN_TERMS and platform:
             of_run = platform.get(unknown.owner) or next(iter(platform.values()))
             known = of_run.get(unknown.symbol)
         if known is None:

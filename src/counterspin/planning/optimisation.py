@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import Final
 
@@ -22,6 +22,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
 from counterspin.planning.polishing import fitted_into, polish, shortened
 from counterspin.planning.relaxation import Relaxed, relax
@@ -37,7 +38,7 @@ _WEIGHT_OF_A_RUN: Final = 0.02
 _EQUAL_RUNS: Final = 1e-3
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Optimum:
     """A plan and how good it is.
 

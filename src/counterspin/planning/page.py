@@ -31,6 +31,9 @@ _LINES: Final = 6  #: of a budget
 #: Deviations from which on a fit that estimates a fault nearly always finds it (5 % each way).
 _FOUND: Final = 4.0
 
+#: u with what is left out is said beside the answer from so many times u on.
+_MORE: Final = 1.05
+
 #: How limits are changed that are no sizes.
 _CHANGES: Final = {"senses": "both senses instead", "fewest_rates": "one fewer"}
 
@@ -65,7 +68,7 @@ def _answer(result: PlanResult) -> Iterator[Block]:
             if owner in result.accelerometers
             else result.platform[name]
         )
-        parts.append(f"u({_spoken(name)}) = {_u(predicted)}")
+        parts.append(f"u({_spoken(name)}) = {_u(predicted)}{_with_left_out(predicted)}")
     amounts = [
         f"{count} {word}{'s' * (count > 1)}"
         for count, word in ((len(result.runs), "run"), (len(result.readings), "reading"))
@@ -173,13 +176,16 @@ def _accelerometer(
     rows, quiet = [], set()
     shown = dict(accelerometer.coefficients) | result.platform
     for index, (symbol, predicted) in enumerate(shown.items()):
-        rows.append((symbol, _u(predicted), _known(predicted), _from(predicted)))
+        rows.append(
+            (symbol, _u(predicted), _typical(predicted), _known(predicted), _from(predicted))
+        )
         if not predicted.estimated:
             quiet.add(index)
     yield Table(
         (
             Column("Coefficient"),
             Column("u"),
+            Column("u typical"),
             Column("Known before to"),
             Column("From", wraps=True),
         ),
@@ -400,6 +406,21 @@ def _u(predicted: Predicted) -> str:
         return NOT_DETERMINED
     unit, factor = field_unit(predicted.unit)
     return f"{format_number(predicted.u * factor, 3)} {unit}"
+
+
+def _typical(predicted: Predicted) -> str:
+    if predicted.u_typical is None:
+        return "-"
+    return _in_field_unit(predicted.u_typical, predicted.unit)
+
+
+def _with_left_out(predicted: Predicted) -> str:
+    """Say what u is with all that the model leaves out, where that is more."""
+    if predicted.u is None or predicted.u_typical is None:
+        return ""
+    if predicted.u_typical < _MORE * predicted.u:
+        return ""
+    return f" ({_typical(predicted)} with what the model leaves out at typical sizes)"
 
 
 def _known(predicted: Predicted) -> str:

@@ -9,26 +9,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from counterspin._version import __version__
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.attitude import attitude_words
 from counterspin.campaign.description import read_campaign
+from counterspin.campaign.questions import questions
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
+from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CampaignError, CounterspinError
+from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
 from counterspin.planning.design import Design, Limits
 from counterspin.planning.feasibility import require_determined, unreachable
 from counterspin.planning.figure_curves import curves_of
 from counterspin.planning.forecast import Forecast, forecast
 from counterspin.planning.optimisation import Optimum
-from counterspin.planning.plan_file import load_plan, read_plan
+from counterspin.planning.plan_file import load_plan, plan_name, read_plan
 from counterspin.planning.predicted import (
     accelerometers_of,
     planned_readings,
@@ -40,7 +43,7 @@ from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.planning.requirements import requirements_of
 from counterspin.planning.result import GoalResult, LimitResult, OtherPlan, PlanResult, Requirement
 from counterspin.planning.search import Search
-from counterspin.planning.toml_text import write_document
+from counterspin.workers import one_blas_thread
 
 #: Smallest relative gain of u that is reported.
 _GAIN: Final = 5e-4
@@ -52,7 +55,7 @@ _CHECKS: Final = 5
 _DISTANCE: Final = 2e-3
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Planned:
     """A plan and the campaign that it makes.
 
@@ -68,8 +71,9 @@ class Planned:
     document: str
 
 
+@one_blas_thread()
 def plan(
-    where: Path | str,
+    where: Mapping[str, Any] | Path | str,
     *,
     curves: bool = False,
     progress: Callable[[int, int], None] | None = None,
@@ -79,7 +83,7 @@ def plan(
     Parameters
     ----------
     where
-        The plan's file.
+        The plan's file, or what it says as nested mappings.
     curves
         Whether the figures' curves are computed too, which takes some seconds more.
     progress
@@ -137,11 +141,13 @@ def plan(
     return Planned(result, write_document(search.document(design), _COMMENTS))
 
 
-def _planned_readings(where: Path | str, curves: bool) -> Planned:
+def _planned_readings(where: Mapping[str, Any] | Path | str, curves: bool) -> Planned:
     """Return a plan of readings, with their values left blank in its campaign."""
     described = read_reading_plan(where)
     if curves:
-        raise CampaignError(str(where), ["curves are of plans with records, not of readings"])
+        raise CampaignError(
+            str(plan_name(where)), ["curves are of plans with records, not of readings"]
+        )
     result, readings = plan_readings(described)
     return Planned(result, write_document(described.campaign_document(readings), _COMMENTS))
 
@@ -224,7 +230,7 @@ def check(
         update={
             "requirements": requirements,
             "requirements_for": words,
-            "warnings": warnings,
+            "warnings": [*result.warnings, *warnings],
         }
     )
 
@@ -277,6 +283,7 @@ def _result(
         readings=planned_readings(campaign),
         accelerometers=accelerometers_of(prediction),
         platform=platform_of(prediction),
+        warnings=[question.text for question in questions(campaign)],
         provenance=Provenance(version=__version__, inputs={}),
     )
 

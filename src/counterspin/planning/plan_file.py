@@ -3,7 +3,7 @@
 Most of a plan is a campaign without runs, and is checked as one: a stand-in campaign with one run
 in each attitude.
 
-- `read_plan`: the file; `load_plan`: only its document
+- `read_plan`: the file; `load_plan`: only its document; `plan_name`: what messages call it
 - `Plan`, `Goal`: what it says; `resolve_goal`: [goal] against a campaign's unknowns
 - `campaign_of`: the campaign that it makes of chosen runs
 """
@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -20,12 +19,15 @@ from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.joint_problem import model_of
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import ESTIMATE, OBSERVABLES
 from counterspin.campaign.toml_file import load_document
 from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown
+from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.shared_terms import term
 from counterspin.planning.design import Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument
@@ -40,7 +42,7 @@ _RECORDS: Final[Mapping[str, Any]] = {
 }
 
 
-@dataclass(frozen=True)
+@frozen
 class Goal:
     """What a plan is for.
 
@@ -59,7 +61,7 @@ class Goal:
     criterion: Literal["sum", "determinant"]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Plan:
     """A plan's description, checked and resolved.
 
@@ -90,26 +92,36 @@ class Plan:
     goal: Goal
 
 
-def load_plan(path: Path | str) -> dict[str, Any]:
+def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
     """Return a plan's document; CampaignError if it cannot be read."""
+    if isinstance(path, Mapping):
+        problems = Problems(path)
+        document: dict[str, Any] = {"schema": 1} | plain(path, (), problems)
+        if problems.lines:
+            raise CampaignError(str(plan_name(path)), problems.lines)
+        return document
     return load_document(Path(path), "`planning.plan.write_example` writes a plan to start from")
 
 
-def read_plan(path: Path | str) -> Plan:
+def plan_name(path: Mapping[str, Any] | Path | str) -> Path:
+    """Return what messages call a plan: its file, if there is one."""
+    return Path("plan in memory") if isinstance(path, Mapping) else Path(path)
+
+
+def read_plan(path: Mapping[str, Any] | Path | str) -> Plan:
     """Read and check a plan.
 
     Parameters
     ----------
     path
-        The file.
+        The file, or what it says as nested mappings.
 
     Raises
     ------
     CampaignError
         With every mistake found, each with the path of its key; or that the file cannot be read.
     """
-    file = Path(path)
-    raw = load_plan(file)
+    file, raw = plan_name(path), load_plan(path)
     problems = Problems(raw)
     if "runs" in raw:
         raw = {key: value for key, value in raw.items() if key != "runs"}
@@ -120,6 +132,8 @@ def read_plan(path: Path | str) -> Plan:
     attitudes = _named(settings.attitudes if settings else ["level"], problems)
     document = _campaign_document(raw, settings)
     document["noise"] = _sizes(_table(document, "noise"), problems)
+    if _refuse_dated(document, problems):
+        raise CampaignError(str(file), problems.lines)
     stand_ins = [
         {"name": name, "rate": "1 rad/s", "record": f"run{i}.csv", "attitude": attitude}
         for i, (name, attitude) in enumerate(attitudes.items())
@@ -143,6 +157,26 @@ def read_plan(path: Path | str) -> Plan:
     if problems.lines or plan is None:
         raise CampaignError(str(file), problems.lines)
     return plan
+
+
+def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
+    """Note terms that hang on when runs are made, or on how warm it is: nobody knows yet.
+
+    Returns whether there are any.
+    """
+    model, before = _table(document, "model"), len(problems.lines)
+    for key in ("terms", "considered"):
+        listed = model.get(key)
+        for index, name in enumerate(listed if isinstance(listed, list) else ()):
+            row = CONDITION_TERMS.get(name) if isinstance(name, str) else None
+            if row is not None and row.condition != "force":
+                problems.add(
+                    ("model", key, index),
+                    f'"{name}" hangs on the {row.condition} of each run, which a plan does not '
+                    "know; leave it out here, add it to the campaign that the plan makes, and "
+                    "check that one",
+                )
+    return len(problems.lines) > before
 
 
 def _table(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
@@ -207,6 +241,13 @@ def _check_noise(campaign: Campaign, problems: Problems) -> None:
     noise = campaign.noise
     if noise is None or any(line.startswith("noise.") for line in problems.lines):
         return
+    for key in ("flicker", "bias_walk"):
+        if getattr(noise, key) != 0.0:
+            problems.add(
+                ("noise", key),
+                "a search for runs knows nothing of a bias that wanders; leave it out here, add it "
+                "to the campaign that the plan makes, and check that one",
+            )
     for name, accelerometer in campaign.accelerometers.items():
         own = (getattr(noise, accelerometer.observable), noise.acceleration, noise.quantisation)
         if own == (0.0, 0.0, 0.0):

@@ -85,6 +85,9 @@ class ReadingPlanDocument(SettingsSection):
     centrifuge: dict[str, Any] | None = None
     accelerometers: dict[str, Any] = Field(min_length=1)
     model: dict[str, Any] | None = None
+    records: dict[str, Any] | None = None
+    noise: dict[str, Any] | None = None
+    runs: list[Any] = Field(default_factory=list)
     stations: list[Any] = Field(min_length=1)
     limits: dict[str, Any]
     goal: dict[str, Any]
@@ -95,7 +98,7 @@ class StationsSettings(SettingsSection):
 
     name: str = ""
     motion: Literal["counter-rotating", "arm", "static"] = "static"
-    positions: Annotated[int, AfterValidator(positive)] | None = None
+    positions: Annotated[int, AfterValidator(positive), Field(le=3600)] | None = None
     attitudes: Annotated[list[Any], Field(min_length=1)] | None = None
     about: Text = "north"
     u_angle: Annotated[float, read_exactly("rad"), AfterValidator(_not_negative)] = 0.0
@@ -120,6 +123,7 @@ class ReadingLimitsSettings(SettingsSection):
     readings: Annotated[int, AfterValidator(positive)] | None = None
     total_time: Seconds | None = None
     order: Literal["mirrored", "random", "listed"] = "mirrored"
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = None
 
 
 class GoalSettings(SettingsSection):

@@ -14,7 +14,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import budget_lines, coefficient
-from counterspin.calibration.result_parts import ConfoundedTerms
+from counterspin.calibration.left_out import omissions_of, with_typical
+from counterspin.calibration.result_parts import ConfoundedTerms, OmittedTerm
+from counterspin.campaign.reading_groups import groups_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.accelerometer import TERMS
@@ -36,13 +38,27 @@ _NEARLY_ALWAYS: Final = 0.95
 
 def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
     """Return what a campaign will tell of each accelerometer."""
-    return {name: _accelerometer(prediction, name) for name in prediction.campaign.accelerometers}
+    campaign, unknowns = prediction.campaign, prediction.fit.model.unknowns
+    places = {
+        name: {u.symbol: i for i, u in enumerate(unknowns) if u.owner == name and u.symbol in TERMS}
+        for name in campaign.accelerometers
+    }
+    readings = groups_of(campaign, campaign.readings)
+    left_out = omissions_of(campaign, prediction.fit, places, readings)
+    return {
+        name: _accelerometer(prediction, name, own, left_out[name]) for name, own in places.items()
+    }
 
 
-def _accelerometer(prediction: Forecast, name: str) -> PlannedAccelerometer:
-    unknowns = prediction.fit.model.unknowns
-    own = {u.symbol: i for i, u in enumerate(unknowns) if u.owner == name and u.symbol in TERMS}
-    coefficients = {symbol: _predicted(prediction, index) for symbol, index in own.items()}
+def _accelerometer(
+    prediction: Forecast,
+    name: str,
+    own: Mapping[str, int],
+    left_out: Mapping[str, OmittedTerm],
+) -> PlannedAccelerometer:
+    coefficients = {
+        symbol: _predicted(prediction, index, (symbol, left_out)) for symbol, index in own.items()
+    }
     campaign = prediction.campaign
     others = [f"{other}." for other in campaign.accelerometers if other != name]
     determined = "K_II" in coefficients and coefficients["K_II"].estimated
@@ -110,11 +126,20 @@ def platform_of(prediction: Forecast) -> dict[str, Predicted]:
     }
 
 
-def _predicted(prediction: Forecast, index: int) -> Predicted:
+def _predicted(
+    prediction: Forecast,
+    index: int,
+    left_out: tuple[str, Mapping[str, OmittedTerm]] | None = None,
+) -> Predicted:
+    """Return an unknown's uncertainty; of a coefficient also with what the model leaves out."""
     shown = coefficient(prediction.estimate, prediction.assessment, index)
+    if left_out is not None:
+        symbol, omissions = left_out
+        shown = with_typical({symbol: shown}, omissions)[symbol]
     prior = prediction.fit.model.unknowns[index].prior[1]
     return Predicted(
         u=shown.u if shown.estimated else None,
+        u_typical=shown.u_typical if shown.estimated else None,
         u_noise=shown.u_noise,
         u_prior=shown.u_prior,
         u_considered=shown.u_considered,

@@ -25,13 +25,13 @@ Cook and Fedorov, Constrained optimization of experimental design, Statistics 26
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array, triangle_of
+from counterspin.frozen import frozen
 from counterspin.planning.design import Criterion, Limits, Predictor, RunType
 
 Places = npt.NDArray[np.intp]
@@ -49,7 +49,7 @@ _ZERO_WEIGHT: Final = 1e-5
 _GAP_OF_U: Final = 3e-4
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Relaxed:
     """The relaxed optimum.
 
@@ -75,7 +75,7 @@ class Relaxed:
     price_run: float
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class _Grid:
     """Possible runs: kinds, information about the scaled unknowns (n, p, p), cost in s."""
 

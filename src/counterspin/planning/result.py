@@ -7,10 +7,14 @@ Units are SI, coefficients in g-units of the stated gravity, as in the result of
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 from counterspin.calibration.result_parts import BudgetLine, ConfoundedTerms, Provenance
-from counterspin.results import ResultFile, ResultPart
+from counterspin.reports.shown import ShownResult, on_axes
+from counterspin.results import ResultPart
+
+if TYPE_CHECKING:
+    from counterspin.reports.text import Report
 
 
 class PlannedRun(ResultPart):
@@ -43,9 +47,13 @@ class PlannedReading(ResultPart):
 
 
 class Predicted(ResultPart):
-    """The uncertainty that a coefficient will have, and where from; None: not determined."""
+    """The uncertainty that a coefficient will have, and where from; None: not determined.
+
+    `u_typical` is u with what the model leaves out, and what is stated as exact, at typical sizes.
+    """
 
     u: float | None
+    u_typical: float | None = None
     u_noise: float | None = None
     u_prior: float | None = None
     u_considered: float | None = None
@@ -169,7 +177,7 @@ class Curves(ResultPart):
     sources: dict[str, Curve]
 
 
-class PlanResult(ResultFile):
+class PlanResult(ShownResult):
     """A plan, or the forecast of a campaign that exists (then without goal and limits)."""
 
     KIND: ClassVar[str] = "plan's result"
@@ -192,3 +200,14 @@ class PlanResult(ResultFile):
     curves: Curves | None = None
     warnings: list[str] = []
     provenance: Provenance
+
+    def plot(self, *, axes: Any = None) -> list[Any]:
+        """Draw what limits the plan; `plan` makes the curves with `curves=True`."""
+        from counterspin.planning.figures import plan_plots
+
+        return on_axes(list(plan_plots(self)), axes)
+
+    def _report(self) -> Report:
+        from counterspin.planning.page import render_plan
+
+        return render_plan(self)

@@ -7,13 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array, triangle_of
-from counterspin.calibration.readings import groups_of
+from counterspin.campaign.reading_groups import groups_of
+from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.joint.fit import blocks_of, solve_blocks
 from counterspin.inference.joint.unknowns import Unknowns
@@ -24,7 +25,7 @@ from counterspin.planning.forecast import Forecast, expected_values
 Places = npt.NDArray[np.intp]
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Watched:
     """What a fit would make of faults.
 

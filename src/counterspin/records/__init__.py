@@ -2,9 +2,11 @@
 
 - `reading`: `read_record`, from a run's file to samples or block means, checked and cleaned
 - `record`: the columns asked for, the stated motion, and the record that comes out
-- `formats`, `column_file`, `csv_file`, `parquet_file`, `array_files`: the files, by format
+- `formats`, `column_file`, `csv_file`, `parquet_file`, `array_files`, `excel_file`: the files, by
+  format
 - `pieces`, `clock`, `clock_faults`, `spikes`, `reduction`, `amplitude`: the steps of reading, in
   the order in which a record passes them
+- `memory`: columns that a program holds, in the place of a file
 - `mean`: the mean of a record over whole revolutions
 - `report`: what was found on the way
 - `tables`: a file as a table, for those who add columns to it

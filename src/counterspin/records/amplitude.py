@@ -14,9 +14,10 @@ misreport it. Along the spindle axis the wave is that of the errors: small, and 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
+
+from counterspin.frozen import frozen
 
 #: Fewest samples from which one revolution's amplitude is taken.
 _FEWEST_SAMPLES = 12
@@ -53,7 +54,7 @@ _UNIT_RATIOS = (
 )
 
 
-@dataclass(frozen=True)
+@frozen
 class Swing:
     """The wave of one period a revolution that the motion makes.
 
@@ -69,7 +70,7 @@ class Swing:
     unit: str
 
 
-@dataclass(frozen=True)
+@frozen
 class Waves:
     """A wave and a slow trend, fitted to each revolution.
 
@@ -149,7 +150,7 @@ def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
     return Waves(fitted[..., 0], centre, deviation, u_amplitude, first, last)
 
 
-@dataclass(frozen=True)
+@frozen
 class UnitChange:
     """Where a wave's amplitude changes: a revolution before it and one after it, and the words."""
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from counterspin.arrays import aligned
 from counterspin.errors import RecordError
+from counterspin.frozen import frozen
 from counterspin.records.clock_faults import jump_words, rate_words
 from counterspin.records.pieces import Piece
 from counterspin.records.report import Gap
@@ -55,7 +56,7 @@ class ClockFindings:
     wrapped: bool = False
 
 
-@dataclass(frozen=True)
+@frozen
 class Accepted:
     """The usable rows of a piece: `rows` are places in the piece, None when all are used.
 

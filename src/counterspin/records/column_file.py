@@ -86,13 +86,13 @@ class ColumnFile(ABC):
     names
         All its columns.
     identity
-        Which file this is.
+        Which file this is; None of a table in memory.
     """
 
     def __init__(self, path: Path, stream: BinaryIO) -> None:
         self.path = path
         self.names: list[str] = []
-        self.identity = FileIdentity.of(stream.fileno())
+        self.identity: FileIdentity | None = FileIdentity.of(stream.fileno())
         self._stream = stream
 
     def __enter__(self) -> Self:
@@ -142,9 +142,19 @@ class ColumnFile(ABC):
         with record_errors(self.path):
             return self._table()
 
+    def content(self) -> bytes:
+        """Return the bytes of the file."""
+        with record_errors(self.path):
+            self._stream.seek(0)
+            return self._stream.read()
+
     def locate(self, row: int) -> str:
         """Say where data row `row` (counted from 0) stands in the file."""
         return f"row {row + 1}"
+
+    def places(self, rows: int) -> list[str]:
+        """Say where each of the data rows stands in the file."""
+        return [self.locate(row) for row in range(rows)]
 
     def look_closely(self) -> bool:
         """Read with more patience from now on, if there is such a way that was not taken yet."""
@@ -171,9 +181,10 @@ class ColumnFile(ABC):
 
     def _require_bytes(self, needed: int) -> None:
         """Refuse columns of numbers, before they are read, that no file of this size can hold."""
-        if needed > _UNPACKED_BYTES + _UNPACKED_RATIO * self.identity.size:
+        size = self.identity.size if self.identity else 0
+        if needed > _UNPACKED_BYTES + _UNPACKED_RATIO * size:
             raise DamagedFileError(
-                f"{self.path}: the file is damaged: its {self.identity.size} bytes say that they "
+                f"{self.path}: the file is damaged: its {size} bytes say that they "
                 f"hold {needed} bytes of numbers."
             )
 

@@ -203,11 +203,17 @@ class CsvFile(ColumnFile):
 
     def locate(self, row: int) -> str:
         """Say on which line, as a text editor counts them, data row `row` stands."""
+        number = next(islice(self._data_lines(), row, None), row + self._before_rows + 1)
+        return f"line {number}"
+
+    def places(self, rows: int) -> list[str]:
+        """Say on which line each of the data rows stands."""
+        return [f"line {number}" for number in islice(self._data_lines(), rows)]
+
+    def _data_lines(self) -> Iterator[int]:
         # A comment takes a line and is no row; only a pass over the file tells where they are.
         body = islice(self._lines(), self._before_rows, None)
-        data = (number for number, line in body if not line.startswith(b"#"))
-        number = next(islice(data, row, None), row + self._before_rows + 1)
-        return f"line {number}"
+        return (number for number, line in body if not line.startswith(b"#"))
 
 
 def _unused_name(names: Sequence[str]) -> str:

@@ -1,6 +1,6 @@
 """Record files, whatever their format: CSV, Parquet, HDF5 and MATLAB files look alike from here.
 
-- `open_columns`: a `ColumnFile` for a file, by its ending
+- `open_columns`: a `ColumnFile` for a file, by its ending, or for a table in memory
 - `RECORD_FORMATS`: the endings
 
 A `ColumnFile` yields columns in batches of float64 arrays (an empty cell is NaN) and says where a
@@ -20,6 +20,7 @@ from counterspin.input import FileIdentity, open_file
 from counterspin.records.array_files import Hdf5File, matlab_or_hdf5
 from counterspin.records.column_file import ColumnFile, record_errors
 from counterspin.records.csv_file import CsvFile
+from counterspin.records.memory import MemoryFile, MemoryTable
 from counterspin.records.parquet_file import ParquetFile
 
 #: Ending of a record file, in lower case -> what opens it.
@@ -34,19 +35,21 @@ RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO], ColumnFile]]] = {
 }
 
 
-def open_columns(path: Path) -> ColumnFile:
+def open_columns(path: Path | MemoryTable) -> ColumnFile:
     """Open a record file, as a context manager.
 
     Parameters
     ----------
     path
-        An ordinary file with one of the endings `RECORD_FORMATS`.
+        An ordinary file with one of the endings `RECORD_FORMATS`, or a table in memory.
 
     Raises
     ------
     RecordError
         The file is missing, unreadable, empty, or of an unknown kind.
     """
+    if isinstance(path, MemoryTable):
+        return MemoryFile(path)
     opener = RECORD_FORMATS.get(path.suffix.lower())
     if opener is None:
         raise RecordError(

@@ -4,10 +4,10 @@
 - `is_isolated`: whether a file asks for it
 - `prepare`: starts that process before it is needed
 
-The readers of Parquet, HDF5 and MATLAB files are native code, which a flipped bit can crash, send
-round in circles or make ask for all memory. So those files are read in another process, which is
-started once, kept, and given up a minute after its last file or after one that it made nothing of.
-What it hands back is small where a record is reduced to block means. CSV is read here.
+The readers of Parquet, HDF5, MATLAB and Excel files are native code, which a flipped bit can
+crash, send round in circles or make ask for all memory. So those files are read in another process,
+which is started once, kept, and given up a minute after its last file or after one that it made
+nothing of. What it hands back is small where a record is reduced to block means. CSV is read here.
 """
 
 from __future__ import annotations
@@ -26,18 +26,23 @@ import traceback
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from counterspin.errors import CounterspinError, DamagedFileError
+
+if TYPE_CHECKING:
+    from counterspin.records.memory import MemoryTable
 
 R = TypeVar("R")
 
 #: Endings of the formats that are read by native code -> the libraries.
 _NATIVE: Final = {
     ".parquet": ("polars",),
+    ".xlsx": ("polars",),  # its own library may be absent
     ".h5": ("h5py",),
     ".hdf5": ("h5py",),
     ".mat": ("h5py", "scipy.io"),
+    ".pdf": (),
 }
 #: Seconds without work after which the reader's process ends.
 _IDLE_SECONDS: Final = 60.0
@@ -56,7 +61,7 @@ _PROGRAM: Final = (
 )
 
 
-def isolated(function: Callable[..., R], path: Path, *args: Any) -> R:
+def isolated(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
     """Return ``function(path, *args)``, called where it can do no harm.
 
     Parameters
@@ -64,15 +69,14 @@ def isolated(function: Callable[..., R], path: Path, *args: Any) -> R:
     function
         Of a module; its arguments and what it returns can be pickled.
     path
-        The file, by whose ending the place is chosen.
+        The file, by whose ending the place is chosen; a table in memory is read here.
 
     Raises
     ------
     RecordError
         As the function does, or if the reader's process did not survive the file.
     """
-    suffix = path.suffix.lower()
-    if suffix in _NATIVE:
+    if isinstance(path, Path) and (suffix := path.suffix.lower()) in _NATIVE:
         reply = _READER.ask(suffix, path, (_directory(), function, (path, *args)))
         if isinstance(reply, BaseException):
             raise reply
@@ -82,9 +86,9 @@ def isolated(function: Callable[..., R], path: Path, *args: Any) -> R:
     return function(path, *args)
 
 
-def is_isolated(path: Path) -> bool:
+def is_isolated(path: Path | MemoryTable) -> bool:
     """Return whether a file's format asks for the reader's process."""
-    return path.suffix.lower() in _NATIVE
+    return isinstance(path, Path) and path.suffix.lower() in _NATIVE
 
 
 def prepare(path: Path) -> None:

@@ -1,18 +1,20 @@
 """The mean of a record over whole revolutions, and how uncertain its scatter leaves it.
 
 - `mean_of_record`, `RecordMean`
+- `stretches`: how many stretches of a record are compared
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
 from counterspin.errors import RecordError
+from counterspin.frozen import frozen
+from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnSpec
 from counterspin.records.tables import locate, read_numbers
 
@@ -26,7 +28,7 @@ _HARMONICS: Final = 2
 _EMPTY: Final = 0.05
 
 
-@dataclass(frozen=True)
+@frozen
 class RecordMean:
     """The mean of a record.
 
@@ -46,7 +48,9 @@ class RecordMean:
     revolutions: int
 
 
-def mean_of_record(path: Path, time: ColumnSpec, signal: ColumnSpec, rate: float) -> RecordMean:
+def mean_of_record(
+    path: Path | MemoryTable, time: ColumnSpec, signal: ColumnSpec, rate: float
+) -> RecordMean:
     """Return the mean of a signal over the whole revolutions of a record.
 
     The waves that a revolution makes are fitted beside the mean, so that samples that do not
@@ -56,7 +60,7 @@ def mean_of_record(path: Path, time: ColumnSpec, signal: ColumnSpec, rate: float
     Parameters
     ----------
     path
-        The record.
+        The record, a file or a table in memory.
     time, signal
         Their columns; time in s after its factor.
     rate
@@ -93,8 +97,13 @@ def mean_of_record(path: Path, time: ColumnSpec, signal: ColumnSpec, rate: float
     design = np.column_stack(waves)
     fitted = np.linalg.lstsq(design, y, rcond=None)[0]
     left = y - design @ fitted
-    count = min(max(turns, _STRETCHES[0]), _STRETCHES[1])
+    count = stretches(turns)
     means = np.array([part.mean() for part in np.array_split(left, count)])
     return RecordMean(
         float(fitted[0]), float(means.std(ddof=1)) / math.sqrt(count), int(y.size), turns
     )
+
+
+def stretches(revolutions: int) -> int:
+    """Return into how many stretches a record is divided, whose means scatter."""
+    return min(max(revolutions, _STRETCHES[0]), _STRETCHES[1])

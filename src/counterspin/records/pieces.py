@@ -8,12 +8,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
 
 from counterspin.arrays import aligned
+from counterspin.frozen import frozen
 
 Columns = dict[str, np.ndarray]
 
@@ -21,7 +21,7 @@ Columns = dict[str, np.ndarray]
 _PIECE_ROWS = 65536
 
 
-@dataclass(frozen=True)
+@frozen
 class Piece:
     """Consecutive rows of a record, arrays (n,), NaN where a cell is empty.
 

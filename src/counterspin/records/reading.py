@@ -27,8 +27,9 @@ from counterspin.records.clock import LISTED, Clock
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.formats import open_columns
 from counterspin.records.isolation import isolated
+from counterspin.records.memory import MemoryTable
 from counterspin.records.pieces import Columns, Piece, column_rows, in_pieces, piece_rows
-from counterspin.records.record import ColumnSpec, Motion, Record, RecordColumns
+from counterspin.records.record import ColumnSpec, Record, RecordColumns, StatedMotion
 from counterspin.records.reduction import Blocks, Reducer, block_size, without_lone_rows
 from counterspin.records.report import Gap, Outlier, RecordReport
 from counterspin.records.spikes import find_spikes
@@ -39,6 +40,10 @@ MOST_EMPTY = 0.05
 FEWEST_REVOLUTIONS = 3.0
 #: Most revolutions from one row to the next, in the mean.
 MOST_REVOLUTIONS_A_ROW = 20.0
+#: Revolutions that any record may have, and further ones for each of its rows: the motion is
+#: integrated through all of them, which takes some 0.03 MB for each.
+ANY_REVOLUTIONS = 5000.0
+FURTHER_REVOLUTIONS_A_ROW = 1.0 / 16.0
 #: No record holds larger values, in SI units; their squares would be beyond all numbers.
 LARGEST_VALUE = 1e100
 #: Rows that stand alone do so beyond a gap of as many steps, and of a revolution.
@@ -46,9 +51,9 @@ _LONE_STEPS = 10
 
 
 def read_record(
-    path: str | Path,
+    path: str | Path | MemoryTable,
     columns: RecordColumns,
-    motion: Motion,
+    motion: StatedMotion,
     *,
     block: Literal["auto"] | None = "auto",
 ) -> Record:
@@ -57,7 +62,7 @@ def read_record(
     Parameters
     ----------
     path
-        A .csv, .txt, .tsv, .parquet, .h5, .hdf5 or .mat file.
+        A .csv, .txt, .tsv, .parquet, .h5, .hdf5 or .mat file, or a table in memory.
     columns
         Its columns.
     motion
@@ -74,11 +79,15 @@ def read_record(
         the run's, more than 5 % of a column are empty, a unit changes within the record, or there
         are fewer than three revolutions.
     """
-    return isolated(_read, Path(path), columns, motion, block)
+    record = path if isinstance(path, MemoryTable) else Path(path)
+    return isolated(_read, record, columns, motion, block)
 
 
 def _read(
-    path: Path, columns: RecordColumns, motion: Motion, block: Literal["auto"] | None
+    path: Path | MemoryTable,
+    columns: RecordColumns,
+    motion: StatedMotion,
+    block: Literal["auto"] | None,
 ) -> Record:
     with open_columns(path) as file:
         file.require(columns.names)
@@ -92,7 +101,7 @@ def _read(
 
 @np.errstate(all="ignore")  # values beyond measure are refused at the end
 def _judged(
-    file: ColumnFile, columns: RecordColumns, motion: Motion, block: Literal["auto"] | None
+    file: ColumnFile, columns: RecordColumns, motion: StatedMotion, block: Literal["auto"] | None
 ) -> Record:
     """Read a file, and again without the rows that turn out to stand alone at its ends."""
     reader = _RecordReader(file, columns, motion, block)
@@ -111,7 +120,7 @@ class _RecordReader:
         self,
         file: ColumnFile,
         columns: RecordColumns,
-        motion: Motion,
+        motion: StatedMotion,
         block: Literal["auto"] | None,
     ) -> None:
         self._file = file
@@ -310,6 +319,12 @@ class _RecordReader:
             raise RecordError(
                 f"{self._file.path}: the record has {self._rows} rows in {revolutions:.4g} "
                 "revolutions, too few to follow the rotation. Check the unit of the time column."
+            )
+        if revolutions > ANY_REVOLUTIONS + FURTHER_REVOLUTIONS_A_ROW * self._rows:
+            raise RecordError(
+                f"{self._file.path}: the record has {self._rows} rows in {revolutions:.6g} "
+                f"revolutions. Beyond {ANY_REVOLUTIONS:g} revolutions, 16 rows are needed for each "
+                "further one. Check the unit of the time column, or cut the record."
             )
 
     def _refuse_beyond_measure(self, spec: ColumnSpec, values: np.ndarray) -> None:

@@ -1,23 +1,24 @@
 """What a record is: the columns of its file, the motion it was taken on, and the samples read.
 
 - `ColumnSpec`, `RecordColumns`: columns of a file and their units
-- `Motion`: what the campaign says of the run
+- `StatedMotion`: what the campaign says of the run
 - `Record`: point samples or block means, in SI units
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import field
 
 import numpy as np
 
+from counterspin.frozen import frozen
 from counterspin.input import FileIdentity
 from counterspin.records.amplitude import Swing
 from counterspin.records.report import RecordReport
 
 
-@dataclass(frozen=True)
+@frozen
 class ColumnSpec:
     """A column of a record file: its name and the factor that turns its unit into SI."""
 
@@ -25,7 +26,7 @@ class ColumnSpec:
     factor: float = 1.0
 
 
-@dataclass(frozen=True)
+@frozen
 class RecordColumns:
     """Which columns of a file hold what.
 
@@ -48,8 +49,8 @@ class RecordColumns:
         return list(dict.fromkeys(spec.name for spec in specs))
 
 
-@dataclass(frozen=True)
-class Motion:
+@frozen
+class StatedMotion:
     """The stated motion of a run, against which its record is checked.
 
     Attributes
@@ -65,7 +66,7 @@ class Motion:
     swings: Mapping[str, Swing] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@frozen
 class Record:
     """One run: point samples or block means, in SI units. Arrays (n,).
 
@@ -87,7 +88,7 @@ class Record:
     report
         What was found.
     identity
-        Which file it was read from.
+        Which file it was read from; None of a record in memory.
     """
 
     time: np.ndarray
@@ -97,4 +98,4 @@ class Record:
     time_sd: np.ndarray
     start_time: float
     report: RecordReport
-    identity: FileIdentity
+    identity: FileIdentity | None

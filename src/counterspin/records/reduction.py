@@ -10,10 +10,10 @@ before the mean is taken, and the rows that remain carry the block's mean time a
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from counterspin.frozen import frozen
 from counterspin.records.pieces import Piece
 from counterspin.records.spikes import find_spikes
 
@@ -29,7 +29,7 @@ _LONE_ROWS = 5
 _ROW_UNEVENNESS = 0.5
 
 
-@dataclass(frozen=True)
+@frozen
 class Blocks:
     """Reduced samples (n,): mean time and spread of the times, s; samples; angle, rad."""
 
@@ -89,7 +89,7 @@ def without_lone_rows(blocks: Blocks, shortest_gap: float) -> tuple[float, float
     return first, last
 
 
-@dataclass(frozen=True)
+@frozen
 class Reduced:
     """A piece, reduced.
 

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
+from counterspin.frozen import frozen
 
-@dataclass(frozen=True)
+
+@frozen
 class Gap:
     """Missing rows: the time of the last row before them and the time to the next row, s."""
 
@@ -14,7 +15,7 @@ class Gap:
     length: float
 
 
-@dataclass(frozen=True)
+@frozen
 class Outlier:
     """A sample that was left out.
 
@@ -28,7 +29,7 @@ class Outlier:
     value: float
 
 
-@dataclass(frozen=True)
+@frozen
 class RecordReport:
     """What reading a record found.
 

@@ -1,37 +1,79 @@
 """A record file as a table, for those who add columns to it.
 
-- `read_table`: all columns as they stand
+- `read_table`: all columns as they stand; `read_small_table`: with the rows' places, and the
+  checksum of what was read
 - `read_numbers`: some of them as numbers
-- `locate`: where a row stands in the file
+- `is_workbook`: whether a file has sheets
+- `locate`, `places`: where a row, or each of them, stands in the file
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from counterspin.errors import RecordError
+from counterspin.input import read_file
+from counterspin.records.column_file import record_errors
+from counterspin.records.excel_file import excel_table
 from counterspin.records.formats import open_columns
 from counterspin.records.isolation import isolated
+from counterspin.records.memory import MemoryTable
 from counterspin.records.pieces import Columns, joined
 
 if TYPE_CHECKING:
     import polars as pl
 
 
-def read_table(path: Path) -> pl.DataFrame:
+def read_table(path: Path, sheet: str | None = None) -> pl.DataFrame:
     """Return a whole file as it stands, cells of text remaining text.
+
+    Parameters
+    ----------
+    path
+        A record file, or a workbook of Excel.
+    sheet
+        Of a workbook; None: the only one that has rows.
 
     Raises
     ------
     RecordError
         The file cannot be read, or is not a table.
     """
+    if is_workbook(path):
+        return isolated(excel_table, path, sheet)
     return isolated(_table, path)
 
 
-def read_numbers(path: Path, names: Sequence[str]) -> Columns:
+def read_small_table(path: Path, sheet: str | None = None) -> tuple[pl.DataFrame, list[str], str]:
+    """Return a table, where each of its rows stands, and the SHA-256 of what was read.
+
+    Parameters
+    ----------
+    path, sheet
+        As `read_table`.
+
+    Returns
+    -------
+    DataFrame, list, str
+        The last such as ``sha256:9f86...``.
+
+    Raises
+    ------
+    RecordError
+        As `read_table`.
+    """
+    return isolated(_small_table, path, sheet)
+
+
+def is_workbook(path: Path) -> bool:
+    """Return whether a file is a workbook of Excel."""
+    return path.suffix.lower() == ".xlsx"
+
+
+def read_numbers(path: Path | MemoryTable, names: Sequence[str]) -> Columns:
     """Return columns of numbers, NaN where a cell is empty.
 
     Raises
@@ -42,9 +84,18 @@ def read_numbers(path: Path, names: Sequence[str]) -> Columns:
     return isolated(_numbers, path, list(names))
 
 
-def locate(path: Path, row: int) -> str:
+def locate(path: Path | MemoryTable, row: int) -> str:
     """Say where data row `row` (counted from 0) stands in the file."""
+    if isinstance(path, Path) and is_workbook(path):
+        return f"row {row + 1} below the names"
     return isolated(_locate, path, row)
+
+
+def places(path: Path, rows: int) -> list[str]:
+    """Say where each of the data rows stands in the file."""
+    if is_workbook(path):
+        return _sheet_places(rows)
+    return isolated(_places, path, rows)
 
 
 def _table(path: Path) -> pl.DataFrame:
@@ -52,7 +103,27 @@ def _table(path: Path) -> pl.DataFrame:
         return file.table()
 
 
-def _numbers(path: Path, names: list[str]) -> Columns:
+def _small_table(path: Path, sheet: str | None) -> tuple[pl.DataFrame, list[str], str]:
+    if is_workbook(path):
+        with record_errors(path):
+            content = read_file(path)
+        frame = excel_table(path, sheet, content)
+        return frame, _sheet_places(frame.height), _checksum(content)
+    with open_columns(path) as file:
+        # On leaving, the file must still be what it was when it was opened.
+        frame = file.table()
+        return frame, file.places(frame.height), _checksum(file.content())
+
+
+def _checksum(content: bytes) -> str:
+    return f"sha256:{hashlib.sha256(content).hexdigest()}"
+
+
+def _sheet_places(rows: int) -> list[str]:
+    return [f"row {row + 1} below the names" for row in range(rows)]
+
+
+def _numbers(path: Path | MemoryTable, names: list[str]) -> Columns:
     with open_columns(path) as file:
         file.require(names)
         try:
@@ -66,6 +137,11 @@ def _numbers(path: Path, names: list[str]) -> Columns:
     return joined(batches)
 
 
-def _locate(path: Path, row: int) -> str:
+def _locate(path: Path | MemoryTable, row: int) -> str:
     with open_columns(path) as file:
         return file.locate(row)
+
+
+def _places(path: Path, rows: int) -> list[str]:
+    with open_columns(path) as file:
+        return file.places(rows)

@@ -11,13 +11,14 @@ in tables beside them.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Literal
+
+from counterspin.frozen import frozen
 
 Style = Literal["plain", "answer", "warning", "quiet", "equation", "command"]
 
 
-@dataclass(frozen=True)
+@frozen
 class Heading:
     """A heading; level 1 is the report's own, 2 a chapter's, 3 what is in it."""
 
@@ -25,7 +26,7 @@ class Heading:
     level: Literal[1, 2, 3] = 2
 
 
-@dataclass(frozen=True)
+@frozen
 class Paragraph:
     """A paragraph and what kind of thing it says."""
 
@@ -33,7 +34,7 @@ class Paragraph:
     style: Style = "plain"
 
 
-@dataclass(frozen=True)
+@frozen
 class Column:
     """A column: numbers are kept in one piece, words may be wrapped.
 
@@ -55,7 +56,7 @@ class Column:
     narrowest: int = 0
 
 
-@dataclass(frozen=True)
+@frozen
 class Table:
     """A table; rows whose index is in `quiet` hold nothing that the data determined.
 
@@ -67,7 +68,7 @@ class Table:
     quiet: frozenset[int] = frozenset()
 
 
-@dataclass(frozen=True)
+@frozen
 class PlotSeries:
     """One line, row of points, band or histogram of a plot.
 
@@ -99,7 +100,7 @@ class PlotSeries:
     colour: int | Literal["muted"] | None = None
 
 
-@dataclass(frozen=True)
+@frozen
 class Plot:
     """Curves over a common axis.
 
@@ -142,7 +143,7 @@ class Plot:
     height: float = 1.0
 
 
-@dataclass(frozen=True)
+@frozen
 class Bars:
     """Horizontal bars, the first on top; `texts` stand at their ends."""
 
@@ -152,7 +153,7 @@ class Bars:
     texts: tuple[str, ...]
 
 
-@dataclass(frozen=True)
+@frozen
 class HeatMap:
     """A square matrix of numbers from -1 to 1 between things with names."""
 

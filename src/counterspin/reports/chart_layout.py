@@ -17,7 +17,7 @@ import itertools
 import math
 from bisect import bisect
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Final
 
@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.reports.blocks import Plot, PlotSeries
 
 #: Of every drawing, and of one with axes; in points.
@@ -74,7 +75,7 @@ def legend_columns(labels: Sequence[str]) -> int:
     return max(1, min(len(labels), int(room / widest)))
 
 
-@dataclass(frozen=True)
+@frozen
 class Margins:
     """Room about axes, and the height of all of it, in points."""
 

@@ -1,6 +1,7 @@
 """Pictures drawn by matplotlib, which is imported only when there is something to draw.
 
 - `drawn`, `settings`: pictures below each other, as matplotlib's figure
+- `draw`: one on axes that somebody else made
 - `COLOURS`, `MARKERS`, `colours_in_row`: by which series are told apart
 - `COLOURS_OF_PAPER`: name of each colour and what it is on paper
 """
@@ -145,15 +146,26 @@ def drawn(pictures: Sequence[Picture], palette: Palette, *, titled: bool) -> Fig
     for picture, below in zip_longest(pictures, pictures[1:]):
         axes = figure.add_subplot()
         title = picture.title if titled else ""
-        match picture:
-            case Plot():
-                panels.append((axes, _draw_plot(axes, picture, palette, title, below)))
-            case Bars():
-                panels.append((axes, _draw_bars(axes, picture, palette, title)))
-            case HeatMap():
-                panels.append((axes, _draw_heat_map(axes, picture, palette, title)))
+        panels.append((axes, _draw_picture(axes, picture, palette, title, below)))
     place(figure, panels)
     return figure
+
+
+def draw(axes: Any, picture: Picture) -> None:
+    """Draw a picture with its title on axes of somebody else, within `settings`."""
+    _draw_picture(axes, picture, COLOURS_OF_PAPER, picture.title, None)
+
+
+def _draw_picture(
+    axes: Any, picture: Picture, palette: Palette, title: str, below: Picture | None
+) -> Margins:
+    match picture:
+        case Plot():
+            return _draw_plot(axes, picture, palette, title, below)
+        case Bars():
+            return _draw_bars(axes, picture, palette, title)
+        case HeatMap():
+            return _draw_heat_map(axes, picture, palette, title)
 
 
 def _draw_plot(

@@ -4,7 +4,7 @@ Words, tables and still pictures need no script. Where one runs, plots that are 
 look become zoomable (uPlot, inlined); their data travel beside them, rounded to what a screen
 shows.
 
-- `html`: blocks as a page
+- `html`: blocks as a page; `cell`: as a part of somebody else's, such as a notebook
 """
 
 from __future__ import annotations
@@ -47,25 +47,46 @@ def html(
     summary, *chapters = page.chapters(blocks, title)
     has_heading = any(isinstance(block, Heading) and block.level == 1 for block in blocks)
     moment = date.astimezone(UTC)
+    return (
+        _environment()
+        .get_template("report.html.jinja")
+        .render(
+            title=title,
+            heading=None if has_heading else title,
+            identifier=identifier,
+            date=moment,
+            day=f"{moment:%Y-%m-%d %H:%M} UTC",
+            version=version,
+            style=Markup(_style(page.zoomable)),
+            page_mark=Markup(_css_text(identifier)),
+            summary=summary["content"],
+            chapters=chapters,
+            uplot=Markup(_uplot()) if page.zoomable else None,
+            script=Markup(_asset("report.js")),
+        )
+    )
+
+
+def cell(blocks: Sequence[Block]) -> str:
+    """Return blocks as a part of a page that is not ours, in its colours and its font.
+
+    Parameters
+    ----------
+    blocks
+        Words, tables and pictures, the answer first.
+    """
+    content = _Page().items(blocks, "Result")
+    style = Markup(_asset("cell.css").strip())
+    return _environment().get_template("cell.html.jinja").render(content=content, style=style)
+
+
+def _environment() -> Environment:
     environment = Environment(
         autoescape=True, loader=FunctionLoader(_asset), undefined=StrictUndefined
     )
     environment.filters["equation"] = _equation
     environment.filters["symbols"] = _symbols
-    return environment.get_template("report.html.jinja").render(
-        title=title,
-        heading=None if has_heading else title,
-        identifier=identifier,
-        date=moment,
-        day=f"{moment:%Y-%m-%d %H:%M} UTC",
-        version=version,
-        style=Markup(_style(page.zoomable)),
-        page_mark=Markup(_css_text(identifier)),
-        summary=summary["content"],
-        chapters=chapters,
-        uplot=Markup(_uplot()) if page.zoomable else None,
-        script=Markup(_asset("report.js")),
-    )
+    return environment
 
 
 def _asset(name: str) -> str:

@@ -17,10 +17,10 @@ to the same decimal place. What has no uncertainty keeps as many digits as it is
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Final
 
+from counterspin.frozen import frozen
 from counterspin.physics.shared_terms import DEGREE_PER_HOUR
 
 NOT_DETERMINED: Final = "not determined"
@@ -66,7 +66,7 @@ def field_unit(unit: str) -> tuple[str, float]:
     return _FIELD_UNITS.get(unit, (unit, 1.0))
 
 
-@dataclass(frozen=True)
+@frozen
 class Rounded:
     """A value and its uncertainty, both to the second digit of the uncertainty.
 

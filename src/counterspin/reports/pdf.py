@@ -12,12 +12,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import resources
 from itertools import groupby
 from typing import Any, Final, Literal
 
+from counterspin.frozen import frozen
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, Table
 from counterspin.reports.charts import svg
 
@@ -31,7 +31,7 @@ _SQUARE: Final = "\N{WHITE SQUARE}"
 _NO_SHAPE: Final = "could not be displayed"
 
 
-@dataclass(frozen=True)
+@frozen
 class Attachment:
     """A file that travels in the PDF.
 

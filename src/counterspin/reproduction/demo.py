@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Final
@@ -22,6 +21,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CounterspinError
+from counterspin.frozen import frozen
 from counterspin.input import read_file
 from counterspin.output import write_text
 
@@ -32,7 +32,7 @@ FOLDER: Final = "counterspin-demo"
 _AS_PRINTED: Final = TwoStageOptions(model="as-printed", weighted=False)
 
 
-@dataclass(frozen=True)
+@frozen
 class Demonstration:
     """One simulated campaign with a single accelerometer, calibrated three ways.
 

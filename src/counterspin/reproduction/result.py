@@ -5,12 +5,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
-from counterspin.results import ResultFile
+from counterspin.reports.shown import ShownResult
+
+if TYPE_CHECKING:
+    from counterspin.reports.text import Report
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", populate_by_name=True))
@@ -62,7 +65,7 @@ class PaperSection:
     rows: tuple[Row, ...]
 
 
-class Reproduction(ResultFile):
+class Reproduction(ShownResult):
     """The result of `reproduce`.
 
     Attributes
@@ -86,3 +89,8 @@ class Reproduction(ResultFile):
     def __getitem__(self, key: str) -> Row:
         """Return the row with this key; KeyError if there is none."""
         return {row.key: row for row in self.rows}[key]
+
+    def _report(self) -> Report:
+        from counterspin.reproduction.page import render_reproduction
+
+        return render_reproduction(self)

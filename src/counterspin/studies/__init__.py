@@ -7,7 +7,7 @@
 - `strobed_effects`, `surrogate`: what errors add to a strobed run, by quadrature and as a
   polynomial
 - `two_stage_engine`, `joint_engine`: trials by sufficient statistics
-- `full_engine`: trials by whole records
+- `full_engine`, `readings_engine`: trials by whole records, and of readings
 - `validity`, `choice`: where the fast engines hold; which engine an analysis gets
 - `engine`, `tally`: all analyses of a batch of trials; what trials amount to
 - `work`: the trials shared out, on one core, on many or on a cluster

@@ -7,19 +7,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from counterspin.calibration.joint_problem import model_of, noise_of
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import NoiseRequest
 from counterspin.inference.joint.unknowns import ROTATION, Unknowns
 from counterspin.inference.two_stage.request import TwoStageRequest
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import OWN_TERMS
 from counterspin.studies.description import StudyDescription
 
 
-@dataclass(frozen=True)
+@frozen
 class JointRequest:
     """What is asked of the joint fit.
 
@@ -36,15 +36,19 @@ class JointRequest:
 
     @property
     def reported(self) -> list[int]:
-        """Places of the unknowns that a study reports: those that the runs have in common."""
+        """Places of the unknowns that a study reports: those asked for that the runs share."""
         return [
             place
             for place, unknown in enumerate(self.model.unknowns)
-            if unknown.symbol in TERMS or (not unknown.owner and unknown.symbol not in ROTATION)
+            if unknown.asked
+            and (
+                unknown.symbol in OWN_TERMS
+                or (not unknown.owner and unknown.symbol not in ROTATION)
+            )
         ]
 
 
-@dataclass(frozen=True)
+@frozen
 class Analysis:
     """One competitor.
 

@@ -1,6 +1,6 @@
 """The Cramer-Rao bound of a study: the least uncertainty that its records allow.
 
-- `cramer_rao`
+- `cramer_rao`; `fit_of_truth`: the fit that it is the uncertainty of
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from counterspin.inference.identifiability import assess
-from counterspin.inference.joint.fit import solve_joint
+from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import NoiseModel
@@ -28,22 +28,9 @@ def cramer_rao(world: World, truth: StudyTruth, model: Unknowns) -> dict[str, fl
     known of them beforehand (the posterior bound of van Trees), everything else being known. An
     unknown that the records do not determine has none.
     """
-    draws = truth.draw(np.random.default_rng(0), 256)
-    levels = {NOISE_LEVELS[symbol][1]: float(level.mean()) for symbol, level in draws.noise.items()}
-    world = replace(world, noise=replace(world.noise, white=float(draws.white.mean()), **levels))
-    noise = NoiseModel(world.noise.white, world.noise.random_walk, world.noise.quantisation)
-    if noise.sample_variance == 0.0 and noise.random_walk == 0.0:
+    fit = fit_of_truth(world, truth, Unknowns(model.unknowns))
+    if fit is None:
         return {}
-    names = {u.owner for u in model.unknowns if u.symbol in TERMS} or set(world.mountings)
-    series = [
-        world.series(run, name, truth.spindles[run])
-        for run in range(len(world.runs))
-        for name in world.mountings
-        if name in names
-    ]
-    plain = Unknowns(model.unknowns)
-    prepared = prepare_columns(series, plain, scale_factors(series, plain, truth))
-    fit = solve_joint(prepared, plain, dict.fromkeys(names, noise))
     determined = assess(fit.solution, [u.name for u in model.unknowns]).determined
     variance = np.diag(fit.solution.covariance_noise + fit.solution.covariance_prior)
     return {
@@ -51,3 +38,25 @@ def cramer_rao(world: World, truth: StudyTruth, model: Unknowns) -> dict[str, fl
         for u, v in zip(model.unknowns, variance, strict=True)
         if determined[u.name]
     }
+
+
+def fit_of_truth(world: World, truth: StudyTruth, model: Unknowns) -> JointFit | None:
+    """Return the joint fit of the records with their true noise; None without noise."""
+    draws = truth.draw(np.random.default_rng(0), 256)
+    levels = {NOISE_LEVELS[symbol][1]: float(level.mean()) for symbol, level in draws.noise.items()}
+    world = replace(world, noise=replace(world.noise, white=float(draws.white.mean()), **levels))
+    level = world.noise
+    noise = NoiseModel(
+        level.white, level.random_walk, level.quantisation, level.flicker, level.bias_walk
+    )
+    if noise.sample_variance == 0.0 and noise.random_walk == 0.0:
+        return None
+    names = {u.owner for u in model.unknowns if u.symbol in TERMS} or set(world.mountings)
+    series = [
+        world.series(run, name, truth.spindles[run])
+        for run in range(len(world.runs))
+        for name in world.mountings
+        if name in names
+    ]
+    prepared = prepare_columns(series, model, scale_factors(series, model, truth))
+    return solve_joint(prepared, model, dict.fromkeys(names, noise))

@@ -7,21 +7,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final, Literal
 
 import numpy as np
 
+from counterspin.campaign.resolved import Campaign
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
 from counterspin.physics.shared_terms import term
 from counterspin.studies.analyses import Analysis, JointRequest, analyses_of
-from counterspin.studies.bound import cramer_rao
+from counterspin.studies.bound import cramer_rao, fit_of_truth
 from counterspin.studies.description import StudyDescription
 from counterspin.studies.draws import DRIFT, RIPPLE_AMPLITUDE, RIPPLE_RATIO, StudyTruth
 from counterspin.studies.engine import EnginePart, Reported, StudyEngine
 from counterspin.studies.full_engine import FullEngine
 from counterspin.studies.joint_engine import JointEngine
+from counterspin.studies.readings_engine import readings_bounds, readings_engine
 from counterspin.studies.surrogate import Surrogate, box_of
 from counterspin.studies.tally import Driver, Tally
 from counterspin.studies.two_stage_engine import TwoStageEngine
@@ -45,10 +48,17 @@ def prepare(study: StudyDescription, seed: int, engine: EngineName = "auto") -> 
         If the engine asked for is not valid for an analysis, or an analysis cannot determine
         anything.
     """
-    world, truth = world_of(study.campaign), StudyTruth.of(study.campaign, study.varying)
+    campaign = study.campaign
+    truth = StudyTruth.of(campaign, study.varying)
+    # Readings alone need no records, and so no world of them.
+    world = world_of(campaign) if campaign.runs or not campaign.readings else None
     parts = []
     for analysis in analyses_of(study):
-        parts.append(choose_engine(world, truth, analysis, engine))
+        if campaign.readings:
+            parts.append(_readings(campaign, world, truth, analysis, engine))
+        else:
+            assert world is not None
+            parts.append(choose_engine(world, truth, analysis, engine))
         if not parts[-1].reported:
             raise NotIdentifiableError(f"{analysis.name}: the records determine no coefficient")
     return StudyEngine(truth, seed, tuple(parts), Tally(_drivers(truth)))
@@ -93,6 +103,45 @@ def choose_engine(
     if isinstance(request, JointRequest):
         return _joint(world, truth, analysis, request)
     return _two_stage(world, truth, analysis, request, engine)
+
+
+def _readings(
+    campaign: Campaign,
+    world: World | None,
+    truth: StudyTruth,
+    analysis: Analysis,
+    engine: EngineName,
+) -> EnginePart:
+    """Return the engine of a campaign with readings, records beside them or not."""
+    request = analysis.joint
+    if engine in ("surrogate", "exact"):
+        raise NotIdentifiableError(
+            f'{analysis.name}: `engine="{engine}"` is not valid here: there are readings; '
+            'use `engine="full"`, or leave the choice to the program'
+        )
+    records = None if world is None else FullEngine(world, request, request)
+    try:
+        made = readings_engine(campaign, request, records)
+    except ValueError as error:
+        raise NotIdentifiableError(f"{analysis.name}: {error}") from error
+    of_records = None if world is None else fit_of_truth(world, truth, request.model)
+    bounds = readings_bounds(made, truth, of_records.blocks if of_records else ())
+    unknowns = request.model.unknowns
+    kept = tuple(place for place in request.reported if unknowns[place].name in bounds)
+    lost = tuple(unknowns[place].name for place in request.reported if place not in kept)
+    reported = tuple(
+        Reported(analysis.name, unknown.owner, unknown.symbol, bounds[unknown.name])
+        for unknown in (unknowns[place] for place in kept)
+    )
+    return EnginePart(
+        engine=replace(made, rows=kept),
+        kind="readings" if records is None else "full",
+        noise=0,
+        words="readings" if records is None else "full records and readings",
+        rows=tuple(range(len(kept))),
+        reported=reported,
+        lost=lost,
+    )
 
 
 def _two_stage(

@@ -14,25 +14,32 @@ It stands in ``campaign.toml`` beside [truth], or in a file of its own that name
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field
 
+from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.machine import expand, symbols_shown
 from counterspin.campaign.quantity import parse
+from counterspin.campaign.reading_truth import unfit_readings
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import SettingsSection, Text, exact
 from counterspin.campaign.terms import BARE_NAMES, rows_of
-from counterspin.campaign.toml_file import description_file, load_document
+from counterspin.campaign.toml_file import (
+    DESCRIPTION_NAME,
+    description_file,
+    flat_keys,
+    load_document,
+)
 from counterspin.campaign.truth import unfit
-from counterspin.errors import CampaignError
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import SHARED_TERMS, term
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.frozen import frozen
+from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS
 from counterspin.studies.draws import OTHERS, RADIUS, Varying
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
@@ -79,7 +86,7 @@ class DistributionSettings(SettingsSection):
     per: Literal["run", "campaign"] = "campaign"
 
 
-@dataclass(frozen=True)
+@frozen
 class AnalysisDescription:
     """One competitor.
 
@@ -98,7 +105,7 @@ class AnalysisDescription:
     campaign: Campaign
 
 
-@dataclass(frozen=True)
+@frozen
 class StudyDescription:
     """A study.
 
@@ -121,7 +128,8 @@ class StudyDescription:
     analyses: tuple[AnalysisDescription, ...]
 
 
-#: What competes where the study names nothing: the two methods, and the paper's equations.
+#: What competes where the study names nothing: the two methods, and the paper's equations. Of
+#: readings only the first.
 _DEFAULT: Final[Mapping[str, Mapping[str, Any]]] = {
     "joint": {"method": "joint"},
     "two-stage": {"method": "two-stage"},
@@ -129,31 +137,43 @@ _DEFAULT: Final[Mapping[str, Mapping[str, Any]]] = {
 }
 
 
-def read_study(path: Path | str) -> StudyDescription:
+def read_study(path: Path | str | Campaign) -> StudyDescription:
     """Read and check a study.
 
     Parameters
     ----------
     path
-        A campaign's folder or description, or a study's own file.
+        A campaign's folder or description, a study's own file, or a campaign already read.
 
     Raises
     ------
     CampaignError
         With every mistake found, each with the path of its key.
     """
-    file = description_file(path)
-    raw = load_document(file)
-    problems = Problems(raw)
-    document, where = _document(raw, file, problems)
-    campaign = _campaign(document, where, problems, () if where is file else (str(where),))
+    if isinstance(path, Campaign):
+        if path.source is None:
+            raise CounterspinError(
+                f"{path.path}: the campaign was changed by other means than `change`, so that no "
+                "description of it is known; make the change with `change`"
+            )
+        file, raw = path.path, dict(path.source.document)
+        problems = Problems(raw)
+        document: Mapping[str, Any] = raw
+        where = path.folder / DESCRIPTION_NAME
+        campaign = _campaign(document, where, problems, ())
+    else:
+        file = description_file(path)
+        raw = load_document(file)
+        problems = Problems(raw)
+        document, where = _document(raw, file, problems)
+        campaign = _campaign(document, where, problems, () if where is file else (str(where),))
     section = raw.get("study", {})
     settings = problems.check(StudySettings, section, ("study",))
     if campaign is None or settings is None:
         raise CampaignError(str(file), problems.lines)
     if campaign.simulation is None:
         problems.add(("truth",), "missing; a study needs [truth.NAME] with the true coefficients")
-    problems.lines += unfit(campaign)
+    problems.lines += [*unfit(campaign), *unfit_readings(campaign)]
     gravity = campaign.gravity.value
     varying: list[Varying] = []
     for key, path_, entry in _entries(settings.vary, ("study", "vary")):
@@ -162,7 +182,15 @@ def read_study(path: Path | str) -> StudyDescription:
         if any(_same(quantity, earlier) for earlier in varying[:index]):
             problems.add(("study", "vary"), f"{quantity.symbol} is there twice")
     analyses = []
-    for name, table in (settings.analyses or _DEFAULT).items():
+    default = _DEFAULT if not campaign.readings else {"joint": _DEFAULT["joint"]}
+    for name, table in (settings.analyses or default).items():
+        if campaign.readings and isinstance(table, Mapping) and table.get("method") == "two-stage":
+            problems.add(
+                ("study", "analyses", name, "method"),
+                "the two-stage method takes records of a double turntable; this campaign has "
+                "readings, which the joint method takes",
+            )
+            continue
         analysis = _analysis(name, table, document, where, problems)
         if analysis is not None:
             analyses.append(analysis)
@@ -237,11 +265,11 @@ def _varying(
         return []
     (kind,) = given
     symbol = names[0][1]
-    unit = OTHERS.get(symbol) or term(symbol).unit
+    unit = OTHERS.get(symbol) or unit_of(symbol)
     read = problems.attempt(path, _read, kind, getattr(settings, kind), unit, gravity)
     per_run = settings.per == "run"
-    if per_run and symbol in (RADIUS, *NOISE_LEVELS):
-        problems.add(path, "is common to the runs of a campaign")
+    if per_run and (symbol in (RADIUS, *NOISE_LEVELS) or not campaign.runs):
+        problems.add(path, "is common to the runs of a campaign, and to its readings")
     if read is None:
         return []
     first, second = read
@@ -259,21 +287,26 @@ def _names(
     key: str, path: KeyPath, campaign: Campaign, problems: Problems
 ) -> list[tuple[str, str]]:
     """Return owner and symbol of everything that a name stands for."""
-    owner, _, last = key.rpartition(".")
-    if owner in campaign.accelerometers and last in TERMS:
+    owner, _, last = key.partition(".")
+    if owner in campaign.accelerometers and last in OWN_TERMS:
         return [(owner, last)]
-    if key in TERMS:
+    if key in OWN_TERMS:
         return [(name, key) for name in campaign.accelerometers]
+    shown = symbols_shown(campaign.readings)
+    if key in OTHERS and key != RADIUS and not campaign.runs:
+        problems.add(path, "acts on records of a double turntable, of which there are none here")
     if key in SHARED_TERMS or key in OTHERS:
         return [("", key)]
+    if symbols := expand(key, shown):
+        return [("", symbol) for symbol in symbols]
     if key in BARE_NAMES:
         mountings = [a.mounting for a in campaign.accelerometers.values()]
         rows = rows_of(key, mountings, [run.attitude for run in campaign.runs])
         return [("", row.symbol) for row in rows]
-    known = [*OTHERS, *TERMS, *BARE_NAMES, *SHARED_TERMS]
+    known = [*OTHERS, *OWN_TERMS, *BARE_NAMES, *SHARED_TERMS, *shown]
     hint = did_you_mean(key, known)
     if "known:" in hint:
-        hint = f"; known: {', '.join([*OTHERS, *TERMS, *BARE_NAMES])}"
+        hint = f"; known: {', '.join([*OTHERS, *OWN_TERMS, *BARE_NAMES])}"
     problems.add(path, "is nothing that a study can vary" + hint)
     return []
 
@@ -339,22 +372,16 @@ def _with_terms(document: Mapping[str, Any], settings: AnalysisSettings) -> dict
     elif settings.considered is not None:
         model["considered"] = settings.considered
     used = [*model.get("terms", []), *model.get("considered", [])]
-    priors = dict(_flat(model.get("priors", {})))
+    priors = flat_keys(model.get("priors", {}))
     model["priors"] = {key: text for key, text in priors.items() if _is_used(key, used)}
     return {**document, "model": model}
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in table.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield prefix + key, value
 
 
 def _is_used(prior: str, used: list[str]) -> bool:
     last = prior.rpartition(".")[2]
     return any(
-        name in (prior, last) or prior.startswith(f"{name}.") or name.startswith(f"{prior}.")
+        name in (prior, last, prior.partition(".")[2])
+        or prior.startswith(f"{name}.")
+        or (name.startswith(f"{prior}.") and name not in OWN_TERMS)
         for name in used
     )

@@ -13,14 +13,14 @@ are.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.resolved import Campaign
-from counterspin.physics.accelerometer import TERMS
+from counterspin.frozen import frozen
+from counterspin.physics.shared_terms import OWN_TERMS
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
@@ -44,7 +44,7 @@ OTHERS: Final[Mapping[str, str]] = {
 _REACH: Final = 4.5
 
 
-@dataclass(frozen=True)
+@frozen
 class Varying:
     """One quantity that varies from trial to trial.
 
@@ -92,7 +92,7 @@ class Varying:
         return (self.first, self.second if self.kind == "uniform" else self.first)
 
 
-@dataclass(frozen=True)
+@frozen
 class Draws:
     """The truth of a batch of n trials in r runs.
 
@@ -166,7 +166,7 @@ class Draws:
         return Spindle(base.rate, drift, (first, *others), base.start_angle)
 
 
-@dataclass(frozen=True)
+@frozen
 class StudyTruth:
     """What is true in a study.
 
@@ -193,6 +193,9 @@ class StudyTruth:
         """Return what is true: a campaign's [truth], and what varies in its stead."""
         assert campaign.simulation is not None
         fixed: dict[tuple[str, str], Array] = {
+            ("", symbol): np.array([value])
+            for symbol, value in campaign.simulation.truth.machine.items()
+        } | {
             (name, symbol): np.array([value])
             for name, coefficients in campaign.simulation.truth.coefficients.items()
             for symbol, value in coefficients.items()
@@ -310,4 +313,4 @@ def of_run(values: Array, run: int) -> Array:
 
 def nominal(owner: str, symbol: str) -> float:
     """Return what a coefficient is in a perfect system."""
-    return TERMS[symbol].nominal if owner else 0.0
+    return OWN_TERMS[symbol].nominal if owner else 0.0

@@ -7,24 +7,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.studies.draws import DRIFT, Draws, StudyTruth
 from counterspin.studies.full_engine import FullEngine
 from counterspin.studies.joint_engine import JointEngine
 from counterspin.studies.noise import NOISE_STREAM, TRUTH_STREAM, stream
+from counterspin.studies.readings_engine import ReadingsEngine
 from counterspin.studies.tally import Driver, Tally
 from counterspin.studies.two_stage_engine import TwoStageEngine
 
 #: Trials of a batch: what fits a cache, and for slow engines what takes a fraction of a second.
-_BATCH: Final = {"constant": 16384, "sampled": 8192, "surrogate": 4096, "exact": 128, "full": 8}
+_BATCH: Final = {
+    "constant": 16384,
+    "sampled": 8192,
+    "surrogate": 4096,
+    "exact": 128,
+    "readings": 64,
+    "full": 8,
+}
 
 
-@dataclass(frozen=True)
+@frozen
 class Reported:
     """One coefficient of one analysis.
 
@@ -47,7 +55,7 @@ class Reported:
         return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
 
 
-@dataclass(frozen=True)
+@frozen
 class EnginePart:
     """An engine and what it reports, in the order of its rows.
 
@@ -57,7 +65,7 @@ class EnginePart:
         The engine.
     kind
         What a trial costs: ``constant``; ``sampled`` where sigma is from the residuals, and with
-        it the second stage's weights; ``surrogate``; ``exact``; ``full``.
+        it the second stage's weights; ``surrogate``; ``exact``; ``readings``; ``full``.
     noise
         Which stream of noise it draws from. Analyses that share one see the same readings.
     words
@@ -70,7 +78,7 @@ class EnginePart:
         Coefficients that the records do not determine.
     """
 
-    engine: TwoStageEngine | JointEngine | FullEngine
+    engine: TwoStageEngine | JointEngine | FullEngine | ReadingsEngine
     kind: str
     noise: int
     words: str
@@ -79,7 +87,7 @@ class EnginePart:
     lost: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True)
+@frozen
 class Batch:
     """What one batch of trials gives.
 
@@ -95,7 +103,7 @@ class Batch:
     values: Array | None
 
 
-@dataclass(frozen=True)
+@frozen
 class StudyEngine:
     """Everything that a worker needs.
 
@@ -143,8 +151,8 @@ class StudyEngine:
         sums, values = [], []
         for part in self.parts:
             noise = stream(self.seed, number, NOISE_STREAM + part.noise)
-            # Whole records are slow: no more trials of them than count.
-            few = draws.part(0, trials) if part.kind == "full" else draws
+            # What is simulated without shortcut is slow: no more trials of it than count.
+            few = draws.part(0, trials) if part.kind in ("full", "readings") else draws
             said = part.engine.trials(few, noise)
             for row, coefficient in zip(part.rows, part.reported, strict=True):
                 truth = draws.mean(coefficient.owner, coefficient.symbol)[:trials]

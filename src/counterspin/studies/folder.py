@@ -7,7 +7,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -17,6 +16,7 @@ import polars as pl
 
 from counterspin.arrays import Array
 from counterspin.errors import CounterspinError, CounterspinWarning
+from counterspin.frozen import frozen
 from counterspin.output import make_folder, reserve, write_whole
 from counterspin.studies.result import StudyResult
 from counterspin.studies.work import Ledger
@@ -27,7 +27,7 @@ _PROGRESS: Final = "progress.npz"
 _PARTS: Final = "progress"
 
 
-@dataclass(frozen=True)
+@frozen
 class StudyFolder:
     """Where a study leaves its result, and what a resumption needs.
 
@@ -83,7 +83,7 @@ class StudyFolder:
 
     def write(self, result: StudyResult, ledger: Ledger) -> None:
         """Write the result, and the trials where they were kept."""
-        result.write(self.place / _RESULT)
+        result.write(self.place / _RESULT, overwrite=self.overwrite or self.resume)
         if not ledger.keep:
             return
         names = [f"{one.analysis}.{one.name}" for one in ledger.reported]

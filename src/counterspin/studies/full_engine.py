@@ -9,20 +9,19 @@ rotation that the joint fit has to find, and for terms with a kink.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.series import Series
 from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import StrobedRun, second_stage
 from counterspin.inference.two_stage.strobes import Strobes, by_angle, strobe_angle
-from counterspin.physics import simulation
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.motion import Trajectory
+from counterspin.physics import observation, simulation
 from counterspin.physics.path_errors import encoder_error
 from counterspin.physics.spindle import Spindle, fit_spindle
 from counterspin.studies.analyses import JointRequest
@@ -32,7 +31,7 @@ from counterspin.studies.two_stage_engine import Trials
 from counterspin.studies.world import World
 
 
-@dataclass(frozen=True)
+@frozen
 class FullEngine:
     """Trials of any analysis, record by record.
 
@@ -72,7 +71,7 @@ class FullEngine:
             return engine._joint(self.request, draws, generator)
         return engine._two_stage(self.request, draws, generator)
 
-    def _series(self, draws: Draws, generator: np.random.Generator) -> list[Series]:
+    def series(self, draws: Draws, generator: np.random.Generator) -> list[Series]:
         """Return the records of all runs and accelerometers in one trial."""
         world = self.world
         series = []
@@ -85,16 +84,17 @@ class FullEngine:
             )
             for name in world.mountings:
                 signal = self._recorded(draws, generator, run, name, spindle, times)
-                assumed = Trajectory(identified, world.radius, world.site)
-                axis = world.mountings[name].turned(world.attitudes[run]).input_axis
-                error = signal - assumed.position(stamped) @ axis
+                assumed = world.trajectory(run, identified)
+                error = signal - observation.reference(
+                    assumed, world.mountings[name], stamped, attitude=world.attitudes[run]
+                )
                 series.append(world.series(run, name, identified, error))
         return series
 
     def _joint(
         self, request: JointRequest, draws: Draws, generator: np.random.Generator
     ) -> tuple[Sequence[float], Sequence[float], Sequence[float]]:
-        estimated = estimate(self._series(draws, generator), request.model, request.noise)
+        estimated = estimate(self.series(draws, generator), request.model, request.noise)
         solution, unknowns = estimated.fit.solution, estimated.fit.model.unknowns
         rows = list(self.rows)
         nominal = np.array([unknowns[i].nominal for i in rows])
@@ -109,7 +109,7 @@ class FullEngine:
     ) -> tuple[Sequence[float], Sequence[float], Sequence[float]]:
         components = None
         if request.random_walk is None:
-            series = self._series(draws, generator)
+            series = self.series(draws, generator)
             estimated = estimate(series, self.joint.model, self.joint.noise)
             components = estimated.components[self.owner]
             request = request.with_noise(components.noise)
@@ -145,8 +145,10 @@ class FullEngine:
         )
         taken = world.noise.stamps(generator, times) if world.noise.timing > 0.0 else times
         signal = self._recorded(draws, generator, run, name, spindle, taken)
-        assumed = Trajectory(identified, world.radius, world.site)
-        error = signal - assumed.position(times) @ strobed.mounting.input_axis
+        assumed = world.trajectory(run, identified)
+        error = signal - observation.reference(
+            assumed, world.mountings[name], times, attitude=strobed.attitude
+        )
         readings = Strobes(times, error, np.ones_like(times), 0)
         parabola = request.first_stage(readings, assumed)
         return StrobedRun(world.runs[run], assumed, parabola, world.attitudes[run])
@@ -192,17 +194,18 @@ class FullEngine:
         coefficients = {
             symbol: float(of_run(values, run)[0])
             for (owner, symbol), values in draws.values.items()
-            if symbol in TERMS and owner == name
+            if owner == name
         }
         signal = simulation.recorded(
-            Trajectory(spindle, float(draws.radius[0]), self.world.site),
+            self.world.trajectory(run, spindle, float(draws.radius[0])),
             self.world.mountings[name],
             coefficients,
             _shared(draws, run),
             times,
             attitude=self.world.attitudes[run],
         )
-        return self.world.noise.displacements(generator, times, signal)
+        start = self.world.conditions[run].start
+        return self.world.noise.displacements(generator, times, signal, start)
 
 
 def _shared(draws: Draws, run: int) -> dict[str, float]:

@@ -13,12 +13,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.identifiability import assess
@@ -27,7 +28,7 @@ from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import NoiseModel
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import OWN_TERMS
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import RADIUS, Draws, StudyTruth, nominal, of_run
 from counterspin.studies.noise import estimate_noise
@@ -37,7 +38,7 @@ from counterspin.studies.two_stage_engine import Trials
 _RADIUS_POWERS: Final = 4
 
 
-@dataclass(frozen=True)
+@frozen
 class JointEngine:
     """Trials of one joint analysis.
 
@@ -195,7 +196,7 @@ def _block(
     factors = scale_factors([series], model, truth)
     expected = np.array(
         [
-            truth.mean(u.owner if u.symbol in TERMS else "", u.symbol) - u.nominal
+            truth.mean(u.owner if u.symbol in OWN_TERMS else "", u.symbol) - u.nominal
             for u in model.unknowns
         ]
     )
@@ -212,7 +213,9 @@ def _block(
     columns = _in_radius(series, symbols, k_i, powers, scale)
     for (_, symbol, _, power), index in mine.items():
         true[:, index] = columns[power][:, symbols.index(symbol)]
-    true[:, -1] = series.reference() / series.trajectory.radius
+    motion = series.trajectory
+    alone = replace(motion, site=replace(motion.site, removed_gravity=None))
+    true[:, -1] = series.reference(alone) / motion.radius  # the circle goes with its radius
     whiten = series.whitener(noise)
     own = series.polynomials(whiten.polynomials)
     rows = whiten.apply(np.column_stack([own, prepared.design, prepared.fixed, true]))

@@ -10,12 +10,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.physics import simulation
 
 WHITE: Final = "noise.displacement"  #: of a sample, m
@@ -24,6 +24,8 @@ WHITE: Final = "noise.displacement"  #: of a sample, m
 NOISE_LEVELS: Final[Mapping[str, tuple[str, str]]] = {
     WHITE: ("m", "white"),
     "noise.acceleration": ("m/s^2/Hz^0.5", "random_walk"),
+    "noise.flicker": ("m/s^2", "flicker"),
+    "noise.bias_walk": ("m/s^2/s^0.5", "bias_walk"),
     "noise.quantisation": ("m", "quantisation"),
     "noise.angle": ("rad", "angle"),
     "noise.timing": ("s", "timing"),
@@ -50,7 +52,7 @@ def stream(seed: int, batch: int, which: int) -> np.random.Generator:
     return np.random.Generator(np.random.SFC64(sequence))
 
 
-@dataclass(frozen=True)
+@frozen
 class RecordNoise:
     """Noise of whole records.
 
@@ -64,6 +66,8 @@ class RecordNoise:
         Step of the recorded displacement, m.
     angle, timing
         Standard deviations of a recorded angle and of a time stamp, rad and s.
+    flicker, bias_walk
+        Wander of the accelerometer's bias: m/s^2, m/s^2/s^0.5.
     """
 
     white: float = 0.0
@@ -71,6 +75,13 @@ class RecordNoise:
     quantisation: float = 0.0
     angle: float = 0.0
     timing: float = 0.0
+    flicker: float = 0.0
+    bias_walk: float = 0.0
+
+    @property
+    def wanders(self) -> bool:
+        """Whether the bias wanders."""
+        return self.flicker > 0.0 or self.bias_walk > 0.0
 
     def stamps(self, generator: np.random.Generator, times: Array) -> Array:
         """Return the time stamps of samples taken at these times, s."""
@@ -81,9 +92,17 @@ class RecordNoise:
         return np.asarray(angles + self.angle * generator.standard_normal(angles.size))
 
     def displacements(
-        self, generator: np.random.Generator, times: Array, displacements: Array
+        self,
+        generator: np.random.Generator,
+        times: Array,
+        displacements: Array,
+        before: float = 0.0,
     ) -> Array:
-        """Return these displacements as they are recorded, m."""
+        """Return these displacements, m, as recorded `before` s after a bias began to walk."""
+        if self.wanders:
+            displacements = displacements + simulation.bias_wander(
+                generator, times, self.flicker, self.bias_walk, 2, before
+            )
         walk = simulation.accelerometer_walk(generator, times, self.random_walk, 2)
         recorded = displacements + walk + self.white * generator.standard_normal(times.size)
         step = self.quantisation

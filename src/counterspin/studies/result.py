@@ -10,11 +10,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Final
+from typing import TYPE_CHECKING, Any, ClassVar, Final
 
-from counterspin.results import ResultFile, ResultPart
+from counterspin.reports.shown import ShownResult, on_axes
+from counterspin.results import ResultPart
 from counterspin.studies.engine import Reported
 from counterspin.studies.tally import LEVELS, Summary
+
+if TYPE_CHECKING:
+    from counterspin.reports.text import Report
 
 #: A coverage of 95 % intervals between these is as good as it gets in practice.
 _GOOD_COVERAGE: Final = (0.94, 0.96)
@@ -95,7 +99,7 @@ class AnalysisResult(ResultPart):
     undetermined: list[str]
 
 
-class StudyResult(ResultFile):
+class StudyResult(ShownResult):
     """A study.
 
     Attributes
@@ -132,6 +136,17 @@ class StudyResult(ResultFile):
     analyses: dict[str, AnalysisResult]
     verdict: list[str]
     provenance: dict[str, str]
+
+    def plot(self, *, axes: Any = None) -> list[Any]:
+        """Draw how each coefficient's error over its u is distributed."""
+        from counterspin.studies.page import z_plots
+
+        return on_axes(list(z_plots(self)), axes)
+
+    def _report(self) -> Report:
+        from counterspin.studies.page import render_study
+
+        return render_study(self)
 
 
 def coefficient_result(

@@ -17,16 +17,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
+from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting, Term
+from counterspin.physics.conditions import ConditionTerm
 from counterspin.physics.motion import Site
-from counterspin.physics.shared_terms import MotionTerm, PlatformTerm, SharedTerm, term
+from counterspin.physics.shared_terms import AnyTerm, MotionTerm, PlatformTerm, term
 from counterspin.physics.spindle import TURN, Spindle
 
 _PANELS: Final = 2
@@ -47,7 +48,7 @@ def _between() -> tuple[Array, Array]:
 _X, _W = _between()
 
 
-@dataclass(frozen=True)
+@frozen
 class StrobedMotion:
     """One run as the strobes see it.
 
@@ -101,6 +102,8 @@ def obstacle(symbol: str) -> str | None:
         return "has a kink" if "|I|" in row.factors else None
     if isinstance(row, MotionTerm):
         return "changes the path"
+    if isinstance(row, ConditionTerm):
+        return "changes from run to run"
     # Its turn before the first strobe is an integral without a closed form.
     return "has no closed form" if row.kind == "g2_sensitivity" else None
 
@@ -274,7 +277,7 @@ class _Force:
 
 def _effect(
     motion: StrobedMotion,
-    row: Term | SharedTerm,
+    row: AnyTerm,
     field: _Force,
     weight: Array,
     gain: Array,

@@ -15,8 +15,9 @@ from typing import Final
 import numpy as np
 
 from counterspin._version import __version__
+from counterspin.calibration.joint_parts import unit_of
+from counterspin.campaign.resolved import Campaign
 from counterspin.errors import CounterspinError, CounterspinWarning
-from counterspin.physics.shared_terms import term
 from counterspin.studies.choice import EngineName, prepare
 from counterspin.studies.description import StudyDescription, read_study
 from counterspin.studies.draws import OTHERS, Varying
@@ -31,7 +32,7 @@ from counterspin.studies.result import (
 )
 from counterspin.studies.tally import summarise
 from counterspin.studies.work import Ledger, expected_duration, run_batches, work
-from counterspin.workers import ALONE, Workers, worker_pool
+from counterspin.workers import ALONE, Workers, one_blas_thread, worker_pool
 
 #: From how many hours of work on a user is told before it begins.
 _LONG: Final = 0.5
@@ -40,8 +41,9 @@ _LONG: Final = 0.5
 _MOST_TRIALS: Final = 10**9
 
 
+@one_blas_thread()
 def study(
-    where: Path | str | StudyDescription,
+    where: Path | str | Campaign | StudyDescription,
     *,
     trials: int | None = None,
     seed: int | None = None,
@@ -55,7 +57,7 @@ def study(
     Parameters
     ----------
     where
-        A campaign's folder or description, a study's file, or a study already read.
+        A campaign's folder or description, a study's file, or a campaign or study already read.
     trials, seed
         In place of the study's own.
     engine
@@ -139,7 +141,7 @@ def _warn_of_hours(engine: StudyEngine, trials: int, workers: int) -> None:
         + "; fewer `trials`, more `workers` or a `cluster` make it shorter, and Ctrl-C ends it "
         "with a valid result of the trials done",
         CounterspinWarning,
-        stacklevel=3,
+        stacklevel=4,
     )
 
 
@@ -168,7 +170,7 @@ def _result(
         for reported in part.reported:
             coefficients.setdefault(name, {})[reported.name] = coefficient_result(
                 reported,
-                term(reported.symbol).unit,
+                unit_of(reported.symbol),
                 summarise(engine.tally, sums[:, row]),
                 drivers,
             )
@@ -197,7 +199,7 @@ def _result(
 
 def _in_words(varying: Varying) -> str:
     name = f"{varying.owner}.{varying.symbol}" if varying.owner else varying.symbol
-    unit = OTHERS.get(varying.symbol) or term(varying.symbol).unit
+    unit = OTHERS.get(varying.symbol) or unit_of(varying.symbol)
     unit = "" if unit == "1" else f" {unit}"
     low, high = f"{varying.first:.6g}{unit}", f"{varying.second:.6g}{unit}"
     how = {

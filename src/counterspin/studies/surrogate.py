@@ -15,7 +15,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -24,6 +23,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
+from counterspin.frozen import frozen
 from counterspin.physics.shared_terms import term
 from counterspin.studies.strobed_effects import StrobedMotion, effects
 
@@ -45,7 +45,7 @@ _POINTS_PER_COEFFICIENT: Final = 3
 _CHECK_POINTS: Final = 60
 
 
-@dataclass(frozen=True)
+@frozen
 class Box:
     """Where a surrogate holds: centre and half width of drift, ripple parts and radius, (4,)."""
 
@@ -90,7 +90,7 @@ def box_of(motion: StrobedMotion, bounds: Array) -> Box:
     return Box(centre, half)
 
 
-@dataclass(frozen=True)
+@frozen
 class Surrogate:
     """The effects of a run's terms as polynomials.
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -20,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 
 LEVELS: Final = (0.68, 0.95, 0.99)  #: of the intervals whose coverage is counted
 
@@ -39,7 +39,7 @@ _HISTOGRAM: Final = slice(_MOMENTS + len(LEVELS), _MOMENTS + len(LEVELS) + Z_BIN
 _FIRST_DRIVER: Final = _HISTOGRAM.stop
 
 
-@dataclass(frozen=True)
+@frozen
 class Driver:
     """A varying quantity against which the bias is shown.
 
@@ -56,7 +56,7 @@ class Driver:
     high: float
 
 
-@dataclass(frozen=True)
+@frozen
 class Tally:
     """What is counted of each coefficient.
 
@@ -144,7 +144,7 @@ def coverage_factor(dof: Array, level: float) -> Array:
     return np.asarray(quantile[index] + (place - index) * slope[index])
 
 
-@dataclass(frozen=True)
+@frozen
 class Summary:
     """What the trials of one coefficient amount to.
 

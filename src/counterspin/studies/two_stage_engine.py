@@ -13,11 +13,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest, credible_limit
 from counterspin.physics import as_printed
@@ -29,7 +29,7 @@ from counterspin.studies.strobed_effects import StrobedMotion, effects
 from counterspin.studies.surrogate import Surrogate
 
 
-@dataclass(frozen=True)
+@frozen
 class Trials:
     """What an analysis says in n trials.
 
@@ -46,7 +46,7 @@ class Trials:
     dof: Array
 
 
-@dataclass(frozen=True)
+@frozen
 class TwoStageEngine:
     """Trials of one accelerometer's two-stage analysis.
 

@@ -14,7 +14,6 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
 from counterspin.physics import observation
-from counterspin.physics.motion import Trajectory
 from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import (
@@ -72,6 +71,8 @@ def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> lis
     if truth.varies(DRIFT, RIPPLE_RATIO, RIPPLE_AMPLITUDE, RIPPLE_PHASE):
         reasons.append("the rotation varies, and with it the weights of every sample")
     given = [known.given for known in request.noise.values()]
+    if any(known.wanders for known in request.noise.values()):
+        reasons.append("the noise that the analysis assumes wanders")
     if any(noise is None for noise in given):
         reasons.append("the noise is estimated, so that the estimate is not linear")
         return reasons
@@ -86,7 +87,7 @@ def against_joint(world: World, truth: StudyTruth, request: JointRequest) -> lis
 
 
 def _against(world: World, truth: StudyTruth) -> list[str]:
-    reasons = []
+    reasons = ["the bias wanders, and only whole records have it"] if world.noise.wanders else []
     white = _white(truth)
     if not world.angle_recorded:
         reasons.append("no angle is recorded, and the rotation has to be found")
@@ -155,7 +156,7 @@ def _left_by_the_parabola(world: World, truth: StudyTruth, owner: str) -> float:
         for trial in range(draws.trials):
             single = draws.take(trial)
             spindle = single.spindle(world.spindles[run], run)
-            motion = Trajectory(spindle, float(single.radius[0]), world.site)
+            motion = world.trajectory(run, spindle, float(single.radius[0]))
             times = spindle.time_at(strobed.angles)
             keys = [key for key in single.values if key[0] in ("", owner)]
             columns = observation.columns(

@@ -47,6 +47,7 @@ _TRIAL_DURATIONS: Final = {
     "sampled": 3e-7,
     "surrogate": 1.5e-6,
     "exact": 2e-3,
+    "readings": 1e-2,
     "full": 0.1,
 }
 

@@ -8,23 +8,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.resolved import Campaign, sample_count
 from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
 from counterspin.inference.two_stage.strobes import strobe_angle
 from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.conditions import RunConditions
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
 from counterspin.studies.noise import RecordNoise
 from counterspin.studies.strobed_effects import StrobedMotion
 
 
-@dataclass(frozen=True)
+@frozen
 class World:
     """A campaign as it is simulated.
 
@@ -44,6 +46,8 @@ class World:
         Whether the records have an angle.
     noise
         Of the records, where it does not vary.
+    conditions
+        Of each run.
     """
 
     runs: tuple[str, ...]
@@ -56,11 +60,17 @@ class World:
     sampling_rate: float
     angle_recorded: bool
     noise: RecordNoise
+    conditions: tuple[RunConditions, ...]
 
     def times(self, run: int) -> Array:
         """Return the times of a run's samples, s."""
         count = sample_count(self.durations[run], self.sampling_rate)
         return np.arange(count) / self.sampling_rate
+
+    def trajectory(self, run: int, spindle: Spindle, radius: float | None = None) -> Trajectory:
+        """Return a run's motion, along the radius that the analyses assume or along another."""
+        r = self.radius if radius is None else radius
+        return Trajectory(spindle, r, self.site, conditions=self.conditions[run])
 
     def series(self, run: int, name: str, spindle: Spindle, error: Array | None = None) -> Series:
         """Return a record, without errors where none are given."""
@@ -69,7 +79,7 @@ class World:
         return Series(
             accelerometer=name,
             run=self.runs[run],
-            trajectory=Trajectory(spindle, self.radius, self.site),
+            trajectory=self.trajectory(run, spindle),
             mounting=self.mountings[name],
             observable="displacement",
             attitude=self.attitudes[run],
@@ -127,5 +137,8 @@ def world_of(campaign: Campaign) -> World:
             quantisation=float(noise.quantisation),
             angle=float(noise.angle),
             timing=float(noise.timing),
+            flicker=float(noise.flicker),
+            bias_walk=float(noise.bias_walk),
         ),
+        conditions=tuple(conditions_of(campaign).values()),
     )

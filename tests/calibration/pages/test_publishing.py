@@ -6,9 +6,9 @@ import pytest
 from results import result
 
 from counterspin.calibration.pages.full_report import identifier_of
-from counterspin.calibration.pages.publishing import FORMATS, issue_date, write_report
+from counterspin.calibration.pages.publishing import FORMATS, issue_date, report, write_report
 from counterspin.cli import main
-from counterspin.errors import CampaignError
+from counterspin.errors import CampaignError, CounterspinError
 
 FIXED = datetime(2026, 3, 1, 12, tzinfo=UTC)
 
@@ -20,9 +20,31 @@ def test_every_format_is_written_and_depends_on_nothing_but_result_and_date(suff
     write_report(result(), second, issued=FIXED)
     assert first.read_bytes() == second.read_bytes()
     assert len(first.read_bytes()) > 1000
-    write_report(result(warnings=["Qx: odd"]), second, issued=FIXED)
+    other = result(warnings=["Qx: odd"])
+    with pytest.raises(CounterspinError, match="exists; name another file, or give `overwrite"):
+        write_report(other, second, issued=FIXED)
+    assert first.read_bytes() == second.read_bytes()
+    write_report(other, second, issued=FIXED, overwrite=True)
     assert first.read_bytes() != second.read_bytes()
     assert sorted(p.name for p in tmp_path.iterdir()) == [first.name, second.name]
+
+
+@pytest.mark.parametrize("kind", ["html", "md", "pdf"])
+def test_a_report_is_returned_as_it_is_written(kind, tmp_path):
+    file = tmp_path / f"a.{kind}"
+    write_report(result(), file, identifier="LAB 7/26", issued=FIXED)
+    made = report(result(), kind, identifier="LAB 7/26", issued=FIXED)
+    assert (made if isinstance(made, bytes) else made.encode()) == file.read_bytes()
+    with pytest.raises(CampaignError, match="kind: 'txt' is not html, md or pdf"):
+        report(result(), "txt")
+
+
+def test_a_report_replaces_no_other_file(tmp_path):
+    record = tmp_path / "record.md"
+    record.write_text("mine", encoding="utf-8")
+    with pytest.raises(CounterspinError, match="is not a report of counterspin"):
+        write_report(result(), record, issued=FIXED, overwrite=True)
+    assert record.read_text(encoding="utf-8") == "mine"
 
 
 def test_the_identifier_is_on_paper_and_screen(tmp_path):
@@ -31,7 +53,7 @@ def test_the_identifier_is_on_paper_and_screen(tmp_path):
     assert told.endswith("\n\nEnd of LAB 7/26, 2026-03-01 12:00 UTC.\n")
     write_report(result(), tmp_path / "a.html", issued=FIXED)
     assert identifier_of(result()) in (tmp_path / "a.html").read_text(encoding="utf-8")
-    write_report(result(), tmp_path / "a.html", identifier="LAB 7/26", issued=FIXED)
+    write_report(result(), tmp_path / "a.html", identifier="LAB 7/26", issued=FIXED, overwrite=True)
     assert "LAB 7/26" in (tmp_path / "a.html").read_text(encoding="utf-8")
 
 

@@ -53,3 +53,17 @@ def test_a_good_result_says_what_it_rests_on():
 def test_only_a_contradiction_stands_before_the_numbers(z, lines):
     jackknife = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": z}]
     assert len(list(misfit_blocks(judge_result(result(jackknife=jackknife))))) == lines
+
+
+def test_what_a_cause_accounts_for_stands_with_it():
+    misfit = {"code": "lack-of-fit", "subject": "Qx", "text": "The residuals are large."}
+    cause = {
+        "code": "wrong-input",
+        "subject": "centrifuge.radius",
+        "text": "A radius of 2.5 m would fit.",
+        "explains": [misfit],
+    }
+    assert sentence(findings=[cause]).startswith(
+        "Qx is to be used with reservations: A radius of 2.5 m would fit. That accounts for what "
+        "else was found: The residuals are large. In its favour"
+    )

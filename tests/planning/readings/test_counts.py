@@ -17,7 +17,8 @@ def possibilities(considered=False, time=0.0):
     design = np.vander(FORCE, 3, increasing=True)[:, None, :]
     design[1] *= 0.5
     fixed = 0.3 * FORCE[:, None, None] ** 3 if considered else np.zeros((6, 1, 0))
-    return Possibilities(design, fixed, np.full(3, 1e-3), np.full(6, time))
+    nothing = np.zeros((0, 3)), np.zeros((0, fixed.shape[2]))
+    return Possibilities(design, fixed, np.full(3, 1e-3), np.full(6, time), *nothing)
 
 
 CRITERIA = {

@@ -2,6 +2,7 @@
 
 import json
 import math
+from itertools import combinations_with_replacement
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from counterspin.planning.forecast import forecast
 from counterspin.planning.plan import check, plan, write_campaign
 from counterspin.planning.plan_sections import ReadingLimitsSettings, StationsSettings
 from counterspin.planning.readings.reading_plan import in_order
+from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.planning.watching import watch
 
 HEAD = """
@@ -170,7 +172,7 @@ def test_calibration_says_what_the_plan_has_promised(written, tmp_path):
     planned = plan(written(ARM, ("[limits]", REST)))
     folder = tmp_path / "planned"
     file = write_campaign(planned, folder)
-    with pytest.raises(CampaignError, match=r"'\? ± 2e-06 g' is not a quantity|'\? ± 2e-6 g'"):
+    with pytest.raises(CampaignError, match="reading: has no value yet, nor have 23 others"):
         read_campaign(file)
     blank = file.read_text(encoding="utf-8")
     lines = iter(planned.result.readings)
@@ -282,7 +284,7 @@ MISTAKES = {
     "no time": ([("readings = 24", 'total_time = "1 h"')], TUMBLE, "needs the time of a reading"),
     "unknown": ([('minimise = ["K_II"]', 'minimise = ["K_OO"]')], ARM, '"K_OO" is not estimated'),
     "no machine": ([('[centrifuge]\nradius = "1.0 m"\n', "")], ARM, "centrifuge: is missing"),
-    "section": ([("[limits]", "[noise]\n[limits]")], TUMBLE, "noise: unknown key"),
+    "section": ([("[limits]", "[truth]\n[limits]")], TUMBLE, "truth: unknown key"),
 }  # fmt: skip
 
 
@@ -305,3 +307,68 @@ def test_every_key_is_documented():
     for settings in (StationsSettings, ReadingLimitsSettings):
         for key in settings.model_fields:
             assert f"`{key}`" in page, key
+
+
+BESIDE = """
+schema = 1
+site = { gravity = "9.80665 m/s^2", latitude = "0.8 rad" }
+[centrifuge]
+radius = "1.0 m"
+[records]
+time = { column = "t", unit = "s" }
+angle = { column = "angle", unit = "rad" }
+[accelerometers.A]
+input_axis = "east"
+pendulous_axis = "down"
+displacement = { column = "m", unit = "m" }
+[noise]
+displacement = "1e-3 m"
+[model]
+terms = ["K_F", "K_I", "K_II"]
+[[runs]]
+name = "turntable"
+rate = "9.9 rad/s"
+revolutions = 20
+record = "turntable.csv"
+[[runs]]
+name = "rest"
+motion = "static"
+attitude = "90 deg about north"
+reading = "-1.0 ± 2e-5 g"
+[[stations]]
+motion = "arm"
+axes = { input = "inward", pendulous = "forward" }
+specific_forces = ["1 g", "5 g", "20 g"]
+u = "1e-5 g"
+[limits]
+readings = 2
+sampling_rate = "10 Hz"
+[goal]
+minimise = ["K_II"]
+"""
+
+
+def test_readings_are_chosen_for_what_the_campaign_has_already(tmp_path):
+    """Of all pairs the best beside the record and the reading."""
+    file = tmp_path / "PLAN.toml"
+    file.write_text(BESIDE, encoding="utf-8")
+    planned = plan(file)
+    told = planned.result.accelerometers["A"].coefficients["K_II"].u
+    described = read_reading_plan(file)
+    u = [
+        forecast(described.campaign(pair), sampling_rate=10.0).u["A.K_II"]
+        for pair in combinations_with_replacement(described.possible, 2)
+    ]
+    assert told == pytest.approx(min(u), rel=1e-9)
+    assert len(planned.result.readings) == 2
+    written = write_campaign(planned, tmp_path / "there")
+    text = (written if written.is_file() else written / "campaign.toml").read_text("utf-8")
+    assert 'name = "turntable"' in text
+    assert text.count("?") >= 2
+
+
+def test_records_in_a_plan_of_readings_need_their_sampling_rate(tmp_path):
+    file = tmp_path / "PLAN.toml"
+    file.write_text(BESIDE.replace('sampling_rate = "10 Hz"\n', ""), encoding="utf-8")
+    with pytest.raises(CampaignError, match=r"limits.sampling_rate: is missing"):
+        plan(file)

@@ -3,7 +3,7 @@
 - `accelerometer_blocks`: coefficients, what cannot be told apart, fit, noise, checks
 - `budget_blocks`: where the uncertainty of its coefficients comes from
 - `coefficient_table`, `in_field_units`: coefficients of any kind
-- `rests_on`, `left_out_sentence`: what cannot be told apart, and what the model leaves out
+- `rests_on`: what cannot be told apart, and what the model leaves out
 """
 
 from __future__ import annotations
@@ -12,7 +12,9 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
-from counterspin.calibration.left_out import decisive
+from counterspin.calibration.pages.kinds import kind_blocks
+from counterspin.calibration.pages.left_out import left_out_blocks, left_out_sentence
+from counterspin.calibration.pages.motions import table_of_tests
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     BudgetLine,
@@ -64,14 +66,18 @@ def accelerometer_blocks(
         yield Paragraph(_noise(accelerometer.noise, gravity))
     if accelerometer.output:
         yield Paragraph(_in_output_units(accelerometer.output))
+    yield from kind_blocks(accelerometer)
+    if accelerometer.readings:
+        yield table_of_tests(accelerometer.readings)
     yield from _readings(accelerometer.readings)
     if accelerometer.two_stage is not None:
         yield Paragraph(
             _comparison(accelerometer.two_stage, accelerometer.coefficients.get("K_II"))
         )
-    if accelerometer.jackknife:
+    if accelerometer.jackknife and "K_II" in accelerometer.coefficients:
         yield from _jackknife(accelerometer.jackknife, accelerometer.coefficients["K_II"])
     if details:
+        yield from left_out_blocks(accelerometer)
         yield from _correlations(accelerometer)
 
 
@@ -216,23 +222,6 @@ def rests_on(accelerometer: AccelerometerResult) -> Iterator[str]:
         yield sentence
 
 
-def left_out_sentence(accelerometer: AccelerometerResult) -> str:
-    """Return what the model leaves out and what that does at its typical size; empty if nothing."""
-    listed = []
-    for name, effects in decisive(accelerometer).items():
-        moved, to_moved = field_unit(accelerometer.coefficients[name].unit)
-        parts = []
-        for effect in effects:
-            unit, factor = field_unit(effect.unit)
-            shift = format_number(effect.shift * to_moved, 2)
-            size = format_number(effect.size * factor, 2)
-            parts.append(f"{shift} {moved} ({effect.symbol}, {size} {unit})")
-        listed.append(f"{name} by {', '.join(parts)}")
-    if not listed:
-        return ""
-    return f"Not in the model, and so not in u; typical sizes would move {'; '.join(listed)}."
-
-
 def _correlation(r: float) -> str:
     """Write a correlation; what would round to one is written by how much it misses."""
     if 0.0 < 1.0 - abs(r) < 5e-5:
@@ -260,7 +249,7 @@ def _noise(noise: dict[str, NoiseLine], gravity: float) -> str:
     lines = []
     for name, line in noise.items():
         value, u, unit = line.value, line.u, line.unit
-        if unit.startswith("m/s^2/"):
+        if unit.startswith("m/s^2/") or name == "flicker":
             # The campaign file, and every data sheet, says it in micro-g.
             scale = 1e6 / gravity
             value, u, unit = value * scale, None if u is None else u * scale, f"ug{unit[5:]}"

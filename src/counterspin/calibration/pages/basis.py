@@ -12,7 +12,9 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from counterspin.calibration.options import TwoStageOptions, acceptance_words, command_words
+from counterspin.calibration.pages.motions import reading_blocks, readings_of
 from counterspin.calibration.result import Result
+from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.physics.accelerometer import TERMS, Term
 from counterspin.physics.shared_terms import MOTION_TERMS, PLATFORM_TERMS
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
@@ -52,6 +54,14 @@ def model_blocks(result: Result) -> Iterator[Block]:
             "Errors of the path, by which the platform is not where radius and recorded angle say: "
             f"{_list(paths)}."
         )
+    yield from reading_blocks(result)
+    if result.runs or not readings_of(result):
+        yield from _recorded(result)
+    yield Paragraph(_method(result))
+
+
+def _recorded(result: Result) -> Iterator[Block]:
+    """Yield what records of a double turntable were taken to be."""
     observables = {
         accelerometer.observable or "displacement"
         for accelerometer in result.accelerometers.values()
@@ -65,7 +75,6 @@ def model_blocks(result: Result) -> Iterator[Block]:
     yield Paragraph(
         "θ(t) = θ₀ + ω (t + C t²/2) + ripple by harmonics of the revolution", "equation"
     )
-    yield Paragraph(_method(result))
 
 
 def _method(result: Result) -> str:
@@ -78,6 +87,13 @@ def _method(result: Result) -> str:
         return (
             "Two stages, as in the paper: a parabola through one sample a revolution where the "
             "reference displacement is zero, then its curvature against the rate."
+        )
+    if readings_of(result):
+        beside = "all samples of the records and " if result.runs else ""
+        return (
+            f"{beside.capitalize()}{'all' if beside else 'All'} readings of all kinds of test in "
+            "one weighted least-squares fit, with what was known beforehand as further "
+            "observations; what is considered and not estimated enters u by its sensitivity."
         )
     return (
         "All samples of all runs and accelerometers in one weighted least-squares fit, with what "
@@ -104,24 +120,30 @@ def origin_blocks(result: Result) -> Iterator[Block]:
     yield Heading("Inputs and reproduction")
     inputs = result.inputs
     latitude = format_number(math.degrees(inputs.latitude), 8)
+    radius = f", radius {inputs.radius:.10g} m" if inputs.radius else ""
     yield Paragraph(
-        f"Gravity {format_number(inputs.gravity, 9)} m/s^2, latitude {latitude} deg, radius "
-        f"{inputs.radius:.10g} m."
+        f"Gravity {format_number(inputs.gravity, 9)} m/s^2, latitude {latitude} deg{radius}."
     )
     yield Table(
         columns=(Column("File"), Column("SHA-256")),
         rows=tuple(
-            (file, checksum.removeprefix("sha256:"))
-            for file, checksum in result.provenance.inputs.items()
+            (file, checksum.removeprefix("sha256:")) for file, checksum in result.provenance.shown
         ),
     )
-    yield Paragraph(
-        f"Made by counterspin {result.provenance.version}. In the folder that holds these files, "
-        "the same result comes from"
-    )
+    made = f"Made by counterspin {result.provenance.version}."
+    if result.provenance.in_memory:
+        those = "; ".join(f"{name} ({how})" for name, how in result.provenance.in_memory.items())
+        yield Paragraph(
+            f"{made} Not from files: {those}. So no command line gives the same result; "
+            "`Campaign.write` writes a folder from which one does."
+        )
+        return
+    yield Paragraph(f"{made} In the folder that holds these files, the same result comes from")
     options = list(result.provenance.options)
     asked = command_words(result.method, TwoStageOptions())
     # Once the two-stage method was the default, and did not have to be asked for.
     options = [*(word for word in asked if word not in options), *options]
     options += acceptance_words(result.accepted_misfit)
-    yield Paragraph(shlex.join(("counterspin", "calibrate", ".", *options)), "command")
+    description = next(iter(result.provenance.inputs), DESCRIPTION_NAME)
+    where = "." if description == DESCRIPTION_NAME else description
+    yield Paragraph(shlex.join(("counterspin", "calibrate", where, *options)), "command")

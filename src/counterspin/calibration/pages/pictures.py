@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Final
 
 from counterspin.calibration.result_parts import AccelerometerResult, RunResult, Trace
+from counterspin.frozen import frozen
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
 from counterspin.reports.numbers import field_unit, format_share, format_uncertainty
 
@@ -110,14 +110,9 @@ def residual_plots(
     runs
         Of the whole result; each has a colour, which is its own in all pictures.
     """
-    unit, factor = _SMALL.get(accelerometer.residual.unit, (accelerometer.residual.unit, 1.0))
-    places = {run: place for place, run in enumerate(dict.fromkeys([*runs, *accelerometer.traces]))}
-    traces = [
-        _Drawn(run, places[run], trace, runs[run].counts.get("block", 1) if run in runs else 1)
-        for run, trace in accelerometer.traces.items()
-    ]
-    for trace in traces:
-        yield _over_time(name, trace, unit, factor)
+    yield from residuals_over_time(name, accelerometer, runs)
+    unit, factor = _unit(accelerometer)
+    traces = _traces(accelerometer, runs)
     for first in range(0, len(traces), _CURVES):
         some = traces[first : first + _CURVES]
         yield from _over_angle(name, some, unit, factor)
@@ -125,7 +120,36 @@ def residual_plots(
         yield from _quantiles(name, some)
 
 
-@dataclass(frozen=True)
+def residuals_over_time(
+    name: str, accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
+) -> Iterator[Plot]:
+    """Yield a picture of the residuals of each run; parameters as for `residual_plots`."""
+    for trace in _traces(accelerometer, runs):
+        yield _over_time(name, trace, *_unit(accelerometer))
+
+
+def residual_spectra(
+    name: str, accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
+) -> Iterator[Plot]:
+    """Yield spectra of the whitened residuals, several runs in a picture."""
+    traces = _traces(accelerometer, runs)
+    for first in range(0, len(traces), _CURVES):
+        yield from _spectra(name, traces[first : first + _CURVES])
+
+
+def _unit(accelerometer: AccelerometerResult) -> tuple[str, float]:
+    return _SMALL.get(accelerometer.residual.unit, (accelerometer.residual.unit, 1.0))
+
+
+def _traces(accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]) -> list[_Drawn]:
+    places = {run: place for place, run in enumerate(dict.fromkeys([*runs, *accelerometer.traces]))}
+    return [
+        _Drawn(run, places[run], trace, runs[run].counts.get("block", 1) if run in runs else 1)
+        for run, trace in accelerometer.traces.items()
+    ]
+
+
+@frozen
 class _Drawn:
     """The residuals of a run, its colour and the samples in each mean that was fitted."""
 
@@ -167,7 +191,7 @@ def _over_time(name: str, drawn: _Drawn, unit: str, factor: float) -> Plot:
 def _over_angle(name: str, traces: Sequence[_Drawn], unit: str, factor: float) -> Iterator[Plot]:
     series = []
     for drawn in traces:
-        if drawn.trace.by_angle is not None:
+        if drawn.trace.by_angle is not None and drawn.trace.by_angle.mean:
             mean = drawn.trace.by_angle.mean
             step = 360.0 / len(mean)
             places = tuple((part + 0.5) * step for part in range(len(mean)))

@@ -1,6 +1,7 @@
 """A report as a file: HTML, PDF or Markdown, by the ending of its name.
 
-- `write_report`: a result's report to a file; `file_kind`: how its own are known again
+- `report`: a result's report as text or bytes; `write_report`: to a file
+- `file_kind`: how its own files are known again
 - `issue_date`: when it is said to have been made
 """
 
@@ -9,12 +10,12 @@ from __future__ import annotations
 import os
 from datetime import UTC, date, datetime, time
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, Literal, overload
 
 from counterspin.calibration.pages.full_report import document, identifier_of
 from counterspin.calibration.result import Result
 from counterspin.errors import CampaignError
-from counterspin.output import FileKind, holds, write_text, write_whole
+from counterspin.output import FileKind, holds, reserve, write_text, write_whole
 from counterspin.reports.blocks import Paragraph
 
 #: Endings of the files that are written.
@@ -48,12 +49,73 @@ def check_format(path: Path) -> str:
     return suffix
 
 
+@overload
+def report(
+    result: Result,
+    kind: Literal["html", "md"] = "html",
+    *,
+    identifier: str | None = None,
+    issued: datetime | None = None,
+) -> str: ...
+@overload
+def report(
+    result: Result,
+    kind: Literal["pdf"],
+    *,
+    identifier: str | None = None,
+    issued: datetime | None = None,
+) -> bytes: ...
+def report(
+    result: Result,
+    kind: Literal["html", "md", "pdf"] = "html",
+    *,
+    identifier: str | None = None,
+    issued: datetime | None = None,
+) -> str | bytes:
+    """Return the full report of a result: text, or bytes of a PDF.
+
+    Parameters
+    ----------
+    result
+        What `calibrate` returned, or what was read from its JSON.
+    kind
+        ``html``, ``md`` or ``pdf``.
+    identifier, issued
+        As of `write_report`.
+
+    Raises
+    ------
+    CampaignError
+        If there is no such kind.
+    """
+    blocks = document(result)
+    known_by = identifier or identifier_of(result)
+    made = issued or issue_date()
+    title = result.title or "Calibration"
+    if kind == "html":
+        from counterspin.reports.html import html
+
+        version = result.provenance.version
+        return html(blocks, title=title, identifier=known_by, date=made, version=version)
+    if kind == "pdf":
+        from counterspin.reports.pdf import pdf
+
+        return pdf(blocks, title=title, identifier=known_by, date=made)
+    if kind != "md":
+        raise CampaignError("report", [f"kind: {kind!r} is not html, md or pdf"])
+    from counterspin.reports.markdown import markdown
+
+    end = Paragraph(f"End of {known_by}, {made.astimezone(UTC):%Y-%m-%d %H:%M} UTC.", "quiet")
+    return markdown([*blocks, end])
+
+
 def write_report(
     result: Result,
     path: Path | str,
     *,
     identifier: str | None = None,
     issued: datetime | None = None,
+    overwrite: bool = False,
 ) -> None:
     """Write the full report of a result.
 
@@ -67,35 +129,25 @@ def write_report(
         What the report is known by; None: one that follows from the result.
     issued
         When it was made, with its time zone; None: as `issue_date` has it.
+    overwrite
+        Whether an earlier report may be replaced; nothing else is.
 
     Raises
     ------
     CampaignError
         If there is no such format.
     CounterspinError
-        If the file cannot be written; nothing is left behind then.
+        If a file is in the way or it cannot be written; nothing is left behind then.
     """
     path = Path(path)
     suffix = check_format(path)
-    blocks = document(result)
-    known_by = identifier or identifier_of(result)
-    made = issued or issue_date()
-    title = result.title or "Calibration"
-    if suffix == ".html":
-        from counterspin.reports.html import html
-
-        version = result.provenance.version
-        write_text(path, html(blocks, title=title, identifier=known_by, date=made, version=version))
-    elif suffix == ".pdf":
-        from counterspin.reports.pdf import pdf
-
-        data = pdf(blocks, title=title, identifier=known_by, date=made)
-        write_whole(path, lambda part: part.write_bytes(data))
+    reserve(path, lambda: file_kind(path), overwrite=overwrite)
+    kind: Any = suffix.removeprefix(".")
+    made: str | bytes = report(result, kind, identifier=identifier, issued=issued)
+    if isinstance(made, bytes):
+        write_whole(path, lambda part: part.write_bytes(made))
     else:
-        from counterspin.reports.markdown import markdown
-
-        end = Paragraph(f"End of {known_by}, {made.astimezone(UTC):%Y-%m-%d %H:%M} UTC.", "quiet")
-        write_text(path, markdown([*blocks, end]))
+        write_text(path, made)
 
 
 def issue_date(text: str | None = None) -> datetime:

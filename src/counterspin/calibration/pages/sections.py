@@ -1,6 +1,6 @@
 """What a report of a result says, in order: the answer first, then what it rests on.
 
-- `sections`: a result as blocks
+- `sections`: a result as blocks; `first_screen`: the beginning of it
 - `answer_blocks`, `platform_blocks`, `run_blocks`: parts of it
 """
 
@@ -70,6 +70,15 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
     blocks += run_blocks(result.runs, details=details)
     if details:
         blocks += _details(result)
+    return blocks
+
+
+def first_screen(result: Result) -> list[Block]:
+    """Return what a cell of a notebook shows: the answer, whether it is good, the coefficients."""
+    result = judge_result(result)
+    blocks: list[Block] = [*answer_blocks(result), *verdict_blocks(result)]
+    for name, accelerometer in result.accelerometers.items():
+        blocks += [Heading(name, 3), coefficient_table(accelerometer.coefficients)]
     return blocks
 
 
@@ -268,7 +277,8 @@ def _details(result: Result) -> Iterator[Block]:
     yield Heading("Details")
     inputs = result.inputs
     latitude = format_number(math.degrees(inputs.latitude), 8)
-    yield Paragraph(f"Radius {inputs.radius:.10g} m, latitude {latitude} deg.")
-    for file, checksum in result.provenance.inputs.items():
+    radius = f"Radius {inputs.radius:.10g} m, latitude" if inputs.radius else "Latitude"
+    yield Paragraph(f"{radius} {latitude} deg.")
+    for file, checksum in result.provenance.shown:
         yield Paragraph(f"{file} {checksum}", "quiet")
     yield Paragraph(f"counterspin {result.provenance.version}", "quiet")

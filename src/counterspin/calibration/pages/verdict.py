@@ -1,6 +1,7 @@
 """Whether a result is good, in words.
 
 - `verdict_blocks`: of every accelerometer; `verdict_sentence`: of one
+- `finding_text`: one finding
 - `misfit_blocks`: the first lines of a result that its records contradict
 """
 
@@ -10,9 +11,9 @@ from collections.abc import Iterator
 from typing import Final
 
 from counterspin.calibration.findings import supports
-from counterspin.calibration.pages.accelerometer import left_out_sentence
+from counterspin.calibration.pages.left_out import left_out_sentence
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult
+from counterspin.calibration.result_parts import AccelerometerResult, Finding
 from counterspin.reports.blocks import Block, Paragraph
 
 _OPENINGS: Final = {
@@ -39,7 +40,7 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
         opening += " if what its model leaves out is nothing"
     speaks_for = "; ".join(supports(accelerometer))
     if accelerometer.findings:
-        sentences = [f"{opening}: {accelerometer.findings[0].text}"]
+        sentences = [f"{opening}: {finding_text(accelerometer.findings[0])}"]
         if more := len(accelerometer.findings) - 1:
             sentences.append(
                 f"There {'is 1 more finding' if more == 1 else f'are {more} more findings'}."
@@ -51,6 +52,14 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     return " ".join([*sentences, left_out] if left_out else sentences)
 
 
+def finding_text(finding: Finding) -> str:
+    """Return what was found, and of a cause what it accounts for."""
+    if not finding.explains:
+        return finding.text
+    others = " ".join(other.text for other in finding.explains)
+    return f"{finding.text} That accounts for what else was found: {others}"
+
+
 def verdict_blocks(result: Result) -> Iterator[Block]:
     """Yield for each accelerometer of a judged result whether it is good, and what was found."""
     for name, accelerometer in result.accelerometers.items():
@@ -60,7 +69,7 @@ def verdict_blocks(result: Result) -> Iterator[Block]:
         )
         # The first of them stands in the sentence.
         for finding in accelerometer.findings[1:]:
-            yield Paragraph(f"Warning: {name}: {finding.text}", "warning")
+            yield Paragraph(f"Warning: {name}: {finding_text(finding)}", "warning")
 
 
 def misfit_blocks(result: Result) -> Iterator[Block]:

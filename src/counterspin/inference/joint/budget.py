@@ -8,12 +8,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknown
@@ -27,7 +28,7 @@ UNSEEN: Final = "unseen"  #: kind of a line that stands for noise that the recor
 ENCODER: Final = "encoder"  #: kind of a line that stands for a run's recorded angle
 
 
-@dataclass(frozen=True)
+@frozen
 class Line:
     """One source of uncertainty (GUM table 1).
 

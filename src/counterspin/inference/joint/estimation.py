@@ -1,6 +1,7 @@
 """The joint estimate, step by step: outliers, noise, rotation, coefficients, degrees of freedom.
 
-- `estimate`: the whole story
+- `estimate`: the whole story; `estimate_again`: with other unknowns, outliers being known
+- `unseen_covariance`: what noise that does not show may add to a fit's uncertainty
 - `NoiseRequest`, `Estimate`: what goes in and what comes out
 """
 
@@ -8,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array, semidefinite_root
 from counterspin.errors import ConvergenceError
+from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.outliers import outlying
@@ -26,7 +28,12 @@ from counterspin.inference.joint.unknowns import ROTATION, Unknowns
 from counterspin.inference.noise import variance_components
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import lengthened
-from counterspin.inference.noise.variance_components import RecordData, VarianceComponents
+from counterspin.inference.noise.variance_components import (
+    COMPONENTS,
+    RecordData,
+    VarianceComponents,
+)
+from counterspin.inference.noise.wander_components import estimate_wandering
 
 Rows = npt.NDArray[np.bool_]
 
@@ -43,29 +50,37 @@ _EXACT: Final = 1e-12
 _SCALE_SETTLED: Final = 1e-4
 
 
-@dataclass(frozen=True)
+@frozen
 class NoiseRequest:
     """Noise of one accelerometer's records: numbers that are given, None to be estimated.
 
     Attributes
     ----------
-    white, random_walk, quantisation
+    white, random_walk, quantisation, flicker, bias_walk
         As in `NoiseModel`.
     """
 
     white: float | None
     random_walk: float | None
     quantisation: float = 0.0
+    flicker: float | None = 0.0
+    bias_walk: float | None = 0.0
 
     @property
     def given(self) -> NoiseModel | None:
         """The noise, if all of it is given."""
-        if self.white is None or self.random_walk is None:
+        white, walk, flicker, bias_walk = (getattr(self, name) for name in COMPONENTS)
+        if white is None or walk is None or flicker is None or bias_walk is None:
             return None
-        return NoiseModel(self.white, self.random_walk, self.quantisation)
+        return NoiseModel(white, walk, self.quantisation, flicker, bias_walk)
+
+    @property
+    def wanders(self) -> bool:
+        """Whether the bias wanders, or may."""
+        return self.flicker != 0.0 or self.bias_walk != 0.0
 
 
-@dataclass(frozen=True)
+@frozen
 class Estimate:
     """The joint estimate.
 
@@ -153,6 +168,42 @@ def estimate(
     return Estimate(fit, components, dof, tuple(outliers), series)
 
 
+def estimate_again(
+    before: Estimate, fit: JointFit, requests: Mapping[str, NoiseRequest]
+) -> Estimate:
+    """Return the estimate of another fit to the same rows, its noise found anew.
+
+    Parameters
+    ----------
+    before
+        Whose outliers and rotations these are.
+    fit
+        The other fit, with any noise.
+    requests
+        As for `estimate`.
+    """
+    noise, components = _noise(fit.prepared, fit.model, requests)
+    fit = fit.with_noise(noise)
+    fit, dof = _with_unseen(fit, components, _effective_dof(fit, components))
+    return replace(before, fit=fit, components=components, dof=dof)
+
+
+def unseen_covariance(fit: JointFit, components: Mapping[str, VarianceComponents]) -> Array:
+    """Return what walks that the records do not show may add to a fit's covariance, (p, p).
+
+    Parameters
+    ----------
+    fit
+        Any joint fit.
+    components
+        The estimated noise, by accelerometer.
+    """
+    p = len(fit.model.unknowns)
+    wider, _ = _with_unseen(fit, components, np.full(p, math.inf))
+    added = wider.solution.covariance_unseen
+    return np.zeros((p, p)) if added is None else added
+
+
 def _scale_factors(
     series: Sequence[Series], model: Unknowns, fit: JointFit | None
 ) -> dict[str, float]:
@@ -232,6 +283,7 @@ def _components(
             part.series.count,
             part.series.block_spacing,
             [used.index(index) for index in own],
+            part.series.trajectory.conditions.start,
         )
         for part, own in zip(prepared, places, strict=True)
     ]
@@ -243,14 +295,20 @@ def _components(
     # over the runs serves here, while the fit gives each run its own.
     sizes = np.array([part.series.time.size for part in prepared])
     jitter = np.average([part.series.jitter**2 for part in prepared], weights=sizes)
-    components = variance_components.estimate(
-        records,
-        white=request.white,
-        random_walk=request.random_walk,
-        quantisation=math.sqrt(request.quantisation**2 + 12.0 * jitter),
-        prior_rows=np.diag(1.0 / spread),
-        prior_values=means / spread,
-    )
+    quantisation = math.sqrt(request.quantisation**2 + 12.0 * jitter)
+    known, values = np.diag(1.0 / spread), means / spread
+    if request.wanders:
+        whole = replace(request, quantisation=quantisation)
+        components = estimate_wandering(records, whole, known, values)
+    else:
+        components = variance_components.estimate(
+            records,
+            white=request.white,
+            random_walk=request.random_walk,
+            quantisation=quantisation,
+            prior_rows=known,
+            prior_values=values,
+        )
     return replace(components, quantisation=request.quantisation)
 
 

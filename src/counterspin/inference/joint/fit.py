@@ -10,6 +10,7 @@ The problem is an `Unknowns` (`counterspin.inference.joint.unknowns`) beside the
 (`counterspin.inference.joint.prepared`).
 
 - `solve_joint`, `blocks_of`, `solve_blocks`: the answer, from columns or from blocks
+- `solve_relaxed`, `relaxed_block`: the same with considered terms estimated too
 - `JointFit`: the answer for other noise or without a run, its residuals, its degrees of freedom
 """
 
@@ -17,13 +18,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.joint.prepared import Prepared
@@ -32,7 +34,7 @@ from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import NoiseModel
 
 
-@dataclass(frozen=True)
+@frozen
 class Residuals:
     """What a fit leaves of one series.
 
@@ -48,7 +50,7 @@ class Residuals:
     whitened: Array
 
 
-@dataclass(frozen=True)
+@frozen
 class JointFit:
     """A solved joint problem.
 
@@ -134,26 +136,9 @@ class JointFit:
         everything known beforehand say together, and so what they are compared with: a considered
         term that is not what was assumed is no lack of fit as long as its uncertainty allows it.
         """
-        model = self.model
-        if not model.considered_names:
+        if not self.model.considered_names:
             return self.solution
-        blocks = [
-            replace(
-                block,
-                factor=np.hstack([block.factor, block.considered]),
-                considered=block.considered[:, :0],
-            )
-            for block in (*self.blocks, *self.beside.values())
-        ]
-        unknowns = (*model.unknowns, *model.considered)
-        inputs = model.inputs or {}
-        return least_squares.solve(
-            blocks,
-            prior_mean=[*(u.prior_mean for u in unknowns), *(0.0 for _ in inputs)],
-            prior_sd=[*(u.prior[1] for u in unknowns), *inputs.values()],
-            # Inputs have a prior, and so no need of a limit.
-            limits=[*(u.limit for u in unknowns), *(1.0 for _ in inputs)],
-        )
+        return solve_relaxed([*self.blocks, *self.beside.values()], self.model)
 
     @cached_property
     def residuals(self) -> tuple[Residuals, ...]:
@@ -229,7 +214,8 @@ def _block_again(
 ) -> Block:
     """Reduce a series again; where only the level of its white noise is another, scale it."""
     was, now = (prepared.series.total(noise) for noise in (before, after))
-    if was.random_walk > 0.0 or now.random_walk > 0.0 or now.sample_variance == 0.0:
+    walks = was.random_walk > 0.0 or now.random_walk > 0.0
+    if walks or was.wanders or now.wanders or now.sample_variance == 0.0:
         return _block(prepared, model, after)
     ratio = math.sqrt(was.sample_variance / now.sample_variance)
     return replace(
@@ -270,4 +256,25 @@ def solve_blocks(blocks: Sequence[Block], model: Unknowns) -> Solution:
         considered_mean=model.considered_means,
         considered_sd=model.considered_sizes,
         limits=[unknown.limit for unknown in model.unknowns],
+    )
+
+
+def relaxed_block(block: Block) -> Block:
+    """Return a block whose considered terms are unknowns, after the others."""
+    return replace(
+        block,
+        factor=np.hstack([block.factor, block.considered]),
+        considered=block.considered[:, :0],
+    )
+
+
+def solve_relaxed(blocks: Sequence[Block], model: Unknowns) -> Solution:
+    """Solve blocks with considered terms and inputs estimated too, as `JointFit.relaxed`."""
+    unknowns, inputs = (*model.unknowns, *model.considered), model.inputs or {}
+    return least_squares.solve(
+        [relaxed_block(block) for block in blocks],
+        prior_mean=[*(u.prior_mean for u in unknowns), *(0.0 for _ in inputs)],
+        prior_sd=[*(u.prior[1] for u in unknowns), *inputs.values()],
+        # Inputs have a prior, and so no need of a limit.
+        limits=[*(u.limit for u in unknowns), *(1.0 for _ in inputs)],
     )

@@ -99,6 +99,8 @@ def input_column(
     before = np.column_stack([table[s] for s in symbols] or [np.empty((base.size, 0))]) @ errors
     after = series.columns(symbols, scale_factor, moved) @ errors
     change: Array = (series.reference(moved) + after - base - before) / step
+    if name == "site.latitude" and series.by_latitude is not None:
+        change = change - series.by_latitude
     if name == "site.gravity" and series.in_g:
         # A record in g was turned into m/s^2 with the gravity assumed.
         change = change - (base + series.error) / series.trajectory.site.gravity

@@ -17,17 +17,21 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference.joint.fit import JointFit, solve_joint
+from counterspin.inference.joint.fit import JointFit, blocks_of, solve_blocks
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Considered, Unknowns
+from counterspin.inference.readings import Readings, blocks_at
 
 #: Rows that are enough: sensitivities depend on the columns' shapes, not on the sampling.
 _ROWS: Final = 3072
 
 
 def sensitivities(
-    fit: JointFit, terms: Sequence[Considered], inputs: Mapping[str, float] | None = None
+    fit: JointFit,
+    terms: Sequence[Considered],
+    inputs: Mapping[str, float] | None = None,
+    readings: Sequence[Readings] = (),
 ) -> Array:
     """Return what one unit of each term or input would move each unknown by.
 
@@ -43,6 +47,8 @@ def sensitivities(
         Terms that its model leaves out, q of them.
     inputs
         Inputs that its model takes as exact, r of them, with any size above 0.
+    readings
+        That were fitted beside the records, or alone, each with its noise.
 
     Returns
     -------
@@ -52,12 +58,13 @@ def sensitivities(
     series = [prepared.series for prepared in fit.prepared]
     step = max(1, math.ceil(sum(record.time.size for record in series) / _ROWS))
     model = Unknowns(fit.model.unknowns, tuple(terms), inputs)
+    estimate = fit.solution.estimate[: len(fit.model.unknowns)]
     scale_factors = {record.accelerometer: 1.0 for record in series}
     thinned = prepare_columns(
         [_thinned(record, step) for record in series],
         model,
         scale_factors,
-        fit.solution.estimate[: len(fit.model.unknowns)],
+        estimate,
     )
     noise = {
         name: replace(
@@ -67,7 +74,8 @@ def sensitivities(
         )
         for name, level in fit.noise.items()
     }
-    moved: Array = -solve_joint(thinned, model, noise).solution.sensitivity_considered
+    blocks = [*blocks_of(thinned, model, noise), *blocks_at(readings, model, estimate)]
+    moved: Array = -solve_blocks(blocks, model).sensitivity_considered
     return moved
 
 

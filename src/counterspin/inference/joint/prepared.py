@@ -7,12 +7,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.inputs import input_column, rotation_column
 from counterspin.inference.joint.series import Series
@@ -21,7 +22,7 @@ from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import SHARED_TERMS
 
 
-@dataclass(frozen=True)
+@frozen
 class Prepared:
     """A series and its columns, ready to be weighted with any noise.
 

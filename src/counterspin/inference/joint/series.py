@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.inference.noise.model import NoiseModel, Whitener, make_whitener
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import Mounting
@@ -24,7 +25,7 @@ from counterspin.physics.motion import Trajectory
 Rate = TypeVar("Rate", float, Array)
 
 
-@dataclass(frozen=True)
+@frozen
 class Series:
     """One accelerometer's output in one run, less what a perfect system records.
 
@@ -48,6 +49,9 @@ class Series:
         it is added to the accelerometer's own.
     angle_error
         How far the run may have turned otherwise than `trajectory` says; None where nobody knows.
+    by_latitude
+        Change of the error with the latitude for which it was worked out, in its unit and 1/rad,
+        shape (n,); None where it does not depend on it.
     """
 
     accelerometer: str
@@ -64,6 +68,7 @@ class Series:
     in_g: bool = False
     jitter: float = 0.0
     angle_error: AngleError | None = None
+    by_latitude: Array | None = None
 
     @property
     def block_spacing(self) -> Array:
@@ -115,6 +120,7 @@ class Series:
             spread=self.spread[keep],
             count=self.count[keep],
             error=self.error[keep],
+            by_latitude=None if self.by_latitude is None else self.by_latitude[keep],
         )
 
     @property
@@ -133,7 +139,12 @@ class Series:
     def whitener(self, noise: NoiseModel) -> Whitener:
         """Return what turns the rows into rows whose noise has unit covariance."""
         return make_whitener(
-            self.time, self.order, self.total(noise), self.count, self.block_spacing
+            self.time,
+            self.order,
+            self.total(noise),
+            self.count,
+            self.block_spacing,
+            self.trajectory.conditions.start,
         )
 
 

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
+from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS
 
 #: Rotation of a run as unknowns, where no angle is recorded: rad, rad/s, 1/s.
 ROTATION: Final = ("spindle.start_angle", "spindle.rate", "spindle.drift")
 
 
-@dataclass(frozen=True)
+@frozen
 class Unknown:
     """One unknown of the joint fit.
 
@@ -35,12 +35,15 @@ class Unknown:
         (value, standard uncertainty) of the coefficient; infinite: nothing known.
     limit
         Largest credible size.
+    asked
+        Whether anybody wants to know it; else it is there because others cannot be told from it.
     """
 
     owner: str
     symbol: str
     prior: tuple[float, float]
     limit: float
+    asked: bool = True
 
     @property
     def nominal(self) -> float:
@@ -64,19 +67,19 @@ class Unknown:
 
     def concerns(self, series: Series) -> bool:
         """Return whether the unknown can show in a series."""
-        if self.symbol in TERMS:
+        if self.symbol in OWN_TERMS:
             return self.owner == series.accelerometer
         if self.symbol not in SHARED_TERMS and machine_term(self.symbol) is not None:
             return False  # it shows in readings
         return self.owner in ("", series.run)
 
 
-@dataclass(frozen=True)
+@frozen
 class Considered(Unknown):
     """A term that is not estimated: its prior's value is taken, its uncertainty carried."""
 
 
-@dataclass(frozen=True)
+@frozen
 class Unknowns:
     """What is estimated, what is considered, and which inputs are uncertain.
 

@@ -1,6 +1,8 @@
 """Noise of a record: its models, whitening, and its size estimated from the records.
 
 - `model`, `riccati`: models of a record's noise, and whitening with them
+- `wander`: flicker and random walk of the bias
 - `variance_components`, `restricted_likelihood`: the noise's size, estimated from the records
+- `wander_components`: the same where the bias wanders
 - `unseen_noise`: what noise that the records do not show may add to the uncertainty
 """

@@ -1,6 +1,7 @@
 """Noise of a record, and whitening: rows go in correlated, and come out with unit covariance.
 
-Three sources, each given per sample:
+Three sources, each given per sample, and wander of the bias beside them
+(`counterspin.inference.noise.wander`):
 
 - white noise of standard deviation `white` in the observable;
 - quantisation of step q, which adds q^2/12 and cannot be told from white noise;
@@ -22,19 +23,26 @@ Without a random walk a row is divided by its standard deviation, and nothing is
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from counterspin.frozen import frozen
 from counterspin.inference.noise.riccati import BlockSpans, filter_walk
+from counterspin.inference.noise.wander import (
+    Levels,
+    LowRank,
+    coefficient_root,
+    functions_needed,
+    integrated_cosines,
+    spanned,
+)
 
 Array = NDArray[np.float64]
 
 DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
 
 
-@dataclass(frozen=True)
+@frozen
 class NoiseModel:
     """Noise of one accelerometer's records.
 
@@ -46,6 +54,9 @@ class NoiseModel:
         N, (m/s^2)/Hz^0.5: velocity variance N^2 t.
     quantisation
         Step of the recorded observable, same unit as `white`.
+    flicker, bias_walk
+        Bias instability B, m/s^2, and random walk K of the bias, m/s^2/s^0.5; see
+        `counterspin.inference.noise.wander`.
 
     Raises
     ------
@@ -56,9 +67,11 @@ class NoiseModel:
     white: float
     random_walk: float = 0.0
     quantisation: float = 0.0
+    flicker: float = 0.0
+    bias_walk: float = 0.0
 
     def __post_init__(self) -> None:
-        for name in ("white", "random_walk", "quantisation"):
+        for name in ("white", "random_walk", "quantisation", "flicker", "bias_walk"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0):
                 raise ValueError(f"noise: {name} is {value}; it must be zero or positive")
@@ -68,8 +81,18 @@ class NoiseModel:
         """Variance per sample of what is white in the observable: white^2 + quantisation^2/12."""
         return self.white**2 + self.quantisation**2 / 12
 
+    @property
+    def wanders(self) -> bool:
+        """Whether the bias wanders."""
+        return self.flicker > 0.0 or self.bias_walk > 0.0
 
-@dataclass(frozen=True)
+    @property
+    def levels(self) -> Levels:
+        """The variances."""
+        return Levels(self.sample_variance, self.random_walk**2, self.flicker**2, self.bias_walk**2)
+
+
+@frozen
 class Differences:
     """Differences of a record's rows, and the factor of their covariance.
 
@@ -144,6 +167,31 @@ class Differences:
         # Steps first: the weights then multiply small numbers, and lose fewer digits.
         return np.asfortranarray(second * steps[1:] - first * steps[:-1])
 
+    def wander(self, order: int, levels: Levels, before: float) -> Array:
+        """Return differences of what the rows show of a wandering bias, one column a direction.
+
+        Parameters
+        ----------
+        order
+            How often the observable integrates acceleration.
+        levels
+            Of all noise.
+        before
+            For how long the bias had walked when the record began, s.
+
+        Returns
+        -------
+        (n - order, r); the wander's covariance is this times its transpose.
+        """
+        length = spanned(float(self.blocks.time[-1]))
+        count = functions_needed(levels, float(np.median(self.spacing)), length, order)
+        shown = self.apply(
+            integrated_cosines(
+                self.blocks.time, self.blocks.count, self.spacing, order, count, length
+            )
+        )
+        return np.asarray(shown @ coefficient_root(levels, count, length, before))
+
     def _weights(self) -> tuple[Array, Array]:
         """(n-2,) weights of the earliest and latest of three rows; the middle one has -2."""
         steps = np.diff(self.blocks.time)
@@ -201,7 +249,7 @@ class Differences:
         return bands
 
 
-@dataclass(frozen=True)
+@frozen
 class Whitener:
     """Turns rows of a record into rows whose noise has unit covariance.
 
@@ -216,12 +264,15 @@ class Whitener:
     polynomials
         How many columns 1, t of start errors must still be estimated: `order` without a random
         walk, 0 with one (the differences have removed them).
+    wander
+        Whitens what is then left of a wandering bias; None without one.
     """
 
     differences: Differences
     bands: Array
     log_det: float
     polynomials: int
+    wander: LowRank | None = None
 
     @property
     def rows(self) -> int:
@@ -230,7 +281,8 @@ class Whitener:
 
     def apply(self, rows: ArrayLike) -> Array:
         """Whiten (n,) or (n, k) rows, each column a record; (m,) or (m, k), m = `rows`."""
-        return solve_banded_factor(self.bands, self.differences.apply(rows))
+        white = solve_banded_factor(self.bands, self.differences.apply(rows))
+        return white if self.wander is None else self.wander.apply(white)
 
 
 def solve_banded_factor(bands: Array, rows: Array) -> Array:
@@ -251,6 +303,7 @@ def make_whitener(
     noise: NoiseModel,
     count: ArrayLike | None = None,
     sample_spacing: ArrayLike | None = None,
+    before: float = 0.0,
 ) -> Whitener:
     """Whitener of one record of one observable.
 
@@ -267,6 +320,8 @@ def make_whitener(
     sample_spacing
         s, (n,) or a number: time between the samples of a block; absent: what makes most blocks
         adjoin.
+    before
+        For how long the bias had walked when the record began, s.
 
     Raises
     ------
@@ -282,4 +337,8 @@ def make_whitener(
         polynomials = order
         differences = Differences(SPECIFIC_FORCE, differences.blocks, differences.spacing)
     bands, log_det = differences.factor(white, walk)
-    return Whitener(differences, bands, log_det, polynomials)
+    if not noise.wanders:
+        return Whitener(differences, bands, log_det, polynomials)
+    shown = differences.wander(order, noise.levels, before)
+    wander = LowRank.of(solve_banded_factor(bands, shown))
+    return Whitener(differences, bands, log_det + wander.log_det, polynomials, wander)

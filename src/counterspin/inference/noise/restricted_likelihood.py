@@ -10,18 +10,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from counterspin.arrays import triangle_of
 from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.inference.noise.model import Differences, solve_banded_factor
+from counterspin.inference.noise.wander import Levels, LowRank
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@frozen
 class RecordData:
     """One record of one observable, as noise estimation needs it.
 
@@ -40,6 +43,8 @@ class RecordData:
         Samples per row and the time between them, as in `make_whitener`.
     places
         (k,) which of the p unknowns of all records the columns belong to; absent: all of them.
+    before
+        For how long a bias had walked when the record began, s.
     """
 
     times: ArrayLike
@@ -49,6 +54,15 @@ class RecordData:
     count: ArrayLike | None = None
     spacing: ArrayLike | None = None
     places: ArrayLike | None = None
+    before: float = 0.0
+
+
+class Ratios(NamedTuple):
+    """Variances over that of the white noise: N^2, B^2 and K^2 of a wandering bias."""
+
+    walk: float
+    flicker: float
+    bias_walk: float
 
 
 @dataclass
@@ -56,14 +70,17 @@ class RestrictedLikelihood:
     """The restricted likelihood of (log scale, ratio) of records and priors.
 
     The noise of all rows is exp(log scale) (white + ratio x walk), or the walk alone where the
-    ratio is infinite. Whitened rows are reduced to a triangle that is kept for each ratio.
+    ratio is infinite. Where the bias wanders, `Ratios` stand in place of the ratio. Whitened rows
+    are reduced to a triangle that is kept for each ratio.
     """
 
     differences: list[Differences]
     stacks: list[Array]  # differenced [design | observations] of each record
     places: list[NDArray[np.intp]]  # of each stack's columns but the last among all unknowns
     prior: Array  # [rows | values]
-    triangles: dict[float, tuple[Array, float]] = field(default_factory=dict)
+    orders: list[int]
+    before: list[float]
+    triangles: dict[float | Ratios, tuple[Array, float]] = field(default_factory=dict)
 
     @classmethod
     def of(
@@ -90,7 +107,14 @@ class RestrictedLikelihood:
         p = 1 + max((int(place.max()) for place in places if place.size), default=-1)
         known = np.zeros((0, p)) if prior_rows is None else np.asarray(prior_rows, float)
         values = np.zeros(len(known)) if prior_values is None else np.asarray(prior_values, float)
-        likelihood = cls(differences, stacks, places, np.column_stack([known, values]))
+        likelihood = cls(
+            differences,
+            stacks,
+            places,
+            np.column_stack([known, values]),
+            [record.order for record in records],
+            [record.before for record in records],
+        )
         # What differencing leaves of a start error in the design is rounding, not an unknown.
         before, after = np.zeros(known.shape[1]), np.zeros(known.shape[1])
         for total, part in ((before, rows), (after, stacks)):
@@ -147,23 +171,23 @@ class RestrictedLikelihood:
         low, high = math.log(0.1 * unit * longest ** (-2.0 * order)), math.log(1e4 * unit)
         return np.linspace(low, high, 3 + math.ceil((high - low) / math.log(1e4)))
 
-    def value(self, log_scale: float, ratio: float) -> float:
+    def value(self, log_scale: float, ratio: float | Ratios) -> float:
         """Restricted log-likelihood, but for a constant of the records."""
         joined, _ = self._joined(log_scale, ratio)
         log_det = self._triangle(ratio)[1] + self.rows * log_scale
         log_information = 2 * float(np.log(np.abs(np.diagonal(joined)[:-1])).sum())
         return -(log_det + log_information + float(joined[-1, -1]) ** 2) / 2
 
-    def slope(self, log_scale: float, ratio: float) -> float:
+    def slope(self, log_scale: float, ratio: float | Ratios) -> float:
         """Differentiate `value` by the log scale."""
         freedom, rss = self._freedom_and_rss(log_scale, ratio)
         return (rss - freedom) / 2
 
-    def freedom(self, log_scale: float, ratio: float) -> float:
+    def freedom(self, log_scale: float, ratio: float | Ratios) -> float:
         """Rows less the unknowns that the rows themselves determine."""
         return self._freedom_and_rss(log_scale, ratio)[0]
 
-    def best_scale(self, ratio: float) -> float:
+    def best_scale(self, ratio: float | Ratios) -> float:
         """Log scale at which `slope` is zero."""
         rss = float(self._triangle(ratio)[0][-1, -1]) ** 2
         if rss == 0:
@@ -179,7 +203,7 @@ class RestrictedLikelihood:
                 break
         return log_scale
 
-    def _freedom_and_rss(self, log_scale: float, ratio: float) -> tuple[float, float]:
+    def _freedom_and_rss(self, log_scale: float, ratio: float | Ratios) -> tuple[float, float]:
         joined, data = self._joined(log_scale, ratio)
         if len(self.prior) == 0:
             return self.rows - data.shape[1] + 1.0, float(data[-1, -1]) ** 2
@@ -188,23 +212,32 @@ class RestrictedLikelihood:
         residual = data[:, -1] - leverage @ joined[:-1, -1]
         return self.rows - float(np.sum(leverage**2)), float(residual @ residual)
 
-    def _joined(self, log_scale: float, ratio: float) -> tuple[Array, Array]:
+    def _joined(self, log_scale: float, ratio: float | Ratios) -> tuple[Array, Array]:
         """Triangle of [unknowns | observations] with and without the priors' rows."""
         data = self._triangle(ratio)[0] * math.exp(-log_scale / 2)
         return (triangle_of(np.vstack([data, self.prior])) if len(self.prior) else data), data
 
-    def _triangle(self, ratio: float) -> tuple[Array, float]:
+    def _whitened(self, index: int, ratio: float | Ratios) -> tuple[Array, float]:
+        """Return a record's whitened rows at unit scale, and the log-determinant of their noise."""
+        differences, stack = self.differences[index], self.stacks[index]
+        if not isinstance(ratio, Ratios):
+            scales = (0.0, 1.0) if math.isinf(ratio) else (1.0, ratio)
+            bands, log_det = differences.factor(*scales)
+            return solve_banded_factor(bands, stack), log_det
+        bands, log_det = differences.factor(1.0, ratio.walk)
+        shown = differences.wander(self.orders[index], Levels(1.0, *ratio), self.before[index])
+        wander = LowRank.of(solve_banded_factor(bands, shown))
+        return wander.apply(solve_banded_factor(bands, stack)), log_det + wander.log_det
+
+    def _triangle(self, ratio: float | Ratios) -> tuple[Array, float]:
         """Triangle of the whitened rows at unit scale, and the log-determinant of their noise."""
         if ratio not in self.triangles:
-            scales = (0.0, 1.0) if math.isinf(ratio) else (1.0, ratio)
             width = self.prior.shape[1]
             log_det, parts = 0.0, [np.zeros((width, width))]
-            for differences, stack, place in zip(
-                self.differences, self.stacks, self.places, strict=True
-            ):
-                bands, part = differences.factor(*scales)
+            for index, place in enumerate(self.places):
+                rows, part = self._whitened(index, ratio)
                 log_det += part
-                own = triangle_of(solve_banded_factor(bands, stack))
+                own = triangle_of(rows)
                 whole = np.zeros((own.shape[0], width))
                 whole[:, np.append(place, width - 1)] = own
                 parts.append(whole)

@@ -14,15 +14,15 @@ State: position and velocity at a block's last sample. Nothing is assumed of the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
+
+from counterspin.frozen import frozen
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@frozen
 class BlockSpans:
     """Where the samples of each row lie; a row is the mean of the samples of its block.
 
@@ -63,7 +63,7 @@ class BlockSpans:
         )
 
 
-@dataclass(frozen=True)
+@frozen
 class Innovations:
     """The filter of rows 2 .. n-1 (the first two rows only find the state).
 

@@ -18,12 +18,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from counterspin.frozen import frozen
 from counterspin.inference.distributions import normal_cdf, student_quantile
 
 Array = NDArray[np.float64]
@@ -45,7 +45,7 @@ _ONE_U: Final = normal_cdf(1.0)
 _HALF_INTERVAL: Final = 0.975
 
 
-@dataclass(frozen=True)
+@frozen
 class Unseen:
     """A dropped walk.
 

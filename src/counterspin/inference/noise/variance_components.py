@@ -17,18 +17,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from counterspin.frozen import frozen
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.restricted_likelihood import RecordData, RestrictedLikelihood
 from counterspin.inference.noise.unseen_noise import Unseen, unseen_walk
 
 __all__ = [
+    "COMPONENTS",
     "KEEP",
     "RecordData",
     "VarianceComponents",
@@ -48,8 +50,11 @@ _DETECTION_LOG_RATIO: Final = 4.0
 _WHITE: Final = "white"
 _WALK: Final = "random_walk"
 
+#: What noise may consist of, in the order of `VarianceComponents.covariance`.
+COMPONENTS: Final = (_WHITE, _WALK, "flicker", "bias_walk")
 
-@dataclass(frozen=True)
+
+@frozen
 class VarianceComponents:
     """Estimated noise, and how well it is known.
 
@@ -58,10 +63,10 @@ class VarianceComponents:
     white, random_walk, quantisation
         As in `NoiseModel`; quantisation is always as given.
     covariance
-        (2, 2) of (white^2, random_walk^2): inverse observed information; zero for a component that
-        was given or dropped.
+        (2, 2) of (white^2, random_walk^2), or (4, 4) of the squares of `COMPONENTS` where the bias
+        wanders: inverse observed information; zero for a component that was given or dropped.
     estimated
-        Which of "white", "random_walk" were estimated and kept.
+        Which of `COMPONENTS` were estimated and kept.
     dropped
         Which were to be estimated and are not supported by the records.
     log_likelihoods
@@ -74,6 +79,8 @@ class VarianceComponents:
         False where the search ended at the limit of what the records' sampling can show.
     unseen
         Of a dropped random walk, the sizes that the records allow; else None.
+    flicker, bias_walk
+        As in `NoiseModel`.
     """
 
     white: float
@@ -87,11 +94,15 @@ class VarianceComponents:
     evaluations: int
     converged: bool
     unseen: Unseen | None = None
+    flicker: float = 0.0
+    bias_walk: float = 0.0
 
     @property
     def noise(self) -> NoiseModel:
         """The estimate as a noise model."""
-        return NoiseModel(self.white, self.random_walk, self.quantisation)
+        return NoiseModel(
+            self.white, self.random_walk, self.quantisation, self.flicker, self.bias_walk
+        )
 
 
 def estimate(
@@ -215,8 +226,8 @@ def effective_dof_of(
     """
     noise = components.noise
     variance = np.asarray(coefficient_variances(noise), float)
-    gradient = np.zeros((len(variance), 2))
-    for k, name in enumerate((_WHITE, _WALK)):
+    gradient = np.zeros((len(variance), len(components.covariance)))
+    for k, name in enumerate(COMPONENTS[: len(components.covariance)]):
         if name not in components.estimated:
             continue
         level = getattr(noise, name)
@@ -234,7 +245,7 @@ def effective_dof_of(
     return effective_dof(variance, gradient, components.covariance)
 
 
-@dataclass(frozen=True)
+@frozen
 class _Rules:
     """What a search may vary: variances that are None. White ones include quantisation."""
 
@@ -279,7 +290,7 @@ class _Rules:
         return np.array(walk_only) if self.walk is None else np.zeros((2, 0))
 
 
-@dataclass(frozen=True)
+@frozen
 class _Maximum:
     """A maximum of the restricted likelihood under its rules."""
 

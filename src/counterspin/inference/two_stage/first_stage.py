@@ -7,13 +7,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.inference.noise.model import DISPLACEMENT, NoiseModel, make_whitener
 from counterspin.inference.two_stage.strobes import MINIMUM, Strobes
 
@@ -21,7 +21,7 @@ from counterspin.inference.two_stage.strobes import MINIMUM, Strobes
 _POINT: Final = 1e-9
 
 
-@dataclass(frozen=True)
+@frozen
 class Parabola:
     """The first stage of one run: b0 + b1 t + b2 t^2.
 

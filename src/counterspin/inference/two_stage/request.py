@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Final, Literal
 
+from counterspin.frozen import frozen
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.two_stage.first_stage import Parabola, first_stage
 from counterspin.inference.two_stage.strobes import Strobes
@@ -29,7 +30,7 @@ _SPINDLE_LIMIT: Final = 1e-2
 _UNKNOWN: Final = (0.0, math.inf)  #: prior of a term of which nothing is known
 
 
-@dataclass(frozen=True)
+@frozen
 class TwoStageRequest:
     """What the two-stage method estimates, takes as known and assumes of the noise.
 

@@ -19,13 +19,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
+from counterspin.frozen import frozen
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import reduce_block
 from counterspin.inference.two_stage.first_stage import Parabola
@@ -45,7 +46,7 @@ _ALIKE_CORRELATION: Final = 1.0 - 1e-6
 _SMALLEST_VISIBLE: Final = 0.5
 
 
-@dataclass(frozen=True)
+@frozen
 class StrobedRun:
     """What the second stage needs of one run.
 
@@ -67,7 +68,7 @@ class StrobedRun:
     attitude: Array = field(default_factory=lambda: observation.LEVEL)
 
 
-@dataclass(frozen=True)
+@frozen
 class SecondStage:
     """The second stage (Eq. 20-27, 33-34) of one accelerometer.
 
@@ -147,6 +148,26 @@ class SecondStage:
             together: Array = np.linalg.norm(shifts, axis=1)
             return together
         return np.asarray(shifts.sum(axis=1))
+
+    def exact_shifts(self) -> dict[str, Array]:
+        """Return what one unit of each exactly known term moves each unknown by, shape (p,).
+
+        What is held at a value is off by the whole of its error. Signs as of `shift`.
+        """
+        solution = self.solution
+        shifts: dict[str, list[Array]] = {}
+        for place, (_, symbol) in enumerate(self.considered):
+            if solution.considered_sd[place] == 0.0:
+                moved = -solution.sensitivity_considered[:, place]
+                shifts.setdefault(symbol, []).append(moved)
+        for place in np.flatnonzero(solution.prior_sd == 0.0).tolist():
+            moved = self.gain @ self.design[:, place]
+            moved[place] = -1.0
+            shifts[self.symbols[place]] = [moved]
+        return {
+            symbol: parts[0] if len(parts) == 1 else np.linalg.norm(parts, axis=0)
+            for symbol, parts in shifts.items()
+        }
 
     def alike(self, symbol: str) -> dict[str, float]:
         """Return the ignored terms that act on every run exactly as an unknown does.
@@ -296,7 +317,7 @@ def _different(rates: Sequence[float]) -> int:
     return len(kept)
 
 
-@dataclass(frozen=True)
+@frozen
 class _ObservationModel:
     """What one unit of a coefficient adds to each run's b2, under one of the two models."""
 

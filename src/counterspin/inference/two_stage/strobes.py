@@ -10,7 +10,6 @@ accumulates shows: a parabola in time, and around it noise.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -18,6 +17,7 @@ import numpy.typing as npt
 
 from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError, RecordError
+from counterspin.frozen import frozen
 from counterspin.physics.spindle import TURN
 
 MINIMUM: Final = 4  #: strobes that a parabola and one degree of freedom need
@@ -26,7 +26,7 @@ MINIMUM: Final = 4  #: strobes that a parabola and one degree of freedom need
 _ROUNDING: Final = 1e-9
 
 
-@dataclass(frozen=True)
+@frozen
 class Strobes:
     """The strobed displacement error of one run.
 

@@ -10,13 +10,13 @@ rounded, and one reading after another is exchanged for a better one for as long
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array
+from counterspin.arrays import Array, triangle_of
+from counterspin.frozen import frozen
 from counterspin.planning.design import Criterion
 from counterspin.planning.relaxation import allocate
 
@@ -34,7 +34,7 @@ _RIDGE: Final = 1e-12
 _BISECTIONS: Final = 12
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Possibilities:
     """What each of n possible readings tells, and what it takes.
 
@@ -47,18 +47,22 @@ class Possibilities:
         Square-root information beforehand, shape (p,).
     time
         Of each reading, s, shape (n,); zero where time does not count.
+    taken, taken_fixed
+        Rows as of `design` and `fixed`, of what is there already, shapes (r, p) and (r, q).
     """
 
     design: Array
     fixed: Array
     prior: Array
     time: Array
+    taken: Array
+    taken_fixed: Array
 
     def covariance(self, counts: npt.ArrayLike) -> Array:
         """Return the covariance of the unknowns, shape (..., p, p), for numbers (..., n)."""
         n = np.asarray(counts, dtype=np.float64)
         turned = np.swapaxes(self.design, 1, 2)
-        information = np.tensordot(n, turned @ self.design, axes=1)
+        information = np.tensordot(n, turned @ self.design, axes=1) + self.taken.T @ self.taken
         p = self.prior.size
         diagonal = np.arange(p)
         information[..., diagonal, diagonal] += self.prior**2
@@ -66,7 +70,8 @@ class Possibilities:
         scale = 1.0 / np.sqrt(information[..., diagonal, diagonal])
         outer = scale[..., :, None] * scale[..., None, :]
         inner = np.linalg.inv(information * outer + _RIDGE * np.eye(p)) * outer
-        spread = inner @ np.tensordot(n, turned @ self.fixed, axes=1)
+        moved = np.tensordot(n, turned @ self.fixed, axes=1) + self.taken.T @ self.taken_fixed
+        spread = inner @ moved
         return np.asarray(inner + spread @ np.swapaxes(spread, -1, -2))
 
     def value(self, criterion: Criterion, counts: npt.ArrayLike) -> Array:
@@ -79,7 +84,8 @@ class Possibilities:
         What is considered is taken as estimated.
         """
         root = np.concatenate([self.design, self.fixed], axis=2)
-        prior = np.diag(np.concatenate([self.prior, np.ones(self.fixed.shape[2])]))
+        known = np.diag(np.concatenate([self.prior, np.ones(self.fixed.shape[2])]))
+        prior = triangle_of(np.vstack([np.hstack([self.taken, self.taken_fixed]), known]))
         cost, total = self.time, time
         if not math.isfinite(time):
             cost, total = np.ones(len(root)), number
@@ -89,7 +95,7 @@ class Possibilities:
         return weight, bound
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class Chosen:
     """How often each possible reading is taken.
 

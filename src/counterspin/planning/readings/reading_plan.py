@@ -7,16 +7,22 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from counterspin._version import __version__
+from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.joint_problem import model_of
-from counterspin.calibration.readings import groups_of
 from counterspin.calibration.result_parts import Provenance
+from counterspin.campaign.questions import questions
+from counterspin.campaign.reading_groups import groups_of
+from counterspin.campaign.resolved import Campaign
 from counterspin.errors import CounterspinError, NotIdentifiableError
+from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.readings import rows_at
 from counterspin.planning.design import Criterion
 from counterspin.planning.forecast import Forecast, expected_values, forecast
@@ -74,7 +80,7 @@ def plan_readings(described: ReadingPlan) -> tuple[PlanResult, list[PossibleRead
         efficiency = floor / (used if math.isfinite(limits[1]) else chosen.counts.sum() / limits[0])
     order = in_order(chosen.counts, described.order)
     readings = [described.possible[index] for index in order]
-    prediction = forecast(described.campaign(readings))
+    prediction = _told(described, readings)
     return (
         PlanResult(
             title=described.stand_in.title,
@@ -83,10 +89,11 @@ def plan_readings(described: ReadingPlan) -> tuple[PlanResult, list[PossibleRead
             sampling_rate=None,
             total_time=sum(reading.time for reading in readings),
             runs=[],
-            readings=planned_readings(prediction.campaign),
+            readings=planned_readings(_new_of(described, prediction.campaign)),
             order=described.order,
             accelerometers=accelerometers_of(prediction),
             platform=platform_of(prediction),
+            warnings=[question.text for question in questions(prediction.campaign)],
             goal=GoalResult(
                 kind=goal.kind,
                 criterion=goal.criterion,
@@ -108,10 +115,11 @@ def _problem(described: ReadingPlan) -> tuple[Possibilities, Criterion]:
     campaign = described.stand_in
     model = model_of(campaign)
     expected = expected_values(campaign, model.unknowns)
-    groups = groups_of(campaign, campaign.readings)
+    names = [reading.name for reading in described.possible]
+    groups = groups_of(campaign, [r for r in campaign.readings if r.name in names])
     accelerometers = list(campaign.accelerometers)
     p, q = len(model.unknowns), len(model.considered_names)
-    names = [reading.name for reading in described.possible]
+    taken, taken_fixed = _taken(described, model, expected)
     design = np.zeros((len(names), len(accelerometers), p))
     fixed = np.zeros((len(names), len(accelerometers), q))
     for group, (own, others) in zip(groups, rows_at(groups, model, expected), strict=True):
@@ -126,6 +134,8 @@ def _problem(described: ReadingPlan) -> tuple[Possibilities, Criterion]:
             fixed * np.array(model.considered_sizes),
             np.array([1.0 / unknown.spread for unknown in model.unknowns]),
             np.array([reading.time for reading in described.possible]),
+            taken,
+            taken_fixed * np.array(model.considered_sizes),
         ),
         Criterion(
             tuple(sought.index(name) for name in goal.sizes),
@@ -135,10 +145,38 @@ def _problem(described: ReadingPlan) -> tuple[Possibilities, Criterion]:
     )
 
 
+def _taken(described: ReadingPlan, model: Unknowns, expected: Array) -> tuple[Array, Array]:
+    """Return the rows of what the campaign has already, of unknowns and of what is considered."""
+    if not described.taken:
+        return np.zeros((0, len(model.unknowns))), np.zeros((0, len(model.considered_names)))
+    there = forecast(
+        described.campaign_as_it_is(),
+        sampling_rate=described.sampling_rate,
+        model=model,
+        expected=expected,
+    )
+    blocks = [*there.fit.blocks, *there.fit.beside.values()]
+    return (
+        np.vstack([block.factor for block in blocks]),
+        np.vstack([block.considered for block in blocks]),
+    )
+
+
+def _new_of(described: ReadingPlan, campaign: Campaign) -> Campaign:
+    """Return a planned campaign with the readings alone that are still to be taken."""
+    before = len(described.campaign_as_it_is().readings)
+    return replace(campaign, readings=campaign.readings[before:])
+
+
+def _told(described: ReadingPlan, readings: Sequence[PossibleReading]) -> Forecast:
+    """Return what a calibration will say with these readings."""
+    return forecast(described.campaign(readings), sampling_rate=described.sampling_rate)
+
+
 def _require_determined(described: ReadingPlan) -> None:
     """Refuse a goal that all possible readings together do not determine."""
     many = described.possible * 4
-    assessment = forecast(described.campaign(many)).assessment
+    assessment = _told(described, many).assessment
     missing = [name for name in described.goal.sizes if not assessment.determined[name]]
     if not missing:
         return
@@ -157,7 +195,7 @@ def _require_determined(described: ReadingPlan) -> None:
 
 def _unreachable(described: ReadingPlan, best: Chosen) -> CounterspinError:
     order = in_order(best.counts, described.order)
-    u = forecast(described.campaign([described.possible[index] for index in order])).u
+    u = _told(described, [described.possible[index] for index in order]).u
     goal = described.goal.sizes
     name = max(goal, key=lambda key: u[key] / goal[key])
     unit = unit_of(name.rpartition(".")[2])
@@ -207,7 +245,7 @@ def _others(
     counts = np.bincount(spread, minlength=size)
     names = list(described.goal.sizes)
     order = in_order(counts, described.order)
-    there = forecast(described.campaign([described.possible[index] for index in order]))
+    there = _told(described, [described.possible[index] for index in order])
     if not all(there.assessment.determined[name] for name in names):
         return []
     return [

@@ -11,16 +11,18 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.readings import BLANK
 from counterspin.campaign.resolved import Campaign
 from counterspin.errors import CampaignError
-from counterspin.planning.plan_file import Goal, load_plan, resolve_goal
+from counterspin.frozen import frozen
+from counterspin.planning.plan_file import Goal, load_plan, plan_name, resolve_goal
 from counterspin.planning.plan_sections import (
     GoalSettings,
     ReadingLimitsSettings,
@@ -28,11 +30,8 @@ from counterspin.planning.plan_sections import (
     StationsSettings,
 )
 
-#: Stands for the value that a reading will have.
-BLANK: Final = "?"
 
-
-@dataclass(frozen=True)
+@frozen
 class PossibleReading:
     """A reading that may be taken, any number of times.
 
@@ -53,7 +52,7 @@ class PossibleReading:
         return str(self.run["name"])
 
 
-@dataclass(frozen=True, eq=False)
+@frozen(eq=False)
 class ReadingPlan:
     """A plan of readings, checked and resolved.
 
@@ -63,8 +62,12 @@ class ReadingPlan:
         Of the file, absolute.
     document
         The campaign to be, without runs.
+    taken
+        Runs that it has already, records and readings, as [[runs]] has them.
+    sampling_rate
+        Of the records among them, Hz; None where there is none.
     stand_in
-        The campaign with each possible reading once.
+        The campaign with what it has, and each possible reading once.
     possible
         The possible readings.
     readings, total_time
@@ -77,6 +80,8 @@ class ReadingPlan:
 
     path: Path
     document: Mapping[str, Any]
+    taken: tuple[Any, ...]
+    sampling_rate: float | None
     stand_in: Campaign
     possible: tuple[PossibleReading, ...]
     readings: float
@@ -107,7 +112,13 @@ class ReadingPlan:
                 run["time"] = f"{round(now + 0.5 * reading.time, 6)!r} s"
                 now += reading.time
             runs.append(run)
-        return {**self.document, "runs": runs}
+        return {**self.document, "runs": [*self.taken, *runs]}
+
+    def campaign_as_it_is(self) -> Campaign:
+        """Return the campaign with what it has already, of the same model."""
+        names = {reading.name for reading in self.possible}
+        there = tuple(r for r in self.stand_in.readings if r.name not in names)
+        return replace(self.stand_in, readings=there)
 
     def campaign(self, chosen: Sequence[PossibleReading]) -> Campaign:
         """Return the campaign with readings in this order, their values zero."""
@@ -126,7 +137,7 @@ def _with_value(run: Mapping[str, Any], value: str) -> dict[str, Any]:
     return {**run, "reading": {name: text.replace(BLANK, value) for name, text in reading.items()}}
 
 
-def read_reading_plan(path: Path | str) -> ReadingPlan:
+def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
     """Read and check a plan of readings.
 
     Raises
@@ -134,22 +145,25 @@ def read_reading_plan(path: Path | str) -> ReadingPlan:
     CampaignError
         With every mistake found, each with the path of its key; or that the file cannot be read.
     """
-    file = Path(path)
-    raw = load_plan(file)
+    file, raw = plan_name(path), load_plan(path)
     problems = Problems(raw)
     problems.check(ReadingPlanDocument, raw, ())
     limits = problems.check(ReadingLimitsSettings, _table(raw, "limits"), ("limits",))
     goal = problems.check(GoalSettings, _table(raw, "goal"), ("goal",))
-    document = {k: v for k, v in raw.items() if k not in ("limits", "goal", "stations")}
+    apart = ("limits", "goal", "stations", "runs")
+    document = {k: v for k, v in raw.items() if k not in apart}
+    taken = raw.get("runs")
+    taken = taken if isinstance(taken, list) else []
     names = list(_table(raw, "accelerometers"))
     possible: list[PossibleReading] = []
-    stations = raw["stations"] if isinstance(raw["stations"], list) else []
+    listed = raw.get("stations")
+    stations = listed if isinstance(listed, list) else []
     for index, entry in enumerate(stations):
         path_of_entry = ("stations", index)
         settings = problems.check(StationsSettings, entry, path_of_entry)
         if settings is not None:
             possible += _possible(settings, entry, names, raw, path_of_entry, problems)
-    seen: set[str] = set()
+    seen = {str(run.get("name")) for run in taken if isinstance(run, dict)}
     for reading in possible:
         if reading.name in seen:
             text = f'two are called "{reading.name}"; give each entry a name of its own'
@@ -158,22 +172,26 @@ def read_reading_plan(path: Path | str) -> ReadingPlan:
     runs = [_with_value(reading.run, "0") for reading in possible]
     campaign = None
     if runs and not problems.lines:
-        whole = {**document, "runs": runs}
+        whole = {**document, "runs": [*taken, *runs]}
         inside = Problems(whole)
         campaign = resolve_campaign(whole, file, inside)
         # One line for what is wrong with every reading alike.
-        lines = (re.sub(r"^runs\[\d+\]", "stations", line) for line in inside.lines)
+        lines = (_at_stations(line, len(taken)) for line in inside.lines)
         problems.lines += dict.fromkeys(line.partition(' (run "')[0] for line in lines)
     sought = resolve_goal(goal, campaign, problems) if goal and campaign else None
     if limits is not None and limits.readings is None and limits.total_time is None:
         problems.add(("limits",), "give readings or total_time")
     if limits is not None and limits.total_time is not None and not all(r.time for r in possible):
         problems.add(("limits", "total_time"), "needs the time of a reading at every station")
+    if limits is not None and campaign is not None and campaign.runs and not limits.sampling_rate:
+        problems.add(("limits", "sampling_rate"), "is missing: that of the records in [[runs]]")
     if problems.lines or campaign is None or sought is None or limits is None:
         raise CampaignError(str(file), problems.lines or ["stations: there are none"])
     return ReadingPlan(
         file.absolute(),
         document,
+        tuple(taken),
+        limits.sampling_rate,
         campaign,
         tuple(possible),
         float(limits.readings or math.inf),
@@ -181,6 +199,14 @@ def read_reading_plan(path: Path | str) -> ReadingPlan:
         limits.order,
         sought,
     )
+
+
+def _at_stations(line: str, taken: int) -> str:
+    """Return a mistake of a run that stands for a station as one of the stations."""
+    match = re.match(r"runs\[(\d+)\]", line)
+    if match is None or int(match[1]) < taken:
+        return line
+    return f"stations{line[match.end() :]}"
 
 
 def _table(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:

@@ -1,4 +1,4 @@
-"""A document as TOML text, for the campaigns that a plan writes.
+"""A document as TOML text, for the campaigns that a plan or a simulation writes.
 
 - `write_document`: nested tables of text, numbers and lists -> TOML that reads back the same
 """

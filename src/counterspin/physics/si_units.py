@@ -12,8 +12,9 @@ which is s^2/m.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
 from typing import Final
+
+from counterspin.frozen import frozen
 
 _FACTOR: Final = re.compile(r"(1|rad|m|s|g|Hz)(?:\^(\d))?")
 
@@ -28,7 +29,7 @@ _POWERS: Final = {
 }
 
 
-@dataclass(frozen=True)
+@frozen
 class SiUnit:
     """A product of powers of the radian, the metre and the second."""
 

@@ -1,0 +1,384 @@
+"""What each violation of the model does to a calibration, and what is said: `make violations`.
+
+Each row of the table in violations.md is one campaign: records are simulated in a world that
+differs from the description in one thing, at a realistic size, and are calibrated by the
+description, with the default model. The same campaign without it is the measure. Nothing is
+linearised.
+"""
+
+import json
+import re
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Final
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.pages.verdict import verdict_sentence
+from counterspin.calibration.result import Result
+from counterspin.campaign.simulation import simulate
+from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS, term
+from counterspin.reports.numbers import field_unit, format_number
+
+DOCS: Final = Path(__file__).parent
+PAGE: Final = DOCS / "violations.md"
+KEPT: Final = DOCS / "violations.json"
+
+#: Beyond this many standard uncertainties a shift must not go unsaid.
+SILENT_UP_TO: Final = 3.0
+
+#: Shifts below this many standard uncertainties are not shown.
+SHOWN_FROM: Final = 0.1
+
+#: Column of the record, its unit and its noise.
+OBSERVABLES: Final = {
+    "displacement": ("m", "0.01 m"),
+    "velocity": ("m/s", "1e-3 m/s"),
+    "specific_force": ("m/s^2", "1e-4 m/s^2"),
+}
+
+#: The usual campaign: three rates, level, priors of bias and scale factor, the default model.
+TEMPLATE: Final = """
+schema = 1
+
+[site]
+gravity = "9.8066 ± 1e-5 m/s^2"
+latitude = "45.75 ± 0.001 deg"
+
+[centrifuge]
+radius = "2.5 ± 1e-5 m"
+
+[records]
+time = {{ column = "time_s", unit = "s" }}
+angle = {{ column = "angle_rad", unit = "rad" }}
+
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+bias = "0.00503 ± 2e-6 g"
+scale_factor = "1.00197 ± 5e-6 g/g"
+{observable} = {{ column = "east", unit = "{unit}" }}
+
+[noise]
+{observable} = "{noise}"
+
+[[runs]]
+name = "run1"
+rate = "0.25 rev/s"
+record = "run1.csv"
+
+[[runs]]
+name = "run2"
+rate = "0.5 rev/s"
+record = "run2.csv"
+
+[[runs]]
+name = "run3"
+rate = "1 rev/s"
+record = "run3.csv"
+
+[simulation]
+sampling_rate = "{sampling_rate} Hz"
+seed = 2
+revolutions = {revolutions}
+
+[truth.Qx]
+K_F = "0.0050312 g"
+K_I = "1.0019732 g/g"
+K_II = "2e-5 g/g^2"
+K_III = "3e-6 g/g^3"
+
+[truth.spindle]
+ripple = [{{ harmonic = 1, ratio = 5e-7, phase = "30 deg" }}]
+"""
+
+
+#: Temperatures of the runs in a world in which it becomes warmer.
+WARMING: Final = {
+    f'record = "run{run}.csv"': f'record = "run{run}.csv"\ntemperature = "{kelvin} degC"'
+    for run, kelvin in ((1, 22.5), (2, 23.0), (3, 23.5))
+}
+
+
+@dataclass(frozen=True)
+class Size:
+    """How large a campaign is: samples a second, and revolutions of each run."""
+
+    sampling_rate: float
+    revolutions: int
+
+
+FULL: Final = Size(50.0, 100)
+
+
+@dataclass(frozen=True)
+class Violation:
+    """One thing in which the world differs from the description.
+
+    Attributes
+    ----------
+    name, size
+        What is shown of it.
+    world
+        Pieces of the usual description, and what stands there in the world.
+    stated
+        Likewise, what the description says in their place.
+    truth
+        Lines of [truth].
+    symbol
+        What names it in a result.
+    changes
+        By how much it changes coefficients themselves, which is no error.
+    """
+
+    name: str
+    size: str
+    symbol: str
+    world: Mapping[str, str] = field(default_factory=dict)
+    stated: Mapping[str, str] = field(default_factory=dict)
+    truth: str = ""
+    changes: Mapping[str, float] = field(default_factory=dict)
+
+    def of(self, usual: str) -> tuple[str, str]:
+        """Return what is stated and what is true, from the usual description."""
+        return replaced(usual, self.stated), f"{replaced(usual, self.world)}\n{self.truth}"
+
+
+def replaced(text: str, pieces: Mapping[str, str]) -> str:
+    """Return a text with pieces replaced, each of which must be there."""
+    for old, new in pieces.items():
+        if old not in text:
+            raise ValueError(f"the description does not have {old}")
+        text = text.replace(old, new)
+    return text
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table: shifts by coefficient in u, the state, and what is said."""
+
+    name: str
+    size: str
+    observable: str
+    shifts: dict[str, float]
+    state: str
+    codes: list[str]
+    named: bool
+
+    @property
+    def silent(self) -> bool:
+        """Whether a coefficient moves by more than 3 u, and nothing says so."""
+        return not self.codes and not self.named and self.largest > SILENT_UP_TO
+
+    @property
+    def most_moved(self) -> str:
+        """The coefficient that moves by most of its u."""
+        return max(self.shifts, key=lambda symbol: abs(self.shifts[symbol]))
+
+    @property
+    def largest(self) -> float:
+        """By how many of its u that one moves."""
+        return abs(self.shifts[self.most_moved])
+
+    @property
+    def said(self) -> str:
+        """What the result says of it."""
+        said = ["named"] if self.named and self.largest > 1.0 else []
+        if self.codes:
+            said.append(f"{self.state} ({', '.join(self.codes)})")
+        return ", ".join(said) or "nothing said"
+
+    @property
+    def cell(self) -> str:
+        """The row in a few words."""
+        if self.largest < SHOWN_FROM:
+            return self.said if self.codes else "-"
+        moved = [
+            f"{symbol} {_rounded(abs(self.shifts[symbol]))} u"
+            for symbol in dict.fromkeys(("K_II", self.most_moved))
+            if abs(self.shifts[symbol]) >= SHOWN_FROM
+        ]
+        return f"{', '.join(moved)}: {self.said}"
+
+
+def _rounded(size: float) -> str:
+    """Return a size with two digits."""
+    return f"{float(f'{size:.2g}'):.12g}"
+
+
+def of_table() -> list[Violation]:
+    """Return one violation for each term that the default model leaves out, at typical size."""
+    rows = []
+    for symbol in [*OWN_TERMS, *SHARED_TERMS]:
+        if symbol in ("K_F", "K_I", "K_II", "K_III"):
+            continue
+        row = term(symbol)
+        unit, factor = field_unit(row.unit)
+        size = f"{format_number(row.typical * factor, 2)} {unit}"
+        value = f'"{row.typical!r} {row.unit}"'
+        if symbol in OWN_TERMS:
+            world = {"[truth.Qx]\n": f'[truth.Qx]\n"{symbol}" = {value}\n'}
+            if symbol.endswith(".temperature"):
+                size += ", 1 K not recorded"
+                world |= WARMING
+            rows.append(Violation(symbol, size, symbol, world))
+        else:
+            table, _, key = symbol.partition(".")
+            rows.append(
+                Violation(symbol, size, symbol, truth=f"[truth.{table}]\n{key} = {value}\n")
+            )
+    return rows
+
+
+def of_inputs() -> list[Violation]:
+    """Return the violations of what the description states: it is another in the world."""
+    radius, gravity = '"2.5 ± 1e-5 m"', '"9.8066 ± 1e-5 m/s^2"'
+    return [
+        Violation(
+            "radius, stated as exact",
+            "0.01 mm",
+            "centrifuge.radius",
+            {radius: '"2.50001 m"'},
+            {radius: '"2.5 m"'},
+        ),
+        Violation(
+            "radius, stated ± 0.01 mm",
+            "0.25 mm",
+            "centrifuge.radius",
+            {radius: '"2.50025 m"'},
+        ),
+        Violation(
+            "gravity, stated as exact",
+            "1e-4 m/s^2",
+            "site.gravity",
+            {gravity: '"9.8067 m/s^2"'},
+            {gravity: '"9.8066 m/s^2"'},
+        ),
+        Violation(
+            "latitude, stated ± 0.001 deg",
+            "0.01 deg",
+            "site.latitude",
+            {'"45.75 ± 0.001 deg"': '"45.76 deg"'},
+        ),
+        Violation(
+            "delay of the angle, not stated",
+            "10 us",
+            "records.timing_offset",
+            {"[accelerometers.Qx]": 'timing_offset = "1e-5 s"\n\n[accelerometers.Qx]'},
+        ),
+        Violation(
+            "bias, stated as exact",
+            "9 ug",
+            "K_F",
+            {'K_F = "0.0050312 g"': 'K_F = "0.005039 g"'},
+            {"0.00503 ± 2e-6 g": "0.00503 g"},
+            changes={"K_F": 0.005039 - 0.0050312},
+        ),
+        Violation(
+            "scale factor, stated ± 5 ppm",
+            "50 ppm",
+            "K_I",
+            {'K_I = "1.0019732 g/g"': 'K_I = "1.00202 g/g"'},
+            changes={"K_I": 1.00202 - 1.0019732},
+        ),
+    ]
+
+
+def description(observable: str, size: Size) -> str:
+    """Return the campaign as it is described."""
+    unit, noise = OBSERVABLES[observable]
+    return TEMPLATE.format(observable=observable, unit=unit, noise=noise, **asdict(size))
+
+
+def calibrated(stated: str, world: str) -> Result:
+    """Return the calibration of a world's records by what is stated."""
+    with tempfile.TemporaryDirectory() as folder:
+        campaign = Path(folder) / "world.toml"
+        campaign.write_text(world, encoding="utf-8")
+        simulate(campaign, folder, overwrite=True)
+        (Path(folder) / "campaign.toml").write_text(stated, encoding="utf-8")
+        return calibrate(folder)
+
+
+def _names(sentence: str, symbol: str) -> bool:
+    """Return whether a sentence names a term, and not one whose name only begins so."""
+    return re.search(rf"(?<![\w.]){re.escape(symbol)}(?![\w]|\.\w)", sentence) is not None
+
+
+def row_of(violation: Violation, observable: str, clean: Result, size: Size) -> Row:
+    """Return what a violation does.
+
+    Parameters
+    ----------
+    violation
+        The violation.
+    observable
+        What is recorded.
+    clean
+        The result without it.
+    size
+        Of the campaign.
+    """
+    result = calibrated(*violation.of(description(observable, size)))
+    one, other = (r.accelerometers["Qx"] for r in (clean, result))
+    return Row(
+        name=violation.name,
+        size=violation.size,
+        observable=observable,
+        shifts={
+            symbol: (c.value - one.coefficients[symbol].value - violation.changes.get(symbol, 0.0))
+            / c.u
+            for symbol, c in other.coefficients.items()
+            if c.estimated and c.u  # else it is what was stated
+        },
+        state=str(result.state),
+        codes=sorted({finding.code for finding in result.findings}),
+        named=_names(verdict_sentence("Qx", other), violation.symbol),
+    )
+
+
+def rows(violations: Sequence[Violation], observable: str, size: Size) -> Iterator[Row]:
+    """Yield the rows of some violations with one observable."""
+    stated = description(observable, size)
+    clean = calibrated(stated, stated)
+    for violation in violations:
+        yield row_of(violation, observable, clean, size)
+
+
+def render(table: Sequence[Row]) -> str:
+    """Return the table as Markdown, one line for each violation."""
+    lines = {(row.name, row.size): f"| {row.name} | {row.size} |" for row in table}
+    for row in table:
+        lines[row.name, row.size] += f" {row.cell} |"
+    head = ["in the world", "size", *(name.replace("_", " ") for name in OBSERVABLES)]
+    return "\n".join([f"| {' | '.join(head)} |", "|---" * len(head) + "|", *lines.values()]) + "\n"
+
+
+def insert(table: Sequence[Row], page: str) -> str:
+    """Return the page with the table in its place."""
+    before, begun, rest = page.partition("<!-- violations -->\n")
+    _, ended, after = rest.partition("<!-- /violations -->")
+    if not begun or not ended:
+        raise ValueError("the page has no place for the table")
+    return f"{before}{begun}{render(table)}{ended}{after}"
+
+
+def load() -> list[Row]:
+    """Return the rows that are kept."""
+    return [Row(**row) for row in json.loads(KEPT.read_text(encoding="utf-8"))]
+
+
+def main() -> None:
+    """Make the table again."""
+    everything = [*of_table(), *of_inputs()]
+    table = [row for name in OBSERVABLES for row in rows(everything, name, FULL)]
+    KEPT.write_text(json.dumps([asdict(row) for row in table], indent=1) + "\n", encoding="utf-8")
+    PAGE.write_text(insert(table, PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    for row in table:
+        if row.silent:
+            print(f"silent: {row.name} ({row.observable}): {row.most_moved} {row.largest:.2g} u")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,6 @@
+"""What is wrong, if something is.
+
+- `search`: the likely causes of a misfit, each tried on the records
+- `causes`: one finding for each cause, the others below it
+- `words`: what is said of a cause
+"""

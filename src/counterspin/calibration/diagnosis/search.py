@@ -1,0 +1,434 @@
+"""What is wrong, if something is: the likely causes of a misfit, each tried on the records.
+
+Priors are always held to the records, for that is algebra on the solved equations. The other
+mistakes that are likely are tried only where something is suspicious: residuals, runs or priors.
+The best explanation is taken into the fit, with noise estimated again where it was estimated, and
+the search goes on beside it until nothing explains anything better.
+
+- `causes_of`: the causes found in a joint fit
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.calibration.diagnosis.causes import ACCOUNTABLE, Cause
+from counterspin.calibration.diagnosis.words import Described, Explanation
+from counterspin.calibration.findings import CONTRADICTS, from_numbers
+from counterspin.calibration.joint_checks import jackknife, residual_findings
+from counterspin.calibration.joint_parts import noise_lines, residual
+from counterspin.calibration.joint_problem import exact_inputs, left_out_of, noise_of
+from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.result_parts import AccelerometerResult, Finding
+from counterspin.frozen import frozen
+from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE, SIGNIFICANCE
+from counterspin.inference.distributions import chi_square_tail
+from counterspin.inference.joint import mistakes
+from counterspin.inference.joint.alternatives import Alternative, Scores, of_priors, scores
+from counterspin.inference.joint.estimation import (
+    Estimate,
+    NoiseRequest,
+    estimate_again,
+    unseen_covariance,
+)
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.relaxed import extended, relax
+from counterspin.inference.joint.unknowns import Unknown
+from counterspin.reports.numbers import format_number
+
+#: Share of good campaigns in which a prior, or another alternative, is blamed all the same.
+_FALSE_ALARMS: Final = 0.5 * SIGNIFICANCE
+
+#: Probability by chance from which on the alternatives are tried.
+_SUSPICIOUS: Final = 0.01
+
+#: Shift of a run left out, or of the two-stage method, from which on they are.
+_SUSPICIOUS_SHIFT: Final = 3.0
+
+#: Causes that are looked for, one after the other.
+_CAUSES: Final = 3
+
+#: Chi-square by which an explanation must be better than another to exclude it.
+_DECIDES: Final = 6.0
+
+#: Part of the first cause's size below which another may come of its being known to first order.
+_SMALL_PART: Final = 0.03
+
+#: How often a cause's columns are worked out again for its size.
+_REFINED: Final = 4
+
+#: How many of the explanations that are as good are named.
+_RIVALS: Final = 3
+
+#: And the part of it, for what an alternative does is known to first order.
+_DECIDES_PART: Final = 0.003
+
+#: Steps that are tried in each record, and again about the best of them.
+_STEPS: Final = 24
+
+#: What is more to be expected comes first, where the records cannot tell.
+_PLAUSIBLE: Final = (
+    mistakes.CORIOLIS,  # which is all or nothing, and so seldom as large by chance
+    "prior",
+    "priors",
+    "input",
+    mistakes.SCALE,
+    mistakes.ANGLE,
+    "term",
+    mistakes.RUN_SCALE,
+    mistakes.BIAS,
+    mistakes.JUMP,
+    mistakes.SLOPE,
+)
+_OF_PRIORS: Final = ("prior", "priors")
+_SOMEWHERE: Final = (mistakes.JUMP, mistakes.SLOPE)  # in a record
+
+
+def causes_of(
+    views: Sequence[AccelerometerView], results: Mapping[str, AccelerometerResult]
+) -> tuple[Cause, ...]:
+    """Return the causes of what is found against a joint fit, the main one first.
+
+    Parameters
+    ----------
+    views
+        Of all accelerometers of the fit.
+    results
+        What its checks found, by accelerometer.
+    """
+    campaign, estimated = views[0].campaign, views[0].estimate
+    if campaign.readings or not estimated.fit.prepared:
+        return ()
+    given = not estimated.components
+    now = replace(estimated, fit=relax(estimated.fit))
+    priors = of_priors(now.fit)
+    if not _is_suspicious(views, results) and (
+        not priors or _least(scores(now.fit, priors, noise_given=given)) > _SUSPICIOUS
+    ):
+        return ()
+    others = tuple(_others(views, now))
+    causes: list[Cause] = []
+    first = 0.0
+    for _ in range(_CAUSES):
+        found = _best(now, priors, others, given)
+        if found is None or (causes and found.size < _SMALL_PART * first):
+            break
+        first = first or found.size
+        after, found = _put_right(now, found, views)
+        if not given:
+            # Beside the noise that is left without it, other causes may be told from it.
+            calmer = replace(now, fit=now.fit.with_noise(after.fit.noise))
+            again = _best(calmer, priors, others, given)
+            if again is not None:
+                after, found = _put_right(now, again, views)
+            if not _is_clear(now, found):
+                break
+        described = Explanation(campaign, now.fit, found.head, found.value, found.u).described()
+        causes.append(_cause(described, found, views, now, after))
+        now = after
+    if given:
+        causes += [cause for view in views for cause in _noise(replace(view, estimate=now))]
+    return tuple(causes)
+
+
+def _noise(view: AccelerometerView) -> Iterator[Cause]:
+    """Yield the cause that the noise is stated wrongly, where nothing else is wrong with it.
+
+    Residuals of another size than the noise, alike in every run and independent of each other.
+    """
+    tests, name = view.diagnostics, view.name
+    p = chi_square_tail(tests.dof, tests.chi2)
+    if CHI_SQUARE_SIGNIFICANCE < p < 1.0 - CHI_SQUARE_SIGNIFICANCE:
+        return
+    ratio, least = tests.chi2 / tests.dof, SIGNIFICANCE / (3.0 * len(tests.runs))
+    for run in tests.runs.values():
+        off = (run.chi2 / ratio - run.dof) / math.sqrt(2.0 * run.dof)
+        if min(run.sign_p, run.peak_p, math.erfc(abs(off) / math.sqrt(2.0))) < least:
+            return
+    times = math.sqrt(ratio)
+    text = (
+        f"Noise {format_number(times, 4)} times as large as stated would fit: the residuals have "
+        "this size in every run and are independent of each other. Check what is stated, or leave "
+        "it to be estimated."
+    )
+    finding = Finding(code="wrong-noise", subject=name, text=text, size=max(times, 1.0 / times))
+    yield Cause(finding, (name,), {})
+
+
+# Whether to look for causes at all
+
+
+def _least(held: Scores) -> float:
+    """Return the smallest probability of the tests, all of them counted."""
+    if not held.tested:
+        return 1.0
+    return min(1.0, held.tested * held.p(int(np.argmax(held.size))))
+
+
+def _is_suspicious(
+    views: Sequence[AccelerometerView], results: Mapping[str, AccelerometerResult]
+) -> bool:
+    records = sum(1 for view in views for _ in view.records())
+    for view in views:
+        result = results[view.name]
+        codes = {finding.code for finding in (*result.findings, *_numbers(view, result))}
+        if codes & ACCOUNTABLE:
+            return True
+        shifts = [line.z for line in result.jackknife]
+        shifts.append(result.two_stage.z if result.two_stage else None)
+        if any(abs(z) > _SUSPICIOUS_SHIFT for z in shifts if z is not None):
+            return True
+        if any(p < _SUSPICIOUS / records for p in _chances(view)):
+            return True
+    return False
+
+
+def _chances(view: AccelerometerView) -> Iterator[float]:
+    """Yield probabilities of what an accelerometer's whitened residuals show of each run."""
+    tests = view.diagnostics.runs
+    for _, prepared, residuals in view.records():
+        test = tests[prepared.run]
+        yield 3.0 * mistakes.window_excess(residuals.whitened)
+        off = (test.chi2 - test.dof) / math.sqrt(2.0 * test.dof)
+        yield 3.0 * math.erfc(abs(off) / math.sqrt(2.0))
+        yield 3.0 * _wave(
+            test.periodogram,
+            test.rows,
+            prepared.series.trajectory.spindle.rate,
+            float(np.median(np.diff(prepared.series.time))),
+            test.chi2 / test.dof,
+        )
+
+
+def _wave(power: np.ndarray, rows: int, rate: float, interval: float, scale: float) -> float:
+    """Return the probability of a wave as strong at the spindle's own frequency."""
+    line = round(abs(rate) * interval * rows / (2.0 * math.pi)) - 1
+    near = power[max(line - 1, 0) : line + 2]
+    if not near.size or not scale > 0.0:
+        return 1.0
+    return min(1.0, near.size * math.exp(-float(near.max()) / scale))
+
+
+# The alternatives
+
+
+def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alternative]:
+    campaign, fit = views[0].campaign, now.fit
+    angle = campaign.angle is not None
+    yield from mistakes.of_inputs(fit, list(exact_inputs(campaign)))
+    yield from mistakes.of_records(fit, angle_recorded=angle)
+    yield from mistakes.of_coriolis(fit, own_velocity=campaign.own_velocity)
+    terms = dict.fromkeys(other for view in views for other in left_out_of(campaign, view.name))
+    yield from mistakes.of_terms(fit, list(terms))
+    yield from mistakes.jumps(fit, _STEPS)
+
+
+@frozen
+class _Found:
+    """The best explanation, and those that are as good."""
+
+    head: Alternative
+    value: float
+    u: float
+    size: float
+    rivals: tuple[Alternative, ...]
+    tests: int
+
+
+def _best(
+    now: Estimate, priors: Sequence[Alternative], others: Sequence[Alternative], given: bool
+) -> _Found | None:
+    """Return what explains most, if it is more than chance; None if nothing does."""
+    every = (*priors, *others)
+    held = scores(now.fit, every, noise_given=given)
+    place = _largest(held)
+    if held.alternatives[place].kind in _SOMEWHERE:
+        # Now that it is known where about it is, where exactly?
+        about = held.alternatives[place]
+        (i,) = about.columns
+        time = now.fit.prepared[i].series.time
+        cell = float(time[-1] - time[0]) / _STEPS
+        every = (*every, *mistakes.jumps(now.fit, 2 * _STEPS, about, cell))
+        held = scores(now.fit, every, noise_given=given)
+        place = _largest(held)
+    if not _is_significant(held, place):
+        # The priors have fewer tests, and so a lower threshold.
+        place = _largest(held, _OF_PRIORS)
+        if not _is_significant(held, place):
+            return None
+    return _with_rivals(held, place)
+
+
+def _largest(held: Scores, kinds: Sequence[str] = _PLAUSIBLE) -> int:
+    """Return which credible alternative of some kinds explains most."""
+    asked = [
+        size if other.kind in kinds and _credible(held, k) else -1.0
+        for k, (other, size) in enumerate(zip(held.alternatives, held.size.tolist(), strict=True))
+    ]
+    return int(np.argmax(asked))
+
+
+def _is_significant(held: Scores, place: int) -> bool:
+    return held.p(place) * _tests(held, place) < _FALSE_ALARMS
+
+
+def _tests(held: Scores, place: int) -> int:
+    """Return how many alternatives share the significance of one of them."""
+    of_priors = held.alternatives[place].kind in _OF_PRIORS
+    tests = sum(
+        1
+        for other, u in zip(held.alternatives, held.u.tolist(), strict=True)
+        if math.isfinite(u) and (other.kind in _OF_PRIORS) == of_priors
+    )
+    return max(tests, 1)
+
+
+def _with_rivals(held: Scores, place: int) -> _Found:
+    every, best = held.alternatives, float(held.size[place]) ** 2
+    least = max(best * (1.0 - _DECIDES_PART) - _DECIDES, 0.0)
+    as_good = [k for k in range(len(every)) if held.size[k] ** 2 > least and _credible(held, k)]
+    # Steps differ by where they are only: the best one stands for those of its record.
+    as_good = [k for k in as_good if k == place or every[k].kind not in _SOMEWHERE] or [place]
+    first, *rivals = sorted(as_good, key=lambda k: (_PLAUSIBLE.index(every[k].kind), k))
+    return _Found(
+        every[first],
+        float(held.value[first]),
+        float(held.u[first]),
+        float(held.size[first]),
+        tuple(every[k] for k in rivals),
+        _tests(held, first),
+    )
+
+
+def _is_clear(now: Estimate, found: _Found) -> bool:
+    """Return whether a cause is more than chance with noise that the records do not show."""
+    variance = found.u**2
+    if not found.head.columns:
+        # Of a column the fit with it has said so already. The shift of priors is the sum of their
+        # distances from the estimates, each weighted with the inverse of its own variance.
+        gain = np.zeros(len(now.fit.model.unknowns))
+        for place, moved in found.head.priors.items():
+            spread = now.fit.model.unknowns[place].prior[1]
+            gain[place] = moved * variance / spread**2 if spread > 0.0 else 0.0
+        variance += float(gain @ unseen_covariance(now.fit, now.components) @ gain)
+    size = abs(found.value) / math.sqrt(variance)
+    return math.erfc(size / math.sqrt(2.0)) * found.tests < _FALSE_ALARMS
+
+
+def _credible(held: Scores, place: int) -> bool:
+    """Return whether an alternative would be no larger than it may credibly be."""
+    value, other = float(held.value[place]), held.alternatives[place]
+    if other.kind == mistakes.CORIOLIS:  # all or nothing
+        return abs(value - 1.0) <= other.limit - 1.0
+    return abs(value) <= other.limit
+
+
+def _put_right(
+    now: Estimate, found: _Found, views: Sequence[AccelerometerView]
+) -> tuple[Estimate, _Found]:
+    """Return the estimate with a cause allowed for, and the cause as it is then."""
+    requests = noise_of(views[0].campaign)
+    head = found.head
+    if not head.columns:
+        unknowns = list(now.fit.model.unknowns)
+        for place, moved in head.priors.items():
+            value, u = unknowns[place].prior
+            unknowns[place] = replace(unknowns[place], prior=(value + moved * found.value, u))
+        model = replace(now.fit.model, unknowns=tuple(unknowns))
+        return _again(now, replace(now.fit, model=model).with_noise({}), requests), found
+    value, after = found.value, now
+    for _ in range(_REFINED):
+        limit = 10.0 * math.hypot(value, found.u)
+        own = Unknown("", head.name, (0.0, math.inf), limit)
+        after = replace(now, fit=extended(now.fit, [own], [head.columns]))
+        value = float(after.fit.solution.estimate[-1])
+        refined = mistakes.at_size(after.fit, head, value)
+        if refined is head:
+            break
+        head = refined
+    after = _again(now, after.fit, requests)
+    solution = after.fit.solution
+    u = float(solution.u[-1])
+    return after, replace(found, head=head, value=float(solution.estimate[-1]), u=u)
+
+
+def _again(now: Estimate, fit: JointFit, requests: Mapping[str, NoiseRequest]) -> Estimate:
+    if not now.components:
+        return replace(now, fit=fit, dof=np.full(len(fit.model.unknowns), math.inf))
+    return estimate_again(now, fit, requests)
+
+
+# What is said
+
+
+def _cause(
+    described: Described,
+    found: _Found,
+    views: Sequence[AccelerometerView],
+    before: Estimate,
+    after: Estimate,
+) -> Cause:
+    campaign = views[0].campaign
+    concerned = _concerned(found.head, views, before)
+    text = described.text
+    moved = 0.0
+    for view in views:
+        for symbol, place in view.places.items():
+            if not view.assessment.determined[f"{view.name}.{symbol}"]:
+                continue
+            shift = float(after.fit.solution.estimate[place] - before.fit.solution.estimate[place])
+            moved = max(moved, abs(shift) / float(view.fit.solution.u[place]))
+    if found.rivals:
+        names = [
+            Explanation(campaign, before.fit, other, 1.0, 1.0).described().name
+            for other in found.rivals[:_RIVALS]
+        ]
+        text += f" The records would fit as well with another {' or '.join(names)}."
+    contradicts = found.size > CONTRADICTS and (moved > 1.0 or found.head.kind == "prior")
+    return Cause(
+        Finding(
+            code=described.code,
+            subject=described.subject,
+            text=text,
+            size=found.size,
+            contradicts=contradicts,
+        ),
+        concerned,
+        {
+            (finding.code, finding.subject): finding.size or math.inf
+            for view in views
+            for finding in _checked(replace(view, estimate=after))
+        },
+    )
+
+
+def _concerned(
+    head: Alternative, views: Sequence[AccelerometerView], now: Estimate
+) -> tuple[str, ...]:
+    names = [view.name for view in views]
+    if head.columns:
+        shown = {now.fit.prepared[i].accelerometer for i, c in head.columns.items() if c.any()}
+        return tuple(name for name in names if name in shown)
+    return (head.owner,) if head.owner in names else tuple(names)
+
+
+def _checked(view: AccelerometerView) -> Iterator[Finding]:
+    yield from residual_findings(view)
+    yield from _numbers(view, None)
+
+
+def _numbers(view: AccelerometerView, result: AccelerometerResult | None) -> Iterator[Finding]:
+    """Yield what follows from the numbers of a fit as one accelerometer sees it."""
+    seen = result or AccelerometerResult(
+        coefficients={},
+        correlation=None,
+        residual=residual(view),
+        noise=noise_lines(view),
+        jackknife=jackknife(view),
+    )
+    yield from from_numbers(view.name, seen, view.campaign.gravity.value)

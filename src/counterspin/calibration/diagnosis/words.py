@@ -1,0 +1,240 @@
+"""What is said of the cause of a misfit.
+
+- `Explanation`: an alternative that explains the records; `Described`: in words
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from counterspin.calibration.joint_parts import unit_of
+from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.settings import OBSERVABLES
+from counterspin.frozen import frozen
+from counterspin.inference.joint import mistakes
+from counterspin.inference.joint.alternatives import Alternative
+from counterspin.inference.joint.fit import JointFit
+from counterspin.physics.inputs import UNCERTAIN_INPUTS
+from counterspin.reports.numbers import field_unit, format_estimate, format_number
+
+#: What a quantity is off by where its unit was mistaken, and the words.
+_MISTAKEN: Final = (
+    (-1.0, "its sign is the other one"),
+    (1e3, "as between a unit and a thousandth of it"),
+    (1e6, "as between a unit and a millionth of it"),
+    (9.80665, "as between g and m/s^2"),
+    (3600.0, "as between degrees, or hours, and seconds"),
+    (60.0, "as between minutes and seconds"),
+    (206264.806, "as between rad and arcsec"),
+    (57.29578, "as between rad and deg"),
+)
+
+#: Relative distance up to which a ratio is one of these.
+_NEAR: Final = 0.02
+
+
+@frozen
+class Described:
+    """An alternative in words.
+
+    Attributes
+    ----------
+    code, subject, text
+        As of a finding.
+    name
+        What it is called in the list of those that explain the records as well.
+    """
+
+    code: str
+    subject: str
+    text: str
+    name: str
+
+
+@frozen
+class Explanation:
+    """An alternative that explains the records.
+
+    Attributes
+    ----------
+    campaign
+        The description.
+    fit
+        The relaxed fit that it was held against.
+    other
+        The alternative.
+    value, u
+        The estimate of its parameter and its standard uncertainty, in SI or g-units.
+    """
+
+    campaign: Campaign
+    fit: JointFit
+    other: Alternative
+    value: float
+    u: float
+
+    def described(self) -> Described:
+        """Return it in words."""
+        return {
+            "prior": self._prior,
+            "priors": self._priors,
+            "input": self._input,
+            "term": self._term,
+            mistakes.SCALE: self._scale,
+            mistakes.RUN_SCALE: self._scale,
+            mistakes.ANGLE: self._angle,
+            mistakes.CORIOLIS: self._coriolis,
+            mistakes.BIAS: self._bias,
+            mistakes.JUMP: self._jump,
+            mistakes.SLOPE: self._slope,
+        }[self.other.kind]()
+
+    def _estimate(self, unit: str) -> str:
+        return _shown(self.value, self.u, unit)
+
+    def _prior(self) -> Described:
+        if self.other.symbol in UNCERTAIN_INPUTS:
+            return self._input()
+        (index,) = self.other.priors
+        stated, spread = self.fit.model.unknowns[index].prior
+        name, unit = self.other.name, unit_of(self.other.symbol)
+        found = stated + self.value
+        # The difference has the uncertainty of both.
+        own = math.sqrt(max(self.u**2 - spread**2, 0.0)) or self.u
+        text = (
+            f"{name} is stated as {_shown(stated, spread, unit)}; the records and all else that is "
+            f"known say {_shown(found, own, unit)}, {abs(self.value) / self.u:.1f} standard "
+            "uncertainties of the difference away"
+        )
+        if hint := _mistaken(found, stated):
+            text += f" ({hint})"
+        return Described(code="prior-conflict", subject=name, text=f"{text}. Check it.", name=name)
+
+    def _priors(self) -> Described:
+        symbol = self.other.symbol
+        unit = unit_of(self.fit.model.unknowns[next(iter(self.other.priors))].symbol)
+        text = (
+            f"{symbol} is not what was stated, in all runs alike: the records move all of them by "
+            f"{self._estimate(unit)}, {abs(self.value) / self.u:.1f} standard uncertainties of the "
+            "difference. Check what is stated."
+        )
+        return Described(
+            code="prior-conflict", subject=symbol, text=text, name=f"{symbol} of all runs"
+        )
+
+    def _input(self) -> Described:
+        known, campaign = UNCERTAIN_INPUTS[self.other.symbol], self.campaign
+        stated = {
+            "centrifuge.radius": campaign.radius.value,
+            "site.gravity": campaign.gravity.value,
+            "site.latitude": campaign.latitude.value,
+        }.get(known.symbol, campaign.timing_offset.value if campaign.timing_offset else 0.0)
+        text = (
+            f"A {known.words} of {_shown(stated + self.value, self.u, known.unit)} would fit; "
+            f"{_shown(stated, 0.0, known.unit).removesuffix(' (exact)')} is stated. Check it."
+        )
+        return Described(code="wrong-input", subject=known.symbol, text=text, name=known.words)
+
+    def _term(self) -> Described:
+        name = self.other.name
+        text = (
+            f"{name} of {self._estimate(unit_of(self.other.symbol))} would explain the records; "
+            "the model leaves it out. Add it to the terms, or say what is known of it."
+        )
+        return Described(
+            code="term-missing", subject=name, text=text, name=f"{name}, which is left out"
+        )
+
+    @property
+    def _place(self) -> str:
+        """Which records the alternative is of."""
+        parts = [self.fit.prepared[i] for i in self.other.columns]
+        if len(parts) == 1:
+            return f"{parts[0].accelerometer} in {parts[0].run}"
+        return self.other.owner
+
+    def _scale(self) -> Described:
+        text = (
+            f"The record of {self._place} would fit if it were {format_number(1 - self.value, 6)} "
+            f"times as large (u {format_number(self.u, 2)}): check its scale, its unit and what is "
+            "stated of the scale factor."
+        )
+        name = f"scale of the record of {self._place}"
+        return Described(code="wrong-scale", subject=self.other.owner, text=text, name=name)
+
+    def _angle(self) -> Described:
+        run = self.other.owner
+        where = f" of {run}" if run else ""
+        size = f"{math.degrees(abs(self.value)):.4g} deg (u {math.degrees(self.u):.1g} deg)"
+        way = "larger" if self.value > 0.0 else "smaller"
+        text = (
+            f"The records would fit if the angle{where} were {size} {way}: check its zero, and "
+            "when it is sampled."
+        )
+        return Described(
+            code="wrong-angle",
+            subject=run or self.other.symbol,
+            text=text,
+            name=f"zero of the angle{where}",
+        )
+
+    def _coriolis(self) -> Described:
+        own = self.campaign.own_velocity
+        whose, stated = ("the platform's", "platform") if own else ("its own", "own velocity")
+        text = (
+            f"The records look like those of a computer that uses {whose} velocity for the "
+            f"Coriolis acceleration: {format_number(self.value, 4)} times what that does is in "
+            f"them (u {format_number(self.u, 2)}). If it does, state reference = "
+            f'"{stated}" in [records].'
+        )
+        name = f"velocity in the Coriolis acceleration, {whose}"
+        return Described(code="own-velocity", subject=self.other.symbol, text=text, name=name)
+
+    def _bias(self) -> Described:
+        text = (
+            f"{self._place} would fit with a bias of its own, {self._estimate('g')} more than in "
+            "the other runs: the bias has changed, or the record has a slow error. Look at the "
+            "record."
+        )
+        return Described(
+            code="run-differs", subject=self.other.owner, text=text, name=f"bias of {self._place}"
+        )
+
+    def _jump(self) -> Described:
+        (i,) = self.other.columns
+        unit = OBSERVABLES[self.fit.prepared[i].series.observable]
+        text = (
+            f"The record of {self._place} jumps by {self._estimate(unit)} at about "
+            f"{self.other.at:.4g} s. Leave the run out, or record it again."
+        )
+        return Described(
+            code="jump", subject=self.other.owner, text=text, name=f"level of {self._place}"
+        )
+
+    def _slope(self) -> Described:
+        (i,) = self.other.columns
+        unit = OBSERVABLES[self.fit.prepared[i].series.observable]
+        text = (
+            f"The record of {self._place} drifts from about {self.other.at:.4g} s on: its slope "
+            f"changes by {format_estimate(self.value, self.u, f'{unit} a second')}. Leave the run "
+            "out, or record it again."
+        )
+        name = f"slope of {self._place}"
+        return Described(code="jump", subject=self.other.owner, text=text, name=name)
+
+
+def _shown(value: float, u: float, unit: str) -> str:
+    shown, factor = field_unit(unit)
+    return format_estimate(value * factor, u * factor, shown)
+
+
+def _mistaken(found: float, stated: float) -> str:
+    """Say by which mistake a number would be off as it is; nothing where by none that is usual."""
+    if found == 0.0 or stated == 0.0:
+        return ""
+    for factor, words in _MISTAKEN:
+        for ratio in (factor, 1.0 / factor):
+            if abs(stated / found / ratio - 1.0) < _NEAR:
+                return words
+    return ""

@@ -1,0 +1,230 @@
+"""Kinds of test of one accelerometer beside each other: at rest, on the arm, double turntable.
+
+- `compare_kinds`, `Kinds`: each kind of test against the others
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.calibration.findings import CONTRADICTS, TOO_LARGE, equivalent_deviations
+from counterspin.calibration.joint_parts import unit_of
+from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.readings import SQUARES, AccelerometerReadings, residual_of
+from counterspin.calibration.result_parts import Coefficient, Finding, KindOfTest, Shift
+from counterspin.frozen import frozen
+from counterspin.inference.blocks import Block
+from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.distributions import chi_square_tail, normal_cdf
+from counterspin.inference.identifiability import assess
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.kinds import OfOneKind, agreements
+from counterspin.inference.least_squares import Solution
+from counterspin.reports.numbers import field_unit, format_number
+
+#: What the kinds are called, by motion.
+_NAMES: Final[Mapping[str, str]] = {
+    "counter-rotating": "double turntable",
+    "arm": "arm",
+    "static": "at rest",
+}
+
+
+@frozen
+class Kinds:
+    """The kinds of test of one accelerometer.
+
+    Attributes
+    ----------
+    results
+        What each says alone, and how far it agrees with the others; empty where there is one only.
+    findings
+        One where they do not agree.
+    judged
+        The accelerometer as its residuals are to be judged: where the kinds disagree, by the fit of
+        each kind alone, since the disagreement is a finding of its own.
+    """
+
+    results: list[KindOfTest]
+    findings: list[Finding]
+    judged: AccelerometerView
+
+
+def compare_kinds(views: Sequence[AccelerometerView]) -> dict[str, Kinds]:
+    """Return by accelerometer what each kind of test says.
+
+    Parameters
+    ----------
+    views
+        Of all accelerometers of one fit.
+    """
+    blocks = _blocks(views)
+    fit = views[0].fit
+    compared = agreements(blocks, fit.model, fit.solution) if len(blocks) > 1 else {}
+    kinds = {}
+    for view in views:
+        own = _counts(view)
+        if len(own) < 2:
+            kinds[view.name] = Kinds([], [], view)
+            continue
+        results = [_kind(view, kind, count, compared[kind]) for kind, count in own.items()]
+        apart = tuple(
+            part.under(compared[_NAMES[part.readings.motion]].alone, fit.model)
+            for part in view.readings
+        )
+        findings = _disagreement(view, results, _excess(view, apart))
+        kinds[view.name] = Kinds(
+            results, findings, _apart(view, compared, apart) if findings else view
+        )
+    return kinds
+
+
+def _apart(
+    view: AccelerometerView,
+    compared: Mapping[str, OfOneKind],
+    readings: tuple[AccelerometerReadings, ...],
+) -> AccelerometerView:
+    """Return a view in which records and readings are fitted apart."""
+    recorded = compared.get(_NAMES["counter-rotating"])
+    if recorded is None or not view.fit.blocks:
+        return replace(view, readings=readings)
+    fit = replace(view.fit, solution=recorded.alone, beside={})
+    return replace(view, readings=readings, estimate=replace(view.estimate, fit=fit))
+
+
+def _blocks(views: Sequence[AccelerometerView]) -> dict[str, list[Block]]:
+    """Return the blocks of each kind of test, of all accelerometers."""
+    fit: JointFit = views[0].fit
+    blocks: dict[str, list[Block]] = {}
+    if fit.blocks:
+        blocks[_NAMES["counter-rotating"]] = list(fit.blocks)
+    # The readings' blocks stand in the order in which the fit has them.
+    parts = {part.block_name: part for view in views for part in view.readings}
+    for name, block in fit.beside.items():
+        blocks.setdefault(_NAMES[parts[name].readings.motion], []).append(block)
+    return blocks
+
+
+def _counts(view: AccelerometerView) -> dict[str, int]:
+    """Return how many records and readings an accelerometer has of each kind."""
+    counts: dict[str, int] = {}
+    if view.has_records:
+        counts[_NAMES["counter-rotating"]] = sum(1 for _ in view.records())
+    for part in view.readings:
+        kind = _NAMES[part.readings.motion]
+        counts[kind] = counts.get(kind, 0) + part.readings.size
+    return counts
+
+
+def _kind(view: AccelerometerView, kind: str, count: int, compared: OfOneKind) -> KindOfTest:
+    alone, without = (_determined(view, s) for s in (compared.alone, compared.without))
+    if kind == _NAMES["static"] and not _squares_known(view):
+        # At rest the squares' sum is that of gravity: what K_II seems to be is K_PP and K_OO too.
+        alone["K_II"] = False
+    return KindOfTest(
+        kind=kind,
+        count=count,
+        coefficients={
+            symbol: _coefficient(view, compared.alone, symbol, alone[symbol])
+            for symbol in view.places
+        },
+        without={
+            symbol: _shift(compared, place)
+            for symbol, place in view.places.items()
+            if without[symbol] and math.isfinite(compared.u_shift[place])
+        },
+        chi2=compared.chi2,
+        dof=compared.dof,
+        p=chi_square_tail(compared.dof, compared.chi2) if compared.dof else None,
+    )
+
+
+def _determined(view: AccelerometerView, solution: Solution) -> dict[str, bool]:
+    """Return which of an accelerometer's own terms a solution determines."""
+    unknowns = view.fit.model.unknowns
+    determined = assess(solution, [unknown.name for unknown in unknowns]).determined
+    return {symbol: determined[unknowns[place].name] for symbol, place in view.places.items()}
+
+
+def _squares_known(view: AccelerometerView) -> bool:
+    """Return whether the model says something of the squares that 1 g cannot tell from K_II."""
+    model = view.fit.model
+    terms = {t.symbol for t in (*model.unknowns, *model.considered) if t.owner == view.name}
+    return terms >= {*SQUARES}
+
+
+def _coefficient(
+    view: AccelerometerView, alone: Solution, symbol: str, determined: bool
+) -> Coefficient:
+    place = view.places[symbol]
+    unknown = view.fit.model.unknowns[place]
+    return Coefficient(
+        value=float(alone.estimate[place]) + unknown.nominal if determined else None,
+        u=float(alone.u[place]) if determined else None,
+        unit=unit_of(symbol),
+        estimated=determined,
+    )
+
+
+def _shift(compared: OfOneKind, place: int) -> Shift:
+    shift, u = float(compared.shift[place]), float(compared.u_shift[place])
+    return Shift(shift=shift, u=u, z=shift / u)
+
+
+def _disagreement(
+    view: AccelerometerView, kinds: Sequence[KindOfTest], excess: float
+) -> list[Finding]:
+    """Return a finding where the kinds of test do not agree; it names the one that is odd.
+
+    All tests of all kinds share the significance. Where residuals are far beyond the noise that was
+    stated, which is a finding of its own, the differences are taken to be too large by as much.
+    """
+    tests = sum(1 + len(kind.without) for kind in kinds)
+    sizes = [abs(shift.z) / excess for kind in kinds for shift in kind.without.values()]
+    sizes += [
+        equivalent_deviations(chi_square_tail(kind.dof, kind.chi2 / excess**2))
+        for kind in kinds
+        if kind.p is not None
+    ]
+    size = max(sizes, default=0.0)
+    if 2.0 * normal_cdf(-size) >= SIGNIFICANCE / tests:
+        return []
+    # Without the one of the largest chi-square the others are least at odds among themselves.
+    kind = max(kinds, key=lambda kind: kind.chi2)
+    moved = max(kind.without, key=lambda symbol: abs(kind.without[symbol].z), default="")
+    others = " and ".join(other.kind for other in kinds if other is not kind)
+    text = f"The kinds of test do not agree: {kind.kind} against {others}"
+    if moved:
+        unit, factor = field_unit(unit_of(moved))
+        shift = kind.without[moved]
+        text += (
+            f". Without {kind.kind}, {moved} moves by {format_number(shift.shift * factor, 2)} "
+            f"{unit}, {format_number(abs(shift.z), 2)} of the standard uncertainties of the shift"
+        )
+    return [
+        Finding(
+            code="kinds-disagree",
+            subject=f"{view.name}.{moved}" if moved else view.name,
+            text=f"{text}. Look for what one kind of test has and the model lacks.",
+            size=size,
+            contradicts=size > CONTRADICTS,
+        )
+    ]
+
+
+def _excess(view: AccelerometerView, readings: Sequence[AccelerometerReadings]) -> float:
+    """Return how many times as large as the stated noise the residuals are, where that is much."""
+    ratios = [1.0]
+    for part in readings:
+        residual = residual_of([part])
+        if residual.chi2 is not None and residual.dof > 0.0:
+            ratios.append(math.sqrt(residual.chi2 / residual.dof))
+    if view.has_records and view.diagnostics.noise_given:
+        ratios.append(math.sqrt(view.diagnostics.chi2 / view.diagnostics.dof))
+    worst = float(np.max(ratios))
+    return worst if worst > TOO_LARGE else 1.0

@@ -1,0 +1,9 @@
+"""What a researcher in a notebook asks of a result, beside its numbers.
+
+- `labelled`: covariances and correlations by name
+- `si_estimate`: a coefficient in SI units
+- `latex`: symbols, numbers and units as LaTeX; `tables`: coefficients as a frame and as LaTeX
+- `packages`: values for GTC and uncertainties, with their correlations
+- `residuals`: whole residuals as arrays
+- `plots`: the reports' pictures on Matplotlib's axes
+"""

@@ -1,0 +1,98 @@
+"""A coefficient in SI units, with what the uncertainty of g does there.
+
+In g-units a coefficient is known less well where g is: K_F of a displacement record is its
+acceleration over g. In SI units the same g multiplies it again, and most of that part cancels.
+
+- `SiEstimate`: value and uncertainty in SI; `si_estimate`: of a coefficient
+- `StatedGravity`: the g of a coefficient's unit, and what it does to the estimate
+"""
+
+from __future__ import annotations
+
+import math
+
+from counterspin.frozen import frozen
+from counterspin.physics.si_units import SiUnit, si_unit, to_si
+from counterspin.reports.numbers import format_compact
+
+
+@frozen
+class StatedGravity:
+    """The gravity in whose units a coefficient is.
+
+    Attributes
+    ----------
+    value, u
+        m/s^2, and its standard uncertainty.
+    sensitivity
+        What the coefficient moves by per m/s^2 of the g assumed, in its own unit.
+    """
+
+    value: float
+    u: float = 0.0
+    sensitivity: float = 0.0
+
+
+@frozen
+class SiEstimate:
+    """One coefficient in SI units.
+
+    Attributes
+    ----------
+    value, u, unit
+        Estimate, standard uncertainty and their unit.
+    dof
+        Effective degrees of freedom of u; None is infinite.
+    u_without_g
+        u if g were exact.
+    shift
+        What one standard uncertainty of g moves the estimate by, signed: nothing where it cancels.
+    shift_kept
+        The same for the number in g-units, converted with an exact g.
+    """
+
+    value: float
+    u: float
+    unit: SiUnit
+    dof: float | None
+    u_without_g: float
+    shift: float
+    shift_kept: float
+
+    def __str__(self) -> str:
+        """Return such as ``2.75772(37)e-6 m^-1 s^2``."""
+        return f"{format_compact(self.value, self.u)} {self.unit.words}"
+
+
+def si_estimate(
+    value: float, u: float, unit: str, dof: float | None, gravity: StatedGravity
+) -> SiEstimate:
+    """Return a coefficient in SI units.
+
+    The SI value is K g^n. If an error of the g assumed moves K by s per m/s^2, it moves the SI
+    value by g^n (s + n K/g), which takes the place of g^n s in the uncertainty.
+
+    Parameters
+    ----------
+    value, u, unit, dof
+        Of the coefficient, in g-units.
+    gravity
+        The g of the unit.
+
+    Raises
+    ------
+    ValueError
+        If the unit is not a quotient of rad, m, s and g.
+    """
+    g = gravity.value
+    si_value, si_u = to_si(value, unit, g), to_si(u, unit, g)
+    symbol, power = si_unit(unit)
+    if gravity.u == 0.0:
+        return SiEstimate(si_value, si_u, symbol, dof, si_u, 0.0, 0.0)
+    kept = to_si(gravity.sensitivity * gravity.u, unit, g)
+    shift = kept + power * si_value / g * gravity.u
+    without = math.sqrt(max(si_u**2 - kept**2, 0.0))
+    combined = math.hypot(without, shift)
+    # What g adds or takes away has no degrees of freedom (GUM G.4.1).
+    freedom = None if dof is None else dof * (combined / si_u) ** 4
+    return SiEstimate(si_value, combined, symbol, freedom, without, shift, kept)

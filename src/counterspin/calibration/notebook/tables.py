@@ -1,0 +1,127 @@
+"""The coefficients of a result as a table: a frame, or LaTeX for a paper.
+
+- `frame`: a polars frame, or one of pandas
+- `latex_table`: a ``tabular``
+- `brief`: a few lines of text
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+from counterspin.calibration.notebook.latex import (
+    latex_number,
+    latex_symbol,
+    latex_text,
+    latex_unit,
+)
+from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
+from counterspin.reports.shown import LINES
+from counterspin.reports.typography import visible
+
+if TYPE_CHECKING:
+    from counterspin.calibration.result import Result
+    from counterspin.calibration.result_parts import Coefficient
+
+#: Characters of a finding that a line of text shows.
+_LINE: Final = 100
+
+
+def rows(result: Result) -> Iterator[tuple[str, str, Coefficient]]:
+    """Yield owner, symbol and coefficient of all: accelerometers', the platform's, the runs'."""
+    for name, accelerometer in result.accelerometers.items():
+        for symbol, c in accelerometer.coefficients.items():
+            yield name, symbol, c
+    for symbol, c in result.platform.items():
+        yield "", symbol, c
+    for name, run in result.runs.items():
+        for symbol, c in run.terms.items():
+            yield name, symbol, c
+
+
+def frame(result: Result, library: str = "polars") -> Any:
+    """Return the coefficients as a frame, in the units of the field.
+
+    Parameters
+    ----------
+    result
+        The result.
+    library
+        ``polars``, or ``pandas`` where it is installed.
+
+    Returns
+    -------
+    polars.DataFrame or pandas.DataFrame
+        A row for each coefficient: ``owner`` (accelerometer, run or empty: the campaign),
+        ``term``, ``value``, ``u``, ``unit``, ``low`` and ``high`` (of the 95 % interval),
+        ``u_typical``, ``dof``, ``estimated``. What is not determined is null.
+
+    Raises
+    ------
+    ValueError
+        If there is no such library.
+    ModuleNotFoundError
+        If pandas is asked for and not installed.
+    """
+    columns: dict[str, list[Any]] = {
+        name: []
+        for name in (
+            *("owner", "term", "value", "u", "unit"),
+            *("low", "high", "u_typical", "dof", "estimated"),
+        )
+    }
+    for owner, symbol, c in rows(result):
+        unit, factor = field_unit(c.unit)
+        known = c.estimated and c.value is not None and c.u is not None
+        low, high = c.interval() if known else (None, None)
+        numbers = (c.value, c.u, low, high, c.u_typical)
+        value, u, low, high, typical = (
+            None if number is None else number * factor for number in numbers
+        )
+        row = (owner, symbol, value, u, unit, low, high, typical, c.dof, c.estimated)
+        for column, cell in zip(columns.values(), row, strict=True):
+            column.append(cell)
+    if library == "pandas":
+        return import_module("pandas").DataFrame(columns)
+    if library != "polars":
+        raise ValueError(f"library: {library!r} is not polars or pandas")
+    import polars as pl
+
+    numeric = dict.fromkeys(("value", "u", "low", "high", "u_typical", "dof"), pl.Float64)
+    return pl.DataFrame(columns, schema_overrides=numeric)
+
+
+def latex_table(result: Result) -> str:
+    r"""Return the coefficients as a LaTeX ``tabular``: owner, symbol, value(u), unit."""
+    lines = [r"\begin{tabular}{llrl}", r"& & value & unit \\", r"\hline"]
+    for owner, symbol, c in rows(result):
+        unit, factor = field_unit(c.unit)
+        if c.value is None or c.u is None or not c.estimated:
+            number = NOT_DETERMINED
+        else:
+            number = f"${latex_number(format_compact(c.value * factor, c.u * factor))}$"
+        cells = (latex_text(owner), f"${latex_symbol(symbol)}$", number, f"${latex_unit(unit)}$")
+        lines.append(rf"{' & '.join(cells)} \\")
+    return "\n".join([*lines, r"\end{tabular}", ""])
+
+
+def brief(result: Result) -> str:
+    """Return title, state, coefficients and the gravest finding as text of at most 20 lines."""
+    head = (
+        f"{result.title or 'Calibration'}: {result.method} method, {result.state or 'not judged'}"
+    )
+    named = [
+        (f"{owner}.{symbol}" if owner else symbol, str(c)) for owner, symbol, c in rows(result)
+    ]
+    width = max((len(name) for name, _ in named), default=0)
+    lines = [f"{name.ljust(width)}  {text}" for name, text in named]
+    findings = [f"{finding.subject}: {finding.text}" for finding in result.findings]
+    remarks = [visible(shortened) for text in findings[:1] if (shortened := text[:_LINE])]
+    if more := len(findings) - 1:
+        remarks += [f"... {more} more findings"] if more > 0 else []
+    room = LINES - 1 - len(remarks)
+    if len(lines) > room:
+        lines[room - 1 :] = [f"... {len(lines) - room + 1} more coefficients: .table() has all"]
+    return "\n".join([visible(head), *map(visible, lines), *remarks])

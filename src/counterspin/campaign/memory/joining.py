@@ -1,0 +1,139 @@
+"""Campaigns of the same instruments joined into one fit.
+
+- `join_campaigns`
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.memory.documents import differences
+from counterspin.campaign.memory.making import record_name, resolved_in_memory
+from counterspin.campaign.memory.source import Source
+from counterspin.campaign.resolved import Campaign
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.records.memory import MemoryTable
+
+#: What all must have in common -> its key in the description.
+_COMMON: Final = {
+    "gravity": "site.gravity",
+    "latitude": "site.latitude",
+    "radius": "centrifuge.radius",
+    "reference_temperature": "centrifuge.reference_temperature",
+    "time": "records.time",
+    "angle": "records.angle",
+    "timing_offset": "records.timing_offset",
+    "own_velocity": "records.reference",
+    "noise": "noise",
+    "specifications": "specification",
+}
+
+
+def join_campaigns(campaigns: Sequence[Campaign]) -> Campaign:
+    """Return one campaign with the runs of several; see `Campaign.join`."""
+    first = campaigns[0]
+    problems = [
+        p for place, other in enumerate(campaigns[1:], 2) for p in _apart(first, other, place)
+    ]
+    if problems:
+        raise CampaignError("join", problems)
+    document = copy.deepcopy(dict(_source(first).document))
+    if not all(_same_simulation(first, other) for other in campaigns[1:]):
+        for key in ("truth", "simulation"):
+            document.pop(key, None)
+    runs: list[dict[str, Any]] = []
+    tables: dict[Path, MemoryTable] = {}
+    for place, campaign in enumerate(campaigns, 1):
+        for run in copy.deepcopy(_source(campaign).document.get("runs", [])):
+            if "truth" not in document:
+                run.pop("truth", None)
+            run["name"] = _distinct(run["name"], place, [other["name"] for other in runs])
+            if "record" in run:
+                _place_record(run, campaign, first.folder, runs, tables)
+            runs.append(run)
+    document["runs"] = runs
+    titles = dict.fromkeys(campaign.title for campaign in campaigns if campaign.title)
+    if titles:
+        document["campaign"] = {**document.get("campaign", {}), "title": " + ".join(titles)}
+    return resolved_in_memory(Source(document), tables, first.folder, Problems(document))
+
+
+def _source(campaign: Campaign) -> Source:
+    if campaign.source is None:
+        raise CounterspinError(
+            f"{campaign.path}: the campaign was changed by other means than `change`, so that no "
+            "description of it is known; make the change with `change`"
+        )
+    return campaign.source
+
+
+def _apart(first: Campaign, other: Campaign, place: int) -> Iterator[str]:
+    """Yield what two campaigns would have to have in common, and have not."""
+    words = f"is not the same in campaign {place}"
+    for attribute, key in _COMMON.items():
+        if getattr(first, attribute) != getattr(other, attribute):
+            yield f"{key}: {words} ({_said(first, key)}, {_said(other, key)})"
+    for name in dict.fromkeys([*first.accelerometers, *other.accelerometers]):
+        one, two = first.accelerometers.get(name), other.accelerometers.get(name)
+        if one is None or two is None:
+            yield f"accelerometers.{name}: is not in campaign {1 if one is None else place}"
+            continue
+        unequal = [f.name for f in fields(one) if getattr(one, f.name) != getattr(two, f.name)]
+        if unequal:
+            yield f"accelerometers.{name}: {words} ({', '.join(unequal)})"
+    for section in ("model", "centrifuge"):
+        one, two = (_source(c).document.get(section, {}) for c in (first, other))
+        for key in differences(one, two, (section,)):
+            if key != "centrifuge.radius":
+                yield f"{key}: {words}"
+    for number, campaign in ((1, first), (place, other)):
+        if "readings" in _source(campaign).document:
+            yield f"readings: campaign {number} has a table of readings; write them as [[runs]]"
+
+
+def _said(campaign: Campaign, key: str) -> str:
+    """Return what a description says at a key."""
+    value: Any = _source(campaign).document
+    for part in key.split("."):
+        value = value.get(part) if isinstance(value, Mapping) else None
+    return "nothing" if value is None else str(value)
+
+
+def _same_simulation(first: Campaign, other: Campaign) -> bool:
+    one, two = (_source(c).document for c in (first, other))
+    return all(one.get(key) == two.get(key) for key in ("truth", "simulation"))
+
+
+def _distinct(name: str, place: int, taken: Sequence[str]) -> str:
+    """Return a run's name that no other has: with the number of its campaign where it must be."""
+    new, number = name, place
+    while new in taken:
+        new, number = f"{name} ({number})", number + 1
+    return new
+
+
+def _place_record(
+    run: dict[str, Any],
+    campaign: Campaign,
+    folder: Path,
+    runs: Sequence[Mapping[str, Any]],
+    tables: dict[Path, MemoryTable],
+) -> None:
+    """Name a run's record as the joined campaign finds it, and take along what is in memory."""
+    record = campaign.record_at(campaign.folder / run["record"])
+    if isinstance(record, Path):
+        inside = campaign.folder == folder
+        run["record"] = run["record"] if inside else str(record)
+        return
+    taken = [other.get("record") for other in runs]
+    ending = Path(run["record"]).suffix
+    if str(run["record"]).lower() in {str(name).lower() for name in taken}:
+        run["record"] = record_name(run["name"], ending, taken)
+    tables[folder / run["record"]] = MemoryTable(
+        f"{run['name']} in memory", record.columns, record.others
+    )

@@ -1,0 +1,83 @@
+"""Where a campaign came from, so that a result can say it.
+
+- `Source`: the description that a campaign was resolved from
+- `keep`: gives a campaign its source
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import field
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from counterspin.campaign.memory.documents import differences
+from counterspin.campaign.toml_text import write_document
+from counterspin.frozen import frozen
+
+if TYPE_CHECKING:
+    from counterspin.campaign.resolved import Campaign
+
+#: What messages call a campaign without a file.
+IN_MEMORY: Final = "campaign in memory"
+
+
+@frozen(eq=False)
+class Source:
+    """The description that a campaign was resolved from.
+
+    Attributes
+    ----------
+    document
+        As TOML is read.
+    file
+        The description's file; None: it was made in Python.
+    checksum
+        SHA-256 of that file as it was read, such as ``sha256:9f86...``; None without a file.
+    of_file
+        What the file says, which `document` may have changed since.
+    """
+
+    document: Mapping[str, Any]
+    file: Path | None = None
+    checksum: str | None = None
+    of_file: Mapping[str, Any] = field(default_factory=dict)
+
+    @cached_property
+    def changed(self) -> tuple[str, ...]:
+        """The keys that are no longer as in the file; empty if it was made in Python."""
+        return () if self.file is None else tuple(differences(self.of_file, self.document))
+
+    @property
+    def in_memory(self) -> bool:
+        """Whether no file says what the document does."""
+        return self.file is None or bool(self.changed)
+
+    @property
+    def label(self) -> str:
+        """What messages call the description."""
+        if self.file is None:
+            return IN_MEMORY
+        return f"{self.file}, changed in memory" if self.changed else str(self.file)
+
+    @property
+    def text(self) -> str:
+        """The document as TOML, as it is written."""
+        return write_document(self.document)
+
+    def content_checksum(self) -> str:
+        """Return SHA-256 of the description: of the file, or of the text that would be written."""
+        if self.checksum is not None and not self.in_memory:
+            return self.checksum
+        return f"sha256:{hashlib.sha256(self.text.encode()).hexdigest()}"
+
+
+def keep(campaign: Campaign, source: Source) -> Campaign:
+    """Give a campaign that has just been resolved its source, and return it.
+
+    It is no argument of the class: a copy that `dataclasses.replace` changes has lost it.
+    """
+    object.__setattr__(campaign, "source", source)
+    return campaign

@@ -1,0 +1,87 @@
+"""A campaign in memory as a folder.
+
+- `write_campaign`: the description and all its records
+"""
+
+from __future__ import annotations
+
+import shutil
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from counterspin.campaign.memory.making import record_name
+from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.simulation import WRITERS
+from counterspin.campaign.toml_file import DESCRIPTION_NAME
+from counterspin.campaign.toml_text import write_document
+from counterspin.errors import CounterspinError
+from counterspin.output import make_folder, write_text, write_whole
+from counterspin.records.memory import MemoryTable
+
+
+def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = False) -> Path:
+    """Write a campaign; see `Campaign.write`."""
+    source = campaign.source
+    if source is None:
+        raise CounterspinError(
+            f"{campaign.path}: the campaign was changed by other means than `change`, so that no "
+            "description of it is known; make the change with `change`"
+        )
+    folder = Path(folder)
+    document = dict(source.document)
+    targets: dict[Path, Path | MemoryTable] = {}
+    document["runs"] = [_placed(campaign, folder, run, targets) for run in document.get("runs", ())]
+    if not document["runs"]:
+        del document["runs"]
+    for table in campaign.tables:
+        if table.is_relative_to(campaign.folder):
+            targets.setdefault(folder / table.relative_to(campaign.folder), table)
+    description = folder / DESCRIPTION_NAME
+    _refuse_overwriting([description, *targets], campaign, overwrite=overwrite)
+    for target, record in targets.items():
+        make_folder(target.parent)
+        if isinstance(record, MemoryTable):
+            writer = WRITERS[target.suffix.lower()]
+            write_whole(target, partial(writer, record.frame()))
+        elif not (target.exists() and target.samefile(record)):
+            write_whole(target, partial(shutil.copyfile, record))
+    make_folder(folder)
+    unchanged = not source.in_memory and document == source.document
+    if unchanged and source.file is not None:
+        if not (description.exists() and description.samefile(source.file)):
+            write_whole(description, partial(shutil.copyfile, source.file))
+    else:
+        write_text(description, write_document(document))
+    return description
+
+
+def _placed(
+    campaign: Campaign, folder: Path, run: Any, targets: dict[Path, Path | MemoryTable]
+) -> Any:
+    """Note where a run's record goes, and return the run as it names it there."""
+    if "record" not in run:
+        return run
+    file = campaign.folder / run["record"]
+    inside = file.is_relative_to(campaign.folder) and ".." not in file.parts
+    name = run["record"] if inside else file.name
+    taken = [target.relative_to(folder).as_posix() for target in targets]
+    if name.lower() in map(str.lower, taken):
+        name = record_name(run["name"], file.suffix, taken)
+    targets[folder / name] = campaign.record_at(file)
+    return run if name == run["record"] else {**run, "record": name}
+
+
+def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: bool) -> None:
+    """Raise CounterspinError for a file that is in the way, or a record that is not there."""
+    for target in targets:
+        if target.exists() and not overwrite:
+            raise CounterspinError(
+                f"{target} exists; write into another folder, or give `overwrite=True`"
+            )
+    files = [run.record for run in campaign.runs]
+    files += [reading.record for reading in campaign.readings if reading.record is not None]
+    for file in files:
+        record = campaign.record_at(file)
+        if isinstance(record, Path) and not record.is_file():
+            raise CounterspinError(f"{record}: there is no such record to copy")

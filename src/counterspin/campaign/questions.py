@@ -1,0 +1,164 @@
+"""What a description says that may well be a slip: not wrong by itself, but to be asked about.
+
+A calibration reports each question as a finding, `simulate` and `plan` as a warning.
+
+- `questions`, `Question`
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+import numpy as np
+
+from counterspin.campaign.resolved import Campaign
+from counterspin.frozen import frozen
+from counterspin.physics.gravity import HEIGHTS, gravity_range
+from counterspin.physics.own_velocity import NAVIGATED, AxisError, coriolis, unseen
+
+#: Standard gravity, which a computer may take away at any place, m/s^2.
+_STANDARD: Final = (9.80665, 9.8066, 9.8)
+
+#: Vertical part of an input axis from which gravity that is left shows.
+_UPRIGHT: Final = 0.05
+
+#: Part of an unrecorded velocity from which its Coriolis acceleration shows, 1/s.
+_COUPLED: Final = 1e-7
+
+
+@frozen
+class Question:
+    """One question.
+
+    Attributes
+    ----------
+    code
+        What kind of question.
+    subject
+        What it is about, such as ``site`` or ``Qx.K_F``.
+    text
+        In whole sentences.
+    """
+
+    code: str
+    subject: str
+    text: str
+
+
+def questions(campaign: Campaign) -> list[Question]:
+    """Return what a campaign's description is to be asked about."""
+    return [
+        *_gravity(campaign),
+        *_removed_gravity(campaign),
+        *_own_velocity(campaign),
+        *_exact_priors(campaign),
+    ]
+
+
+def _gravity(campaign: Campaign) -> Iterator[Question]:
+    """Ask about a gravity that no laboratory at the latitude has."""
+    low, high = gravity_range(campaign.site.latitude)
+    margin = 3.0 * math.hypot(campaign.gravity.u, _slope(campaign) * campaign.latitude.u)
+    degrees = math.degrees(campaign.site.latitude)
+    removed = campaign.site.removed_gravity
+    stated = [("site", "Gravity", campaign.site.gravity, "Is one of the two of another place?")]
+    if removed is not None and removed not in _STANDARD:
+        words = "Does the computer really take this away?"
+        stated.append(("site.removed_gravity", "The removed gravity", removed, words))
+    for subject, what, gravity, question in stated:
+        if low - margin <= gravity <= high + margin:
+            continue
+        yield Question(
+            code="gravity-latitude",
+            subject=subject,
+            text=f"{what} {gravity:.6g} m/s^2 does not fit latitude {degrees:.4g} deg: from "
+            f"{HEIGHTS[0]:.0f} to {HEIGHTS[1]:.0f} m of height it is {low:.4f} to {high:.4f} "
+            f"m/s^2 there. {question}",
+        )
+
+
+def _removed_gravity(campaign: Campaign) -> Iterator[Question]:
+    """Ask what was taken away of a gravity that is not known exactly, where it shows."""
+    if campaign.site.removed_gravity is not None or campaign.gravity.u == 0.0:
+        return
+    for name, accelerometer in campaign.accelerometers.items():
+        upright = [
+            run.name
+            for run in campaign.runs
+            if abs(accelerometer.mounting.turned(run.attitude).input_axis[2]) > _UPRIGHT
+        ]
+        if not upright or accelerometer.observable == "specific_force":
+            continue
+        runs = f"run {upright[0]}" if len(upright) == 1 else f"{len(upright)} runs"
+        yield Question(
+            code="removed-gravity",
+            subject=f"{name}.K_I",
+            text=f"{name} is upright in {runs}, and its {accelerometer.observable} has what the "
+            "navigation computer leaves of gravity, which is known to "
+            f"{campaign.gravity.u:.2g} m/s^2 only. Taken is that the computer removes it exactly; "
+            "if it removes a fixed value, state that as removed_gravity in [site].",
+        )
+
+
+def _own_velocity(campaign: Campaign) -> Iterator[Question]:
+    """Ask for what is not recorded of the velocity that a computer has taken for its own."""
+    if not campaign.own_velocity:
+        return
+    none = np.empty(0)
+    turn = coriolis(campaign.site)
+    lacking: dict[str, float] = {}
+    for run in campaign.runs:
+        axes = {
+            name: AxisError(a.mounting.turned(run.attitude).input_axis, a.observable, none, none)
+            for name, a in campaign.accelerometers.items()
+        }
+        away = unseen(list(axes.values()))
+        for name, one in axes.items():
+            if one.observable in NAVIGATED:
+                coupled = float(np.linalg.norm(one.input_axis @ turn @ away))
+                lacking[name] = max(coupled, lacking.get(name, 0.0))
+    if not lacking:
+        yield Question(
+            code="unrecorded-axis",
+            subject="records.reference",
+            text='reference = "own velocity" changes nothing here: from a specific force no '
+            "Coriolis acceleration is removed. Leave it out, or record displacement or velocity.",
+        )
+    for name, coupled in lacking.items():
+        if coupled > _COUPLED:
+            # The parabola that fits best to a t^3 over T has 3/2 T of it.
+            moved = 1e-3 * coupled * 100.0 / 2.0
+            yield Question(
+                code="unrecorded-axis",
+                subject=f"{name}.K_F",
+                text=f"The computer's own velocity along directions that nobody recorded acts on "
+                f"{name}, and is taken to be free of errors: an error of 1 mg there moves K_F by "
+                f"{moved:.1g} g in a run of 100 s. Record all three axes in the same run.",
+            )
+
+
+def _slope(campaign: Campaign) -> float:
+    """Return how gravity changes with latitude, m/s^2/rad."""
+    latitude, step = campaign.site.latitude, 1e-4
+    ahead, behind = (gravity_range(latitude + change)[0] for change in (step, -step))
+    return (ahead - behind) / (2.0 * step)
+
+
+def _exact_priors(campaign: Campaign) -> Iterator[Question]:
+    """Ask about coefficients that are stated without an uncertainty."""
+    stated = {
+        f"{name}.{symbol}": prior
+        for name, accelerometer in campaign.accelerometers.items()
+        for symbol, prior in accelerometer.priors.items()
+    }
+    for subject, prior in {**stated, **campaign.model.priors, **campaign.machine.priors}.items():
+        if prior.u == 0.0:
+            value = f"{prior.value:.9g}"
+            yield Question(
+                code="exact-prior",
+                subject=subject,
+                text=f"{subject} is stated as {value} {prior.unit} without an uncertainty, and so "
+                f'taken as exact. How well is it known? Write "{value} ± U {prior.unit}".',
+            )

@@ -1,0 +1,177 @@
+"""Simulated readings: what a known instrument on a known machine indicates at each station.
+
+- `indications`: of readings in a group, in g, without noise
+- `true_readings`: of all of a campaign, without noise
+- `numbered_groups`, `head_errors`, `stream`: what that takes
+- `simulate_mean_record`: the columns of a record that stands for a reading
+- `described`, `tabled`: the description and the table of readings with the values in them
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.campaign.reading_groups import groups_of
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.resolved import Campaign, sample_count
+from counterspin.inference.readings import Readings
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.conditions import CONDITION_TERMS
+from counterspin.physics.station import Station, mean_products
+
+_SYMBOLS: Final = tuple(TERMS)
+
+#: The dividing head's angle, whose error differs from position to position.
+_HEAD: Final = "head.zero"
+
+
+def indications(
+    group: Readings,
+    coefficients: Mapping[str, float],
+    machine: Mapping[str, float],
+    head_error: Array,
+) -> Array:
+    """Return what is indicated at each reading of a group, without noise, in g.
+
+    Nothing is linearised: the stations are moved by what the machine does.
+
+    Parameters
+    ----------
+    group
+        Where it is read; values do not matter.
+    coefficients
+        True values of the accelerometer in g-units, slopes included; those not named are nominal.
+    machine
+        Term of the machine -> true value less nominal, SI.
+    head_error
+        Error of the dividing head's angle at each reading, rad, shape (n,).
+    """
+    stations = []
+    for index, error in enumerate(head_error.tolist()):
+        own = {**machine, _HEAD: machine.get(_HEAD, 0.0) + error}
+        stations.append(group.station(index, own))
+    products = mean_products(stations, group.site, _SYMBOLS)
+    found: Array = np.sum(products * _effective(group, coefficients), axis=1)
+    return found
+
+
+def _effective(group: Readings, coefficients: Mapping[str, float]) -> Array:
+    """Return the coefficients at each reading, under its conditions, shape (n, terms)."""
+    nominal = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
+    effective = np.tile(nominal, (group.size, 1))
+    for symbol in CONDITION_TERMS.keys() & coefficients.keys():
+        place = _SYMBOLS.index(CONDITION_TERMS[symbol].coefficient)
+        effective[:, place] += coefficients[symbol] * group.lever(symbol)
+    return effective
+
+
+def head_errors(readings: Sequence[Reading], generator: np.random.Generator) -> Array:
+    """Return errors of the dividing head's angle, rad: one for all accelerometers of a run."""
+    drawn: dict[tuple[str, int], float] = {}
+    errors = np.zeros(len(readings))
+    seen: Counter[tuple[str, str]] = Counter()
+    for index, reading in enumerate(readings):
+        # A table may name several readings alike; each is a position of its own.
+        own = (reading.accelerometer, reading.name)
+        position = (reading.name, seen[own])
+        seen[own] += 1
+        if position not in drawn:
+            drawn[position] = float(generator.standard_normal())
+        errors[index] = drawn[position] * reading.u_head
+    return errors
+
+
+def numbered_groups(campaign: Campaign) -> list[tuple[Readings, list[int]]]:
+    """Return the groups of a campaign's readings, and the places of each in the campaign."""
+    numbered = [replace(r, name=str(place)) for place, r in enumerate(campaign.readings)]
+    return [(group, [int(name) for name in group.names]) for group in groups_of(campaign, numbered)]
+
+
+def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
+    """Return a campaign's readings with what would be read without noise, and the head's errors.
+
+    Parameters
+    ----------
+    campaign
+        With [truth].
+
+    Returns
+    -------
+    tuple
+        The readings in the campaign's order, those of records as they were; rad, shape (n,).
+    """
+    assert campaign.simulation is not None
+    truth, readings = campaign.simulation.truth, campaign.readings
+    errors = head_errors(readings, stream(campaign, 0))
+    values = np.zeros(len(readings))
+    for group, places in numbered_groups(campaign):
+        coefficients = truth.coefficients.get(group.accelerometer, {})
+        values[places] = indications(group, coefficients, truth.machine, errors[places])
+    return tuple(
+        reading if reading.record else replace(reading, value=value)
+        for reading, value in zip(readings, values.tolist(), strict=True)
+    ), errors
+
+
+def stream(campaign: Campaign, which: int) -> np.random.Generator:
+    """Return random numbers that no run of the double turntable has.
+
+    So a run that is added changes no reading, and the other way round.
+
+    Parameters
+    ----------
+    campaign
+        With [simulation].
+    which
+        0 of the head, 1 of the readings' noise, from 2 on of records.
+    """
+    assert campaign.simulation is not None
+    return np.random.default_rng(
+        np.random.SeedSequence(campaign.simulation.seed, spawn_key=(0, which))
+    )
+
+
+def simulate_mean_record(
+    campaign: Campaign, reading: Reading, head_error: float
+) -> tuple[Array, Array, Array]:
+    """Return time (s), angle (rad) and indicated specific force (m/s^2), each shape (n,).
+
+    Parameters
+    ----------
+    campaign
+        With [simulation] and [truth].
+    reading
+        One that has a record.
+    head_error
+        Error of the dividing head's angle, rad.
+
+    Raises
+    ------
+    ValueError
+        If the reading has no duration.
+    """
+    assert campaign.simulation is not None
+    truth, rate = campaign.simulation.truth, campaign.simulation.sampling_rate
+    if reading.duration is None:
+        raise ValueError(f'the run "{reading.name}" states no duration')
+    time = np.arange(sample_count(reading.duration, rate)) / rate
+    angle = reading.rate * time
+    (group,) = groups_of(campaign, [reading])
+    machine = {**truth.machine, _HEAD: truth.machine.get(_HEAD, 0.0) + head_error}
+    (effective,) = _effective(group, truth.coefficients.get(reading.accelerometer, {}))
+    return time, angle, _instantaneous(group.station(0, machine), group, effective, angle)
+
+
+def _instantaneous(station: Station, group: Readings, effective: Array, angle: Array) -> Array:
+    """Return the indicated specific force at each angle, m/s^2."""
+    gravity = group.site.gravity
+    a_ipo = station.axes_under_load() @ station.force(group.site, angle).T / gravity
+    products = np.stack([row.evaluate(a_ipo) for row in TERMS.values()])
+    found: Array = gravity * (effective @ products)
+    return found

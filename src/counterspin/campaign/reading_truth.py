@@ -1,0 +1,214 @@
+"""The true values of simulated readings: [truth.machine], their noise, coefficients in own units.
+
+Nothing here reaches a calibration.
+
+- `of_records`: [truth] as records need it
+- `resolve_reading_truth`: what is true of the machine, and of the noise of readings
+- `unfit_readings`: why readings cannot be simulated
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.machine import expand, less_nominal, symbols_shown
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.readings import Output, Reading
+from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.settings import CentrifugeSettings, exact
+from counterspin.campaign.toml_file import flat_keys
+from counterspin.physics.machine import machine_term
+from counterspin.physics.shared_terms import OWN_TERMS
+
+#: The machine's table of [truth], and the key of [truth.noise] that readings have.
+_MACHINE: Final = "machine"
+_READING: Final = "reading"
+
+#: Term that records show too, and its place in [truth.centrifuge].
+_STRETCH: Final = "centrifuge.stretch"
+
+#: Keys of an accelerometer's own words -> the coefficient.
+_ALIASES: Final = {"bias": "K_F", "scale_factor": "K_I"}
+
+#: A true value may be this many times its largest credible size.
+_TRUTH_MARGIN: Final = 5.0
+
+#: Why a record at rest cannot be simulated.
+_NO_LENGTH: Final = "a record at rest that is simulated needs a duration"
+
+
+def of_records(
+    raw: Mapping[str, Any], outputs: Mapping[str, Output | None], problems: Problems
+) -> dict[str, Any]:
+    """Return [truth] with coefficients in g-units and without what readings alone have.
+
+    Parameters
+    ----------
+    raw
+        The section as read.
+    outputs
+        Accelerometer -> what its readings are in; coefficients may be in its unit, as ``mA/g``.
+    problems
+        Where mistakes are noted.
+    """
+    if not isinstance(raw.get(_MACHINE, {}), Mapping):
+        problems.add(("truth", _MACHINE), "must be a table")
+    truth = {key: value for key, value in raw.items() if key != _MACHINE}
+    noise = truth.get("noise")
+    if isinstance(noise, Mapping) and _READING in noise:
+        truth["noise"] = {key: value for key, value in noise.items() if key != _READING}
+    stretch = flat_keys(_table(raw, _MACHINE)).get(_STRETCH)
+    centrifuge = _table(raw, "centrifuge")
+    if stretch is not None and "stretch" in centrifuge:
+        problems.add(("truth", _MACHINE, _STRETCH), "is in [truth.centrifuge] too; keep one")
+    elif stretch is not None:
+        truth["centrifuge"] = {**centrifuge, "stretch": stretch}
+    for name, output in outputs.items():
+        if isinstance(truth.get(name), Mapping):
+            truth[name] = _in_g_units(truth[name], output, ("truth", name), problems)
+    return truth
+
+
+def _table(raw: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    value = raw.get(key)
+    return value if isinstance(value, Mapping) else {}
+
+
+def _in_g_units(
+    table: Mapping[str, Any], output: Output | None, path: Path, problems: Problems
+) -> dict[str, Any]:
+    """Return an accelerometer's truth with the terms' own names and units."""
+    own: dict[str, Any] = {}
+    for key, text in table.items():
+        symbol = _ALIASES.get(key, key)
+        if symbol in own or (symbol != key and symbol in table):
+            problems.add((*path, key), f"is {symbol}, given too; keep one")
+        own[symbol] = text
+        if symbol in OWN_TERMS and output is not None and isinstance(text, str):
+            own[symbol] = _text_in_g(text, OWN_TERMS[symbol].unit, output)
+    return own
+
+
+def _text_in_g(text: str, unit: str, output: Output) -> str:
+    """Return a coefficient in g-units where it is in the output's; else as it is."""
+    if not unit.startswith("g"):
+        return text
+    try:
+        in_output = exact(text, output.unit + unit.removeprefix("g"))
+    except ValueError:
+        return text
+    return f"{in_output / output.sensitivity!r} {unit}"
+
+
+def resolve_reading_truth(
+    raw: Mapping[str, Any],
+    readings: Sequence[Reading],
+    outputs: Mapping[str, Output | None],
+    centrifuge: CentrifugeSettings | None,
+    *,
+    problems: Problems,
+    gravity: float,
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Resolve [truth.machine] and the noise of readings.
+
+    Parameters
+    ----------
+    raw
+        [truth] as read.
+    readings
+        Of the campaign; without any there is nothing to resolve.
+    outputs
+        Accelerometer -> what its readings are in.
+    centrifuge
+        The machine; a true radius may be given as such.
+    problems
+        Where mistakes are noted.
+    gravity
+        Of the site, m/s^2.
+
+    Returns
+    -------
+    tuple
+        Term of the machine -> true value less nominal, SI; accelerometer -> noise, g.
+    """
+    known = [symbol for symbol in symbols_shown(readings) if symbol not in OWN_TERMS]
+    machine: dict[str, float] = {}
+    for key, text in flat_keys(_table(raw, _MACHINE)).items():
+        path = ("truth", _MACHINE, key)
+        symbols = expand(key, known)
+        if key in OWN_TERMS:
+            problems.add(path, "is of an accelerometer; write it in its table, [truth.NAME]")
+        elif not symbols:
+            problems.add(path, f'no reading shows "{key}"' + did_you_mean(key, known))
+        for symbol in symbols:
+            row, _ = machine_term(symbol) or (None, "")
+            assert row is not None
+            value = problems.attempt(path, exact, text, row.unit)
+            if value is not None:
+                given = less_nominal(symbol, Quantity(value, 0.0, row.unit), centrifuge)
+                machine[symbol] = given.value
+    stretch = _table(raw, "centrifuge").get("stretch")
+    if stretch is not None and _STRETCH in known:
+        value = problems.attempt(("truth", "centrifuge", "stretch"), exact, stretch, "s^2/m")
+        machine[_STRETCH] = value or 0.0
+    return machine, _noise(raw, outputs, problems, gravity)
+
+
+def _noise(
+    raw: Mapping[str, Any],
+    outputs: Mapping[str, Output | None],
+    problems: Problems,
+    gravity: float,
+) -> dict[str, float]:
+    """Return the true noise of the readings of each accelerometer, g."""
+    given = _table(raw, "noise").get(_READING)
+    if given is None:
+        return {}
+    path: Path = ("truth", "noise", _READING)
+    texts = given if isinstance(given, Mapping) else dict.fromkeys(outputs, given)
+    sizes = {}
+    for name, text in texts.items():
+        if name not in outputs:
+            problems.add(path, f'no accelerometer is called "{name}"' + did_you_mean(name, outputs))
+            continue
+        output = outputs[name]
+        unit, size = ("g", 1.0) if output is None else (output.unit, output.sensitivity)
+        value = problems.attempt(path, exact, text, unit, gravity if output is None else None)
+        if value is not None and value < 0.0:
+            problems.add(path, "a standard deviation is not negative")
+        elif value is not None:
+            sizes[name] = value / abs(size)
+    return sizes
+
+
+def unfit_readings(campaign: Campaign) -> list[str]:
+    """Return why a campaign's readings cannot be simulated: no noise or length, incredible sizes.
+
+    Calibration does not ask.
+    """
+    if campaign.simulation is None:
+        return []
+    truth = campaign.simulation.truth
+    problems = []
+    for reading in campaign.readings:
+        if reading.record is not None:
+            if reading.motion == "static" and reading.duration is None:
+                problems.append(f'run "{reading.name}": {_NO_LENGTH}')
+        elif reading.u is None and reading.accelerometer not in truth.reading_noise:
+            problems.append(
+                f'truth.noise.reading: missing; "{reading.name}" states no uncertainty, so that '
+                "its true noise is needed"
+            )
+            break
+    for symbol, value in truth.machine.items():
+        row, _ = machine_term(symbol) or (None, "")
+        assert row is not None
+        if not math.fabs(value) <= _TRUTH_MARGIN * row.limit:
+            problems.append(
+                f"truth.machine, {symbol}: {value:.6g} {row.unit} is more than {_TRUTH_MARGIN:g} "
+                f"times the largest credible size, {row.limit:.6g} {row.unit}; check its unit"
+            )
+    return problems

@@ -1,0 +1,328 @@
+"""A table of readings, in place of many ``[[runs]]``: each of its rows becomes such a run.
+
+- `ReadingsSettings`: what may stand in ``[readings]``
+- `read_table`: the rows as runs, with where each stands in the file
+- `load_table`, `ReadingsTable`, `is_empty`: the table as it stands, and how its columns make runs
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from pydantic import Field
+
+from counterspin.campaign.checking import Path as KeyPath
+from counterspin.campaign.checking import Problems, did_you_mean
+from counterspin.campaign.quantity import unit_factor
+from counterspin.campaign.readings import BLANK, MotionWord, Output, ReadingAxes
+from counterspin.campaign.settings import SettingsSection, Text, exact
+from counterspin.errors import RecordError
+from counterspin.frozen import frozen
+
+#: A column's name, or those of the repeats of one reading.
+_Repeats = str | list[str]
+
+#: A table has at most so many rows.
+_MOST_ROWS: Final = 10_000
+#: No cell has more characters.
+_LONGEST: Final = 1000
+
+#: Columns that a table may have, beside those of the readings themselves.
+_COLUMNS: Final = (
+    "name",
+    "motion",
+    "rate",
+    "attitude",
+    "input",
+    "pendulous",
+    "temperature",
+    "time",
+    "mounting",
+)
+
+#: A number whose decimals are parted by a comma.
+_WITH_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
+
+_UTC: Final = datetime.UTC
+
+
+class ReadingsSettings(SettingsSection):
+    """[readings]: a table in place of many [[runs]]."""
+
+    file: Text
+    sheet: Text | None = None
+    decimal: Literal[".", ","] = "."
+    columns: dict[str, _Repeats | dict[str, _Repeats]] = Field(min_length=1)
+    motion: MotionWord = "static"
+    about: Text = "north"
+    attitude_unit: Text = "deg"
+    u_attitude: Text | None = None
+    rate_unit: Text = "rad/s"
+    axes: ReadingAxes | None = None
+    mounting: str = ""
+
+
+def read_table(
+    raw: Any,
+    folder: Path,
+    accelerometers: Mapping[str, Output | None],
+    problems: Problems,
+    checksums: dict[Path, str],
+) -> Iterator[tuple[dict[str, Any], KeyPath]]:
+    """Yield the rows of the table that ``[readings]`` names, as runs, with where each stands.
+
+    Parameters
+    ----------
+    raw
+        The section.
+    folder
+        Of the campaign.
+    accelerometers
+        Names, and what their readings are in.
+    problems
+        Where mistakes are noted.
+    checksums
+        Takes the checksum of the table as it was read.
+    """
+    settings = problems.check(ReadingsSettings, raw, ("readings",))
+    if settings is None:
+        return
+    loaded = problems.attempt(
+        ("readings", "file"), load_table, folder / settings.file, settings.sheet
+    )
+    if loaded is None:
+        return
+    frame, places, checksums[folder / settings.file] = loaded
+    if frame.is_empty():
+        problems.add(("readings", "file"), f"{settings.file} has no rows below the names")
+        return
+    if settings.decimal == ",":
+        frame = _with_points(frame)
+    before = len(problems.lines)
+    table = ReadingsTable(settings, accelerometers, problems)
+    table.check(frame.columns)
+    if len(problems.lines) > before:
+        return
+    for index, row in enumerate(frame.iter_rows(named=True)):
+        # Rows without anything in them stand below many a table.
+        if all(is_empty(cell) for cell in row.values()):
+            continue
+        path: KeyPath = ("readings", f"{settings.file} {places[index]}")
+        before = len(problems.lines)
+        if any(isinstance(cell, str) and len(cell) > _LONGEST for cell in row.values()):
+            problems.add(path, f"a cell has more than {_LONGEST} characters")
+            continue
+        run = table.run(row, index, path)
+        if len(problems.lines) == before:
+            yield run, path
+
+
+def load_table(path: Path, sheet: str | None) -> tuple[Any, list[str], str]:
+    """Return a table, where its rows stand, and its checksum; ValueError if it is none."""
+    from counterspin.records.tables import is_workbook, read_small_table
+
+    if path.suffix.lower() not in (".csv", ".txt", ".tsv", ".parquet", ".xlsx"):
+        raise ValueError(f"{path.name}: a table of readings is .csv, .parquet or .xlsx")
+    if sheet is not None and not is_workbook(path):
+        raise ValueError(f"{path.name}: only a workbook (.xlsx) has sheets")
+    try:
+        frame, places, checksum = read_small_table(path, sheet)
+    except RecordError as error:
+        raise ValueError(str(error).rstrip(".")) from error
+    if frame.height > _MOST_ROWS:
+        raise ValueError(
+            f"{path.name} has {frame.height} rows; a table of readings has at most {_MOST_ROWS}"
+        )
+    return frame, places, checksum
+
+
+@frozen
+class ReadingsTable:
+    """How the columns of a table make runs.
+
+    Attributes
+    ----------
+    settings
+        The section.
+    accelerometers
+        Names, and what their readings are in.
+    problems
+        Where mistakes are noted.
+    """
+
+    settings: ReadingsSettings
+    accelerometers: Mapping[str, Output | None]
+    problems: Problems
+
+    @property
+    def columns(self) -> dict[str, str]:
+        """Key -> column, of what a row says once."""
+        given = self.settings.columns
+        return {k: v for k, v in given.items() if isinstance(v, str) and k in _COLUMNS}
+
+    def of(self, key: str) -> dict[str, list[str]]:
+        """Return accelerometer -> columns, of ``reading`` or of ``u``."""
+        given = self.settings.columns.get(key)
+        if given is None:
+            return {}
+        if not isinstance(given, dict):
+            given = {next(iter(self.accelerometers)): given}
+        return {name: [c] if isinstance(c, str) else c for name, c in given.items()}
+
+    def check(self, names: Sequence[str]) -> None:
+        """Note what is wrong with the columns that are asked for."""
+        path: KeyPath = ("readings", "columns")
+        given, problems = self.settings.columns, self.problems
+        for key, value in given.items():
+            if key not in (*_COLUMNS, "reading", "u"):
+                known = (*_COLUMNS, "reading", "u")
+                problems.add((*path, key), "unknown key" + did_you_mean(key, known))
+            elif key in _COLUMNS and not isinstance(value, str):
+                problems.add((*path, key), "must be the name of one column")
+        if not given.get("reading"):
+            problems.add(path, "reading is missing: the column that holds the values")
+            return
+        if self.settings.u_attitude is not None:
+            problems.attempt(("readings", "u_attitude"), exact, self.settings.u_attitude, "rad")
+        problems.attempt(
+            ("readings", "attitude_unit"), unit_factor, self.settings.attitude_unit, "rad"
+        )
+        static = self.settings.motion == "static" and "motion" not in given
+        turns = self.settings.motion != "static" and "motion" not in given
+        if turns and "rate" not in given:
+            problems.add(path, "rate is missing: the column with the rate of each reading")
+        if static and not {"attitude", "input"} & set(given) and self.settings.axes is None:
+            problems.add(path, "attitude is missing: the column with the position of each reading")
+        wanted = [*self.columns.values()]
+        for key in ("reading", "u"):
+            for owner, columns in self.of(key).items():
+                wanted += columns
+                if owner not in self.accelerometers:
+                    said = did_you_mean(owner, self.accelerometers)
+                    problems.add((*path, key), f'no accelerometer is called "{owner}"' + said)
+        for column in dict.fromkeys(wanted):
+            if column not in names:
+                said = did_you_mean(column, names)
+                problems.add(path, f'{self.settings.file} has no column "{column}"' + said)
+
+    def run(self, row: Mapping[str, Any], index: int, path: KeyPath) -> dict[str, Any]:
+        """Return a row as a run would be written; mistakes are noted."""
+        settings, columns = self.settings, self.columns
+
+        def cell(key: str) -> Any:
+            value = row[columns[key]] if key in columns else None
+            return None if is_empty(value) else value
+
+        run: dict[str, Any] = {"name": _words(cell("name")) or f"reading {index + 1}"}
+        motion = run["motion"] = _words(cell("motion")) or settings.motion
+        rate = self._number(cell("rate"), (*path, "rate"))
+        if rate:
+            run["rate"] = f"{rate!r} {settings.rate_unit}"
+        axes = {key: _words(cell(key)) for key in ("input", "pendulous") if cell(key)}
+        if axes:
+            run["axes"] = axes
+        elif settings.axes is not None and (motion != "static" or "attitude" not in columns):
+            run["axes"] = settings.axes.model_dump()
+        attitude = cell("attitude")
+        if "axes" in run or attitude is None:
+            pass
+        elif (angle := _as_number(attitude)) is not None:
+            run["attitude"] = self._turn(angle)
+        else:
+            run["attitude"] = _words(attitude)
+        run["mounting"] = _words(cell("mounting")) or settings.mounting
+        for key, unit in (("temperature", "degC"), ("time", "s")):
+            if (value := cell(key)) is not None:
+                if key == "time":
+                    value = _since_1970(value)
+                number = _as_number(value)
+                run[key] = _words(value) if number is None else f"{number!r} {unit}"
+        readings = self.of("reading")
+        run["reading"] = {name: self._reading(row, name, path) for name in readings}
+        return run
+
+    def _turn(self, angle: float) -> str:
+        """Return the attitude that an angle of the head makes."""
+        settings = self.settings
+        unit = settings.attitude_unit
+        if settings.u_attitude is None:
+            return f"{angle!r} {unit} about {settings.about}"
+        u = exact(settings.u_attitude, "rad") / unit_factor(unit, "rad")
+        return f"{angle!r} ± {u!r} {unit} about {settings.about}"
+
+    def _reading(self, row: Mapping[str, Any], name: str, path: KeyPath) -> str | list[str]:
+        """Return the readings of an accelerometer as they would be written."""
+        columns = self.of("reading")[name]
+        unit = output.unit if (output := self.accelerometers[name]) else "g"
+        beside = self.of("u").get(name, [])
+        spread = ""
+        if beside and not is_empty(row[beside[0]]):
+            u = self._number(row[beside[0]], (*path, beside[0]))
+            spread = f" ± {u!r}" if u is not None else ""
+        written = []
+        for column in columns:
+            value = row[column]
+            if is_empty(value):
+                # Not all readings need have been repeated as often.
+                continue
+            number = _as_number(value)
+            written.append(_words(value) if number is None else f"{number!r}{spread} {unit}")
+        written = written or [f"{BLANK}{spread} {unit}"] * len(columns)
+        return written[0] if len(columns) == 1 and written else written
+
+    def _number(self, value: Any, path: KeyPath) -> float | None:
+        number = None if value is None else _as_number(value)
+        if value is not None and number is None:
+            self.problems.add(path, f"{value!r} is not a number")
+        return number
+
+
+def _with_points(frame: Any) -> Any:
+    """Return a table whose numbers with a comma have a point; other text stays."""
+    import polars as pl
+
+    text = pl.col(pl.String())
+    return frame.with_columns(
+        pl.when(text.str.contains(_WITH_COMMA)).then(text.str.replace(",", ".")).otherwise(text)
+    )
+
+
+def is_empty(value: Any) -> bool:
+    """Return whether a cell holds nothing, or what stands for a value to come."""
+    if isinstance(value, str):
+        return value.strip().lower() in ("", "nan", BLANK)
+    return value is None or (isinstance(value, float) and math.isnan(value))
+
+
+def _as_number(value: Any) -> float | None:
+    """Return a cell as a number, None if it holds something else."""
+    if isinstance(value, bool):
+        return None
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        return None
+    return number if math.isfinite(number) else None
+
+
+def _words(value: Any) -> str:
+    """Return a cell as text; a whole number without its point."""
+    if isinstance(value, float) and value.is_integer():
+        return str(int(value))
+    return "" if value is None else str(value).strip()
+
+
+def _since_1970(value: Any) -> Any:
+    """Return a date and time in seconds, of which only differences count; else the value."""
+    if isinstance(value, str):
+        try:
+            value = datetime.datetime.fromisoformat(value.strip())
+        except ValueError:
+            return value
+    if isinstance(value, datetime.datetime):
+        return value.replace(tzinfo=value.tzinfo or _UTC).timestamp()
+    return value

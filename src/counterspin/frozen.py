@@ -1,0 +1,82 @@
+"""Dataclasses whose objects cannot be changed, as every room uses them.
+
+- `frozen`: makes a class one of them
+
+`dataclasses.dataclass(frozen=True)` compiles six methods for each class while the package is
+loaded; for all classes of a calibration together that took longer than its fit. Here a class gets
+one of its own, `__init__`; the others are shared. `dataclasses.replace`, `fields` and the like work
+as usual.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import FrozenInstanceError, dataclass, field, fields
+from operator import attrgetter
+from typing import Any, NoReturn, TypeVar, dataclass_transform, overload
+
+Kind = TypeVar("Kind", bound=type)
+
+
+@overload
+def frozen(cls: Kind, /) -> Kind: ...
+@overload
+def frozen(*, eq: bool) -> Callable[[Kind], Kind]: ...
+@dataclass_transform(frozen_default=True, field_specifiers=(field,))
+def frozen(cls: Any = None, /, *, eq: bool = True) -> Any:
+    """Make a class a dataclass whose attributes are set once, by `__init__`.
+
+    Parameters
+    ----------
+    cls
+        The class.
+    eq
+        Whether two objects with equal attributes are equal, and have one hash. False where an
+        attribute is an array, which has no single truth: then an object equals itself alone.
+
+    Raises
+    ------
+    dataclasses.FrozenInstanceError
+        By the class's objects, if an attribute is set again or deleted.
+    """
+    if cls is None:
+        return lambda it: frozen(it) if eq else _frozen(it, {})
+    return _frozen(cls, {"__eq__": _equal, "__hash__": _hash})
+
+
+def _frozen(cls: Any, comparing: dict[str, Any]) -> Any:
+    shared = {"__repr__": _repr, "__setattr__": _set_once, "__delattr__": _refuse} | comparing
+    for name, method in shared.items():
+        if name not in vars(cls):
+            setattr(cls, name, method)
+    made = dataclass(eq=False, repr=False)(cls)
+    if comparing:
+        # Quick, since dictionaries of terms compare them by the thousand.
+        made._compared = attrgetter(*(part.name for part in fields(made) if part.compare))
+    return made
+
+
+def _set_once(self: Any, name: str, value: Any) -> None:
+    if name in self.__dict__ or name not in self.__dataclass_fields__:
+        _refuse(self, name)
+    self.__dict__[name] = value
+
+
+def _refuse(self: Any, name: str) -> NoReturn:
+    raise FrozenInstanceError(f"cannot change {name!r} of a {type(self).__qualname__}")
+
+
+def _repr(self: Any) -> str:
+    shown = (f"{part.name}={getattr(self, part.name)!r}" for part in fields(self) if part.repr)
+    return f"{type(self).__qualname__}({', '.join(shown)})"
+
+
+def _equal(self: Any, other: Any) -> Any:
+    if type(other) is not type(self):
+        return NotImplemented
+    compared: Callable[[Any], Any] = type(self)._compared
+    return compared(self) == compared(other)
+
+
+def _hash(self: Any) -> int:
+    return hash(type(self)._compared(self))

@@ -1,0 +1,223 @@
+"""What would explain the records better than the model does: one parameter at a time.
+
+Each alternative is one parameter that the fit holds at nothing: a prior that may be wrong, an input
+that may be another, a scale, a jump. Its column is held against the whitened residuals of the fit
+(score or Lagrange-multiplier test: Rao, Proc. Cambridge Phil. Soc. 44 (1948) 50). What the unknowns
+can follow of the column is projected out; the rest, c, and the residuals e give the parameter's
+estimate c'e/c'c, its standard deviation 1/|c| and the gain (c'e)^2/c'c in chi-square, exactly what
+a fit with the parameter would give.
+
+For a prior the column is its own row, so that its parameter is the distance of the prior from what
+everything else says, and the test is that of the prior's misfit (Baarda's w-test).
+
+- `Alternative`: one of them; `of_priors`: those of a fit's own priors
+- `Scores`, `scores`: all of them held against a fit
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import field, replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.inference.blocks import Block
+from counterspin.inference.distributions import student_cdf
+from counterspin.inference.joint.fit import JointFit, solve_blocks
+from counterspin.inference.joint.relaxed import widened
+from counterspin.inference.least_squares import Solution
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import SHARED_TERMS
+
+#: Part of a column, squared, that the unknowns must leave of it for anything to be tested.
+_LEFT: Final = 1e-9
+
+
+@frozen
+class Alternative:
+    """One parameter that a fit holds at nothing.
+
+    Attributes
+    ----------
+    kind
+        What kind of thing it is, for words.
+    owner
+        An accelerometer, a run, or empty: the campaign.
+    symbol
+        What is otherwise: a term, an input, or a word of its own.
+    columns
+        Place of a series -> what it shows of one unit, shape (n,).
+    priors
+        Place of an unknown -> by how much one unit moves its prior.
+    at
+        Where in a run, s; None where it has no place.
+    limit
+        Largest credible size of the parameter.
+    """
+
+    kind: str
+    owner: str
+    symbol: str
+    columns: Mapping[int, Array] = field(default_factory=dict, repr=False, compare=False)
+    priors: Mapping[int, float] = field(default_factory=dict, compare=False)
+    at: float | None = None
+    limit: float = math.inf
+
+    @property
+    def name(self) -> str:
+        """Owner and symbol in one word."""
+        return f"{self.owner}.{self.symbol}" if self.owner else self.symbol
+
+
+@frozen
+class Scores:
+    """Alternatives held against a fit, m of them.
+
+    Attributes
+    ----------
+    alternatives
+        The alternatives.
+    value, u
+        Estimate of each parameter and its standard uncertainty, shape (m,); u is infinite where
+        the unknowns can follow all of it.
+    size
+        Distance from nothing in standard deviations, the residuals' own scale being allowed for
+        (shape (m,)); 0 where it cannot be told.
+    dof
+        Degrees of freedom of that scale.
+    """
+
+    alternatives: tuple[Alternative, ...]
+    value: Array
+    u: Array
+    size: Array
+    dof: float
+
+    def p(self, place: int) -> float:
+        """Probability of as large a size or a larger one by chance, for one test alone."""
+        return 2.0 * student_cdf(max(self.dof, 1.0), -float(self.size[place]))
+
+    @property
+    def tested(self) -> int:
+        """How many of the alternatives can be told at all."""
+        return int(np.count_nonzero(np.isfinite(self.u)))
+
+
+def of_priors(fit: JointFit) -> tuple[Alternative, ...]:
+    """Return the alternatives that a relaxed fit has in itself: one prior is wrong, or several.
+
+    One for each unknown of which something is known beforehand; one for each term that several
+    runs have anew, and one for all its components: they are off alike if one mistake made them so.
+
+    Parameters
+    ----------
+    fit
+        Of `counterspin.inference.joint.relaxed.relax`.
+    """
+    known = [
+        (place, unknown)
+        for place, unknown in enumerate(fit.model.unknowns)
+        if math.isfinite(unknown.prior[1]) and not unknown.symbol.startswith("encoder.")
+    ]
+    single = [
+        Alternative("prior", u.owner, u.symbol, priors={k: 1.0}, limit=u.limit + abs(u.prior_mean))
+        if u.symbol in TERMS or u.symbol in SHARED_TERMS
+        else Alternative("prior", u.owner, u.symbol, priors={k: 1.0})
+        for k, u in known
+    ]
+    runs = {part.run for part in fit.prepared}
+    together: dict[str, dict[int, float]] = {}
+    for place, unknown in known:
+        if unknown.owner in runs:
+            whole, _, _ = unknown.symbol.rpartition(".")
+            for name in (unknown.symbol, whole) if whole else (unknown.symbol,):
+                together.setdefault(name, {})[place] = 1.0
+    several: list[Alternative] = []
+    for symbol, places in together.items():
+        same = [other for other in several if other.priors == places]
+        if len(places) > 1 and not same:
+            limit = min(fit.model.unknowns[place].limit for place in places)
+            several.append(Alternative("priors", "", symbol, priors=places, limit=limit))
+    return (*single, *several)
+
+
+def scores(fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: bool) -> Scores:
+    """Hold alternatives against a fit.
+
+    The residuals' own scale is that which they would have with the alternative (an F test). It
+    counts where it is larger than the noise, and where the noise was estimated from them.
+
+    Parameters
+    ----------
+    fit
+        Of `counterspin.inference.joint.relaxed.relax`.
+    alternatives
+        At least one.
+    noise_given
+        Whether the noise was given.
+    """
+    blocks, solution, beside = _in_rows_of(fit, [a for a in alternatives if a.columns])
+    data, priors = _columns(alternatives, blocks, solution, beside)
+    target = np.concatenate([block.target for block in blocks])
+    known = solution.prior_sd == 0.0
+    factor = np.vstack([block.factor for block in blocks])
+    target = target - factor[:, known] @ solution.prior_mean[known]
+    held = np.divide(solution.prior_mean, solution.prior_sd, where=~known, out=np.zeros(known.size))
+    residual = solution.unexplained(target[:, None], held[:, None])[:, 0]
+    columns = solution.unexplained(data, priors)
+
+    norms = np.sum(columns**2, axis=0)
+    there = norms > _LEFT * (np.sum(data**2, axis=0) + np.sum(priors**2, axis=0))
+    norms = np.where(there, norms, np.inf)
+    product = columns.T @ residual
+    gain = product**2 / norms
+    dof = max(solution.dof - 1.0, 1.0)
+    rest = sum(block.rss for block in blocks) + float(residual @ residual)
+    scale = np.maximum(rest - gain, 0.0) / dof
+    if noise_given:
+        scale = np.maximum(scale, 1.0)
+    u = np.where(there, np.sqrt(scale / np.where(there, norms, 1.0)), np.inf)
+    size = np.sqrt(gain / np.maximum(scale, np.finfo(float).tiny))
+    return Scores(tuple(alternatives), product / norms, u, size, dof)
+
+
+def _in_rows_of(fit: JointFit, shown: Sequence[Alternative]) -> tuple[list[Block], Solution, Array]:
+    """Return blocks and solution of a fit in rows that hold further columns, and these columns."""
+    blocks = [*fit.blocks, *fit.beside.values()]
+    if not shown:
+        return blocks, fit.solution, np.empty((0, 0))
+    p = len(fit.model.unknowns)
+    _, records, readings = widened(fit, [other.columns for other in shown], fit.noise)
+    wide = [*records, *readings.values()]
+    blocks = [replace(block, factor=block.factor[:, :p]) for block in wide]
+    beside = np.vstack([block.factor[:, p:] for block in wide])
+    return blocks, solve_blocks(blocks, fit.model), beside
+
+
+def _columns(
+    alternatives: Sequence[Alternative],
+    blocks: Sequence[Block],
+    solution: Solution,
+    beside: Array,
+) -> tuple[Array, Array]:
+    """Return the columns in the blocks' rows and in those of the priors, (rows, m) and (p, m)."""
+    rows = sum(block.factor.shape[0] for block in blocks)
+    data = np.zeros((rows, len(alternatives)))
+    priors = np.zeros((solution.estimate.size, len(alternatives)))
+    of_records = iter(beside.T)
+    for k, other in enumerate(alternatives):
+        if other.columns:
+            data[:, k] = next(of_records)
+        for place, moved in other.priors.items():
+            sd = float(solution.prior_sd[place])
+            if sd > 0.0:
+                # A prior that is too large by 1 has a row whose target is too large by 1/sd.
+                priors[place, k] = -moved / sd
+            else:
+                # What is known exactly is no unknown: the records show how it is otherwise.
+                data[:, k] += moved * np.concatenate([block.factor[:, place] for block in blocks])
+    return data, priors

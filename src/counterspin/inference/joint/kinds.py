@@ -1,0 +1,120 @@
+"""Whether data of several kinds agree: each kind against all the others.
+
+What a kind of data says is compared with what the others and everything known beforehand predict
+of it. That is a test of all unknowns at once, which needs none of them determined by one kind
+alone; beside it stands how far each unknown moves when the kind is left out.
+
+- `agreements`, `OfOneKind`
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.inference.blocks import Block
+from counterspin.inference.joint.fit import relaxed_block, solve_blocks, solve_relaxed
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.least_squares import Solution
+
+#: A direction in which a credible change moves data by less than this part of their noise tells
+#: nothing; one that the others predict this many times worse than the data see it tests nothing.
+_BLIND: Final = 1e-2
+_UNPREDICTED: Final = 1e3
+
+#: Variances that differ by less than this part are the same but for rounding.
+_ROUNDING: Final = 1e-9
+
+
+@frozen
+class OfOneKind:
+    """One kind of data against the others.
+
+    Attributes
+    ----------
+    alone, without
+        What it says by itself, and what the others say, each with all that is known beforehand.
+    shift
+        Estimates without it less those of everything, shape (p,).
+    u_shift
+        Standard uncertainty of these, what both share counted once, shape (p,); NaN where leaving
+        the kind out changes nothing.
+    chi2, dof
+        Squares of what the kind says less what the others predict, over their variances, in as many
+        directions as both know something of.
+    """
+
+    alone: Solution
+    without: Solution
+    shift: Array
+    u_shift: Array
+    chi2: float
+    dof: int
+
+
+def agreements(
+    kinds: Mapping[str, Sequence[Block]], model: Unknowns, whole: Solution
+) -> dict[str, OfOneKind]:
+    """Compare each kind of data with all the others.
+
+    Parameters
+    ----------
+    kinds
+        At least two, with their blocks.
+    model
+        That of the blocks.
+    whole
+        The solution of all blocks.
+    """
+    return {
+        kind: _agreement(
+            own, [block for k, b in kinds.items() if k != kind for block in b], model, whole
+        )
+        for kind, own in kinds.items()
+    }
+
+
+def _agreement(
+    own: Sequence[Block], others: Sequence[Block], model: Unknowns, whole: Solution
+) -> OfOneKind:
+    without = solve_blocks(others, model)
+    # The whole is the better estimate of the two, so that variances subtract (Hausman); what is
+    # considered moves both, and the shift by the difference.
+    before, after = np.diag(without.least_covariance), np.diag(whole.least_covariance)
+    moved = (without.sensitivity_considered - whole.sensitivity_considered) * whole.considered_sd
+    spread = np.maximum(before - after, 0.0) + np.sum(moved**2, axis=1)
+    if whole.covariance_unseen is not None:
+        spread = spread + np.diag(whole.covariance_unseen)
+    chi2, dof = _surprise(own, others, model)
+    return OfOneKind(
+        alone=solve_blocks(own, model),
+        without=without,
+        shift=without.estimate - whole.estimate,
+        u_shift=np.sqrt(np.where(spread > _ROUNDING * before, spread, np.nan)),
+        chi2=chi2,
+        dof=dof,
+    )
+
+
+def _surprise(own: Sequence[Block], others: Sequence[Block], model: Unknowns) -> tuple[float, int]:
+    """Return chi-square of what a kind says against the others' prediction, and its freedom."""
+    predicted = solve_relaxed(others, model)
+    blocks = [relaxed_block(block) for block in own]
+    rows = np.vstack([block.factor for block in blocks])
+    target = np.concatenate([block.target for block in blocks])
+    terms = (*model.unknowns, *model.considered)
+    credible = np.array([*(term.spread for term in terms), *(model.inputs or {}).values()])
+    limits = np.array([*(term.limit for term in terms), *(model.inputs or {}).values()])
+    seen, sizes, _ = np.linalg.svd(rows * np.minimum(credible, limits), full_matrices=False)
+    seen = seen[:, sizes > _BLIND]
+    # Only what the kind says of the unknowns; its own scatter has tests of its own.
+    innovation = seen.T @ (target - rows @ predicted.estimate)
+    directions, spread, _ = np.linalg.svd(predicted.root_of(seen.T @ rows), full_matrices=True)
+    spread = np.append(spread, np.zeros(innovation.size - spread.size))
+    known = spread < _UNPREDICTED
+    pulls = (directions.T @ innovation)[known] / np.sqrt(1.0 + spread[known] ** 2)
+    return float(pulls @ pulls), int(known.sum())

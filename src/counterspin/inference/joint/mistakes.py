@@ -1,0 +1,252 @@
+"""Mistakes that are likely in a campaign, as alternatives to be held against its records.
+
+What a mistake does to a record is its column to first order; a mistake that is large is refused
+when the record is read.
+
+- `of_records`: another scale, angle, delay or bias of a record or a run
+- `jumps`: where a record has a step, or changes its slope
+- `at_size`: what one of them does where it is no longer small
+- `of_coriolis`: another velocity in the navigation computer's Coriolis acceleration
+- `of_inputs`, `of_terms`: inputs that are stated as exact, terms that the model leaves out
+- `window_excess`: whether neighbouring residuals are off together, which a jump does
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.inference.distributions import normal_cdf
+from counterspin.inference.joint.alternatives import Alternative
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.inputs import TIMING, input_column, rotation_column
+from counterspin.inference.joint.unknowns import ROTATION, Considered
+from counterspin.physics import observation
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.own_velocity import AxisError, taken
+from counterspin.physics.shared_terms import SHARED_TERMS
+
+SCALE: Final = "scale"  #: relative change of an accelerometer's recorded output
+RUN_SCALE: Final = "run scale"  #: the same in one run only
+ANGLE: Final = "angle"  #: rad, by which a recorded angle is too small
+BIAS: Final = "bias"  #: g, of one accelerometer in one run
+JUMP: Final = "jump"  #: step of a record, in its unit
+CORIOLIS: Final = "coriolis"  #: part of the error velocity that is wrongly taken into account
+SLOPE: Final = "slope"  #: change of a record's slope, in its unit and 1/s
+
+#: Part of the error velocity of which it can still be said that it is all.
+_ALL: Final = 1.2
+
+#: Terms of accelerometers and platform.
+_ERRORS: Final = frozenset((*TERMS, *SHARED_TERMS))
+
+#: Numbers of neighbouring residuals that are added up.
+_WINDOWS: Final = (4, 16, 64, 256)
+
+
+def of_records(fit: JointFit, *, angle_recorded: bool) -> Iterator[Alternative]:
+    """Yield what may be otherwise in the records of an accelerometer, of a run, or of all.
+
+    Parameters
+    ----------
+    fit
+        Any joint fit.
+    angle_recorded
+        Whether the spindle's angle was; else its zero is found and nothing can be wrong with it.
+    """
+    parts = fit.prepared
+    outputs = {i: _output(fit, i) for i in range(len(parts))}
+    accelerometers = list(dict.fromkeys(part.accelerometer for part in parts))
+    runs = list(dict.fromkeys(part.run for part in parts))
+    for name in accelerometers:
+        own = {i: outputs[i] for i, part in enumerate(parts) if part.accelerometer == name}
+        yield Alternative(SCALE, name, SCALE, own)
+    for run in runs if len(runs) > 1 else ():
+        own = {i: outputs[i] for i, part in enumerate(parts) if part.run == run}
+        yield Alternative(RUN_SCALE, run, SCALE, own)
+    for i, part in enumerate(parts):
+        owner = f"{part.run}.{part.accelerometer}"
+        if len(accelerometers) > 1 and len(runs) > 1:
+            yield Alternative(RUN_SCALE, owner, SCALE, {i: outputs[i]})
+        series = part.series
+        fallen = series.trajectory.site.gravity * series.time**series.order / max(1, series.order)
+        yield Alternative(BIAS, owner, BIAS, {i: fallen})
+    if angle_recorded:
+        turned = {i: rotation_column(part.series, ROTATION[0]) for i, part in enumerate(parts)}
+        yield Alternative(ANGLE, "", "records.angle", turned)
+        for run in runs if len(runs) > 1 else ():
+            own = {i: turned[i] for i, part in enumerate(parts) if part.run == run}
+            yield Alternative(ANGLE, run, ANGLE, own)
+
+
+def _output(fit: JointFit, i: int) -> Array:
+    """Return what the fit makes of a record: with its noise, it would explain itself."""
+    series = fit.prepared[i].series
+    return series.reference() + series.error - fit.residuals[i].plain
+
+
+def of_coriolis(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternative]:
+    """Yield that the navigation computers took the other velocity for the Coriolis acceleration.
+
+    Parameters
+    ----------
+    fit
+        Any joint fit.
+    own_velocity
+        Whether they are said to take their own; else the platform's.
+    """
+    columns: dict[int, Array] = {}
+    for run in dict.fromkeys(part.run for part in fit.prepared):
+        places = [i for i, part in enumerate(fit.prepared) if part.run == run]
+        errors = []
+        for i in places:
+            series = fit.prepared[i].series
+            site, axis = series.trajectory.site, series.mounting.turned(series.attitude).input_axis
+            left = observation.gravity_left(site, axis, series.time, series.observable)
+            errors.append(AxisError(axis, series.observable, series.time, series.error + left))
+        for i, part in zip(places, taken(site, errors), strict=True):
+            if part.any():
+                columns[i] = part if own_velocity else -part
+    if columns:
+        yield Alternative(CORIOLIS, "", "records.reference", columns, limit=_ALL)
+
+
+def at_size(fit: JointFit, other: Alternative, value: float) -> Alternative:
+    """Return an alternative with the columns that it has where it is as large as `value`.
+
+    A turned angle is no longer a first-order matter from a degree on, and what a record is a
+    multiple of is known only once its scale is.
+
+    Parameters
+    ----------
+    fit
+        With the alternative as its last unknown.
+    other
+        One of this module's.
+    value
+        Of its parameter, not zero.
+    """
+    if other.kind in (SCALE, RUN_SCALE):
+        return replace(other, columns={i: _output(fit, i) for i in other.columns})
+    if other.kind == ANGLE or other.symbol == TIMING:
+        columns = {}
+        for i in other.columns:
+            series = fit.prepared[i].series
+            if other.kind == ANGLE:
+                spindle = series.trajectory.spindle
+                turned = replace(spindle, start_angle=spindle.start_angle + value)
+                there = series.reference(replace(series.trajectory, spindle=turned))
+            else:
+                there = series.reference(later=-value)
+            columns[i] = (there - series.reference()) / value
+        return replace(other, columns=columns)
+    return other
+
+
+def jumps(
+    fit: JointFit, count: int, about: Alternative | None = None, within: float = 0.0
+) -> Iterator[Alternative]:
+    """Yield steps and bends of each record at evenly spaced times, or of one about a time.
+
+    Parameters
+    ----------
+    fit
+        Any joint fit.
+    count
+        How many for each record.
+    about
+        One that has been found; None: all records, over their whole length.
+    within
+        s, how far from it.
+    """
+    for i, part in enumerate(fit.prepared):
+        owner, time = f"{part.run}.{part.accelerometer}", part.series.time
+        low, high = float(time[0]), float(time[-1])
+        if about is not None:
+            if about.owner != owner or about.at is None:
+                continue
+            low, high = max(low, about.at - within), min(high, about.at + within)
+        for at in np.linspace(low, high, count + 2)[1:-1].tolist():
+            step = (time > at).astype(float)
+            if not 0.0 < step.sum() < step.size:
+                continue
+            if about is None or about.kind == JUMP:
+                yield Alternative(JUMP, owner, JUMP, {i: step}, at=at)
+            if about is None or about.kind == SLOPE:
+                yield Alternative(SLOPE, owner, SLOPE, {i: step * (time - at)}, at=at)
+
+
+def of_inputs(fit: JointFit, names: Sequence[str]) -> Iterator[Alternative]:
+    """Yield inputs that are stated as exact.
+
+    Parameters
+    ----------
+    fit
+        Of `counterspin.inference.joint.relaxed.relax`.
+    names
+        Keys of `counterspin.inference.joint.inputs.INPUTS`, or `TIMING`.
+    """
+    for name in names:
+        shown = {}
+        for i, part in enumerate(fit.prepared):
+            # What the errors found so far are of depends on the inputs too.
+            table = {
+                symbol: column
+                for place, column in zip(part.unknowns, part.design.T, strict=True)
+                if (symbol := fit.model.unknowns[place].symbol) in _ERRORS
+            }
+            known = {
+                symbol: float(fit.solution.estimate[place])
+                for place in part.unknowns
+                if (symbol := fit.model.unknowns[place].symbol) in table
+            }
+            shown[i] = input_column(part.series, name, part.scale_factor, known, table)
+        yield Alternative("input", "", name, shown)
+
+
+def of_terms(fit: JointFit, terms: Sequence[Considered]) -> Iterator[Alternative]:
+    """Yield terms that the model leaves out.
+
+    Parameters
+    ----------
+    fit
+        Any joint fit.
+    terms
+        Of which accelerometer or run, none twice.
+    """
+    for other in terms:
+        shown = {
+            i: part.series.columns([other.symbol], part.scale_factor)[:, 0]
+            for i, part in enumerate(fit.prepared)
+            if other.concerns(part.series)
+        }
+        yield Alternative("term", other.owner, other.symbol, shown, limit=other.limit)
+
+
+def window_excess(whitened: Array) -> float:
+    """Return the probability that no neighbours would be as far off together by chance.
+
+    The largest sum of neighbouring residuals, over windows of several lengths, against its
+    distribution for independent residuals; all windows count as tests (Bonferroni), which is more
+    than they are.
+
+    Parameters
+    ----------
+    whitened
+        In the order of time, shape (n,).
+    """
+    total = np.append(0.0, np.cumsum(whitened))
+    scale = math.sqrt(float(whitened @ whitened) / max(whitened.size, 1)) or 1.0
+    largest, tests = 0.0, 0
+    for length in _WINDOWS:
+        if length < whitened.size:
+            sums = (total[length:] - total[:-length]) / (scale * math.sqrt(length))
+            largest = max(largest, float(np.max(np.abs(sums))))
+            # Windows that overlap by half or more say nearly the same.
+            tests += 4 * math.ceil(whitened.size / length)
+    return min(1.0, 2.0 * max(tests, 1) * normal_cdf(-largest))

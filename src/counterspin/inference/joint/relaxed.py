@@ -1,0 +1,127 @@
+"""A joint fit with more unknowns than its model has.
+
+What a model assumes can only be held to the records where it may give way. Hence a fit in which
+what is considered is estimated, its prior being one more observation; and one that has further
+columns, such as those of a mistake that somebody may have made.
+
+- `relax`: considered terms and uncertain inputs as unknowns with priors
+- `extended`: further columns as unknowns without priors; `widened`: only put beside the others
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.inference.blocks import Block
+from counterspin.inference.joint.fit import JointFit, blocks_of, solve_blocks
+from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.joint.unknowns import Unknown, Unknowns
+from counterspin.inference.noise.model import NoiseModel
+
+_NOTHING: Final = (0.0, math.inf)
+
+
+def relax(fit: JointFit) -> JointFit:
+    """Return the fit with all that is considered as unknowns, each with its prior.
+
+    The unknowns of the model come first, in their order, then the considered ones. Noise that
+    the records do not show is left out.
+    """
+    model = fit.model
+    if not model.considered_names:
+        return replace(fit, unseen={})
+    p = len(model.unknowns)
+    considered = [
+        Unknown(other.owner, other.symbol, other.prior, other.limit) for other in model.considered
+    ]
+    # An input has a prior, and so no need of a limit.
+    inputs = [Unknown("", name, (0.0, u), 1.0) for name, u in (model.inputs or {}).items()]
+    whole = Unknowns((*model.unknowns, *considered, *inputs))
+    prepared = tuple(
+        replace(
+            part,
+            unknowns=(*part.unknowns, *(p + place for place in part.considered)),
+            design=np.hstack([part.design, part.fixed]),
+            considered=(),
+            fixed=part.fixed[:, :0],
+        )
+        for part in fit.prepared
+    )
+    return replace(
+        fit,
+        model=whole,
+        solution=fit.relaxed,
+        prepared=prepared,
+        blocks=tuple(_estimating(block) for block in fit.blocks),
+        beside={name: _estimating(block) for name, block in fit.beside.items()},
+        unseen={},
+    )
+
+
+def _estimating(block: Block) -> Block:
+    return replace(
+        block,
+        factor=np.hstack([block.factor, block.considered]),
+        considered=block.considered[:, :0],
+    )
+
+
+def widened(
+    fit: JointFit, columns: Sequence[Mapping[int, Array]], noise: Mapping[str, NoiseModel]
+) -> tuple[tuple[Prepared, ...], tuple[Block, ...], dict[str, Block]]:
+    """Return records and blocks of a relaxed fit, readings' last, with further columns.
+
+    Arguments as of `extended`; the columns stand after those of the unknowns.
+    """
+    p, m = len(fit.model.unknowns), len(columns)
+    added = [Unknown("", str(place), _NOTHING, 1.0) for place in range(m)]
+    model = replace(fit.model, unknowns=(*fit.model.unknowns, *added))
+    prepared = tuple(
+        _extended(part, [(p + k, shown[i]) for k, shown in enumerate(columns) if i in shown])
+        for i, part in enumerate(fit.prepared)
+    )
+    blocks = tuple(blocks_of(prepared, model, noise))
+    beside = {
+        name: replace(block, factor=np.pad(block.factor, ((0, 0), (0, m))))
+        for name, block in fit.beside.items()
+    }
+    return prepared, blocks, beside
+
+
+def extended(
+    fit: JointFit, unknowns: Sequence[Unknown], columns: Sequence[Mapping[int, Array]]
+) -> JointFit:
+    """Return a relaxed fit with further unknowns, which readings beside the records do not see.
+
+    Parameters
+    ----------
+    fit
+        Of `relax`.
+    unknowns
+        What is added, m of them.
+    columns
+        Of each: the place of a series -> what it shows per unit of it, shape (n,); a series that
+        is not named shows nothing.
+    """
+    prepared, blocks, beside = widened(fit, columns, fit.noise)
+    model = replace(fit.model, unknowns=(*fit.model.unknowns, *unknowns))
+    solution = solve_blocks([*blocks, *beside.values()], model)
+    return replace(
+        fit, model=model, solution=solution, prepared=prepared, blocks=blocks, beside=beside
+    )
+
+
+def _extended(part: Prepared, added: Sequence[tuple[int, Array]]) -> Prepared:
+    if not added:
+        return part
+    return replace(
+        part,
+        unknowns=(*part.unknowns, *(place for place, _ in added)),
+        design=np.column_stack([part.design, *(column for _, column in added)]),
+    )

@@ -1,0 +1,229 @@
+"""Wander of an accelerometer's bias: flicker (bias instability) and a random walk.
+
+The bias has two-sided spectral densities B^2/(2 pi f) and K^2/(2 pi f)^2, those of IEEE Std 952:
+the Allan deviation has a floor of 0.664 B, and the variance of the walk grows by K^2 a second.
+Flicker slower than `LOWEST` counts as the bias itself. A run's wander has nothing to do with that
+of another run; the walk begins as wide as it has become since the beginning of the campaign.
+
+Over a record of length T the bias is a sum of cosines, cos(k pi t/T), k < r: what is left out lies
+above r/(2T), where the other noise covers it a thousandfold (`functions_needed`). Their
+covariance is that of the process on a grid four times as fine, with the exact autocovariance
+of a spectrum 1/f between two frequencies, a difference of cosine integrals. Integrated as often as
+the record is, the cosines add a covariance U U' of low rank to whitened rows, and
+(1 + U U')^(-1/2) whitens them again.
+
+- `flicker_autocovariance`: of a spectrum 1/f with two ends
+- `spanned`, `functions_needed`, `integrated_cosines`, `coefficient_root`: the bias over a record
+- `LowRank`: the second whitening
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from counterspin.frozen import frozen
+from counterspin.physics.simulation import SLOWEST_FLICKER
+
+Array = NDArray[np.float64]
+
+#: Flicker below this frequency is bias, Hz.
+LOWEST: Final = SLOWEST_FLICKER
+
+#: At the highest frequency that is taken along, the wander is this part of the other noise.
+_COVERED: Final = 1e-3
+
+#: Fewest and most functions.
+_FUNCTIONS: Final = (12, 256)
+
+#: Grid points for each function.
+_FINER: Final = 4
+
+#: The cosines are level at both ends: these lie beyond the record by this part of it.
+_BEYOND: Final = 0.02
+
+#: Shares of a whitened direction below this are rounding.
+_NOTHING: Final = 1e-9
+
+
+def flicker_autocovariance(lag: Array, low: float, high: float) -> Array:
+    """Return the autocovariance of flicker of B = 1 between two frequencies.
+
+    2 int B^2/(2 pi f) cos(2 pi f tau) df = (Ci(2 pi high tau) - Ci(2 pi low tau)) B^2/pi.
+
+    Parameters
+    ----------
+    lag
+        tau, s, not negative.
+    low, high
+        Hz.
+
+    Returns
+    -------
+    Array
+        Of the shape of `lag`.
+    """
+    from scipy.special import sici
+
+    away = np.where(lag > 0.0, lag, 1.0)
+    _, upper = sici(2.0 * math.pi * high * away)
+    _, lower = sici(2.0 * math.pi * low * away)
+    return np.where(lag > 0.0, upper - lower, math.log(high / low)) / math.pi
+
+
+@frozen
+class Levels:
+    """Variances of all noise of a record.
+
+    Attributes
+    ----------
+    white
+        Of a sample, in the observable's unit squared, quantisation included.
+    walk
+        N^2, of the accelerometer's white noise.
+    flicker, bias_walk
+        B^2 and K^2.
+    """
+
+    white: float
+    walk: float
+    flicker: float
+    bias_walk: float
+
+
+def spanned(last: float) -> float:
+    """Return the length over which the cosines run, of a record whose last row is at `last` s."""
+    return (1.0 + _BEYOND) * last
+
+
+def functions_needed(levels: Levels, spacing: float, length: float, order: int) -> int:
+    """Return how many cosines show the wander wherever the other noise does not cover it.
+
+    Parameters
+    ----------
+    levels
+        Of the noise.
+    spacing
+        Time between samples, s.
+    length
+        Of the record, s.
+    order
+        How often the observable integrates acceleration.
+    """
+    fewest, most = _FUNCTIONS
+    # No more than the samples can show.
+    most = max(fewest, min(most, math.floor(0.9 * length / spacing)))
+    count = fewest
+    while count < most:
+        w = math.pi * count / length
+        wander = levels.flicker / w + levels.bias_walk / w**2
+        if wander <= _COVERED * (levels.white * spacing * w ** (2 * order) + levels.walk):
+            break
+        # Few different numbers: what was worked out for one of them serves again.
+        count = math.ceil(1.25 * count)
+    return min(count, most)
+
+
+def integrated_cosines(
+    times: Array, samples: Array, spacing: Array, order: int, count: int, length: float
+) -> Array:
+    """Return what a record shows of each cosine of the bias, shape (n, count).
+
+    Parameters
+    ----------
+    times, samples, spacing
+        Mean time of each row (s), how many samples it is the mean of, and the time between these
+        (s), shape (n,).
+    order
+        How often the observable integrates acceleration.
+    count, length
+        How many, and of which length of record.
+    """
+    w = math.pi * np.arange(1, count) / length
+    phase = times[:, None] * w
+    rows = np.empty((times.size, count))
+    rows[:, 0] = times**order / max(order, 1)
+    # The mean of a cosine over the samples of a block.
+    half = 0.5 * spacing[:, None] * w
+    shown = np.sin(samples[:, None] * half) / (samples[:, None] * np.sin(half))
+    if order == 0:
+        rows[:, 1:] = shown * np.cos(phase)
+    elif order == 1:
+        rows[:, 1:] = shown * np.sin(phase) / w
+    else:
+        rows[:, 1:] = (1.0 - shown * np.cos(phase)) / w**2
+    return rows
+
+
+@lru_cache(maxsize=256)
+def _coefficient_covariances(count: int, length: float) -> tuple[Array, Array]:
+    """Return the cosines' covariances for B = 1 and for a walk of K = 1 from 0, (count, count)."""
+    points = _FINER * count
+    place = (np.arange(points) + 0.5) / points
+    project = 2.0 / points * np.cos(math.pi * np.outer(np.arange(count), place))
+    project[0] *= 0.5
+    times = length * place
+    high = points / (2.0 * length)
+    lags = flicker_autocovariance(times - times[0], min(LOWEST, 0.1 * high), high)
+    index = np.arange(points)
+    flicker = lags[np.abs(index[:, None] - index)]
+    walk = np.minimum(times[:, None], times)
+    return project @ flicker @ project.T, project @ walk @ project.T
+
+
+def coefficient_root(levels: Levels, count: int, length: float, before: float) -> Array:
+    """Return a square root of the cosines' covariance, shape (count, count).
+
+    Parameters
+    ----------
+    levels
+        Of the noise.
+    count, length
+        As for `integrated_cosines`.
+    before
+        For how long the bias had walked when the record began, s.
+    """
+    flicker, walk = _coefficient_covariances(count, length)
+    covariance = levels.flicker * flicker + levels.bias_walk * walk
+    covariance[0, 0] += levels.bias_walk * before
+    values, vectors = np.linalg.eigh(covariance)
+    root: Array = vectors * np.sqrt(np.maximum(values, 0.0))
+    return root
+
+
+@frozen(eq=False)
+class LowRank:
+    """The inverse square root of 1 + U U', as rows are multiplied with it.
+
+    Attributes
+    ----------
+    directions
+        U V, where U' U = V diag(size) V', shape (m, q).
+    shrink
+        ((1 + size)^(-1/2) - 1)/size, shape (q,).
+    log_det
+        Log-determinant of 1 + U U'.
+    """
+
+    directions: Array
+    shrink: Array
+    log_det: float
+
+    @classmethod
+    def of(cls, added: Array) -> LowRank:
+        """Return it for U, shape (m, r)."""
+        size, vectors = np.linalg.eigh(added.T @ added)
+        counts = size > _NOTHING
+        size, vectors = size[counts], vectors[:, counts]
+        spread = np.sqrt(1.0 + size)
+        return cls(added @ vectors, -1.0 / (spread * (1.0 + spread)), float(np.log1p(size).sum()))
+
+    def apply(self, rows: Array) -> Array:
+        """Return the rows, (m,) or (m, k), with unit covariance."""
+        shrink = self.shrink if rows.ndim == 1 else self.shrink[:, None]
+        whitened: Array = rows + self.directions @ (shrink * (self.directions.T @ rows))
+        return whitened

@@ -1,0 +1,54 @@
+"""Normal gravity: what gravity is to be expected at a latitude and a height.
+
+- `normal_gravity`: of the ellipsoid WGS 84
+- `gravity_range`: from the lowest to the highest place at which a laboratory stands
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+_EQUATOR: Final = 9.7803253359  #: m/s^2
+_SOMIGLIANA: Final = 0.00193185265241
+_ECCENTRICITY_SQUARED: Final = 0.00669437999013
+_SEMI_MAJOR_AXIS: Final = 6378137.0  #: m
+_FLATTENING: Final = 1.0 / 298.257223563
+_RATIO: Final = 0.00344978650684  #: of centrifugal force and gravity at the equator
+
+#: Heights between which a laboratory is expected, m: a mine, and a town in the mountains.
+HEIGHTS: Final = (-500.0, 3000.0)
+
+
+def normal_gravity(latitude: float, height: float = 0.0) -> float:
+    """Return normal gravity: Somigliana's formula, and free air above the ellipsoid.
+
+    NIMA TR 8350.2, Department of Defense World Geodetic System 1984, 3rd edition (2000),
+    Eq. 4-1 and 4-3, with the constants of its tables 3.3 and 3.4. Gravity as measured differs by
+    anomalies of the ground, mostly less than 1e-3 m/s^2.
+
+    Parameters
+    ----------
+    latitude
+        Geodetic, rad.
+    height
+        Above the ellipsoid, m.
+
+    Returns
+    -------
+    float
+        m/s^2.
+    """
+    square = math.sin(latitude) ** 2
+    on_ellipsoid = (
+        _EQUATOR * (1.0 + _SOMIGLIANA * square) / math.sqrt(1.0 - _ECCENTRICITY_SQUARED * square)
+    )
+    ratio = height / _SEMI_MAJOR_AXIS
+    slope = 2.0 * (1.0 + _FLATTENING + _RATIO - 2.0 * _FLATTENING * square)
+    return on_ellipsoid * (1.0 - slope * ratio + 3.0 * ratio**2)
+
+
+def gravity_range(latitude: float) -> tuple[float, float]:
+    """Return the smallest and the largest gravity of `HEIGHTS` at a latitude (rad), m/s^2."""
+    lowest, highest = HEIGHTS
+    return normal_gravity(latitude, highest), normal_gravity(latitude, lowest)

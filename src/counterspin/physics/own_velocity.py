@@ -1,0 +1,159 @@
+"""Errors of a navigation computer that takes its own velocity for the Coriolis acceleration.
+
+A computer that is given the platform's motion removes 2 Omega x v of it. One that uses the velocity
+of its own solution, v + e', removes 2 Omega x e' too much, so that the error obeys
+e'' = a - 2 Omega x e' with what the accelerometers and the platform sense wrongly, a. Integrated
+once, e' = e_p' - 2 Omega x (e - e(0)), where e_p is the error with the platform's motion.
+
+- `AxisError`: what one accelerometer's record is off by
+- `taken`: what such a computer took off records that it has made
+- `of_own_velocity`: errors with the platform's motion -> errors with the computer's own velocity
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.physics.motion import Site
+
+#: Observables in which the navigation computer's velocity shows.
+NAVIGATED: Final = ("displacement", "velocity")
+
+#: Part of the largest below which a combination of input axes counts as not recorded.
+_SEEN: Final = 0.05
+
+#: Terms of the solution's series in 2 Omega t: in two hours the next one is below 1e-15.
+_TERMS: Final = 20
+
+#: Degree of the polynomial that is integrated exactly; only waves and noise remain.
+_DEGREE: Final = 7
+
+
+@frozen
+class AxisError:
+    """What one accelerometer's record is off by.
+
+    Attributes
+    ----------
+    input_axis
+        In the run's attitude, east-north-up, shape (3,).
+    observable
+        ``displacement``, ``velocity`` or ``specific_force``; in the last nothing is removed.
+    time
+        s, increasing, shape (n,).
+    error
+        What is recorded less the motion along the input axis, m, m/s or m/s^2, shape (n,); NaN
+        where it is missing.
+    """
+
+    input_axis: Array
+    observable: str
+    time: Array
+    error: Array
+
+
+def taken(site: Site, errors: Sequence[AxisError]) -> list[Array]:
+    """Return what a computer with its own velocity took off the records that it has made.
+
+    Parameters
+    ----------
+    site
+        For the Earth's rotation.
+    errors
+        Of the accelerometers of one run, as recorded. Where no input axis points, the accelerometer
+        is taken as perfect: there the error is what the others' Coriolis acceleration makes.
+
+    Returns
+    -------
+    list of Array
+        Of each accelerometer, at its times: 2 integral of Omega x (e - e(0)) dt for displacement,
+        2 Omega x (e - e(0)) for velocity, along its input axis; 0 for specific force.
+    """
+    return _along(site, errors, unseen(errors) @ coriolis(site))
+
+
+def of_own_velocity(site: Site, errors: Sequence[AxisError]) -> list[Array]:
+    """Return the errors of a computer with its own velocity.
+
+    Parameters
+    ----------
+    site, errors
+        As for `taken`, but errors of a computer that is given the platform's motion.
+
+    Returns
+    -------
+    list of Array
+        Of each accelerometer, at its times.
+    """
+    took = _along(site, errors, coriolis(site))
+    return [one.error - part for one, part in zip(errors, took, strict=True)]
+
+
+def coriolis(site: Site) -> Array:
+    """Return the matrix that makes 2 Omega x a vector of it, 1/s, shape (3, 3)."""
+    matrix: Array = 2.0 * np.cross(site.earth_rotation, np.eye(3)).T
+    return matrix
+
+
+def unseen(errors: Sequence[AxisError]) -> Array:
+    """Return the projection on the directions in which no displacement or velocity is recorded."""
+    axes = _axes(errors)
+    projection: Array = np.eye(3) - np.linalg.pinv(axes, rcond=_SEEN) @ axes
+    return projection
+
+
+def _axes(errors: Sequence[AxisError]) -> Array:
+    axes = [one.input_axis for one in errors if one.observable in NAVIGATED]
+    return np.reshape(axes, (len(axes), 3))
+
+
+def _along(site: Site, errors: Sequence[AxisError], acting: Array) -> list[Array]:
+    """Return the Coriolis part of each error, from d = d(recorded) - integral of acting @ d."""
+    navigated = [one for one in errors if one.observable in NAVIGATED]
+    if not navigated:
+        return [np.zeros(one.time.size) for one in errors]
+    grid = np.unique(np.concatenate([one.time for one in navigated]))
+    recorded = np.linalg.pinv(_axes(errors), rcond=_SEEN) @ [_moved(one, grid) for one in navigated]
+    moved, term = recorded, recorded
+    for _ in range(_TERMS):
+        term = -acting @ _integral(grid, term)
+        moved = moved + term
+    velocity = coriolis(site) @ moved
+    shown = {"velocity": velocity, "displacement": _integral(grid, velocity)}
+    return [
+        np.interp(one.time, grid, one.input_axis @ shown[one.observable])
+        if one.observable in NAVIGATED
+        else np.zeros(one.time.size)
+        for one in errors
+    ]
+
+
+def _moved(one: AxisError, grid: Array) -> Array:
+    """Return an accelerometer's error in position since the start of the record, m."""
+    there = np.isfinite(one.error)
+    time, error = one.time[there], one.error[there]
+    if one.observable == "velocity":
+        error = _integral(time, error[None])[0]
+    moved: Array = np.interp(grid, time, error - error[0])
+    return moved
+
+
+def _integral(time: Array, values: Array) -> Array:
+    """Return integrals from the first time on, shape (k, n).
+
+    A polynomial is integrated exactly, and trapezoids only what it leaves: a gap in the record
+    then costs next to nothing, for across it the error is not straight.
+    """
+    result = np.empty_like(values)
+    for row, one in enumerate(values):
+        smooth = Polynomial.fit(time, one, min(_DEGREE, time.size - 1))
+        rest, whole = one - smooth(time), smooth.integ(lbnd=float(time[0]))
+        steps = 0.5 * np.diff(time) * (rest[1:] + rest[:-1])
+        result[row] = whole(time) + np.append(0.0, np.cumsum(steps))
+    return result

@@ -1,0 +1,188 @@
+"""Records in memory: columns that a program holds, read like those of a file.
+
+- `memory_table`: a frame of any library, or a mapping of arrays -> `MemoryTable`
+- `MemoryTable`: its columns, copied, and their checksum
+- `MemoryFile`: the same as the reader of records takes it
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from counterspin.errors import RecordError
+from counterspin.frozen import frozen
+from counterspin.records.column_file import ColumnFile
+from counterspin.records.pieces import Columns
+
+if TYPE_CHECKING:
+    import polars as pl
+
+#: What numpy calls kinds of numbers: truth values, integers, floating point.
+_NUMBERS: Final = "biuf"
+
+
+@frozen(eq=False)
+class MemoryTable:
+    """Columns of one record.
+
+    Attributes
+    ----------
+    name
+        What messages call it.
+    columns
+        Name -> values, float64, shape (n,), read-only; NaN where there is none.
+    others
+        Names of columns that hold something else than numbers.
+    """
+
+    name: str
+    columns: Mapping[str, np.ndarray]
+    others: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        """Return what messages call it."""
+        return self.name
+
+    @cached_property
+    def checksum(self) -> str:
+        """SHA-256 of the columns, such as ``sha256:9f86...``.
+
+        Of each in turn: its name in UTF-8, a zero byte, and its values as little-endian float64.
+        """
+        digest = hashlib.sha256()
+        for name, values in self.columns.items():
+            digest.update(name.encode("utf-8", "surrogatepass") + b"\0")
+            digest.update(np.ascontiguousarray(values, dtype="<f8").data)
+        return f"sha256:{digest.hexdigest()}"
+
+    def frame(self) -> pl.DataFrame:
+        """Return the columns as a polars frame."""
+        import polars as pl
+
+        return pl.DataFrame(dict(self.columns))
+
+
+class MemoryFile(ColumnFile):
+    """A table in memory in the place of a file."""
+
+    def __init__(self, table: MemoryTable) -> None:
+        self.path = Path(table.name)
+        self.names = [*table.columns, *table.others]
+        self.identity = None
+        self._table_in_memory = table
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Nothing is to be closed, and nobody else can have changed it."""
+
+    def _require(self, wanted: Sequence[str]) -> None:
+        for name in wanted:
+            if name in self._table_in_memory.others:
+                raise RecordError(f"{self.path}: column '{name}' holds no numbers.")
+
+    def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
+        yield {name: self._table_in_memory.columns[name] for name in wanted}
+
+    def _table(self) -> pl.DataFrame:
+        return self._table_in_memory.frame()
+
+
+def memory_table(name: str, frame: Any) -> MemoryTable:
+    """Copy the columns of a frame.
+
+    Parameters
+    ----------
+    name
+        What messages call it.
+    frame
+        A mapping of column names to arrays or lists, a structured array of numpy, a frame of
+        polars or pandas, or of any library that hands its columns over (``__arrow_c_stream__``,
+        ``__dataframe__``).
+
+    Raises
+    ------
+    RecordError
+        If it is none of these, has no rows, or its columns differ in length.
+    """
+    columns: dict[str, np.ndarray] = {}
+    others = []
+    for key, values in _columns_of(name, frame):
+        numbers = _numbers(values)
+        if numbers is None:
+            others.append(key)
+            continue
+        if numbers.ndim != 1:
+            raise RecordError(
+                f"{name}: column '{key}' has the shape {numbers.shape}; a column has one value "
+                "for each row."
+            )
+        columns[key] = numbers
+    lengths = {key: len(values) for key, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        said = ", ".join(f"'{key}' {length}" for key, length in lengths.items())
+        raise RecordError(f"{name}: the columns differ in length: {said}.")
+    if not any(lengths.values()):
+        raise RecordError(f"{name}: there are no rows of numbers.")
+    return MemoryTable(name, columns, tuple(others))
+
+
+def _columns_of(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the names and values of a frame's columns."""
+    if isinstance(frame, Mapping):
+        yield from ((str(key), values) for key, values in frame.items())
+    elif isinstance(frame, np.ndarray) and frame.dtype.names:
+        yield from ((key, frame[key]) for key in frame.dtype.names)
+    elif hasattr(frame, "columns") and hasattr(frame, "__getitem__"):
+        # Of pandas, polars and their like.
+        yield from ((str(key), frame[key]) for key in frame.columns)
+    elif hasattr(frame, "__arrow_c_stream__") or hasattr(frame, "__dataframe__"):
+        import polars as pl
+
+        arrow = hasattr(frame, "__arrow_c_stream__")
+        taken = pl.DataFrame(frame) if arrow else pl.from_dataframe(frame)
+        yield from ((column.name, column) for column in taken.get_columns())
+    else:
+        raise RecordError(
+            f"{name}: a {type(frame).__name__} has no named columns. Give a mapping of arrays, a "
+            "frame of polars or pandas, or a file."
+        )
+
+
+def _numbers(values: Any) -> np.ndarray | None:
+    """Return a read-only copy of a column as float64, None if it does not hold numbers."""
+    array = values.to_numpy() if hasattr(values, "to_numpy") else values
+    if isinstance(array, np.ma.MaskedArray) and array.dtype.kind in _NUMBERS:
+        array = np.ma.filled(array.astype(float), np.nan)
+    array = np.asarray(array)
+    if array.dtype == object:
+        # Numbers with gaps; a missing value of pandas is equal to nothing, not even to itself.
+        cells = array.ravel()
+        if any(isinstance(cell, str | bytes) for cell in cells):
+            return None
+        try:
+            gaps = [np.nan if cell is None or _is_missing(cell) else float(cell) for cell in cells]
+        except (TypeError, ValueError):
+            return None
+        array = np.array(gaps).reshape(array.shape)
+    if array.dtype.kind not in _NUMBERS:
+        return None
+    copied = np.array(array, dtype=np.float64)
+    if copied.ndim == 2 and 1 in copied.shape:
+        copied = copied.ravel()
+    copied.flags.writeable = False
+    return copied
+
+
+def _is_missing(cell: Any) -> bool:
+    return type(cell).__name__ in ("NAType", "NaTType")

@@ -1,0 +1,104 @@
+"""Results that show themselves where they are the last line of a notebook's cell, or printed.
+
+- `ShownResult`: a result with a short text, HTML and Markdown
+- `on_axes`: pictures on Matplotlib's axes, the caller's or new ones
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, Final, cast
+
+from counterspin.reports.blocks import Block, Picture
+from counterspin.reports.typography import typeset_block
+from counterspin.results import ResultFile
+
+if TYPE_CHECKING:
+    from counterspin.reports.text import Report
+
+#: Lines of a result's text in a cell; what is beyond them is in `print_result` or the report.
+LINES: Final = 20
+
+_WIDTH: Final = 100
+
+
+class ShownResult(ResultFile):
+    """A result that shows itself: a class of it says by what blocks, in `_report`."""
+
+    def _report(self) -> Report:
+        raise NotImplementedError
+
+    def _first_screen(self) -> Sequence[Block]:
+        """Return the blocks that a cell shows."""
+        return self._report().blocks
+
+    def __repr__(self) -> str:
+        """Return the beginning of the report as text, at most 20 lines."""
+        return short_text(self._first_screen())
+
+    __str__ = __repr__
+
+    def _repr_html_(self) -> str:
+        from counterspin.reports.html import cell
+
+        return cell(self._first_screen())
+
+    def _repr_markdown_(self) -> str:
+        from counterspin.reports.markdown import markdown
+
+        return markdown(self._first_screen())
+
+
+def short_text(blocks: Sequence[Block]) -> str:
+    """Return blocks as text of at most `LINES` lines; what is left out is counted."""
+    from rich.console import Console
+
+    from counterspin.reports.text import Report
+
+    console = Console(file=io.StringIO(), width=_WIDTH, highlight=False, color_system=None)
+    with console.capture() as capture:
+        console.print(Report(list(blocks)))
+    lines = [line.rstrip() for line in capture.get().rstrip().split("\n")]
+    if len(lines) <= LINES:
+        return "\n".join(lines)
+    return "\n".join([*lines[: LINES - 1], f"... {len(lines) - LINES + 1} more lines"])
+
+
+def on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:
+    """Draw pictures in the style of the reports on axes of Matplotlib.
+
+    Parameters
+    ----------
+    pictures
+        At least one.
+    axes
+        One matplotlib.axes.Axes, or as many as there are pictures. None: those of a new figure,
+        below each other, which a notebook shows.
+
+    Returns
+    -------
+    list of matplotlib.axes.Axes
+        Those drawn on.
+
+    Raises
+    ------
+    ValueError
+        If there are not as many axes as pictures.
+    """
+    import numpy as np
+
+    from counterspin.reports.drawing import COLOURS_OF_PAPER, draw, settings
+
+    with settings(COLOURS_OF_PAPER):
+        if axes is None:
+            import matplotlib.pyplot as plt
+
+            size = (7.0, 2.6 * len(pictures))
+            _, axes = plt.subplots(len(pictures), 1, figsize=size, layout="constrained")
+        own = list(np.atleast_1d(np.asarray(axes, dtype=object)).ravel())
+        if len(own) != len(pictures):
+            raise ValueError(f"there are {len(pictures)} pictures to draw on {len(own)} axes")
+        for picture, place in zip(pictures, own, strict=True):
+            draw(place, cast("Picture", typeset_block(picture)))
+    return own

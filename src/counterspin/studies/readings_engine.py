@@ -1,0 +1,214 @@
+"""Trials of campaigns with readings: simulated without linearisation, analysed as `calibrate` does.
+
+Records of a double turntable, if there are any, are simulated and analysed beside them.
+
+- `ReadingsEngine`: the trials
+- `readings_engine`: from a campaign and what is asked of it
+- `readings_bounds`: the least uncertainty that readings and records allow
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.readings import with_groups
+from counterspin.campaign.reading_simulation import head_errors, indications, numbered_groups
+from counterspin.campaign.readings import Reading
+from counterspin.campaign.resolved import Campaign
+from counterspin.frozen import frozen
+from counterspin.inference.blocks import Block
+from counterspin.inference.identifiability import assess
+from counterspin.inference.joint.estimation import estimate
+from counterspin.inference.joint.fit import solve_blocks
+from counterspin.inference.readings import Readings, blocks_at
+from counterspin.physics.machine import machine_term
+from counterspin.records.mean import stretches
+from counterspin.studies.analyses import JointRequest
+from counterspin.studies.draws import Draws, StudyTruth
+from counterspin.studies.full_engine import FullEngine
+from counterspin.studies.two_stage_engine import Trials
+
+_NO_NOISE: Final = "the readings have no noise, so that nothing scatters"
+
+
+@frozen
+class ReadingsEngine:
+    """Trials of one joint analysis of a campaign with readings.
+
+    Attributes
+    ----------
+    request
+        What is asked of the analysis.
+    rows
+        Places of the model's unknowns that are reported.
+    readings
+        Of the campaign, m of them, in its order.
+    groups
+        The same as the fit takes them, with the places of each.
+    noise
+        True standard deviation of the mean of each reading's repeats, g, shape (m,).
+    scattered
+        Degrees of freedom of an uncertainty that is found anew in each trial, as that of a record
+        is; infinite where it is stated; shape (m,).
+    records
+        Trials of the records beside them; None: there are none.
+    """
+
+    request: JointRequest
+    rows: tuple[int, ...]
+    readings: tuple[Reading, ...]
+    groups: tuple[tuple[Readings, tuple[int, ...]], ...]
+    noise: Array
+    scattered: Array
+    records: FullEngine | None = None
+
+    def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
+        """Return what the analysis says of n trials; see `TwoStageEngine.trials`."""
+        trials = [self._trial(draws.take(trial), generator) for trial in range(draws.trials)]
+        estimate_, u, dof = (np.array(part).T for part in zip(*trials, strict=True))
+        return Trials(estimate_, u, dof)
+
+    def _trial(self, draws: Draws, generator: np.random.Generator) -> tuple[Array, Array, Array]:
+        model = self.request.model
+        found = None
+        if self.records is not None:
+            found = estimate(self.records.series(draws, generator), model, self.request.noise)
+        found, _ = with_groups(found, model, self._read(draws, generator))
+        rows, unknowns = list(self.rows), found.fit.model.unknowns
+        nominal = np.array([unknowns[place].nominal for place in rows])
+        solution = found.fit.solution
+        return solution.estimate[rows] + nominal, solution.u[rows], found.dof[rows]
+
+    def _read(self, draws: Draws, generator: np.random.Generator) -> list[Readings]:
+        """Return the readings of one trial."""
+        errors = head_errors(self.readings, generator)
+        noise = self.noise * generator.standard_normal(self.noise.size)
+        true = {key: float(value.mean()) for key, value in draws.values.items()}
+        machine = {
+            symbol: value
+            for (owner, symbol), value in true.items()
+            if not owner and machine_term(symbol)
+        }
+        radius = float(draws.radius[0])
+        read = []
+        for group, places in self.groups:
+            at = list(places)
+            own = {s: value for (owner, s), value in true.items() if owner == group.accelerometer}
+            # The analysis assumes the campaign's radius, whatever is true.
+            actual = replace(group, stations=_carried(group, radius))
+            value = indications(actual, own, machine, errors[at]) + noise[at]
+            one = replace(group, value=value)
+            if group.u is None:
+                repeats = group.repeats - 1.0
+                scatter = 2.0 * generator.standard_gamma(0.5 * repeats)
+                variances = self.noise[at] ** 2 * group.repeats
+                one = replace(one, scatter=scatter * variances)
+            elif np.isfinite(self.scattered[at]).any():
+                dof = np.where(np.isfinite(self.scattered[at]), self.scattered[at], 1.0)
+                found = self.noise[at] * np.sqrt(2.0 * generator.standard_gamma(0.5 * dof) / dof)
+                one = replace(one, u=np.where(np.isfinite(self.scattered[at]), found, group.u))
+            read.append(one)
+        return read
+
+
+def _carried(group: Readings, radius: float) -> tuple:  # type: ignore[type-arg]
+    return tuple(
+        replace(station, radius=radius) if station.rate else station for station in group.stations
+    )
+
+
+def readings_engine(
+    campaign: Campaign, request: JointRequest, records: FullEngine | None
+) -> ReadingsEngine:
+    """Return the engine of an analysis.
+
+    Parameters
+    ----------
+    campaign
+        With [truth] and readings.
+    request
+        What is asked of the analysis; all its unknowns are reported until some are chosen.
+    records
+        Trials of the campaign's records; None: it has none.
+
+    Raises
+    ------
+    ValueError
+        If readings have no noise.
+    """
+    assert campaign.simulation is not None
+    known = campaign.simulation.truth.reading_noise
+    readings, noise, scattered = [], [], []
+    for reading in campaign.readings:
+        own = known.get(reading.accelerometer)
+        true = (reading.u or 0.0) if own is None else own / math.sqrt(reading.repeats)
+        dof = math.inf
+        if reading.record is not None:
+            true, dof = _of_record(campaign, reading)
+        if true <= 0.0 and reading.u is None:
+            raise ValueError(f"{_NO_NOISE}: {reading.name}")
+        readings.append(replace(reading, value=0.0, u=true if math.isfinite(dof) else reading.u))
+        noise.append(true)
+        scattered.append(dof)
+    ready = replace(campaign, readings=tuple(readings))
+    return ReadingsEngine(
+        request,
+        tuple(request.reported),
+        ready.readings,
+        tuple((group, tuple(places)) for group, places in numbered_groups(ready)),
+        np.array(noise),
+        np.array(scattered),
+        records,
+    )
+
+
+def _of_record(campaign: Campaign, reading: Reading) -> tuple[float, float]:
+    """Return the standard deviation of a record's mean, g, and the freedom of what it shows."""
+    assert campaign.simulation is not None
+    duration = reading.duration or 0.0
+    noise, rate = campaign.simulation.truth.noise, campaign.simulation.sampling_rate
+    turns = math.floor(duration * abs(reading.rate) / (2.0 * math.pi) + 1e-9)
+    if reading.rate and turns:
+        duration = turns * 2.0 * math.pi / abs(reading.rate)
+    white = float(noise.specific_force) / math.sqrt(max(duration * rate, 1.0))
+    walk = float(noise.acceleration) / math.sqrt(max(duration, 1.0 / rate))
+    return math.hypot(white, walk) / campaign.gravity.value, stretches(turns) - 1.0
+
+
+def readings_bounds(
+    engine: ReadingsEngine, truth: StudyTruth, beside: Sequence[Block] = ()
+) -> dict[str, float]:
+    """Return the least standard uncertainty that readings and records allow, by unknown.
+
+    The bound is that of the true noise, of the unknowns with what is known of them beforehand,
+    everything else being known. An unknown that the data do not determine has none.
+
+    Parameters
+    ----------
+    engine
+        Its readings, noise and model.
+    truth
+        Where derivatives are taken.
+    beside
+        Information of records, of the same model.
+    """
+    model = engine.request.model
+    groups = [
+        replace(group, u=np.maximum(engine.noise[list(places)], 1e-15))
+        for group, places in engine.groups
+    ]
+    at = np.array([truth.mean(u.owner, u.symbol) - u.nominal for u in model.unknowns])
+    solution = solve_blocks([*beside, *blocks_at(groups, model, at)], model)
+    determined = assess(solution, [u.name for u in model.unknowns]).determined
+    variance = np.diag(solution.covariance_noise + solution.covariance_prior)
+    return {
+        u.name: float(np.sqrt(v))
+        for u, v in zip(model.unknowns, variance, strict=True)
+        if determined[u.name]
+    }

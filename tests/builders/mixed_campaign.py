@@ -1,0 +1,118 @@
+"""One accelerometer at rest, on an arm and on a double turntable, in one campaign."""
+
+import math
+
+import numpy as np
+from reading_campaigns import SITE, TRUTH, arm, simulated
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.simulation import simulate
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.station import Station
+
+RATES = (3.0, 6.0, 9.9)
+KINDS = ("double turntable", "at rest", "arm")
+HEAD = """schema = 1
+site = { gravity = "9.80665 m/s^2", latitude = "0.8 rad" }
+[centrifuge]
+radius = "1.0 ± 1e-6 m"
+[records]
+time = { column = "time_s", unit = "s" }
+angle = { column = "angle_rad", unit = "rad" }
+[accelerometers.A]
+input_axis = "east"
+pendulous_axis = "down"
+output = { unit = "mA", sensitivity = "1.25 mA/g" }
+displacement = { column = "east_m", unit = "m" }
+[noise]
+displacement = "1e-3 m"
+"""
+MODEL = """[model]
+terms = ["K_F", "K_I", "K_II", "K_III", "delta_O", "platform.tilt"]
+[model.priors]
+"platform.tilt" = "0 ± 0.5 arcsec"
+"""
+RUNS = "".join(
+    f'[[runs]]\nname = "turntable {i}"\nrate = "{rate} rad/s"\nrecord = "run{i}.csv"\n'
+    for i, rate in enumerate(RATES)
+)
+TRUE = """[simulation]
+sampling_rate = "10 Hz"
+seed = 5
+revolutions = 20
+[truth.A]
+K_F = "2e-3 g"
+K_I = "1.0005 g/g"
+K_II = "15e-6 g/g^2"
+K_III = "2e-6 g/g^3"
+[truth.noise]
+displacement = "1e-3 m"
+"""
+
+
+def tumble(count=12):
+    """Stations at rest, turned about north from the axes of the campaign."""
+    stations = []
+    for angle in np.arange(count) * 2.0 * np.pi / count:
+        cos, sin = math.cos(angle), math.sin(angle)
+        stations.append(Station("static", Mounting.from_axes([cos, 0, -sin], [-sin, 0, -cos])))
+    return stations, [""] * count, np.tile([0.0, 1.0, 0.0], (count, 1))
+
+
+class MixedCampaign:
+    """Records in a folder, and readings drawn beside them.
+
+    The noise of the readings makes each kind about as good as the others at K_II.
+    """
+
+    def __init__(self, folder, seed=1, u_rest=2e-6, u_arm=4e-5):
+        self.folder, self.u_rest, self.u_arm = folder, u_rest, u_arm
+        (folder / "plan").mkdir()
+        (folder / "plan" / "campaign.toml").write_text(HEAD + RUNS + TRUE, encoding="utf-8")
+        simulate(folder / "plan", folder / "all")
+        self.draw(seed)
+
+    def draw(self, seed):
+        """Draw the readings again."""
+        rng = np.random.default_rng(seed)
+        self.at_rest = simulated(tumble(), rng, self.u_rest, truth=TRUTH)
+        self.on_arm = simulated(arm(), rng, self.u_arm, truth=TRUTH)
+
+    def _rest(self):
+        return "".join(
+            f'[[runs]]\nname = "rest {i}"\nmotion = "static"\nattitude = "{30 * i} deg about '
+            f'north"\nreading = "{1.25 * value!r} ± {1.25 * self.u_rest!r} mA"\n'
+            for i, value in enumerate(self.at_rest.tolist())
+        )
+
+    def _arm(self):
+        stations, sides, _ = arm()
+        return "".join(
+            f'[[runs]]\nname = "{side} {i}"\nmotion = "arm"\nrate = "{station.rate!r} rad/s"\n'
+            f'axes = {{ input = "{side}", pendulous = "forward" }}\n'
+            f'reading = "{1.25 * value!r} ± {1.25 * self.u_arm!r} mA"\n'
+            for i, (station, side, value) in enumerate(
+                zip(stations, sides, self.on_arm.tolist(), strict=True)
+            )
+        )
+
+    def description(self, kinds=KINDS, model=MODEL):
+        """Return the description of a campaign of these kinds."""
+        text = HEAD + model
+        if "double turntable" not in kinds:
+            cut = HEAD.index("displacement ="), HEAD.index("[noise]")
+            text = HEAD[: cut[0]] + HEAD[cut[1] :].split("[noise]", maxsplit=1)[0] + model
+            text = text.replace(', "platform.tilt"]', "]").split("[model.priors]")[0]
+        parts = {"double turntable": RUNS, "at rest": self._rest(), "arm": self._arm()}
+        return text + "".join(parts[kind] for kind in kinds)
+
+    def calibrated(self, kinds=KINDS, model=MODEL):
+        """Return the result of these kinds of test."""
+        target = self.folder / "all" / "campaign.toml"
+        target.write_text(self.description(kinds, model), encoding="utf-8")
+        return calibrate(self.folder / "all")
+
+
+def arm_with(coefficients):
+    """Return what the arm reads without noise if the coefficients are others there."""
+    return np.array([s.indicated(SITE, TRUTH | coefficients) for s in arm()[0]])

@@ -1,0 +1,54 @@
+"""Workbooks as Excel writes them, as far as their reader looks at them."""
+
+import zipfile
+from xml.sax.saxutils import escape
+
+_MAIN = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+_OFFICE = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+_PACKAGE = "http://schemas.openxmlformats.org/package/2006"
+_TYPES = (
+    f'<Types xmlns="{_PACKAGE}/content-types"><Default Extension="rels" '
+    'ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
+    '<Default Extension="xml" ContentType="application/xml"/></Types>'
+)
+
+
+def write_workbook(path, sheets):
+    """Write sheets, name -> rows of text, numbers or None."""
+    numbered = list(enumerate(sheets.items(), 1))
+    with zipfile.ZipFile(path, "w") as file:
+        file.writestr("[Content_Types].xml", _TYPES)
+        file.writestr("_rels/.rels", _relations([("officeDocument", "xl/workbook.xml")]))
+        listed = "".join(
+            f'<sheet name="{escape(name)}" sheetId="{i}" r:id="r{i}"/>' for i, (name, _) in numbered
+        )
+        file.writestr(
+            "xl/workbook.xml",
+            f'<workbook xmlns="{_MAIN}" xmlns:r="{_OFFICE}"><sheets>{listed}</sheets></workbook>',
+        )
+        parts = [("worksheet", f"worksheets/sheet{i}.xml") for i, _ in numbered]
+        file.writestr("xl/_rels/workbook.xml.rels", _relations(parts))
+        for i, (_, rows) in numbered:
+            body = "".join(_row(k, row) for k, row in enumerate(rows, 1))
+            text = f'<worksheet xmlns="{_MAIN}"><sheetData>{body}</sheetData></worksheet>'
+            file.writestr(f"xl/worksheets/sheet{i}.xml", text)
+    return path
+
+
+def _relations(parts):
+    lines = "".join(
+        f'<Relationship Id="r{i}" Type="{_OFFICE}/{kind}" Target="{target}"/>'
+        for i, (kind, target) in enumerate(parts, 1)
+    )
+    return f'<Relationships xmlns="{_PACKAGE}/relationships">{lines}</Relationships>'
+
+
+def _row(number, row):
+    cells = ""
+    for place, cell in enumerate(row):
+        name = f"{chr(65 + place)}{number}"
+        if isinstance(cell, str):
+            cells += f'<c r="{name}" t="inlineStr"><is><t>{escape(cell)}</t></is></c>'
+        elif cell is not None:
+            cells += f'<c r="{name}"><v>{cell!r}</v></c>'
+    return f'<row r="{number}">{cells}</row>'

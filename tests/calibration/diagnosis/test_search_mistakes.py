@@ -1,0 +1,292 @@
+"""Deliberate mistakes are named or refused, as the documentation's table says, row by row."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mistaken_campaigns import (
+    ANGLE,
+    EAST,
+    NOISE,
+    NORTH,
+    TIME,
+    Mistake,
+    added,
+    exchanged,
+    late_angle,
+    make_records,
+    mistaken,
+    multiplied,
+    step,
+    swapped_columns,
+)
+
+from counterspin import calibrate
+from counterspin.errors import CounterspinError
+
+PAGE = Path(__file__).parents[3] / "docs" / "diagnosis.md"
+RADIUS = 'radius = "2.5 m"'
+BIAS = 'bias = "0.0050321 ± 2e-6 g"'
+SCALE = 'scale_factor = "1.0019743 ± 5e-6 g/g"'
+K_II = 'K_II = "2.7e-5 g/g^2"'
+TILT = '"platform.tilt" = "0 ± 0.5 arcsec"'
+
+MISTAKES = (
+    Mistake(
+        "radius 2.6 m for 2.5 m",
+        "wrong-input centrifuge.radius",
+        description=((RADIUS, 'radius = "2.6 m"'),),
+    ),
+    Mistake(
+        "radius 2.6 m for 2.5 m",
+        "wrong-input centrifuge.radius",
+        description=((RADIUS, 'radius = "2.6 m"'),),
+        estimated=True,
+    ),
+    Mistake(
+        "radius 2.502 ± 0.0001 m for 2.5 m",
+        "wrong-input centrifuge.radius",
+        description=((RADIUS, 'radius = "2.502 ± 1e-4 m"'),),
+    ),
+    Mistake(
+        "radius 2.5 cm for 2.5 m",
+        "between m and cm: check the column's unit",
+        description=((RADIUS, 'radius = "2.5 cm"'),),
+        state="",
+    ),
+    Mistake(
+        "displacement of one accelerometer in mm for m",
+        "between m and mm",
+        records=multiplied(None, EAST, 1e3),
+        state="",
+    ),
+    Mistake(
+        "scale of one accelerometer's record off by 0.5 %",
+        "wrong-scale Qx",
+        records=multiplied(None, EAST, 1.005),
+    ),
+    Mistake(
+        "scale of one record off by 0.2 %",
+        "wrong-scale middle.Qx",
+        records=multiplied("middle", EAST, 1.002),
+    ),
+    Mistake(
+        "scale of one record off by 0.2 %",
+        "wrong-scale middle.Qx",
+        records=multiplied("middle", EAST, 1.002),
+        estimated=True,
+    ),
+    Mistake(
+        "angle's zero off by 1 deg",
+        "wrong-angle records.angle",
+        records=added(None, ANGLE, lambda t: math.radians(1.0)),
+    ),
+    Mistake(
+        "angle's zero off by 10 deg",
+        "wrong-angle records.angle",
+        records=added(None, ANGLE, lambda t: math.radians(10.0)),
+    ),
+    Mistake(
+        "angle's zero off by 90 deg",
+        "is turned by 90 degrees against the input axis",
+        records=added(None, ANGLE, lambda t: math.radians(90.0)),
+        state="",
+    ),
+    Mistake(
+        "angle's zero off by 1 deg in one run",
+        "wrong-angle fast",
+        records=added("fast", ANGLE, lambda t: math.radians(1.0)),
+        state="reservations",
+    ),
+    Mistake(
+        "angle counted in the other sense",
+        "The angle runs in the opposite sense",
+        records=multiplied(None, ANGLE, -1.0),
+        state="",
+    ),
+    Mistake(
+        "angle sampled 5 ms after the displacement",
+        "wrong-input records.timing_offset",
+        records=late_angle(0.005),
+    ),
+    Mistake(
+        "columns of the two accelerometers exchanged",
+        "check the input axis, its sign, and which column is which",
+        records=swapped_columns,
+        state="",
+    ),
+    Mistake(
+        "sign of an accelerometer's record",
+        "check the input axis, its sign, and which column is which",
+        records=multiplied(None, NORTH, -1.0),
+        state="",
+    ),
+    Mistake(
+        "records of two runs exchanged",
+        "rate",
+        records=exchanged("slow", "fast"),
+        state="",
+    ),
+    Mistake(
+        "bias off by 10 of its u",
+        "prior-conflict Qx.K_F",
+        description=((BIAS, 'bias = "0.0050521 ± 2e-6 g"'),),
+    ),
+    Mistake(
+        "bias in mg for g",
+        "prior-conflict Qx.K_F",
+        description=((BIAS, 'bias = "5.0321e-6 ± 2e-9 g"'),),
+    ),
+    Mistake(
+        "bias in m/s^2 for g",
+        "prior-conflict Qx.K_F",
+        description=((BIAS, 'bias = "0.049348 ± 2e-5 g"'),),
+    ),
+    Mistake(
+        "sign of the bias",
+        "prior-conflict Qx.K_F",
+        description=((BIAS, 'bias = "-0.0050321 ± 2e-6 g"'),),
+    ),
+    Mistake(
+        "scale factor off by 0.1 %",
+        "prior-conflict Qx.K_I",
+        description=((SCALE, 'scale_factor = "1.0029743 ± 5e-6 g/g"'),),
+    ),
+    Mistake(
+        "tilt of every run 6 arcsec, stated as 0 ± 0.5",
+        "prior-conflict platform.tilt",
+        description=((TILT, '"platform.tilt" = "6 ± 0.5 arcsec"'),),
+    ),
+    Mistake(
+        "a jump of 5 cm in one record",
+        "jump middle.Qx",
+        records=added("middle", EAST, step(0.05, 0.4)),
+    ),
+    Mistake(
+        "a jump of 5 cm in one record",
+        "jump middle.Qx",
+        records=added("middle", EAST, step(0.05, 0.4)),
+        estimated=True,
+        state="reservations",
+    ),
+    Mistake(
+        "a record that drifts from its middle on, 10 cm by its end",
+        "jump slow.Qx",
+        records=added("slow", EAST, lambda t: 0.2 * np.maximum(t / t[-1] - 0.5, 0.0)),
+    ),
+    Mistake(
+        "a slow error of 20 cm in one record",
+        "prior-conflict middle.platform.tilt.north",
+        records=added("middle", EAST, lambda t: 0.2 * (t / t[-1]) ** 2),
+    ),
+    Mistake(
+        "a slow error of 20 cm in one record",
+        "prior-conflict middle.platform.tilt.north",
+        records=added("middle", EAST, lambda t: 0.2 * (t / t[-1]) ** 2),
+        estimated=True,
+    ),
+    Mistake(
+        "K_III of 2e-5 g/g^3 left out",
+        "term-missing Qx.K_III",
+        truth=((K_II, f'{K_II}\nK_III = "2e-5 g/g^3"'),),
+        state="reservations",
+    ),
+    Mistake(
+        "noise stated half as large",
+        "wrong-noise Qx",
+        description=((NOISE, NOISE.replace("0.01", "0.005")),),
+        state="reservations",
+    ),
+    Mistake(
+        "noise stated twice as large",
+        "wrong-noise Qy",
+        description=((NOISE, NOISE.replace("0.01", "0.02")),),
+        state="reservations",
+    ),
+    Mistake(
+        "gravity 9.7066 m/s^2 for 9.8066 m/s^2",
+        "wrong-input site.gravity",
+        description=(('gravity = "9.8066 m/s^2"', 'gravity = "9.7066 m/s^2"'),),
+    ),
+    Mistake(
+        "clock 0.2 % fast",
+        "prior-conflict platform.tilt",
+        records=multiplied(None, TIME, 1.002),
+    ),
+    Mistake(
+        "time in ms for s",
+        "Is the time column in seconds rather than milliseconds?",
+        description=(('column = "time_s", unit = "s"', 'column = "time_s", unit = "ms"'),),
+        state="",
+    ),
+    Mistake(
+        "angle in deg for rad",
+        "Is the angle column in radians?",
+        description=(('"angle_rad", unit = "rad"', '"angle_rad", unit = "deg"'),),
+        state="",
+    ),
+    Mistake(
+        "a run in the other sense",
+        "give the rate the other sign",
+        description=(('rate = "1 rev/s"', 'rate = "-1 rev/s"'),),
+        state="",
+    ),
+    Mistake(
+        "rate of a run 1.2 rev/s for 1 rev/s",
+        "check the rate, and the record's units",
+        description=(('rate = "1 rev/s"', 'rate = "1.2 rev/s"'),),
+        state="",
+    ),
+    Mistake(
+        "a jump of 2 cm in one record",
+        "jump slow.Qy",
+        records=added("slow", NORTH, step(0.02, 0.7)),
+        state="reservations",
+    ),
+)
+
+
+def row_of(mistake):
+    """Return the row of the documentation's table that a mistake has."""
+    noise = "estimated" if mistake.estimated else "given"
+    if not mistake.state:
+        return f"| {mistake.words} | {noise} | refused: {mistake.says} |"
+    return f"| {mistake.words} | {noise} | {mistake.state}: `{mistake.says.replace(' ', '` `')}` |"
+
+
+def test_the_documentation_s_table_is_these_rows():
+    page = PAGE.read_text(encoding="utf-8")
+    table = page[page.index("| mistake |") :].split("\n\n")[0].splitlines()
+    assert table[2:] == [row_of(mistake) for mistake in MISTAKES]
+    assert len(MISTAKES) >= 25
+
+
+def named(mistake):
+    return mistake.words + (", noise estimated" if mistake.estimated else "")
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    return make_records(tmp_path_factory.mktemp("sound"))
+
+
+@pytest.mark.parametrize("estimated", [False, True])
+def test_the_sound_campaign_is_good(sound, tmp_path, estimated):
+    found = calibrate(mistaken(tmp_path, Mistake("", "", estimated=estimated), sound))
+    assert (found.state, found.findings) == ("good", [])
+
+
+@pytest.mark.parametrize("mistake", MISTAKES, ids=named)
+def test_a_mistake_is_named(mistake, sound, tmp_path):
+    records = make_records(tmp_path / "other", *mistake.truth) if mistake.truth else sound
+    folder = mistaken(tmp_path / "mistaken", mistake, records)
+    if not mistake.state:
+        with pytest.raises(CounterspinError) as refused:
+            calibrate(folder)
+        assert mistake.says in " ".join(str(refused.value).split())
+        return
+    found = calibrate(folder)
+    first = found.findings[0]
+    assert f"{first.code} {first.subject}" == mistake.says
+    assert found.state == mistake.state

@@ -1,0 +1,276 @@
+"""What a notebook asks of a result: against the result's own numbers and other packages."""
+
+import math
+import pickle
+
+import matplotlib as mpl
+import numpy as np
+import polars as pl
+import pytest
+from campaigns import SMALL, changed, write
+from results import result as made_by_hand
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.notebook.latex import (
+    latex_number,
+    latex_symbol,
+    latex_text,
+    latex_unit,
+)
+from counterspin.calibration.result import Result, read_result
+from counterspin.campaign.simulation import simulate
+from counterspin.errors import CounterspinError
+from counterspin.reports.shown import LINES
+
+mpl.use("Agg")
+
+TILTING = changed(
+    SMALL,
+    (
+        '[noise]\ndisplacement = "0.01 m"\n',
+        '[noise]\ndisplacement = "0.01 m"\n\n[model]\n'
+        'terms = ["K_F", "K_II", "platform.tilt.north"]\n\n[model.priors]\n'
+        '"platform.tilt.north" = "0 ± 0.5 arcsec"\n',
+    ),
+    ('scale_factor = "0.999 g/g"', 'scale_factor = "0.999 ± 1e-5 g/g"'),
+    ('"9.8066 m/s^2"', '"9.8066 ± 1e-2 m/s^2"'),
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    where = tmp_path_factory.mktemp("notebook")
+    simulate(write(where, TILTING, "plan.toml"), where / "records")
+    return where / "records"
+
+
+@pytest.fixture(scope="module")
+def result(folder):
+    return calibrate(folder)
+
+
+def test_coefficient_prints_as_its_field_writes_it(result):
+    c = made_by_hand().accelerometers["Qx"].coefficients["K_II"]
+    assert str(c) == repr(c) == "27.0000(10) ug/g^2"
+    assert c._repr_latex_() == r"$27.0000(10)\,\mathrm{\mu g/g^{2}}$"
+    prior = c.model_copy(update={"estimated": False})
+    assert str(prior) == "27.0000(10) ug/g^2 (prior, not determined)"
+    assert str(c.model_copy(update={"value": None})) == "not determined"
+
+
+def test_interval_is_student_s():
+    from scipy import stats
+
+    c = made_by_hand().accelerometers["Qx"].coefficients["K_II"]
+    low, high = c.interval(0.99)
+    half = stats.t.ppf(0.995, c.dof) * c.u
+    assert (low, high) == pytest.approx((c.value - half, c.value + half), rel=1e-12)
+    for coverage in (0.0, 1.0, math.nan):
+        with pytest.raises(ValueError, match="between 0 and 1"):
+            c.interval(coverage)
+    with pytest.raises(ValueError, match="do not determine"):
+        c.model_copy(update={"value": None, "estimated": False}).interval()
+
+
+def test_si_value_needs_a_gravity_and_takes_that_of_its_result(result):
+    c = result.coefficient("Qx.K_F")
+    si = c.to_si()
+    assert si.value == pytest.approx(c.value * 9.8066, rel=1e-15)
+    assert si.unit.words == "m s^-2"
+    # What an uncertain g does to K_F in g it does not do to K_F in m/s^2.
+    assert si.u < 0.9 * c.u * 9.8066
+    assert c.to_si(9.8066).u == pytest.approx(c.u * 9.8066, rel=1e-15)
+    alone = type(c)(value=c.value, u=c.u, unit="g", estimated=True)
+    with pytest.raises(ValueError, match="gravity"):
+        alone.to_si()
+
+
+def test_text_of_a_result_is_short_however_large_it_is(result):
+    text = repr(result)
+    assert str(result) == text
+    assert len(text.split("\n")) <= LINES
+    assert "Qx.K_II" in text
+    assert str(result.coefficient("Qx.K_II")) in text
+    many = {f"a{i}": result.accelerometers["Qx"] for i in range(40)}
+    text = repr(result.model_copy(update={"accelerometers": many}))
+    assert len(text.split("\n")) == LINES
+    assert "more coefficients" in text
+
+
+def test_cell_shows_the_answer_in_html_and_markdown(result):
+    html, markdown = result._repr_html_(), result._repr_markdown_()
+    assert "K<sub><i>_</i>II</sub> of Qx" in html
+    assert "prefers-color-scheme: dark" in html
+    assert "<script" not in html
+    assert "http" not in html
+    assert "of Qx" in markdown
+    assert "<script>" not in result.model_copy(update={"title": "<script>"})._repr_html_()
+
+
+def test_covariance_has_the_names_of_all_coefficients(result):
+    covariance = result.covariance
+    assert "Qx.K_F" in covariance.terms
+    assert "Qy.K_II" in covariance.terms
+    assert any(term.startswith("slow.platform.tilt") for term in covariance.terms)
+    for term in covariance.terms:
+        assert covariance[term, term] == pytest.approx(result.coefficient(term).u ** 2, rel=1e-12)
+    a, b = "Qx.K_F", "slow.platform.tilt.north"
+    r = covariance[a, b] / math.sqrt(covariance[a, a] * covariance[b, b])
+    assert r == pytest.approx(result.correlation[a, b], rel=1e-12)
+    own = result.accelerometers["Qx"].correlation
+    assert own["K_F", "K_II"] == pytest.approx(result.correlation["Qx.K_F", "Qx.K_II"], rel=1e-9)
+    # Both see the same uncertain gravity.
+    assert abs(result.correlation["Qx.K_F", "Qy.K_F"]) > 1e-3
+    assert np.asarray(covariance).shape == (len(covariance),) * 2
+    mine = np.array(covariance)
+    mine[:] = 0.0
+    assert covariance[a, a] > 0.0  # a copy is the caller's own
+    assert np.asarray(covariance, dtype=np.float32).dtype == np.float32
+    np.testing.assert_array_equal(covariance[[a, b]], covariance[[b, a]][::-1, ::-1])
+    assert covariance["Qx.K_F"][b] == covariance[a, b]
+    with pytest.raises(KeyError, match=r"K_IV.*there are Qx\.K_F"):
+        covariance["K_IV", a]
+    frame = covariance.frame()
+    assert frame["term"].to_list() == list(covariance.terms)
+    assert frame[b][covariance.terms.index(a)] == covariance[a, b]
+    assert len(repr(covariance).split("\n")) <= LINES
+    assert "<table>" in covariance._repr_html_()
+
+
+def test_covariance_is_missing_with_its_reason(folder):
+    two_stage = calibrate(folder, method="two-stage")
+    assert two_stage.covariance is None
+    with pytest.raises(CounterspinError, match="two-stage method estimates each by itself"):
+        two_stage.to_uncertainties()
+
+
+def test_table_has_a_row_for_each_coefficient(result):
+    table = result.table()
+    owner, term = pl.col("owner"), pl.col("term")
+    k_ii = table.row(by_predicate=(owner == "Qx") & (term == "K_II"), named=True)
+    c = result.coefficient("Qx.K_II")
+    assert k_ii["value"] == pytest.approx(1e6 * c.value)
+    assert k_ii["unit"] == "ug/g^2"
+    assert (k_ii["low"], k_ii["high"]) == pytest.approx([1e6 * end for end in c.interval()])
+    prior = table.row(by_predicate=owner == "slow", named=True)
+    assert prior["term"] == "platform.tilt.north"
+    assert prior["unit"] == "arcsec"
+    same = result.table("pandas")
+    assert same["u"].tolist() == table["u"].to_list()
+    assert list(same.columns) == table.columns
+    with pytest.raises(ValueError, match="polars or pandas"):
+        result.table("sql")
+
+
+def test_latex_table_escapes_what_latex_acts_on(result):
+    text = result.to_latex()
+    assert r"Qx & $K_{\mathrm{II}}$ & $" in text
+    assert text.count(r"\\") == len(result.table()) + 1
+    assert latex_text("a_b & 50 % \\ {x}") == r"a\_b \& 50 \% \textbackslash{} \{x\}"
+    assert latex_symbol("platform.tilt.north") == r"\text{platform.tilt.north}"
+    assert latex_number("2.70(37)e-5") == r"2.70(37) \times 10^{-5}"
+    assert latex_unit("m^-1 s^2") == r"\mathrm{m^{-1}\,s^{2}}"
+
+
+def test_other_packages_get_the_same_correlations(result):
+    uncertainties = pytest.importorskip("uncertainties")
+    package = pytest.importorskip("GTC")
+    ours, theirs, third = result.covariance, result.to_uncertainties(), result.to_gtc()
+    for name, one in theirs.items():
+        assert one.n == result.coefficient(name).value
+        assert one.s == pytest.approx(math.sqrt(ours[name, name]), rel=1e-9)
+        assert third[name].u == pytest.approx(math.sqrt(ours[name, name]), rel=1e-12)
+    a, b = "Qx.K_F", "Qx.K_II"
+    variance = ours[a, a] + ours[b, b] + 2.0 * ours[a, b]
+    assert (theirs[a] + theirs[b]).s == pytest.approx(math.sqrt(variance), rel=1e-9)
+    assert (third[a] + third[b]).u == pytest.approx(math.sqrt(variance), rel=1e-9)
+    matrix = uncertainties.covariance_matrix(list(theirs.values()))
+    np.testing.assert_allclose(matrix, ours.matrix, rtol=1e-6, atol=1e-9 * ours.matrix.max())
+    assert package.get_correlation(third[a], third[b]) == pytest.approx(result.correlation[a, b])
+
+
+def test_missing_package_is_named(result, monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "GTC", None)
+    with pytest.raises(CounterspinError, match="pip install GTC"):
+        result.to_gtc()
+
+
+def test_whole_residuals_are_arrays(result):
+    for left in result.residuals("Qx"):
+        assert left.accelerometer == "Qx"
+        assert left.time.shape == left.error.shape == left.fitted.shape == left.residual.shape
+        rounding = 8.0 * np.finfo(float).eps * np.abs(left.error).max()
+        np.testing.assert_allclose(left.fitted + left.residual, left.error, rtol=0, atol=rounding)
+        trace = result.accelerometers["Qx"].traces[left.run]
+        assert math.sqrt(np.mean(left.residual**2)) == pytest.approx(
+            trace.rms, rel=5e-4
+        )  # it has four digits
+        assert np.std(left.whitened) == pytest.approx(1.0, abs=5.0 / math.sqrt(left.whitened.size))
+        assert left.frame()["residual"].to_numpy() == pytest.approx(left.residual)
+    (fast,) = result.residuals("Qy", "fast")
+    assert fast.run == "fast"
+    assert "Qy in fast" in repr(fast)
+    with pytest.raises(KeyError, match="Qx in slow"):
+        result.residuals("Qz")
+
+
+def test_residuals_stay_with_the_calibration_and_not_with_its_file(result, tmp_path):
+    result.write(tmp_path / "result.json")
+    again = read_result(tmp_path / "result.json")
+    assert again == result
+    assert again.coefficient("Qx.K_F").to_si() == result.coefficient("Qx.K_F").to_si()
+    with pytest.raises(CounterspinError, match="calibrate the campaign again"):
+        again.residuals()
+    pickled = pickle.dumps(result)
+    assert len(pickled) < 2 * len(pickle.dumps(again))
+    assert pickle.loads(pickled) == result
+
+
+@pytest.mark.parametrize(
+    ("plot", "pictures"),
+    [
+        (Result.plot_residuals, 3),
+        (Result.plot_spectrum, 3),
+        (Result.plot_budget, 1),
+        (Result.plot_displacement, 3),
+    ],
+)
+def test_plots_are_drawn_on_the_axes_given(result, plot, pictures):
+    import matplotlib.pyplot as plt
+
+    drawn = plot(result, "Qy")
+    assert len(drawn) in (1, pictures)
+    assert all(axes.has_data() for axes in drawn)
+    assert "Qy" in drawn[0].get_title(loc="left")
+    _, own = plt.subplots(len(drawn), 1)
+    assert plot(result, "Qy", axes=own) == list(np.atleast_1d(own))
+    assert mpl.rcParams["axes.spines.top"]  # the reports' style ends with the drawing
+    _, too_many = plt.subplots(len(drawn) + 1, 1)
+    with pytest.raises(ValueError, match="to draw on"):
+        plot(result, "Qy", axes=too_many)
+    plt.close("all")
+
+
+def test_coefficient_of_no_such_name_is_told_which_there_are(result):
+    with pytest.raises(KeyError, match=r"Qx\.K_IX; there are .*Qx\.K_II.*slow\.platform\.tilt"):
+        result.coefficient("Qx.K_IX")
+
+
+def test_plot_of_nothing_says_so(result):
+    with pytest.raises(CounterspinError, match="keeps nothing"):
+        result.plot_budget("Qx", "K_III")
+    with pytest.raises(KeyError, match="there are Qx, Qy"):
+        result.plot_residuals("Qz")
+
+
+def test_damaged_correlation_is_refused(result):
+    shorter = result.correlation.model_copy(update={"matrix": result.correlation.matrix[1:]})
+    faults = result.model_copy(update={"correlation": shorter}).faults()
+    assert any("is not one of" in fault for fault in faults)
+
+
+def test_what_was_taken_out_of_a_result_is_not_in_its_covariance(result):
+    alone = {"Qy": result.accelerometers["Qy"]}
+    covariance = result.model_copy(update={"accelerometers": alone}).covariance
+    assert covariance["Qy.K_F", "Qy.K_II"] == result.covariance["Qy.K_F", "Qy.K_II"]
+    assert not any(term.startswith("Qx.") for term in covariance.terms)

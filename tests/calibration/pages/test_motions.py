@@ -1,0 +1,67 @@
+"""What a report says of each kind of test: sentences, the table, the forces."""
+
+from types import SimpleNamespace
+
+from counterspin.calibration.pages.motions import lines_of_tests, reading_blocks, table_of_tests
+from counterspin.calibration.result_parts import ReadingResult
+
+
+def reading(motion, rate=0.0, value=1.0, mounting="", axis=(0.0, 0.0, 1.0)):
+    return ReadingResult(
+        name="r",
+        motion=motion,
+        mounting=mounting,
+        input_axis=axis,
+        pendulous_axis=(1.0, 0.0, 0.0),
+        rate=rate,
+        value=value,
+        u=1e-6,
+        residual=0.0,
+        z=0.0,
+    )
+
+
+TUMBLE = [reading("static", value=v, axis=(0.0, 0.0, v)) for v in (1.0, -1.0, 1.0)]
+ARM = [
+    reading("arm", rate, side * rate**2 / 9.8, name, (-float(side), 0.0, 0.0))
+    for name, side in (("in", 1), ("out", -1))
+    for rate in (7.0, 14.0)
+]
+
+
+def result(readings, runs=()):
+    return SimpleNamespace(
+        accelerometers={"A": SimpleNamespace(readings=readings)},
+        runs=dict.fromkeys(runs),
+        platform={"centrifuge.radius.in": None, "centrifuge.stretch": None},
+    )
+
+
+def test_each_kind_of_test_is_a_sentence():
+    lines = list(lines_of_tests(result(TUMBLE + ARM, ("slow", "fast"))))
+    assert lines == [
+        "Read at rest in 2 positions, 3 readings (multi-position test, IEEE Std 1293).",
+        "Carried round by the arm of a centrifuge (IEEE Std 836) at 2 rates, 7 to 14 rad/s, one "
+        "sense, 2 mountings (in, out): 4 readings, each the mean over whole revolutions.",
+        "Carried round by a double turntable centrifuge at the rates stated: 2 records.",
+    ]
+
+
+def test_both_senses_and_a_single_rate():
+    (line,) = lines_of_tests(result([reading("counter-rotating", w) for w in (6.0, -6.0)]))
+    assert line.startswith("Carried round on a double turntable at 1 rate, 6 rad/s, both senses: 2")
+
+
+def test_the_table_has_a_row_for_each_mounting():
+    rows = table_of_tests(TUMBLE + ARM).rows
+    assert rows[0][1:] == ("", "2", "", "-1 to 1", "3")
+    assert rows[1][1:] == ("in", "1", "7 to 14", "5 to 20", "2")
+    assert rows[2][1:] == ("out", "1", "7 to 14", "-20 to -5", "2")
+
+
+def test_the_forces_are_those_of_the_motions_alone():
+    text = [block.text for block in reading_blocks(result(ARM))]
+    assert any(line.startswith("On the arm") for line in text)
+    assert not any("At rest" in line or "double turntable" in line for line in text)
+    assert text[-1].endswith("of the machine: centrifuge.radius.in.")
+    assert list(reading_blocks(result([]))) == []

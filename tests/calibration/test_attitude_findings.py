@@ -1,0 +1,65 @@
+"""Tilts beyond first order: what the exact simulation shows is what the finding says."""
+
+import math
+
+import pytest
+from campaigns import SMALL, changed, write
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.simulation import simulate
+
+ARCMIN = math.radians(1.0 / 60.0)
+
+#: Nothing stated as exact; the same noise each time.
+QUIET = changed(
+    SMALL,
+    ('"1.002 g/g"\ndisp', '"1.002 ± 1e-4 g/g"\ndisp'),
+    ('"0.999 g/g"\ndisp', '"0.999 ± 1e-4 g/g"\ndisp'),
+    ('displacement = "0.01 m"', 'displacement = "0.0002 m"'),
+    ("[truth.spindle]", '[truth.platform]\ntilt = { north = "TILT" }\n\n[truth.spindle]'),
+)
+
+
+def calibrated(folder, tilt, prior, key="considered"):
+    model = {"considered": "considered", "estimated": "terms"}[key]
+    listed = '["platform.tilt.north"]'
+    if key == "estimated":
+        listed = '["K_F", "K_I", "K_II", "K_III", "platform.tilt.north"]'
+    text = changed(
+        QUIET,
+        ("TILT", tilt),
+        (
+            "[noise]\n",
+            f'[model]\n{model} = {listed}\npriors = {{ "platform.tilt.north" = "{prior}" }}\n\n'
+            "[noise]\n",
+        ),
+    )
+    simulate(write(folder, text, "plan.toml"), folder / "records", overwrite=True)
+    return calibrate(folder / "records")
+
+
+def large(result):
+    return {f.subject: f for f in result.findings if f.code == "large-tilt"}
+
+
+@pytest.mark.parametrize("key", ["considered", "estimated"])
+def test_the_second_order_moves_what_the_finding_names(tmp_path, key):
+    level = calibrated(tmp_path / "level", "0 arcsec", "0 ± 0.1 arcsec", key)
+    tilted = calibrated(tmp_path / "tilted", "20 arcmin", "1200 ± 0.1 arcsec", key)
+    assert large(level) == {}
+    found = large(tilted)
+    assert set(found) == {"Qx.K_I"}
+    one, other = (r.accelerometers["Qx"].coefficients["K_I"] for r in (level, tilted))
+    # -psi^2/2 and, of K_II a_I^2 with a_I less psi, -2 K_II psi
+    expected = -0.5 * (20 * ARCMIN) ** 2 - 2.0 * 2.7e-5 * 20 * ARCMIN
+    assert other.value - one.value == pytest.approx(expected, abs=0.3 * other.u)
+    assert found["Qx.K_I"].size == pytest.approx(-expected / other.u, rel=0.02)
+    assert found["Qx.K_I"].size > 1.0
+    assert tilted.state == "reservations"
+    assert "may reach 1.2e+03 arcsec (value and 2 u)" in found["Qx.K_I"].text
+
+
+def test_a_tilt_along_the_input_axis_leaves_its_scale_factor(tmp_path):
+    found = large(calibrated(tmp_path, "20 arcmin", "1200 ± 0.1 arcsec"))
+    # About north: Qy's input axis, along which the platform turns.
+    assert "Qy.K_I" not in found

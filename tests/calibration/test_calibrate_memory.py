@@ -1,0 +1,113 @@
+"""Campaigns in memory: the same results as of files, and a provenance that says what was used."""
+
+import hashlib
+import shlex
+from dataclasses import replace
+
+import frames
+import polars as pl
+import pytest
+
+from counterspin import cli
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.pages.full_report import document
+from counterspin.calibration.result import Result
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.memory.making import make_campaign
+from counterspin.errors import RecordError
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    return frames.arrays(tmp_path_factory.mktemp("records"))
+
+
+@pytest.fixture(scope="module")
+def made(records):
+    return make_campaign(frames.untrue(), records)
+
+
+@pytest.fixture(scope="module")
+def found(made):
+    return calibrate(made)
+
+
+@pytest.fixture(scope="module")
+def written(made, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("written") / "campaign"
+    made.write(folder)
+    return folder
+
+
+def texts(result):
+    return [block.text for block in document(result) if hasattr(block, "text")]
+
+
+def test_the_folder_gives_the_same_result_to_the_last_bit(found, written):
+    again = calibrate(written)
+    for part in ("accelerometers", "runs", "platform", "inputs"):
+        assert getattr(again, part) == getattr(found, part), part
+
+
+def test_frames_and_arrays_give_the_same_result(found, records):
+    framed = {name: pl.DataFrame(dict(columns)) for name, columns in records.items()}
+    again = calibrate(make_campaign(frames.untrue(), framed))
+    assert again.accelerometers == found.accelerometers
+    assert again.provenance == found.provenance
+
+
+def test_a_result_says_what_was_in_memory(found, made, written, records):
+    provenance = found.provenance
+    assert provenance.in_memory == {
+        "campaign.toml": "made in Python",
+        "slow.parquet": "arrays",
+        "middle.parquet": "arrays",
+        "fast.parquet": "arrays",
+    }
+    of_text = hashlib.sha256((written / "campaign.toml").read_bytes()).hexdigest()
+    assert provenance.inputs["campaign.toml"] == f"sha256:{of_text}"
+    digest = hashlib.sha256()
+    for name, values in records["slow"].items():
+        digest.update(name.encode() + b"\0" + values.tobytes())
+    assert provenance.inputs["slow.parquet"] == f"sha256:{digest.hexdigest()}"
+    said = " ".join(texts(found))
+    assert "Not from files: campaign.toml (made in Python); slow.parquet (arrays)" in said
+    assert "counterspin calibrate" not in said
+
+
+def test_a_change_is_marked_and_has_a_checksum_of_its_own(written):
+    campaign = read_campaign(written)
+    plain, changed = (calibrate(c).provenance for c in (campaign, campaign.change(radius="2.6 m")))
+    assert plain.in_memory == {}
+    assert changed.in_memory == {"campaign.toml": "changed: centrifuge.radius"}
+    assert changed.inputs["campaign.toml"] != plain.inputs["campaign.toml"]
+    assert changed.inputs["slow.parquet"] == plain.inputs["slow.parquet"]
+
+
+def test_what_is_replaced_without_its_description_is_marked_too(made, found):
+    other = calibrate(replace(made, noise=None)).provenance
+    assert other.in_memory["campaign.toml"] == "changed"
+    assert other.inputs["campaign.toml"] != found.provenance.inputs["campaign.toml"]
+    same = calibrate(replace(made)).provenance
+    again = calibrate(replace(made)).provenance
+    assert same == again != other
+
+
+@pytest.mark.parametrize("name", ["campaign.toml", "my campaign.toml"])
+def test_the_command_of_a_report_gives_the_result_again(written, tmp_path, monkeypatch, name):
+    folder = tmp_path / "elsewhere"
+    read_campaign(written).write(folder)
+    (folder / "campaign.toml").rename(folder / name)
+    first = calibrate(folder / name)
+    (command,) = (b.text for b in document(first) if getattr(b, "style", "") == "command")
+    monkeypatch.chdir(folder)
+    assert cli.main([*shlex.split(command)[1:], "--json=again.json"]) == 0
+    assert Result.read(folder / "again.json") == first
+
+
+def test_the_same_record_twice_is_told_by_its_runs(records):
+    twice = {**records, "fast": records["slow"]}
+    description = frames.untrue()
+    description["runs"][2]["rate"] = description["runs"][0]["rate"]
+    with pytest.raises(RecordError, match="fast in memory: holds the same samples as slow in"):
+        calibrate(make_campaign(description, twice))

@@ -1,0 +1,129 @@
+import campaigns
+import frames
+import polars as pl
+import pytest
+
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.memory.making import make_campaign
+from counterspin.campaign.quantity import Quantity
+from counterspin.errors import CampaignError, RecordError
+
+
+def test_a_mapping_says_what_the_file_says(tmp_path):
+    file = campaigns.write(tmp_path, campaigns.SMALL)
+    of_file, made = read_campaign(file), make_campaign(frames.small(), folder=tmp_path)
+    apart = {"path", "title", "runs", "source", "frames", "simulation"}
+    for name in set(vars(of_file)) - apart:
+        assert getattr(made, name) == getattr(of_file, name), name
+    assert [run.record for run in made.runs] == [run.record for run in of_file.runs]
+    assert (made.title, str(made.path)) == ("", "campaign in memory")
+
+
+def test_records_stand_in_for_files(tmp_path):
+    records = frames.arrays(tmp_path)
+    made = make_campaign(frames.untrue(), records, folder=tmp_path)
+    assert [run.record.name for run in made.runs] == [
+        "slow.parquet",
+        "middle.parquet",
+        "fast.parquet",
+    ]
+    table = made.record_at(made.runs[0].record)
+    assert str(table) == "slow in memory"
+    assert (table.columns["time_s"] == records["slow"]["time_s"]).all()
+
+
+def test_a_record_may_be_a_file_or_take_the_place_of_one(tmp_path):
+    records = dict(frames.arrays(tmp_path))
+    pl.DataFrame(dict(records["slow"])).write_csv(tmp_path / "elsewhere.csv")
+    records["slow"] = tmp_path / "elsewhere.csv"
+    document = frames.untrue()
+    document["runs"][1]["record"] = "stated.csv"
+    made = make_campaign(document, records, folder=tmp_path)
+    slow, middle, _ = made.runs
+    assert made.record_at(slow.record) == tmp_path / "elsewhere.csv"
+    assert (middle.record.name, str(made.record_at(middle.record))) == (
+        "stated.csv",
+        "middle in memory",
+    )
+
+
+def test_names_of_records_are_files_and_apart(tmp_path):
+    document = frames.untrue()
+    document["runs"] = [
+        {"name": "10 g / in", "rate": "1 rad/s"},
+        {"name": "10 g , in", "rate": "2 rad/s"},
+        {"name": "..", "rate": "3 rad/s"},
+    ]
+    columns = frames.arrays(tmp_path)["slow"]
+    made = make_campaign(document, {run["name"]: columns for run in document["runs"]})
+    names = [run.record.name for run in made.runs]
+    assert names == ["10_g_in.parquet", "10_g_in-2.parquet", "run.parquet"]
+
+
+def test_a_description_in_a_file_takes_records_from_memory(tmp_path):
+    records = frames.arrays(tmp_path)
+    file = campaigns.write(tmp_path, campaigns.SMALL)
+    made = make_campaign(tmp_path, {"slow": records["slow"]})
+    assert made.source.file == file
+    assert [str(made.record_at(run.record)) for run in made.runs] == [
+        "slow in memory",
+        str(tmp_path / "middle.csv"),
+        str(tmp_path / "fast.csv"),
+    ]
+
+
+def test_quantities_may_be_numbers_with_their_unit():
+    document = frames.small()
+    document["centrifuge"]["radius"] = Quantity(2.5, 1e-5, "m")
+    assert make_campaign(document).radius == Quantity(2.5, 1e-5, "m")
+
+
+def test_mistakes_are_told_as_of_a_file(tmp_path):
+    text = campaigns.changed(
+        campaigns.SMALL, ('radius = "2.5 m"', 'radius = "2.5 s"'), ("[noise]", "[nose]")
+    )
+    with pytest.raises(CampaignError) as of_file:
+        read_campaign(campaigns.write(tmp_path, text))
+    document = frames.small()
+    document["centrifuge"]["radius"] = "2.5 s"
+    document["nose"] = document.pop("noise")
+    with pytest.raises(CampaignError) as made:
+        make_campaign(document)
+    assert set(made.value.problems) == set(of_file.value.problems)
+    assert str(made.value).startswith("campaign in memory: 2 mistakes")
+
+
+@pytest.mark.parametrize(
+    ("records", "message"),
+    [
+        ({"slwo": {}}, r'records: no run is called "slwo"; did you mean "slow"\?'),
+        ({}, r'runs\[0\].record: is missing \(run "slow"\)'),
+    ],
+)
+def test_records_and_runs_must_fit(records, message):
+    with pytest.raises(CampaignError, match=message):
+        make_campaign(frames.untrue(), records)
+
+
+def test_a_frame_that_is_none_is_told_by_its_run():
+    with pytest.raises(RecordError, match="slow in memory: a list has no named columns"):
+        make_campaign(frames.untrue(), {"slow": [1.0]})
+
+
+def test_what_toml_could_not_hold_is_refused():
+    with pytest.raises(CampaignError, match=r"campaign\.title: contains the character NUL"):
+        make_campaign(frames.small() | {"campaign": {"title": "a\0"}})
+    with pytest.raises(CampaignError, match="runs: a set cannot stand here"):
+        make_campaign(frames.small() | {"runs": {1}})
+
+
+def test_runs_need_no_record_where_none_is_given_yet():
+    document = frames.untrue()
+    document["runs"][0]["name"] = "a/b"
+    document["runs"][1]["name"] = "a:b"
+    made = make_campaign(document)
+    assert [run.record.name for run in made.runs] == [
+        "a_b.parquet",
+        "a_b-2.parquet",
+        "fast.parquet",
+    ]

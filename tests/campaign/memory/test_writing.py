@@ -1,0 +1,70 @@
+import campaigns
+import frames
+import numpy as np
+import polars as pl
+import pytest
+
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.memory.making import make_campaign
+from counterspin.errors import CounterspinError
+
+
+def test_what_is_written_reads_back_to_the_last_bit(tmp_path):
+    records = frames.arrays(tmp_path)
+    document = frames.untrue()
+    document["runs"][1]["record"] = "in/middle.csv"
+    made = make_campaign(document, records)
+    file = made.write(tmp_path / "written")
+    back = read_campaign(tmp_path / "written")
+    assert back.source.document == made.source.document
+    assert back.source.content_checksum() == made.source.content_checksum()
+    assert file == tmp_path / "written" / "campaign.toml"
+    for run, read in zip(made.runs, (pl.read_parquet, pl.read_csv, pl.read_parquet), strict=True):
+        columns = read(tmp_path / "written" / run.record.relative_to(made.folder))
+        for name, values in made.record_at(run.record).columns.items():
+            np.testing.assert_array_equal(columns[name].to_numpy(), values)
+
+
+@pytest.fixture
+def recorded(tmp_path):
+    campaigns.write(tmp_path / "a", "# mine\n" + campaigns.SMALL)
+    for name, columns in frames.arrays(tmp_path).items():
+        pl.DataFrame(dict(columns)).write_csv(tmp_path / "a" / f"{name}.csv")
+    return tmp_path / "a"
+
+
+def test_a_folder_is_copied_as_it_is(recorded, tmp_path):
+    campaign = read_campaign(recorded)
+    campaign.write(tmp_path / "b")
+    for name in ("campaign.toml", "slow.csv", "middle.csv", "fast.csv"):
+        assert (tmp_path / "b" / name).read_bytes() == (recorded / name).read_bytes()
+    # Into its own place there is nothing to do.
+    campaign.write(recorded, overwrite=True)
+    assert (recorded / "campaign.toml").read_text().startswith("# mine")
+
+
+def test_records_from_elsewhere_come_along_under_names_of_their_own(recorded, tmp_path):
+    document = frames.small()
+    for run, place in zip(
+        document["runs"], ("a/slow.csv", "c/slow.csv", "c/Slow.csv"), strict=True
+    ):
+        run["record"] = str(tmp_path / place)
+    (tmp_path / "c").mkdir()
+    for name in ("slow", "Slow"):
+        (tmp_path / "c" / f"{name}.csv").write_bytes((recorded / "fast.csv").read_bytes())
+    make_campaign(document, folder=tmp_path / "other").write(tmp_path / "b")
+    back = read_campaign(tmp_path / "b")
+    names = [run.record.name for run in back.runs]
+    assert len({name.lower() for name in names}) == 3
+    assert back.runs[0].record.read_bytes() == (recorded / "slow.csv").read_bytes()
+    assert back.runs[1].record.read_bytes() == (recorded / "fast.csv").read_bytes()
+
+
+def test_nothing_is_overwritten_and_nothing_left_behind(recorded, tmp_path):
+    campaign = read_campaign(recorded)
+    with pytest.raises(CounterspinError, match=r"campaign\.toml exists; write into another folder"):
+        campaign.write(recorded)
+    (recorded / "fast.csv").unlink()
+    with pytest.raises(CounterspinError, match=r"fast\.csv: there is no such record to copy"):
+        campaign.write(tmp_path / "b")
+    assert not (tmp_path / "b").exists()

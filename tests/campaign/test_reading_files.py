@@ -1,0 +1,214 @@
+"""Simulated readings in files: values where they were missing, all else as it was."""
+
+import math
+import tomllib
+
+import numpy as np
+import polars as pl
+import pytest
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.simulation import simulate
+from counterspin.cli import main
+from counterspin.errors import CampaignError, CounterspinError
+
+TEXT = """# of the laboratory
+schema = 1
+site = { gravity = "9.8066 m/s^2", latitude = "45.75 deg" }
+
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "west"
+output = { unit = "mA", sensitivity = "1.25 mA/g" }
+specific_force = { column = "mA", unit = "mA" }
+
+[centrifuge]
+radius = "1.0 m"
+
+[records]
+time = { column = "t", unit = "s" }
+
+[model]
+terms = ["K_F", "K_I", "K_II"]
+
+[readings]
+file = "tables/readings.csv"
+columns = { name = "position", attitude = "deg", reading = "mA", u = "u" }
+
+[[runs]]                             # the arm
+name = "in 10"
+motion = "arm"
+rate = "9.9 rad/s"
+axes = { input = "inward", pendulous = "up" }
+reading = "? +/- 2 nA"               # in another unit
+
+[[runs]]
+name = "out 10"
+motion = "arm"
+rate = "9.9 rad/s"
+axes = { input = "outward", pendulous = "up" }
+reading = "? ± 2e-6 mA"
+
+[[runs]]
+name = "rest"
+motion = "static"
+attitude = "level"
+record = "rest.parquet"
+duration = "20 s"
+
+[truth.A]
+K_F = "2e-3 g"
+K_I = "1.0005 g/g"
+K_II = "15e-6 g/g^2"
+
+[truth.noise]
+specific_force = "20 ug"
+"""
+
+
+def campaign(folder, text=TEXT):
+    (folder / "tables").mkdir(parents=True)
+    rows = "".join(f"{i * 30} deg,{i * 30},,2e-6\n" for i in range(12))
+    (folder / "tables" / "readings.csv").write_text("position,deg,mA,u\n" + rows, "utf-8")
+    (folder / "campaign.toml").write_text(text, "utf-8")
+    return folder
+
+
+def test_every_reading_gets_its_value_and_all_else_stays(tmp_path):
+    made = tmp_path / "made"
+    written = simulate(campaign(tmp_path / "own"), made)
+    assert written == (made / "rest.parquet", made / "tables" / "readings.csv")
+    before, after = TEXT.splitlines(), (made / "campaign.toml").read_text("utf-8").splitlines()
+    changed = [(a, b) for a, b in zip(before, after, strict=True) if a != b]
+    assert [a for a, _ in changed] == [
+        line for line in before if "? " in line and "reading" in line
+    ]
+    readings = read_campaign(made).readings
+    assert [r.u for r in readings[:2]] == [pytest.approx(1.6e-6)] * 2
+    assert readings[0].value == pytest.approx(10.002, abs=0.01)
+    table = pl.read_csv(made / "tables" / "readings.csv")
+    assert table["mA"].null_count() == 0
+    assert table["u"].to_list() == [2e-6] * 12
+    assert [r.value for r in readings[3:]] == pytest.approx(
+        [
+            2e-3 + 1.0005 * math.cos(a) + 15e-6 * math.cos(a) ** 2
+            for a in (math.radians(30 * i) for i in range(12))
+        ],
+        abs=1.6e-6 * 6,
+    )
+
+
+def test_noise_is_that_which_the_readings_state_or_the_true_one(tmp_path):
+    runs = "".join(
+        f'[[runs]]\nname = "{i}"\nmotion = "static"\nattitude = "level"\n'
+        'reading = ["? ± 3e-6 mA", "? ± 3e-6 mA"]\n'
+        for i in range(200)
+    )
+    text = TEXT[: TEXT.index("[readings]")] + runs + TEXT[TEXT.index("[truth.A]") :]
+    for name, more, u in (("stated", "", 3e-6), ("true", 'reading = "5 nA"\n', 5e-6)):
+        simulate(campaign(tmp_path / name, text + more), tmp_path / name / "made")
+        document = tomllib.loads((tmp_path / name / "made" / "campaign.toml").read_text("utf-8"))
+        values = [float(v.split()[0]) for run in document["runs"] for v in run["reading"]]
+        off = np.array(values) - 1.25 * (2e-3 + 1.0005 + 15e-6)
+        # Five standard errors of a standard deviation and of a mean of 400.
+        assert abs(off.std() / u - 1.0) < 5.0 / math.sqrt(800)
+        assert abs(off.mean()) < 5.0 * u / 20.0
+
+
+def test_repeats_in_a_table_are_as_many_as_before(tmp_path):
+    own = campaign(tmp_path / "own", TEXT.replace('"mA", u =', '["mA", "again"], u ='))
+    rows = "".join(f"{i * 30},,{'' if i else 1},2e-6,{i * 30} deg\n" for i in range(12))
+    (own / "tables" / "readings.csv").write_text("deg,mA,again,u,position\n" + rows + ",,,,\n")
+    simulate(own, tmp_path / "made")
+    table = pl.read_csv(tmp_path / "made" / "tables" / "readings.csv")
+    assert table["mA"].null_count() == 2  # of the first row, which has one reading, and the last
+    assert table["again"].null_count() == 1
+    assert [r.repeats for r in read_campaign(tmp_path / "made").readings[3:]] == [1] + [2] * 11
+
+
+def test_calibrating_them_finds_the_truth(tmp_path):
+    simulate(campaign(tmp_path / "own"), tmp_path / "made")
+    found = calibrate(tmp_path / "made").accelerometers["A"].coefficients
+    for symbol, truth in (("K_F", 2e-3), ("K_I", 1.0005), ("K_II", 15e-6)):
+        assert abs(found[symbol].value - truth) < 4.0 * found[symbol].u
+
+
+def test_the_same_seed_gives_the_same_files(tmp_path):
+    own = campaign(tmp_path / "own")
+    for place in ("first", "second"):
+        simulate(own, tmp_path / place)
+    for name in ("campaign.toml", "tables/readings.csv", "rest.parquet"):
+        first, second = ((tmp_path / place / name).read_bytes() for place in ("first", "second"))
+        assert first == second
+    other = TEXT + "[simulation]\nseed = 2\n"
+    simulate(campaign(tmp_path / "other", other), tmp_path / "third")
+    texts = {(tmp_path / place / "campaign.toml").read_text() for place in ("first", "third")}
+    assert len({tomllib.loads(t)["runs"][0]["reading"] for t in texts}) == 2
+
+
+def test_a_description_of_an_unusual_form_is_written_anew(tmp_path):
+    start = TEXT.index("[[runs]]")
+    end = TEXT.index("[truth.A]")
+    runs = tomllib.loads(TEXT)["runs"]
+    quoted = ["{" + ", ".join(f"{k} = {_inline(v)}" for k, v in run.items()) + "}" for run in runs]
+    # Literal strings, which a search for quotation marks does not find.
+    text = TEXT[:start] + TEXT[end:]
+    text = text.replace("schema = 1", f"schema = 1\nruns = [{', '.join(quoted)}]")
+    simulate(campaign(tmp_path / "own", text), tmp_path / "made")
+    simulate(campaign(tmp_path / "usual"), tmp_path / "known")
+    texts = [(tmp_path / p / "campaign.toml").read_text("utf-8") for p in ("made", "known")]
+    assert tomllib.loads(texts[0]) == tomllib.loads(texts[1])
+
+
+def _inline(value):
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{k} = '{v}'" for k, v in value.items()) + "}"
+    return f"'{value}'"
+
+
+def test_nothing_is_replaced_unasked(tmp_path, capsys):
+    own = campaign(tmp_path / "own")
+    with pytest.raises(CounterspinError, match=r"readings\.csv exists; simulate into another"):
+        simulate(own, own)
+    assert (own / "campaign.toml").read_text("utf-8") == TEXT
+    assert main(["simulate", str(own), "-o", str(own), "--overwrite"]) == 0
+    assert "?" not in (own / "campaign.toml").read_text("utf-8").replace("[truth", "")
+    assert "Wrote 2 files and campaign.toml" in capsys.readouterr().out
+    calibrate(own)
+
+
+def test_blank_readings_are_not_calibrated(tmp_path):
+    with pytest.raises(CampaignError, match='"in 10" and 13 other readings have no value yet'):
+        calibrate(
+            campaign(
+                tmp_path / "own",
+                TEXT.replace('record = "rest.parquet"', 'reading = "1.25 ± 1e-6 mA"').replace(
+                    'duration = "20 s"\n', ""
+                ),
+            )
+        )
+
+
+def test_excel_tables_are_not_written(tmp_path):
+    own = campaign(tmp_path / "own", TEXT.replace("rest.parquet", "rest.h5"))
+    with pytest.raises(CampaignError, match=r'record of the run "rest": rest\.h5 cannot be simul'):
+        simulate(own, tmp_path / "made")
+
+
+def test_in_memory_they_are_those_of_a_folder(tmp_path):
+    text = TEXT[: TEXT.index("[readings]")] + TEXT[TEXT.index("[[runs]]") :]
+    own = campaign(tmp_path / "own", text)
+    simulate(own, tmp_path / "made")
+    in_memory = simulate(own)
+    written = read_campaign(tmp_path / "made")
+    assert in_memory.source.document == written.source.document
+    rest = pl.read_parquet(tmp_path / "made" / "rest.parquet")
+    columns = in_memory.record_at(in_memory.readings[-1].record).columns
+    np.testing.assert_array_equal(columns["mA"], rest["mA"].to_numpy())
+    assert simulate(in_memory).source.document == written.source.document
+
+
+def test_a_table_in_memory_is_refused(tmp_path):
+    with pytest.raises(CampaignError, match="a table of readings is simulated into a folder only"):
+        simulate(campaign(tmp_path / "own"))

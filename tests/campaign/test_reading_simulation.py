@@ -1,0 +1,165 @@
+"""Simulated readings against closed forms written out by hand, one error at a time."""
+
+import math
+
+import numpy as np
+import pytest
+from campaigns import campaign_of
+
+from counterspin.campaign.reading_simulation import (
+    head_errors,
+    simulate_mean_record,
+    true_readings,
+)
+
+G, LATITUDE, OMEGA = 9.8, 0.8, 7.292115e-5
+R = 1.25
+K_F, K_I, K_II, K_III = 2e-3, 1.0005, 1.5e-5, 2e-6
+HEAD = f"""schema = 1
+site = {{ gravity = "{G} m/s^2", latitude = "{LATITUDE} rad" }}
+[centrifuge]
+radius = "{R} m"
+reference_temperature = "20 degC"
+[records]
+time = {{ column = "t", unit = "s" }}
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "west"
+output = {{ unit = "V", sensitivity = "2 V/g" }}
+specific_force = {{ column = "volts", unit = "mV" }}
+[truth.A]
+K_F = "{K_F} g"
+K_I = "{K_I} g/g"
+K_II = "{K_II} g/g^2"
+K_III = "{K_III} g/g^3"
+[truth.noise]
+reading = "0 V"
+"""
+STATIC = """[[runs]]
+name = "tumble"
+motion = "static"
+attitude = "30 deg about north"
+temperature = "23 degC"
+time = "100 s"
+reading = "?"
+"""
+ARM = """[[runs]]
+name = "in"
+motion = "arm"
+rate = "-6 rad/s"
+mounting = "in"
+axes = { input = "inward", pendulous = "forward" }
+temperature = "18 degC"
+time = "40 s"
+reading = "?"
+"""
+
+
+def values(folder, text, head=HEAD):
+    readings, _ = true_readings(campaign_of(folder, head + text))
+    return [reading.value for reading in readings]
+
+
+def cubic(a):
+    return K_F + K_I * a + K_II * a**2 + K_III * a**3
+
+
+#: Of the arm at -6 rad/s, without and with a relative change of the radius.
+def inward(change=0.0):
+    return R * (1.0 + change) * (36.0 - 12.0 * OMEGA * math.sin(LATITUDE)) / G
+
+
+A_IN, A_REST = inward(), math.cos(math.radians(30.0))
+S = 4e-9 * R * 36.0
+MACHINE = {
+    "nothing": ("", cubic(A_REST), cubic(A_IN)),
+    "radius": ('"centrifuge.radius.in" = "1 mm"', cubic(A_REST), cubic(inward(1e-3 / R))),
+    "radius as such": ('"centrifuge.radius.in" = "1.251 m"', None, cubic(inward(1e-3 / R))),
+    "stretch": ('"centrifuge.stretch" = "4e-9 s^2/m"', None, cubic(inward(S))),
+    # The outer end sinks: about forward, inward turns by the angle towards up.
+    "droop": (
+        '"centrifuge.droop" = "1e-6 rad s^2"',
+        cubic(A_REST),
+        cubic(A_IN * math.cos(36e-6) + math.sin(36e-6)),
+    ),
+    "misalignment": (
+        '"fixture.misalignment.in.forward" = "1 mrad"',
+        None,
+        cubic(A_IN * math.cos(1e-3) + math.sin(1e-3)),
+    ),
+    "zero of the head": ('"head.zero" = "1 mrad"', cubic(math.cos(math.pi / 6 + 1e-3)), None),
+    "K_F by temperature": (
+        '[truth.A]\n"K_F.temperature" = "5e-6 g/K"',
+        cubic(A_REST) + 3 * 5e-6,
+        cubic(A_IN) - 2 * 5e-6,
+    ),
+    "K_I by temperature, in volts": (
+        '[truth.A]\n"K_I.temperature" = "4e-4 V/g/K"',
+        cubic(A_REST) + 3 * 2e-4 * A_REST,
+        cubic(A_IN) - 2 * 2e-4 * A_IN,
+    ),
+    "K_II by temperature": (
+        '[truth.A]\n"K_II.temperature" = "1e-7 g/g^2/K"',
+        cubic(A_REST) + 3 * 1e-7 * A_REST**2,
+        cubic(A_IN) - 2 * 1e-7 * A_IN**2,
+    ),
+    "heating": (
+        '[truth.A]\n"K_F.heating" = "1e-7 g/g^2"',
+        None,
+        cubic(A_IN) + 1e-7 * (R * 36 / G) ** 2,
+    ),
+    # Time counts from the first reading.
+    "trend": ('[truth.A]\n"K_F.trend" = "1e-8 g/s"', cubic(A_REST) + 60e-8, cubic(A_IN)),
+}
+
+
+@pytest.mark.parametrize("name", MACHINE)
+def test_each_error_of_the_machine_does_what_it_says(tmp_path, name):
+    line, at_rest, on_arm = MACHINE[name]
+    if line.startswith("[truth.A]"):
+        more, line = line.removeprefix("[truth.A]\n"), ""
+    else:
+        more = ""
+    head = HEAD.replace("[truth.A]", f"[truth.A]\n{more}")
+    tumble, arm = values(tmp_path, f"[truth.machine]\n{line}\n{STATIC}{ARM}", head)
+    assert tumble == pytest.approx(at_rest or cubic(A_REST), rel=1e-13)
+    # The mean of the vertical Coriolis force's square, through K_III and the turn of the axis, is
+    # below 1e-12 g.
+    assert arm == pytest.approx(on_arm or cubic(A_IN), rel=1e-11)
+
+
+def test_the_head_errs_anew_at_each_position_and_alike_for_all_accelerometers(tmp_path):
+    second = '[accelerometers.B]\ninput_axis = "up"\npendulous_axis = "west"\n'
+    second += 'specific_force = { column = "other", unit = "g" }\n'
+    run = STATIC.replace("30 deg", "30 ± 0.01 deg").replace('"?"', '{ A = "?", B = "?" }')
+    runs = "".join(run.replace("tumble", f"{i}") for i in range(200))
+    text = HEAD.replace("[truth.A]", f"{second}[truth.A]").replace(
+        '"0 V"', '{ A = "0 V", B = "0 g" }'
+    )
+    readings, errors = true_readings(campaign_of(tmp_path, text + runs))
+    a, b = errors[::2], errors[1::2]
+    np.testing.assert_array_equal(a, b)
+    assert abs(a.std() / math.radians(0.01) - 1.0) < 5.0 / 20.0
+    expected = np.cos(math.pi / 6 + a)
+    np.testing.assert_allclose([r.value for r in readings[1::2]], expected, rtol=1e-13)
+
+
+def test_rows_of_a_table_that_are_named_alike_are_positions_of_their_own(tmp_path):
+    campaign = campaign_of(tmp_path, HEAD + STATIC.replace("30 deg", "30 ± 0.01 deg"))
+    (reading,) = campaign.readings
+    first, second = head_errors([reading, reading], np.random.default_rng(1))
+    assert first != second
+
+
+def test_a_record_on_the_arm_has_the_wave_of_the_earths_rate(tmp_path):
+    run = ARM.replace('reading = "?"', 'record = "in.csv"\nrevolutions = 10')
+    run = run.replace('pendulous = "forward"', 'pendulous = "up"')
+    text = HEAD + '[simulation]\nsampling_rate = "20 Hz"\n' + run
+    text = text.replace(f'K_III = "{K_III} g/g^3"', 'K_IP = "1e-3 g/g^2"')
+    campaign = campaign_of(tmp_path, text)
+    time, angle, force = simulate_mean_record(campaign, campaign.readings[0], 0.0)
+    assert time[-1] == pytest.approx(20 * math.pi / 6, abs=0.05)
+    np.testing.assert_array_equal(angle, -6.0 * time)
+    up = 1.0 + 2.0 * R * -6.0 * OMEGA * math.cos(LATITUDE) * np.sin(angle) / G
+    expected = K_F + K_I * A_IN + K_II * A_IN**2 + 1e-3 * A_IN * up
+    np.testing.assert_allclose(force / G, expected, rtol=1e-14)

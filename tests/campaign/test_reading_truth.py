@@ -1,0 +1,99 @@
+"""The true values of readings: in which units they may be, and what is told of each slip."""
+
+import pytest
+from campaigns import campaign_of
+
+from counterspin.campaign.reading_truth import unfit_readings
+from counterspin.errors import CampaignError
+
+BASE = """schema = 1
+site = { gravity = "9.8 m/s^2", latitude = "45 deg" }
+[centrifuge]
+radius = "1 m"
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "west"
+output = { unit = "mA", sensitivity = "1.25 mA/g" }
+[[runs]]
+name = "in"
+motion = "arm"
+rate = "9 rad/s"
+mounting = "in"
+axes = { input = "inward", pendulous = "up" }
+reading = "? ± 2e-6 mA"
+"""
+
+
+def truth_of(folder, text):
+    return campaign_of(folder, BASE + text).simulation.truth
+
+
+def test_coefficients_may_be_in_the_unit_of_the_output(tmp_path):
+    truth = truth_of(
+        tmp_path,
+        '[truth.A]\nbias = "2.5 uA"\nscale_factor = "1.2506 mA/g"\nK_II = "1.9e-8 A/g^2"\n'
+        'K_III = "2e-6 g/g^3"\ndelta_O = "1 mrad"\n',
+    )
+    assert truth.coefficients["A"] == pytest.approx(
+        {"K_F": 2e-3, "K_I": 1.00048, "K_II": 1.52e-5, "K_III": 2e-6, "delta_O": 1e-3}, rel=1e-14
+    )
+
+
+def test_noise_of_readings_is_in_their_unit_and_no_noise_of_records(tmp_path):
+    truth = truth_of(tmp_path, '[truth.A]\n[truth.noise]\nreading = "5 nA"\n')
+    assert truth.reading_noise == {"A": pytest.approx(4e-6)}
+    assert truth.noise.specific_force == 0.0
+
+
+def test_the_stretch_may_stand_with_the_machine_or_the_centrifuge(tmp_path):
+    for table in (
+        '[truth.machine]\n"centrifuge.',
+        '[truth.machine.centrifuge]\n"',
+        '[truth.centrifuge]\n"',
+    ):
+        truth = truth_of(tmp_path, f'[truth.A]\n{table}stretch" = "4.6e-9 s^2/m"\n')
+        assert truth.machine == {"centrifuge.stretch": 4.6e-9}
+
+
+SLIPS = {
+    "[truth.machine]\n'centrifuge.radius.out' = '1 mm'": "truth.machine.",
+    "[truth.machine]\n'centrifuge.dropp' = '1 rad s^2'": 'did you mean "centrifuge.droop"?',
+    "[truth.machine]\n'K_F.trend' = '1e-9 g/s'": "write it in its table, [truth.NAME]",
+    "[truth.machine]\n'centrifuge.stretch' = '1e-9 m'": "centrifuge.stretch",
+    "[truth.machine]\n'centrifuge.stretch' = '1e-9 s^2/m'\n"
+    "[truth.centrifuge]\nstretch = '1e-9 s^2/m'": ("is in [truth.centrifuge] too; keep one"),
+    "[truth]\nmachine = 3": "truth.machine: must be a table",
+    "[truth.A]\nbias = '1 uA'\nK_F = '1 ug'": "truth.A.bias: is K_F, given too; keep one",
+    "[truth.A]\nK_I = '1.2 ± 0.1 mA/g'": "truth.A.K_I",
+    "[truth.noise]\nreading = '1 uV'": "truth.noise.reading: 'uV' is not a unit",
+    "[truth.noise]\nreading = '-1 uA'": "a standard deviation is not negative",
+    "[truth.noise]\nreading = { B = '1 uA' }": 'no accelerometer is called "B"',
+}
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_each_slip_is_told_with_its_key(tmp_path, slip):
+    with pytest.raises(CampaignError) as caught:
+        truth_of(tmp_path, slip + "\n")
+    assert any(SLIPS[slip] in line for line in caught.value.problems), caught.value.problems
+
+
+def test_without_truth_a_reading_needs_its_value(tmp_path):
+    with pytest.raises(CampaignError, match=r'runs\[0\].reading: has no value yet.*\(run "in"\)'):
+        campaign_of(tmp_path, BASE)
+
+
+def test_what_cannot_be_simulated_is_told(tmp_path):
+    def said(text, base=BASE):
+        return unfit_readings(campaign_of(tmp_path, base + text))
+
+    assert said("[truth.A]\n") == []
+    (line,) = said("[truth.A]\n", BASE.replace(" ± 2e-6", ""))
+    assert line.startswith('truth.noise.reading: missing; "in" states no uncertainty')
+    (line,) = said('[truth.machine]\n"centrifuge.droop" = "0.1 rad s^2"\n')
+    assert "5 times the largest credible size, 0.001 rad s^2" in line
+    at_rest = 'name = "rest"\nmotion = "static"\nattitude = "level"\nrecord = "r.csv"\n'
+    column = 'specific_force = { column = "mA", unit = "mA" }\n[[runs]]\n'
+    text = BASE.replace("[[runs]]\n", f"{column}{at_rest}[[runs]]\n")
+    (line,) = said('[truth.A]\n[records]\ntime = { column = "t", unit = "s" }\n', text)
+    assert line == 'run "rest": a record at rest that is simulated needs a duration'

@@ -1,0 +1,181 @@
+"""Tables of readings: they say the same as runs; each slip is one message with its line."""
+
+import math
+
+import polars as pl
+import pytest
+from workbooks import write_workbook
+
+from counterspin.campaign.description import read_campaign
+from counterspin.errors import CampaignError
+
+HEAD = """schema = 1
+site = { gravity = "9.8 m/s^2", latitude = "45 deg" }
+[centrifuge]
+radius = "1.0 m"
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "west"
+output = { unit = "mA", sensitivity = "1.25 mA/g" }
+"""
+RUN = """[[runs]]
+name = "tumble 30"
+motion = "static"
+attitude = "30 deg about north"
+reading = "1.082532 ± 2e-6 mA"
+"""
+SIMPLE = 'columns = { attitude = "angle", reading = "mA" }'
+
+
+def read(folder, text):
+    (folder / "campaign.toml").write_text(HEAD + text, encoding="utf-8")
+    return read_campaign(folder)
+
+
+def of_csv(folder, content, keys=SIMPLE):
+    (folder / "r.csv").write_text(content, encoding="utf-8")
+    return read(folder, f'[readings]\nfile = "r.csv"\n{keys}\n').readings
+
+
+def problems(folder, content, keys=SIMPLE):
+    with pytest.raises(CampaignError) as caught:
+        of_csv(folder, content, keys)
+    return caught.value.problems
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".xlsx"])
+def test_a_table_says_the_same_as_runs(tmp_path, suffix):
+    columns = {"p": ["tumble 30"], "deg": [30], "mA": [1.082532], "u": [2e-6]}
+    if suffix == ".csv":
+        pl.DataFrame(columns).write_csv(tmp_path / "readings.csv")
+    elif suffix == ".parquet":
+        pl.DataFrame(columns).write_parquet(tmp_path / "readings.parquet")
+    else:
+        rows = [list(columns), [column[0] for column in columns.values()]]
+        write_workbook(tmp_path / "readings.xlsx", {"Notes": [], "Tumble": rows})
+    table = f"""[readings]
+file = "readings{suffix}"
+columns = {{ name = "p", attitude = "deg", reading = "mA", u = "u" }}
+"""
+    if suffix == ".xlsx":
+        table += 'sheet = "Tumble"\n'
+    (reading,) = read(tmp_path, table).readings
+    (written,) = read(tmp_path, RUN).readings
+    assert reading == written
+
+
+def test_a_table_of_an_arm_names_its_axes(tmp_path):
+    keys = """motion = "arm"
+rate_unit = "rpm"
+columns = { rate = "n", input = "side", pendulous = "below", mounting = "side", reading = "mA" }
+"""
+    first, second = of_csv(tmp_path, "n;side;below;mA\n60;inward;up;5\n-60;outward;up;-5\n", keys)
+    assert (first.rate, second.rate) == (
+        pytest.approx(2.0 * math.pi),
+        pytest.approx(-2.0 * math.pi),
+    )
+    assert (first.mounting, second.mounting) == ("inward", "outward")
+    assert second.axes.axes[:2] == ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def test_repeats_stand_in_columns_and_some_may_be_missing(tmp_path):
+    keys = 'columns = { attitude = "angle", reading = ["a", "b", "c"] }'
+    first, second = of_csv(tmp_path, "angle,a,b,c\n0,1.25,1.26,1.27\n90,0,0.01,\n", keys)
+    assert (first.value, first.repeats, first.u) == (pytest.approx(1.26 / 1.25), 3, None)
+    assert first.scatter == pytest.approx(2e-4 / 1.25**2)
+    assert (second.value, second.repeats) == (pytest.approx(0.005 / 1.25), 2)
+
+
+def test_the_head_scatters_from_position_to_position(tmp_path):
+    (reading,) = of_csv(tmp_path, "angle,mA\n30,1\n", SIMPLE + '\nu_attitude = "2 arcsec"')
+    assert reading.u_head == pytest.approx(math.radians(2 / 3600))
+    assert reading.head == (0.0, 1.0, 0.0)
+
+
+def test_times_may_be_dates(tmp_path):
+    keys = 'columns = { attitude = "angle", reading = "mA", time = "when" }'
+    table = "angle,mA,when\n0,1.25,2024-05-01 10:00:00\n90,0,2024-05-01 10:02:30.5\n"
+    first, second = of_csv(tmp_path, table, keys)
+    assert second.time - first.time == 150.5
+
+
+def test_rows_with_nothing_in_them_are_none(tmp_path):
+    assert len(of_csv(tmp_path, "angle,mA\n0,1.25\n,\n90,0\n")) == 2
+
+
+def test_decimals_may_be_parted_by_commas(tmp_path):
+    table = "Lage;Winkel;U\nhoch, links;0,5;-1,25e-1\nhoch;-,5;3\n"
+    keys = 'columns = { name = "Lage", attitude = "Winkel", reading = "U" }\ndecimal = ","'
+    first, second = of_csv(tmp_path, table, keys)
+    assert (first.name, first.value) == ("hoch, links", pytest.approx(-0.1))
+    assert second.value == pytest.approx(3.0 / 1.25)
+
+
+SLIPS = {
+    "no rows": ("angle,mA\n", SIMPLE, "readings.file: r.csv has no rows below the names"),
+    "a motion that is none": (
+        "angle,how,mA\n0,static,1\n90,arms,2\n",
+        'columns = { attitude = "angle", motion = "how", reading = "mA" }',
+        ".motion: 'arms' is none of 'counter-rotating', 'arm' or 'static'",
+    ),
+    "no such column": (
+        "angle,mA\n0,1.25\n",
+        SIMPLE.replace("angle", "angel"),
+        'readings.columns: r.csv has no column "angel"; did you mean "angle"?',
+    ),
+    "no value": (
+        "# made by hand\nangle,mA\n0,1.25\n30,\n",
+        SIMPLE,
+        'readings."r.csv line 4".reading: has no value yet; write what was read',
+    ),
+    "no position": (
+        "angle,mA\n0,1.25\n,0.5\n",
+        SIMPLE,
+        'readings."r.csv line 3".attitude: is missing: a reading at rest needs its position',
+    ),
+    "no column of positions": (
+        "angle,mA\n0,1.25\n30,1.1\n60,0.6\n",
+        'columns = { reading = "mA" }',
+        "readings.columns: attitude is missing: the column with the position of each reading",
+    ),
+    "no column of rates": (
+        "w,mA\n6,1.25\n7,1.1\n",
+        'columns = { reading = "mA" }\nmotion = "arm"\n'
+        'axes = { input = "inward", pendulous = "up" }',
+        "readings.columns: rate is missing: the column with the rate of each reading",
+    ),
+    "no rate": (
+        "w,mA\n6,1.25\n,1.1\n",
+        'columns = { rate = "w", reading = "mA" }\nmotion = "arm"\n'
+        'axes = { input = "inward", pendulous = "up" }',
+        'readings."r.csv line 3".rate: is missing: a run with motion arm turns',
+    ),
+    "a rate at rest": (
+        "angle,w,mA\n0,0,1.25\n30,6.28,1.1\n",
+        'columns = { attitude = "angle", rate = "w", reading = "mA" }',
+        'readings."r.csv line 3".rate: a static run does not turn; leave the rate out',
+    ),
+    "text for a rate": (
+        "w,mA\nfast,1.25\n",
+        'columns = { rate = "w", reading = "mA" }\nmotion = "arm"\n'
+        'axes = { input = "inward", pendulous = "up" }',
+        "readings.\"r.csv line 2\".rate: 'fast' is not a number",
+    ),
+    "another unit": (
+        "angle,mA\n0,1.25 V\n",
+        SIMPLE,
+        "readings.\"r.csv line 2\".reading.A: 'V' is not a unit of quantity in mA",
+    ),
+    "a sheet of no workbook": (
+        "angle,mA\n0,1.25\n",
+        SIMPLE + '\nsheet = "Tumble"',
+        "readings.file: r.csv: only a workbook (.xlsx) has sheets",
+    ),
+}
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_each_slip_is_one_message(tmp_path, slip):
+    content, keys, message = SLIPS[slip]
+    (line,) = problems(tmp_path, content, keys)
+    assert message in line

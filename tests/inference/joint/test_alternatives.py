@@ -1,0 +1,151 @@
+"""Alternatives held against a fit are what fits with them, or without a prior, give."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from joint_campaign import ARCSEC, noisy, three_rates, unknowns
+
+from counterspin.inference.joint.alternatives import Alternative, of_priors, scores
+from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.relaxed import extended, relax
+from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
+from counterspin.inference.noise.model import NoiseModel
+
+TRUTH = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
+WHITE = 0.01
+PRIORS = {"K_F": (0.005, 2e-6), "K_I": (1.002, 5e-6), "K_III": (0.0, 0.0)}
+TILTS = tuple(Unknown(f"run{i}", "platform.tilt.north", (0.0, ARCSEC), 1e-2) for i in (1, 2, 3))
+MODEL = Unknowns(
+    (*unknowns(["K_F", "K_I", "K_II", "K_III"], PRIORS), *TILTS),
+    (Considered("Qx", "K_PP", (0.0, 1e-6), 1e-4),),
+    {"centrifuge.radius": 1e-5},
+)
+
+
+def fitted(series, model=MODEL, white=WHITE):
+    return estimate(series, model, {"Qx": NoiseRequest(white, 0.0)}, reject=False)
+
+
+@pytest.fixture(scope="module")
+def series():
+    rng = np.random.default_rng(7)
+    return [noisy(one, NoiseModel(WHITE), rng) for one in three_rates(TRUTH)]
+
+
+@pytest.fixture(scope="module")
+def relaxed(series):
+    return relax(fitted(series).fit)
+
+
+def without_prior(relaxed, places):
+    """The relaxed fit with nothing known of some unknowns."""
+    loose = list(relaxed.model.unknowns)
+    for place in places:
+        loose[place] = replace(loose[place], prior=(loose[place].nominal, math.inf))
+    return fitted_again(relaxed, Unknowns(tuple(loose)))
+
+
+def fitted_again(relaxed, model):
+    return replace(relaxed, model=model).with_noise(relaxed.noise)
+
+
+def test_considered_terms_and_inputs_are_unknowns_with_their_priors(relaxed):
+    names = [unknown.name for unknown in relaxed.model.unknowns]
+    assert names[-2:] == ["Qx.K_PP", "centrifuge.radius"]
+    np.testing.assert_allclose(relaxed.solution.prior_sd[-2:], [1e-6, 1e-5])
+    again = fitted_again(relaxed, relaxed.model)
+    np.testing.assert_allclose(again.solution.estimate, relaxed.solution.estimate, rtol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["Qx.K_F", "Qx.K_I", "run2.platform.tilt.north"])
+def test_a_prior_is_held_to_the_fit_without_it(relaxed, name):
+    held = scores(relaxed, of_priors(relaxed), noise_given=True)
+    place = [other.name for other in held.alternatives].index(name)
+    (unknown,) = held.alternatives[place].priors
+    without = without_prior(relaxed, [unknown]).solution
+    prior = relaxed.model.unknowns[unknown]
+    apart = float(without.estimate[unknown]) - prior.prior_mean
+    spread = math.hypot(float(without.u[unknown]), prior.prior[1])
+    scale = max(1.0, without.chi2 / without.dof)
+    # The numerical regularisation stands for no prior: 1e-8 of u, and more for what is weak.
+    assert held.value[place] == pytest.approx(apart, rel=1e-6)
+    assert held.u[place] == pytest.approx(spread * math.sqrt(scale), rel=1e-6)
+    assert held.size[place] == pytest.approx(abs(apart) / spread / math.sqrt(scale), rel=1e-6)
+
+
+def test_an_exact_prior_is_held_to_the_fit_with_the_term_unknown(relaxed):
+    held = scores(relaxed, of_priors(relaxed), noise_given=True)
+    place = [other.name for other in held.alternatives].index("Qx.K_III")
+    without = without_prior(relaxed, [3]).solution
+    scale = max(1.0, without.chi2 / without.dof)
+    assert held.value[place] == pytest.approx(float(without.estimate[3]), rel=1e-6)
+    assert held.u[place] == pytest.approx(float(without.u[3]) * math.sqrt(scale), rel=1e-6)
+
+
+def test_a_column_is_held_to_the_fit_with_it(relaxed):
+    outputs = {
+        i: part.series.error for i, part in enumerate(relaxed.prepared) if part.run == "run2"
+    }
+    jumps = {2: (relaxed.prepared[2].series.time > 5.0).astype(float)}
+    alternatives = [
+        Alternative("jump", "run3", "jump", jumps),
+        Alternative("scale", "run2", "scale", outputs),
+    ]
+    held = scores(relaxed, alternatives, noise_given=True)
+    for k, columns in enumerate((jumps, outputs)):
+        unknown = Unknown("", "other", (0.0, math.inf), 1.0)
+        whole = extended(relaxed, [unknown], [columns]).solution
+        scale = max(1.0, whole.chi2 / whole.dof)
+        assert held.value[k] == pytest.approx(float(whole.estimate[-1]), rel=1e-6)
+        assert held.u[k] == pytest.approx(float(whole.u[-1]) * math.sqrt(scale), rel=1e-6)
+        gain = relaxed.solution.chi2 - whole.chi2
+        assert held.size[k] ** 2 * scale == pytest.approx(gain, rel=1e-4, abs=1e-6)
+
+
+def test_what_the_unknowns_follow_cannot_be_told(relaxed):
+    gravity = relaxed.prepared[0].series.trajectory.site.gravity
+    bias = {i: gravity * part.series.time**2 / 2 for i, part in enumerate(relaxed.prepared)}
+    loose = without_prior(relaxed, [0])
+    held = scores(loose, [Alternative("bias", "Qx", "bias", bias)], noise_given=True)
+    assert math.isinf(held.u[0])
+    assert held.size[0] == 0.0
+    assert held.tested == 0
+
+
+def test_all_runs_are_off_alike(series):
+    off = replace(
+        MODEL,
+        unknowns=(
+            *MODEL.unknowns[:4],
+            *(replace(tilt, prior=(60.0 * ARCSEC, ARCSEC)) for tilt in TILTS),
+        ),
+    )
+    relaxed = relax(fitted(series, off).fit)
+    held = scores(relaxed, of_priors(relaxed), noise_given=True)
+    names = [other.name for other in held.alternatives]
+    together = names.index("platform.tilt.north")
+    single = [names.index(f"run{i}.platform.tilt.north") for i in (1, 2, 3)]
+    assert held.size[together] > max(held.size[single])
+    assert abs(held.value[together] + 60.0 * ARCSEC) < 4.0 * held.u[together]
+
+
+def test_sizes_are_those_of_chance_where_all_is_as_assumed():
+    rng = np.random.default_rng(11)
+    sizes = []
+    clean = three_rates(TRUTH)
+    for _ in range(60):
+        drawn = [noisy(one, NoiseModel(WHITE), rng) for one in clean]
+        priors = {
+            "K_F": (TRUTH["K_F"] + 2e-6 * rng.standard_normal(), 2e-6),
+            "K_I": (TRUTH["K_I"] + 5e-6 * rng.standard_normal(), 5e-6),
+        }
+        model = Unknowns(unknowns(["K_F", "K_I", "K_II"], priors))
+        relaxed = relax(fitted(drawn, model, None).fit)
+        columns = {0: drawn[0].time ** 2}
+        own = Alternative("bias", "run1", "bias", columns)
+        sizes.append(scores(relaxed, [*of_priors(relaxed), own], noise_given=False).size)
+    squares = np.square(sizes)
+    # Sums of 60 squares of normal variables: 60 ± sqrt(120), held to 4 standard deviations.
+    assert np.all(np.abs(squares.sum(axis=0) - 60.0) < 4.0 * math.sqrt(120.0))

@@ -1,0 +1,75 @@
+"""Normal gravity against published values."""
+
+import math
+
+import pytest
+
+from counterspin.physics.gravity import HEIGHTS, gravity_range, normal_gravity
+
+
+@pytest.mark.parametrize(
+    ("degrees", "published", "within"),
+    [
+        # NIMA TR 8350.2, table 3.4: at the equator and at the poles of WGS 84
+        (0.0, 9.7803253359, 1e-10),
+        (90.0, 9.8321849378, 1e-9),
+        # Moritz, Geodetic Reference System 1980: gamma_45, whose gravity at the equator is
+        # larger by 1.44e-6
+        (45.0, 9.806199203 - 1.44e-6, 1e-8),
+        (-45.0, 9.806199203 - 1.44e-6, 1e-8),
+    ],
+)
+def test_on_the_ellipsoid(degrees, published, within):
+    assert normal_gravity(math.radians(degrees)) == pytest.approx(published, abs=within)
+
+
+def test_it_falls_by_the_free_air_gradient():
+    # Hofmann-Wellenhof and Moritz, Physical Geodesy (2006), Eq. 3-32: 0.3086 mGal/m.
+    at_45 = math.radians(45.0)
+    gradient = (normal_gravity(at_45, 1.0) - normal_gravity(at_45, -1.0)) / 2.0
+    assert gradient == pytest.approx(-0.3086e-5, rel=5e-4)
+
+
+def exact(latitude, height):
+    """Gravity of the ellipsoid's own field outside it, from its potential (TR 8350.2, ch. 4)."""
+    mp = pytest.importorskip("mpmath")
+    mp.mp.dps = 40
+    a, f, gm = mp.mpf(6378137), 1 / mp.mpf("298.257223563"), mp.mpf("3986004.418e8")
+    rate = mp.mpf("7292115e-11")
+    b = a * (1 - f)
+    e = mp.sqrt(a**2 - b**2)
+
+    def q(u):
+        return ((1 + 3 * u**2 / e**2) * mp.atan(e / u) - 3 * u / e) / 2
+
+    def potential(x, z):
+        r2 = x**2 + z**2 - e**2
+        u = mp.sqrt(r2 / 2 * (1 + mp.sqrt(1 + 4 * e**2 * z**2 / r2**2)))
+        sine = z / u
+        field = (
+            gm / e * mp.atan(e / u) + rate**2 * a**2 * q(u) / q(b) * (sine**2 - mp.mpf(1) / 3) / 2
+        )
+        return field + rate**2 * x**2 / 2
+
+    sine, cosine = mp.sin(latitude), mp.cos(latitude)
+    normal = a**2 / mp.sqrt((a * cosine) ** 2 + (b * sine) ** 2)
+    x = (normal + height) * cosine
+    z = (normal * (b / a) ** 2 + height) * sine
+    step = mp.mpf("0.001")
+    along = (potential(x + step, z) - potential(x - step, z)) / (2 * step)
+    up = (potential(x, z + step) - potential(x, z - step)) / (2 * step)
+    return float(mp.sqrt(along**2 + up**2))
+
+
+@pytest.mark.parametrize("height", HEIGHTS)
+@pytest.mark.parametrize("latitude", [0.2, 0.8, 1.3])
+def test_at_height_it_is_that_of_the_ellipsoid_s_potential(latitude, height):
+    assert normal_gravity(latitude, height) == pytest.approx(exact(latitude, height), abs=4e-7)
+
+
+def test_a_laboratory_stands_between_a_mine_and_the_mountains():
+    low, high = gravity_range(math.radians(45.75))
+    assert low == normal_gravity(math.radians(45.75), 3000.0)
+    assert high == normal_gravity(math.radians(45.75), -500.0)
+    assert low < 9.8
+    assert high > 9.8066

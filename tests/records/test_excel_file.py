@@ -1,0 +1,62 @@
+"""Workbooks of Excel as tables, read where they can do no harm."""
+
+import builtins
+
+import pytest
+from workbooks import write_workbook
+
+from counterspin.errors import DamagedFileError, RecordError
+from counterspin.records.excel_file import excel_table
+from counterspin.records.isolation import is_isolated
+from counterspin.records.tables import places, read_table
+
+ROWS = [
+    ["position", "deg", "mA"],
+    ["a", 0, 1.25],
+    ["b", 30.5, "1.0 mA"],
+    ["c", 60, 1 / 3],
+    [None, 90, 1e-13],
+]
+
+
+def test_a_sheet_has_names_numbers_and_text(tmp_path):
+    path = write_workbook(tmp_path / "r.xlsx", {"Notes": [["hello"]], "Tumble": ROWS})
+    assert is_isolated(path)
+    for sheet in (None, "Tumble"):  # the other one has no rows below its names
+        table = read_table(path, sheet)
+        assert table.columns == ROWS[0]
+        assert table["deg"].to_list() == [0.0, 30.5, 60.0, 90.0]
+        # To the last digit, though a column of text and numbers is one of text.
+        assert [float(table["mA"][i]) for i in (0, 2, 3)] == [1.25, 1 / 3, 1e-13]
+        assert table["mA"][1] == "1.0 mA"
+        assert table["position"].to_list() == ["a", "b", "c", None]
+    assert places(path, 2)[1] == "row 2 below the names"
+
+
+def test_which_sheet_must_be_clear(tmp_path):
+    path = write_workbook(tmp_path / "r.xlsx", {"before": ROWS, "after": ROWS})
+    with pytest.raises(RecordError, match="the sheets 'before', 'after' hold rows; name one"):
+        read_table(path)
+    with pytest.raises(RecordError, match="there is no sheet 'aftr'; it has 'before', 'after'"):
+        read_table(path, "aftr")
+
+
+def test_a_damaged_workbook_is_told(tmp_path):
+    path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS})
+    path.write_bytes(path.read_bytes()[:600])
+    with pytest.raises(DamagedFileError, match=r"r\.xlsx: the file is damaged"):
+        read_table(path)
+
+
+def test_without_its_reader_the_extra_is_named(tmp_path, monkeypatch):
+    path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS})
+    imported = builtins.__import__
+
+    def without(name, *args, **kwargs):
+        if name == "fastexcel":
+            raise ModuleNotFoundError(name)
+        return imported(name, *args, **kwargs)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(RecordError, match=r"pip install 'counterspin\[excel\]', or save"):
+        excel_table(path)

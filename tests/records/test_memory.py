@@ -1,0 +1,139 @@
+import hashlib
+
+import numpy as np
+import polars as pl
+import pytest
+
+from counterspin.errors import RecordError
+from counterspin.records.memory import memory_table
+from counterspin.records.reading import read_record
+from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
+from counterspin.records.tables import locate, read_numbers
+
+TIMES = [0.0, 0.5, 1.0]
+ANGLES = [0.0, 1.0, float("nan")]
+
+
+class Column:
+    """A column as pandas has it, whose missing values may be of its own kind."""
+
+    def __init__(self, values, dtype=float):
+        self.values, self.dtype = values, np.dtype(dtype)
+
+    def to_numpy(self):
+        return np.array(self.values, dtype=self.dtype)
+
+
+class NAType:
+    """What pandas writes for a missing value of a nullable column."""
+
+
+class Frame:
+    """A frame as pandas has it: `columns`, and each by its name."""
+
+    def __init__(self, columns):
+        self._columns = columns
+        self.columns = list(columns)
+
+    def __getitem__(self, name):
+        return self._columns[name]
+
+
+class Stream:
+    """A frame of some library that hands over Arrow's columns."""
+
+    def __init__(self, frame):
+        self._frame = frame
+
+    def __arrow_c_stream__(self, requested_schema=None):
+        return self._frame.__arrow_c_stream__(requested_schema)
+
+
+STRUCTURED = np.array(list(zip(TIMES, ANGLES, strict=True)), dtype=[("t", "f8"), ("a", "f8")])
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        {"t": TIMES, "a": np.array(ANGLES)},
+        {"t": np.array([TIMES]).T, "a": np.ma.masked_invalid(ANGLES)},
+        {"t": TIMES, "a": [0, 1, None]},
+        pl.DataFrame({"t": TIMES, "a": [0, 1, None]}),
+        STRUCTURED,
+        Frame({"t": Column(TIMES), "a": Column([0.0, 1.0, NAType()], object)}),
+        Stream(pl.DataFrame({"t": TIMES, "a": [0, 1, None]})),
+    ],
+    ids=["arrays", "masked", "lists", "polars", "structured", "pandas", "arrow"],
+)
+def test_frames_of_any_library_give_the_same_columns(frame):
+    table = memory_table("run", frame)
+    np.testing.assert_array_equal(table.columns["t"], TIMES)
+    np.testing.assert_array_equal(table.columns["a"], ANGLES)
+    assert table.others == ()
+
+
+def test_the_numbers_are_copied():
+    times = np.array(TIMES)
+    table = memory_table("run", {"t": times})
+    times[0] = 7.0
+    assert table.columns["t"][0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        table.columns["t"][0] = 7.0
+
+
+def test_the_checksum_is_of_names_and_values():
+    little = np.array(TIMES, dtype="<f8").tobytes()
+    digest = hashlib.sha256(b"t\0" + little).hexdigest()
+    assert memory_table("run", {"t": TIMES}).checksum == f"sha256:{digest}"
+    other = memory_table("run", {"t": [0.0, 0.5, np.nextafter(1.0, 2.0)]})
+    assert other.checksum != f"sha256:{digest}"
+
+
+def test_columns_of_text_are_no_numbers_even_if_they_look_like_it():
+    table = memory_table("run", {"t": TIMES, "a": ["1", "2", "3"]})
+    assert table.others == ("a",)
+    with pytest.raises(RecordError, match="run: column 'a' holds no numbers"):
+        read_numbers(table, ["t", "a"])
+
+
+@pytest.mark.parametrize(
+    ("frame", "message"),
+    [
+        (7, "run: a int has no named columns. Give a mapping"),
+        ({"t": TIMES, "a": [1.0]}, "run: the columns differ in length: 't' 3, 'a' 1"),
+        ({"t": [], "a": []}, "run: there are no rows of numbers"),
+        ({"t": TIMES, "a": np.zeros((3, 3))}, r"column 'a' has the shape \(3, 3\)"),
+    ],
+)
+def test_what_is_no_record_is_refused(frame, message):
+    with pytest.raises(RecordError, match=message):
+        memory_table("run", frame)
+
+
+COLUMNS = RecordColumns(ColumnSpec("t"), ColumnSpec("a"), {"Qx": ColumnSpec("s")})
+
+
+def samples(rows=400):
+    time = np.arange(rows) * 0.1
+    return {"t": time, "a": time, "s": np.random.default_rng(1).normal(size=rows)}
+
+
+def test_a_record_in_memory_is_read_as_its_file(tmp_path):
+    frame = samples()
+    pl.DataFrame(frame).write_csv(tmp_path / "run.csv")
+    motion = StatedMotion(1.0)
+    of_file = read_record(tmp_path / "run.csv", COLUMNS, motion)
+    in_memory = read_record(memory_table("run", frame), COLUMNS, motion)
+    np.testing.assert_array_equal(in_memory.signals["Qx"], of_file.signals["Qx"])
+    np.testing.assert_array_equal(in_memory.angle, of_file.angle)
+    assert in_memory.identity is None
+
+
+def test_mistakes_are_told_by_row():
+    frame = samples()
+    frame["t"][200] = 3.0
+    with pytest.raises(RecordError, match=r"my run, row 201: time runs backwards"):
+        read_record(memory_table("my run", frame), COLUMNS, StatedMotion(1.0))
+    with pytest.raises(RecordError, match=r"there is no column 's'; the file has 't', 'a'"):
+        read_record(memory_table("my run", {"t": [1.0], "a": [1.0]}), COLUMNS, StatedMotion(1.0))
+    assert locate(memory_table("my run", frame), 4) == "row 5"

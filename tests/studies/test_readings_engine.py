@@ -1,0 +1,202 @@
+"""Studies of readings: unbiased, their intervals hold the truth, and they claim what is claimed."""
+
+import math
+import os
+
+import numpy as np
+import pytest
+from scipy import stats
+
+import counterspin as cs
+from counterspin.errors import CampaignError, NotIdentifiableError
+from counterspin.studies.choice import prepare
+from counterspin.studies.description import read_study
+from counterspin.studies.study import study
+
+HEAD = """schema = 1
+site = { gravity = "9.8066 m/s^2", latitude = "45.75 deg" }
+[centrifuge]
+radius = "1.0 m"
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "west"
+output = { unit = "mA", sensitivity = "1.25 mA/g" }
+specific_force = { column = "mA", unit = "mA" }
+[truth.A]
+K_F = "2e-3 g"
+K_I = "1.0005 g/g"
+K_II = "15 ug/g^2"
+"""
+
+
+def tumble(u=" ± 2e-6 mA", count=12):
+    step = 360 // count
+    return "".join(
+        f'[[runs]]\nname = "{i * step} deg"\nmotion = "static"\n'
+        f'attitude = "{i * step} ± 2e-5 deg about north"\nreading = "?{u}"\n'
+        for i in range(count)
+    )
+
+
+def arm(u=" ± 2e-6 mA", rates=(3.1, 7.0, 10.0, 14.0)):
+    return "".join(
+        f'[[runs]]\nname = "{side} {rate}"\nmotion = "arm"\nrate = "{rate} rad/s"\n'
+        f'mounting = "{side}"\naxes = {{ input = "{side}", pendulous = "forward" }}\n'
+        f'reading = "?{u}"\n'
+        for side in ("inward", "outward")
+        for rate in rates
+    )
+
+
+NOISE = '[truth.noise]\nreading = "2e-6 mA"\n'
+AT_REST = """[model]
+terms = ["K_F", "K_I", "K_II", "delta_O"]
+considered = ["head.zero", "K_PP"]
+[model.priors]
+"head.zero" = "0 ± 1 arcsec"
+"K_PP" = "0 ± 2 ug/g^2"
+[study.vary]
+"head.zero" = { normal = "0 ± 1 arcsec" }
+"K_PP" = { normal = "0 ± 2 ug/g^2" }
+"""
+ON_ARM = """[model]
+terms = ["K_F", "K_I", "K_II"]
+considered = ["centrifuge.stretch", "fixture.misalignment.inward.forward"]
+[model.priors]
+"centrifuge.stretch" = "0 ± 5e-9 s^2/m"
+"fixture.misalignment.inward.forward" = "0 ± 2 arcsec"
+[study.vary]
+"centrifuge.stretch" = { normal = "0 ± 5e-9 s^2/m" }
+"fixture.misalignment.inward.forward" = { normal = "0 ± 2 arcsec" }
+"""
+ESTIMATED = ON_ARM.replace('K_II"]\nconsidered = [', 'K_II", ')
+BOTH = """[model]
+terms = ["K_F", "K_I", "K_II", "delta_O", "centrifuge.radius"]
+[model.priors]
+"centrifuge.radius" = "0 ± 1e-4 m"
+[study.vary]
+"centrifuge.radius.inward" = { normal = "0 ± 1e-4 m" }
+"centrifuge.radius.outward" = { normal = "0 ± 1e-4 m" }
+"""
+
+STUDIES = {
+    "tumble, noise stated": (AT_REST, tumble()),
+    "tumble, noise estimated": (AT_REST + NOISE, tumble("")),
+    "arm, noise stated": (ON_ARM, arm()),
+    "arm, noise estimated": (ESTIMATED + NOISE, arm("")),
+    "arm, considered, noise estimated": (ON_ARM + NOISE, arm("")),
+    "both, noise stated": (BOTH, tumble() + arm(rates=(7.0, 14.0))),
+    "both, noise estimated": (BOTH + NOISE, tumble("", 8) + arm("", (7.0, 14.0))),
+}
+TRIALS = 1000 if os.environ.get("COUNTERSPIN_FULL") else 64
+
+
+def described(folder, *parts):
+    folder.mkdir(exist_ok=True)
+    (folder / "campaign.toml").write_text(HEAD + "".join(parts), encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("name", STUDIES)
+def test_estimates_are_unbiased_and_intervals_hold_the_truth(tmp_path, name):
+    """All bounds together fail by chance once in some thousand changes of the random numbers."""
+    result = study(described(tmp_path, *STUDIES[name]), trials=TRIALS, seed=5)
+    analysis = result.analyses["joint"]
+    assert analysis.engine == "readings"
+    wanted = {"A.K_F", "A.K_I", "A.K_II"}
+    assert wanted <= set(analysis.coefficients)
+    for coefficient in analysis.coefficients.values():
+        assert abs(coefficient.bias) < 4.5 * coefficient.se_bias
+        for covered, level in zip(coefficient.covered, (0.68, 0.95), strict=False):
+            low, high = stats.binom.interval(1.0 - 1e-5, TRIALS, level)
+            assert low <= round(covered * TRIALS) <= high
+        assert coefficient.efficiency is None or coefficient.efficiency < 1.0 + 5.0 / math.sqrt(
+            TRIALS / 2
+        )
+
+
+def test_a_trial_claims_what_a_calibration_claims(tmp_path):
+    parts = STUDIES["both, noise stated"]
+    folder = described(tmp_path / "own", *parts)
+    result = cs.study(folder, trials=8)
+    cs.simulate(folder, tmp_path / "made")
+    found = cs.calibrate(tmp_path / "made")
+    for symbol in ("K_F", "K_I", "K_II", "delta_O"):
+        claimed = result.analyses["joint"].coefficients[f"A.{symbol}"].u
+        assert claimed == pytest.approx(found.accelerometers["A"].coefficients[symbol].u, rel=1e-3)
+    radius = result.analyses["joint"].coefficients["centrifuge.radius.inward"]
+    assert radius.u == pytest.approx(found.platform["centrifuge.radius.inward"].u, rel=1e-4)
+    assert radius.unit == "m"
+
+
+def test_records_of_readings_have_the_uncertainty_of_their_mean(tmp_path):
+    """White noise of 20 Hz over 100 s: the mean's standard deviation is the sample's over 44.7."""
+    record = (
+        '[[runs]]\nname = "rest"\nmotion = "static"\nattitude = "level"\n'
+        'record = "rest.csv"\nduration = "100 s"\n'
+        '[records]\ntime = { column = "t", unit = "s" }\n'
+        '[simulation]\nsampling_rate = "20 Hz"\n'
+        '[model]\nterms = ["K_F"]\n[truth.noise]\nspecific_force = "1 mg"\n'
+    )
+    text = HEAD.replace('K_II = "15 ug/g^2"\n', "").replace('K_I = "1.0005 g/g"\n', "")
+    (tmp_path / "campaign.toml").write_text(text + record, encoding="utf-8")
+    coefficient = study(tmp_path, trials=400).analyses["joint"].coefficients["A.K_F"]
+    expected = 1e-3 / math.sqrt(2000)
+    assert coefficient.sd == pytest.approx(expected, rel=5.0 / math.sqrt(800))
+    assert coefficient.bound == pytest.approx(expected, rel=1e-9)
+
+
+def test_the_radius_of_the_machine_may_vary(tmp_path):
+    vary = '[model]\nterms = ["K_I"]\n[study.vary]\n"centrifuge.radius" = { fixed = "1.001 m" }\n'
+    text = HEAD.replace('K_F = "2e-3 g"\n', "").replace('K_II = "15 ug/g^2"\n', "")
+    (tmp_path / "campaign.toml").write_text(text + vary + arm(), encoding="utf-8")
+    coefficient = study(tmp_path, trials=4).analyses["joint"].coefficients["A.K_I"]
+    assert coefficient.bias == pytest.approx(1.0005e-3, rel=1e-3)
+    assert not coefficient.trustworthy
+
+
+def test_what_readings_do_not_determine_is_named(tmp_path):
+    text = '[model]\nterms = ["K_F", "K_I", "K_II", "delta_O"]\n'
+    (tmp_path / "campaign.toml").write_text(HEAD + text + tumble(), encoding="utf-8")
+    analysis = study(tmp_path, trials=2).analyses["joint"]
+    assert analysis.undetermined == ["A.K_II"]
+
+
+def test_a_trial_is_the_same_whoever_makes_it(tmp_path):
+    parts = STUDIES["arm, noise estimated"]
+    engine = prepare(read_study(described(tmp_path, *parts)), 7)
+    one, again = engine.batch(3, 5, keep=True), engine.batch(3, 5, keep=True)
+    np.testing.assert_array_equal(one.values, again.values)
+
+
+SLIPS = {
+    "two-stage": (
+        '[study.analyses.old]\nmethod = "two-stage"\n',
+        "study.analyses.old.method: the two-stage method takes records",
+    ),
+    "a spindle": (
+        '[study.vary]\n"spindle.drift" = { fixed = "1e-6 1/s" }\n',
+        "acts on records of a double turntable, of which there are none here",
+    ),
+    "another mounting": (
+        '[study.vary]\n"centrifuge.radius.inn" = { fixed = "1 mm" }\n',
+        'is nothing that a study can vary; did you mean "centrifuge.radius"?',
+    ),
+    "no noise": ("", "truth.noise.reading: missing"),
+}
+
+
+@pytest.mark.parametrize("slip", SLIPS)
+def test_each_slip_is_told(tmp_path, slip):
+    more, message = SLIPS[slip]
+    runs = arm("") if slip == "no noise" else arm()
+    model = '[model]\nterms = ["K_F", "K_I"]\n'
+    with pytest.raises(CampaignError) as caught:
+        read_study(described(tmp_path, model, more, runs))
+    assert any(message in line for line in caught.value.problems), caught.value.problems
+
+
+def test_engines_of_records_are_refused(tmp_path):
+    described(tmp_path, *STUDIES["arm, noise stated"])
+    with pytest.raises(NotIdentifiableError, match='`engine="exact"` is not valid here: there are'):
+        study(tmp_path, engine="exact")

@@ -1,0 +1,71 @@
+"""No violation of the model moves a coefficient by more than 3 u and goes unsaid."""
+
+import runpy
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+STUDY = runpy.run_path(str(DOCS / "violations.py"))
+VIOLATIONS = [*STUDY["of_table"](), *STUDY["of_inputs"]()]
+
+#: The same study with fewer rows.
+SMALL = STUDY["Size"](10.0, 20)
+
+
+def test_the_page_shows_what_was_found():
+    page = STUDY["PAGE"].read_text("utf-8")
+    assert STUDY["insert"](STUDY["load"](), page) == page
+
+
+def test_every_violation_is_in_the_table_with_every_record():
+    found = {(row.name, row.size, row.observable) for row in STUDY["load"]()}
+    assert found == {
+        (violation.name, violation.size, observable)
+        for violation in VIOLATIONS
+        for observable in STUDY["OBSERVABLES"]
+    }
+
+
+def test_none_of_the_table_is_silent():
+    silent = [f"{row.name} ({row.observable})" for row in STUDY["load"]() if row.silent]
+    assert silent == []
+
+
+def test_the_worst_one_is_what_the_theory_says():
+    # Compliance in azimuth has the t^2 of K_II itself (physics.md): 0.1 arcsec/g is 4.85e-7 g/g^2.
+    (row,) = (
+        row
+        for row in STUDY["load"]()
+        if (row.name, row.observable) == ("platform.compliance.zy", "displacement")
+    )
+    assert row.shifts["K_II"] == pytest.approx(4.85e-7 / 7.48e-10, rel=0.02)
+
+
+@cache
+def clean(observable):
+    stated = STUDY["description"](observable, SMALL)
+    return STUDY["calibrated"](stated, stated)
+
+
+@pytest.mark.parametrize(
+    ("observable", "violation"),
+    [
+        (observable, violation)
+        for observable in STUDY["OBSERVABLES"]
+        for violation in VIOLATIONS
+        # What the accelerometer adds is much the same in every record.
+        if observable == "displacement" or violation.symbol.startswith(("centri", "enc", "rec"))
+    ],
+    ids=lambda part: getattr(part, "name", part),
+)
+def test_none_is_silent(observable, violation):
+    row = STUDY["row_of"](violation, observable, clean(observable), SMALL)
+    assert not row.silent, f"{row.most_moved} moves by {row.largest:.2g} u"
+
+
+def test_a_silent_one_would_be_found():
+    row = STUDY["Row"]("x", "1", "displacement", {"K_F": 0.0, "K_II": -3.1}, "good", [], False)
+    assert row.silent
+    assert row.cell == "K_II 3.1 u: nothing said"

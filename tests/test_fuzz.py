@@ -1,0 +1,155 @@
+"""No file makes counterspin fail without words: cases that once did, and a few new ones."""
+
+import subprocess
+import sys
+from random import Random
+
+import pytest
+from fuzz import ROOT
+from fuzz.formats import FORMATS, Format, command, formats
+from fuzz.hunt import content, hunt, judge
+from fuzz.kills import Command, Trial, kill_all, possible
+
+CASES = sorted((ROOT / "tests" / "cases").glob("*/*.case"))
+
+#: Cases of the short run: of documents, and of records, whose reader starts again after many.
+DOCUMENTS, RECORDS = 400, 6
+#: Formats of which a case takes long.
+SLOW = ("calibration", "study-progress")
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory):
+    """Return a function that returns a format with its folder, made once."""
+    place, made = tmp_path_factory.mktemp("bench"), {}
+
+    def get(name):
+        if name not in made:
+            made.update(formats(place, [name]))
+        return made[name], place / name / f"case{made[name].suffix}"
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COUNTERSPIN_DEBUG", "1")
+        yield get
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda path: f"{path.parent.name}-{path.stem}")
+def test_what_was_found_once_is_refused_in_words(bench, case):
+    form, path = bench(case.parent.name)
+    path.write_bytes(case.read_bytes())
+    verdict, words = judge(form, path)
+    assert verdict != "found", words
+
+
+def test_a_few_new_cases_of_each_format(bench):
+    shares = {name: row.share for name, row in FORMATS.items() if name not in SLOW}
+    for native, count in ((False, DOCUMENTS), (True, RECORDS)):
+        names = [name for name in shares if FORMATS[name].native == native]
+        rng = Random(4)
+        verdicts = set()
+        for number in range(count):
+            (name,) = rng.choices(names, [shares[name] for name in names])
+            form, path = bench(name)
+            path.write_bytes(content(name, form, 2, number))
+            verdict, words = judge(form, path)
+            assert verdict != "found", f"{name}, seed 2, number {number}\n{words}"
+            verdicts.add(verdict)
+        assert "refused" in verdicts
+
+
+def fail(path):
+    return 1 / len(path.read_bytes())
+
+
+def turn(_path):
+    while True:
+        pass
+
+
+@pytest.mark.parametrize(
+    ("use", "words"),
+    [(fail, "ZeroDivisionError"), (turn, "TookTooLongError"), (lambda path: None, "")],
+)
+def test_the_judge_finds_what_is_wrong(tmp_path, monkeypatch, use, words):
+    monkeypatch.setattr("fuzz.hunt.SECONDS", 0.1)
+    path = tmp_path / "case.x"
+    path.write_bytes(b"")
+    verdict, said = judge(Format(".x", lambda rng: b"", use), path)
+    assert verdict == ("found" if words else "accepted")
+    assert words in said
+
+
+def test_a_command_that_fails_without_words_is_found(monkeypatch):
+    monkeypatch.delenv("COUNTERSPIN_DEBUG", raising=False)
+    monkeypatch.setattr("counterspin.input.open_file", None)
+    with pytest.raises(AssertionError):
+        command("report", ROOT / "tests/frozen/schema-1-joint.json", "--date", "2026-01-01")
+
+
+def test_a_hunt_counts_what_it_tried(tmp_path, bench):
+    bag = hunt(["lab"], seed=5, first=1, count=30, output=tmp_path)
+    form, path = bench("lab")
+    refused = 0
+    for number in range(1, 31):
+        path.write_bytes(content("lab", form, 5, number))
+        refused += judge(form, path)[0] == "refused"
+    assert bag.counts == {"lab refused": refused, "lab accepted": 30 - refused}
+    assert not bag.finds
+    assert "lab" in bag.table()
+
+
+#: Stands for a worker that its second case kills.
+DYING = """
+import json, os, sys
+first, count, folder = int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]
+if first == 1:
+    open(folder + "/at", "wb").write((2).to_bytes(8, "little"))
+    os.abort()
+open(folder + "/lines", "w").write(json.dumps({"counts": {"lab refused": count}, "next": 4}))
+"""
+
+
+def test_a_hunt_keeps_a_case_that_kills_and_goes_on_after_it(tmp_path, monkeypatch):
+    start = subprocess.Popen
+    monkeypatch.setattr(
+        "fuzz.hunt.subprocess.Popen",
+        lambda words, **more: start([sys.executable, "-c", DYING, *words[-3:]], **more),
+    )
+    bag = hunt(["lab"], seed=5, first=1, count=3, output=tmp_path)
+    (sign,) = bag.finds
+    assert sign.startswith("lab: the process ended with status -6")
+    form = formats(tmp_path / "bench", ["lab"])["lab"]
+    assert (tmp_path / "lab-5-2.toml").read_bytes() == content("lab", form, 5, 2)
+    assert bag.counts["lab found"] == 1
+
+
+@pytest.mark.skipif(not possible(), reason="processes cannot be traced here")
+def test_a_command_that_is_killed_loses_nothing_and_leaves_nothing_half_done():
+    done, faults = kill_all(2, ["apply"])
+    assert faults == []
+    calls, count = done["apply"]
+    assert calls > 3
+    assert count == 2
+
+
+#: Writes its output in place, and spoils its input.
+CARELESS = """
+open("result.json", "a").write("x")
+with open("new.json", "w") as file:
+    file.write("half ")
+    file.flush()
+    file.write("and half")
+"""
+
+
+@pytest.mark.skipif(not possible(), reason="processes cannot be traced here")
+def test_a_loss_would_be_found(tmp_path, monkeypatch):
+    monkeypatch.setattr("fuzz.kills._program", lambda _: [sys.executable, "-c", CARELESS])
+    inputs = tmp_path / "inputs"
+    inputs.mkdir()
+    (inputs / "result.json").write_text("")
+    trial = Trial("careless", inputs, Command(("x",)), tmp_path)
+    assert trial.calls == 5
+    assert not trial.faults(1)
+    assert any("result.json is lost or changed" in fault for fault in trial.faults(4))
+    assert any("new.json is not whole" in fault for fault in trial.faults(5))

@@ -1,0 +1,145 @@
+"""What a researcher does in a notebook: each task is a few lines of their own code.
+
+The lines that count are the bodies of the functions `task_...`: at most five each, which a test
+holds them to; what comes of them is checked in the tests.
+"""
+
+import ast
+from pathlib import Path
+
+import frames
+import polars as pl
+import pytest
+
+import counterspin as cs
+
+
+@pytest.fixture(scope="module")
+def records(tmp_path_factory):
+    """Return data frames by run."""
+    made = frames.arrays(tmp_path_factory.mktemp("records"))
+    return {name: pl.DataFrame(dict(columns)) for name, columns in made.items()}
+
+
+@pytest.fixture(scope="module")
+def campaign(records):
+    return cs.make_campaign(frames.untrue(), records)
+
+
+@pytest.fixture(scope="module")
+def result(campaign):
+    return cs.calibrate(campaign)
+
+
+def k_ii(result):
+    return result.accelerometers["Qx"].coefficients["K_II"]
+
+
+# --- the tasks ------------------------------------------------------------------------------------
+
+
+def task_calibrate_frames(description, records):
+    campaign = cs.make_campaign(description, records)
+    return cs.calibrate(campaign).accelerometers["Qx"].coefficients["K_II"]
+
+
+def task_compare_models(campaign):
+    found = {}
+    for terms in (["K_F", "K_I", "K_II"], ["K_F", "K_I", "K_II", "K_III"]):
+        found[len(terms)] = cs.calibrate(campaign.change(terms=terms))
+    return found
+
+
+def task_simulate_another_truth(description):
+    campaign = cs.make_campaign(description).change(truth={"Qx": {"K_II": "5e-5 g/g^2"}})
+    return cs.calibrate(cs.simulate(campaign))
+
+
+def task_sweep(campaign):
+    radii = [2.4995, 2.5, 2.5005]
+    results = [cs.calibrate(campaign.change(radius=f"{radius} m")) for radius in radii]
+    return [r.accelerometers["Qx"].coefficients["K_II"].value for r in results]
+
+
+def task_two_stages(records, trajectories):
+    runs = []
+    for name, columns in records.items():
+        strobes = cs.strobes_by_angle(*columns, cs.strobe_angle(cs.QX.input_axis))
+        runs.append(cs.StrobedRun(name, trajectories[name], cs.first_stage(strobes, sigma=0.01)))
+    return cs.second_stage(runs, cs.QX).estimate("K_II")
+
+
+def task_one_accelerometer(campaign):
+    return cs.calibrate(campaign.change(accelerometers=["Qx"]))
+
+
+def task_join(description, spring, autumn):
+    one, other = (cs.make_campaign(description, records) for records in (spring, autumn))
+    return cs.calibrate(one.join(other))
+
+
+# --- what comes of them ---------------------------------------------------------------------------
+
+
+def tasks():
+    tree = ast.parse(Path(__file__).read_text(encoding="utf-8"))
+    functions = (node for node in tree.body if isinstance(node, ast.FunctionDef))
+    return [node for node in functions if node.name.startswith("task_")]
+
+
+@pytest.mark.parametrize("task", tasks(), ids=lambda task: task.name)
+def test_a_task_is_at_most_five_lines(task):
+    assert task.end_lineno - task.lineno <= 5
+
+
+def test_frames_are_calibrated(records):
+    found = task_calibrate_frames(frames.untrue(), records)
+    assert abs(found.value - 2.7e-5) < 4.0 * found.u
+
+
+def test_models_are_compared(campaign):
+    found = task_compare_models(campaign)
+    assert [list(r.accelerometers["Qx"].coefficients) for r in found.values()] == [
+        ["K_F", "K_I", "K_II"],
+        ["K_F", "K_I", "K_II", "K_III"],
+    ]
+
+
+def test_another_truth_is_found():
+    found = k_ii(task_simulate_another_truth(frames.small()))
+    assert abs(found.value - 5e-5) < 4.0 * found.u
+
+
+def test_the_sweep_of_the_radius_is_a_line(campaign, result):
+    low, middle, high = task_sweep(campaign)
+    assert middle == k_ii(result).value
+    # Reference and squared force are near to linear in a small change of the radius.
+    assert abs(high - low) > 0.0
+    assert abs(low - 2.0 * middle + high) < 0.01 * abs(high - low)
+
+
+def test_the_two_stages_by_hand(campaign, records):
+    columns = {
+        name: [frame[column].to_numpy() for column in ("time_s", "angle_rad", "east_m")]
+        for name, frame in records.items()
+    }
+    trajectories = {
+        run.name: cs.Trajectory(cs.Spindle(run.rate), campaign.radius.value, campaign.site)
+        for run in campaign.runs
+    }
+    value, u = task_two_stages(columns, trajectories)
+    assert abs(value - 2.7e-5) < 4.0 * u
+
+
+def test_one_accelerometer_alone(campaign, result):
+    alone = task_one_accelerometer(campaign)
+    assert list(alone.accelerometers) == ["Qx"]
+    assert abs(k_ii(alone).value - k_ii(result).value) < k_ii(result).u
+
+
+def test_two_campaigns_in_one_fit(records, result, tmp_path):
+    joined = task_join(frames.untrue(), records, frames.arrays(tmp_path, seed=2))
+    assert len(joined.runs) == 6
+    # Twice the records: the noise's part of the variance is half.
+    assert k_ii(joined).u_noise ** 2 == pytest.approx(0.5 * k_ii(result).u_noise ** 2, rel=0.05)
+    assert abs(k_ii(joined).value - 2.7e-5) < 4.0 * k_ii(joined).u
