@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from counterspin.campaign import settings, specification
-from counterspin.campaign.quantity import UNITS
 from counterspin.physics.shared_terms import OWN_TERMS
+from counterspin.units import UNITS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "campaign.md").read_text(encoding="utf-8")
 TABLES = re.findall(r"^<!-- keys: ([\w ]+) -->\n((?:\|.*\n)+)", PAGE, re.MULTILINE)

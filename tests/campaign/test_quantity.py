@@ -4,9 +4,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from counterspin.campaign.quantity import ADVICE, UNITS, Quantity, parse, unit_factor
+from counterspin.campaign.quantity import Quantity, parse
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.units import ADVICE, UNITS, unit_factor
 
 G = 9.8066
 UNCERTAINTY = st.one_of(st.just(0.0), st.floats(min_value=1e-50, max_value=1e50))

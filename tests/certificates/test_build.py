@@ -9,7 +9,6 @@ from results import coefficient, result
 from certificates import ISSUE, document, find
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Conformity
-from counterspin.campaign.quantity import unit_factor
 from counterspin.certificates.administrative import Issue
 from counterspin.certificates.build import check_certifiable
 from counterspin.certificates.coverage import coverage_factor, region_factor
@@ -19,6 +18,7 @@ from counterspin.errors import RecordError
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.physics.si_units import from_si, si_unit, to_si
+from counterspin.units import unit_factor
 
 G = 9.80665
 QUANTITY = "//dcc:measurementResult//dcc:quantity[@refType='basic_measuredValue']"

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from counterspin.campaign.quantity import parse, unit_factor
+from counterspin.campaign.quantity import parse
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
     field_unit,
@@ -22,6 +22,7 @@ from counterspin.reports.numbers import (
     format_uncertainty,
     round_to_uncertainty,
 )
+from counterspin.units import unit_factor
 
 BY_HAND = [
     (2.70445e-5, 3.7e-9, "g/g^2", "(2.70445 ± 0.00037) x 1e-5 g/g^2", "2.70445(37)e-5"),

@@ -17,7 +17,7 @@ from counterspin.campaign.checking import M, Problems
 from counterspin.campaign.conditions import check_conditions
 from counterspin.campaign.machine import MachineModel, errors_of_the_path, resolve_machine
 from counterspin.campaign.memory.source import Source, keep
-from counterspin.campaign.quantity import Quantity, check_unit, parse, unit_factor
+from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.reading_truth import of_records, resolve_reading_truth
 from counterspin.campaign.readings import (
     Output,
@@ -70,6 +70,7 @@ from counterspin.campaign.truth import TRUTH_TABLES, resolve_run_truth, resolve_
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.motion import Site
+from counterspin.units import check_unit, unit_factor
 
 __all__ = [
     "DEFAULT_TERMS",

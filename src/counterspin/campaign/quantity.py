@@ -1,16 +1,10 @@
 """Quantities as people write them, ``"VALUE UNIT"`` or ``"VALUE ± U UNIT"``, to SI and g-units.
 
-U is a standard uncertainty (k = 1); ``+/-`` and ``+-`` are the same as ``±``. Only the units of
-`UNITS` are known, in products, quotients and powers (``g/Hz^0.5``, ``m^-1 s^2``, ``deg/h/g``).
-A general unit library would be a trap here: it takes 50 Hz for 50 rad/s and ug for a microgram.
-
-Three things are dimensions of their own. Angle is one, so that a rotation rate is not confused
-with a relative drift in 1/s. The site's gravity g is one, so that coefficients stay in g-units.
-Where the site's gravity is given, m/s^2 and g convert into each other.
+U is a standard uncertainty (k = 1); ``+/-`` and ``+-`` are the same as ``±``. Which units there
+are says `counterspin.units`.
 
 - `Quantity`: value, standard uncertainty, unit
 - `parse`: text to `Quantity` in the unit that is wanted
-- `unit_factor`: the factor from one unit to another; `check_unit`: a unit alone
 - `NUMBER`, `PLUS_MINUS`: patterns of a number and of the sign before an uncertainty
 """
 
@@ -18,91 +12,10 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
-from functools import lru_cache
 from typing import Final
 
 from counterspin.frozen import frozen
-
-#: The dimensions.
-BASES: Final = (
-    "[length]",
-    "[time]",
-    "[angle]",
-    "[gravity]",
-    "[voltage]",
-    "[current]",
-    "[count]",
-    "[temperature]",
-)
-
-#: Every unit that may be written, as (factor, unit in which the factor is).
-#: A base unit's dimension stands in brackets.
-UNITS: Final[Mapping[str, tuple[float, str]]] = {
-    "m": (1.0, "[length]"),
-    "s": (1.0, "[time]"),
-    "rad": (1.0, "[angle]"),
-    "g": (1.0, "[gravity]"),
-    "V": (1.0, "[voltage]"),
-    "A": (1.0, "[current]"),
-    "count": (1.0, "[count]"),
-    "K": (1.0, "[temperature]"),
-    "mV": (1e-3, "V"),
-    "uV": (1e-6, "V"),
-    "mA": (1e-3, "A"),
-    "uA": (1e-6, "A"),
-    "nA": (1e-9, "A"),
-    "pulse": (1.0, "count"),
-    "mm": (1e-3, "m"),
-    "um": (1e-6, "m"),
-    "nm": (1e-9, "m"),
-    "cm": (1e-2, "m"),
-    "km": (1e3, "m"),
-    "ms": (1e-3, "s"),
-    "us": (1e-6, "s"),
-    "ns": (1e-9, "s"),
-    "min": (60.0, "s"),
-    "h": (3600.0, "s"),
-    "mrad": (1e-3, "rad"),
-    "urad": (1e-6, "rad"),
-    "nrad": (1e-9, "rad"),
-    "deg": (math.pi / 180.0, "rad"),
-    "arcmin": (math.pi / 10800.0, "rad"),
-    "arcsec": (math.pi / 648000.0, "rad"),
-    "rev": (2.0 * math.pi, "rad"),
-    "rpm": (2.0 * math.pi / 60.0, "rad/s"),
-    "mg": (1e-3, "g"),
-    "ug": (1e-6, "g"),
-    "ng": (1e-9, "g"),
-    "Hz": (1.0, "1/s"),
-    "kHz": (1e3, "1/s"),
-    "ppm": (1e-6, ""),
-    "ppb": (1e-9, ""),
-}
-
-#: What is wanted -> its name and the units to advise, for messages.
-ADVICE: Final[Mapping[str, tuple[str, str]]] = {
-    "m": ("a length", "m, mm, um, km"),
-    "s": ("a time", "s, ms, us, min, h"),
-    "rad": ("an angle", "rad, mrad, urad, deg, arcmin, arcsec, rev"),
-    "rad/s": ("an angular rate", "rad/s, deg/s, deg/h, rpm, rev/s"),
-    "1/s": ("a relative drift", "1/s, 1/h, ppm/h"),
-    "m/s": ("a velocity", "m/s, mm/s"),
-    "m/s^2": ("an acceleration", "m/s^2, mm/s^2"),
-    "Hz": ("a frequency", "Hz, kHz, 1/s"),
-    "1": ("a plain ratio", "1, ppm"),
-    "m/s^2/Hz^0.5": ("a random-walk coefficient", "g/Hz^0.5, ug/Hz^0.5, m/s^2/Hz^0.5, m/s/s^0.5"),
-    "m/s^2/s^0.5": ("a random walk of a bias", "ug/h^0.5, g/s^0.5, m/s^2/s^0.5"),
-    "g": ("a specific force", "g, mg, ug"),
-    "g/g": ("a scale factor", "g/g, ppm"),
-    "g/g^2": ("a second-order coefficient", "g/g^2, mg/g^2, ug/g^2"),
-    "g/g^3": ("a third-order coefficient", "g/g^3, mg/g^3, ug/g^3"),
-    "g/g^4": ("a fourth-order coefficient", "g/g^4, ug/g^4, ng/g^4"),
-    "rad/s/g": ("a gyro g-sensitivity", "deg/h/g, rad/s/g"),
-    "rad/s/g^2": ("a gyro g^2-sensitivity", "deg/h/g^2, rad/s/g^2"),
-    "rad/g": ("a compliance", "arcsec/g, rad/g"),
-    "s^2/m": ("a stretch per acceleration", "s^2/m, ppm/g"),
-}
+from counterspin.units import advice, unit_factor
 
 #: No quantity takes more characters.
 _LONGEST: Final = 500
@@ -117,10 +30,6 @@ _BARE = re.compile(rf"{NUMBER}(?:{PLUS_MINUS}{NUMBER})?")
 # After a value: its unit, and an uncertainty with or without its own.
 _UNIT_TWICE = re.compile(rf"([^±]*?){PLUS_MINUS}({NUMBER})\s*([^±]*)")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)\b", re.IGNORECASE)
-# A name, perhaps with a power, the 1 of "1/s", or what joins them. Nothing else is evaluated.
-_FACTOR = re.compile(
-    r"\s*(?:([A-Za-z]+)(?:\^([+-]?\d{1,2}(?:\.\d{1,3})?))?|(?<![A-Za-z0-9])(1)(?=\s*(?:/|$))|([*/()]))\s*"
-)
 
 
 @frozen
@@ -169,7 +78,7 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
         If the number is malformed, not finite, absurdly large or small, or without a unit; if the
         unit is unknown or of another dimension; if the uncertainty is negative.
     """
-    kind, accepted = _advice(unit)
+    kind, accepted = advice(unit)
     if not isinstance(text, str):
         example = f"{text!r} {accepted.split(',')[0]}" if isinstance(text, int | float) else None
         if example is None or isinstance(text, bool):
@@ -209,73 +118,6 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
     return Quantity(value, u, unit)
 
 
-@lru_cache(maxsize=256)
-def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> float:
-    """Return the factor by which a number in `unit` is multiplied to be in `wanted`.
-
-    Parameters
-    ----------
-    unit
-        A unit as written, such as ``deg/h/g``.
-    wanted
-        The unit that the number shall have, such as ``rad/s/g``.
-    gravity
-        The site's gravity in m/s^2, for conversions between g and m/s^2.
-
-    Raises
-    ------
-    ValueError
-        If `unit` is unknown, not a unit, of another dimension, or Hz where no frequency is
-        wanted: 1 Hz of rotation may mean 1 rev/s or 1 rad/s.
-    """
-    kind, accepted = _advice(wanted)
-    written = _plain(unit)
-    names = _names(written, kind, accepted)
-    if not names <= set(UNITS):
-        unknown = ", ".join(sorted(repr(name) for name in names - set(UNITS)))
-        raise ValueError(f"unknown unit {unknown}; {kind} is wanted ({accepted})")
-    if names & {"Hz", "kHz"} and "Hz" not in wanted:
-        if wanted == "rad/s":
-            raise ValueError(
-                f"{unit!r} is ambiguous for an angular rate: write rev/s for revolutions a "
-                f"second, or rad/s ({accepted})"
-            )
-        raise ValueError(f"{unit!r} is a frequency; {kind} is wanted ({accepted})")
-    factor, dimension = _evaluate(written)
-    wanted_factor, wanted_dimension = _evaluate(wanted)
-    factor /= wanted_factor
-    surplus = {base: dimension[base] - wanted_dimension[base] for base in BASES}
-    # What is left over may be a power of (m/s^2)/g, which the site's gravity resolves.
-    power = surplus["[length]"]
-    of_gravity = dict.fromkeys(BASES, 0.0)
-    of_gravity |= {"[length]": power, "[time]": -2.0 * power, "[gravity]": -power}
-    if surplus != of_gravity or (power != 0.0 and gravity is None):
-        raise ValueError(f"{unit!r} is not a unit of {kind.split(' ', 1)[1]}; use {accepted}")
-    if power != 0.0 and gravity is not None:
-        factor *= gravity**-power
-    return factor
-
-
-def _plain(unit: str) -> str:
-    """Return a unit without the signs that stand for others."""
-    written = unit.strip().replace("**", "^").replace("µ", "u").replace("μ", "u")
-    return written.replace("°", "deg").replace("·", "*").replace("²", "^2").replace("³", "^3")
-
-
-def check_unit(unit: str) -> str:
-    """Return a unit in which something is wanted, in plain signs; ValueError if it is none."""
-    written = _plain(unit[:_LONGEST])
-    wrong = f"{unit!r} is not a unit that is known here"
-    try:
-        known = _names(written, wrong, "m, V, mA, ...") <= set(UNITS)
-        factor, _ = _evaluate(written) if known else (math.nan, {})
-    except ValueError as error:
-        raise ValueError(wrong) from error
-    if not 0.0 < factor < math.inf:
-        raise ValueError(wrong)
-    return written
-
-
 def _unit_once(value: str, twice: re.Match[str], gravity: float | None) -> str:
     """Say how ``VALUE UNIT ± U UNIT`` is written with one unit."""
     unit, u, unit_of_u = twice.groups()
@@ -285,70 +127,3 @@ def _unit_once(value: str, twice: re.Match[str], gravity: float | None) -> str:
     except (ValueError, KeyError):  # a unit that nobody knows, on either side
         example = '"VALUE ± U UNIT"'
     return f"has a unit before its ±; the unit is written once, at the end: {example}"
-
-
-def _advice(wanted: str) -> tuple[str, str]:
-    return ADVICE.get(wanted, (f"a quantity in {wanted}", wanted))
-
-
-def _names(written: str, kind: str, accepted: str) -> set[str]:
-    """Return the unit names in an expression, having checked that it is nothing but one."""
-    if re.search(r"[*/]\s*[*/]", written):
-        raise ValueError(f"{written!r} is not a unit; {kind} is wanted ({accepted})")
-    names, position = set(), 0
-    while position < len(written):
-        match = _FACTOR.match(written, position)
-        if match is None:
-            raise ValueError(f"{written!r} is not a unit; {kind} is wanted ({accepted})")
-        if match[1]:
-            names.add(match[1])
-        position = match.end()
-    return names
-
-
-@lru_cache(maxsize=256)
-def _evaluate(written: str) -> tuple[float, Mapping[str, float]]:
-    """Return factor to base units and dimension of an expression that `_names` has checked.
-
-    Units side by side are multiplied, as if there were a * between them.
-    """
-    factor, dimension = 1.0, dict.fromkeys(BASES, 0.0)
-    senses = [1.0]  # of the brackets that are open: -1 for what is divided by
-    sense, wanting = 1.0, bool(written.strip())
-    for name, power, _, mark in _FACTOR.findall(written):
-        if mark == "(":
-            senses.append(senses[-1] * sense)
-        elif (mark and wanting) or (mark == ")" and len(senses) == 1):
-            raise _incomplete(written)
-        elif mark == ")":
-            senses.pop()
-        elif name:
-            exponent = senses[-1] * sense * float(power or 1.0)
-            size, bases = _unit(name)
-            factor *= _power(size, exponent)
-            for base, of_base in bases.items():
-                dimension[base] += of_base * exponent
-        sense, wanting = -1.0 if mark == "/" else 1.0, mark in ("(", "*", "/")
-    if wanting or len(senses) > 1:
-        raise _incomplete(written)
-    return factor, dimension
-
-
-def _power(size: float, exponent: float) -> float:
-    try:
-        return float(size**exponent)
-    except OverflowError:
-        return math.inf
-
-
-def _unit(name: str) -> tuple[float, Mapping[str, float]]:
-    """Return factor to base units and dimension of a unit of `UNITS`."""
-    factor, base = UNITS[name]
-    if base in BASES:
-        return factor, {base: 1.0}
-    of_base, dimension = _evaluate(base)
-    return factor * of_base, dimension
-
-
-def _incomplete(written: str) -> ValueError:
-    return ValueError(f"{written!r} is not a unit: a factor or a bracket is missing")

@@ -17,7 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.campaign.checking import Problems
-from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse, unit_factor
+from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.readings import BLANK, Reading, is_reading
 from counterspin.campaign.readings_table import (
     ReadingsSettings,
@@ -29,6 +29,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import load_document
 from counterspin.campaign.toml_text import write_document
 from counterspin.input import read_file
+from counterspin.units import unit_factor
 
 #: Simulated readings are written with so many digits beyond their standard uncertainty.
 _DIGITS: Final = 3

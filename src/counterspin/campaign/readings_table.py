@@ -17,11 +17,11 @@ from pydantic import Field
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.quantity import unit_factor
 from counterspin.campaign.readings import BLANK, MotionWord, Output, ReadingAxes
 from counterspin.campaign.settings import SettingsSection, Text, exact
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
+from counterspin.units import unit_factor
 
 #: A column's name, or those of the repeats of one reading.
 _Repeats = str | list[str]

@@ -27,10 +27,11 @@ from pydantic import (
 )
 
 from counterspin.campaign.attitude import attitude_rows, read_direction
-from counterspin.campaign.quantity import Quantity, parse, unit_factor
+from counterspin.campaign.quantity import Quantity, parse
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.units import unit_factor
 
 #: Ending of a record file -> its format.
 RECORD_FORMATS: Final = {

@@ -19,11 +19,12 @@ from counterspin.arrays import Array, semidefinite_root
 from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
-from counterspin.campaign.quantity import parse, unit_factor
+from counterspin.campaign.quantity import parse
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
+from counterspin.units import unit_factor
 
 _SOURCE: Final = "apply"  #: what the command's own refusals begin with
 

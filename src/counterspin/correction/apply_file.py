@@ -17,13 +17,13 @@ import polars as pl
 
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
-from counterspin.campaign.quantity import unit_factor
 from counterspin.correction.apply import ApplyOptions, Correction, apply, instrument_of
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
 from counterspin.output import FileKind, holds, reserve, write_open, write_whole
 from counterspin.physics.inversion import NotInvertibleError
 from counterspin.records.tables import locate, read_numbers, read_table
+from counterspin.units import unit_factor
 
 #: Ending of the output -> what parts its cells; None for Parquet.
 _SEPARATORS: Final[Mapping[str, str | None]] = {
