@@ -4,7 +4,7 @@ import os
 import signal
 from pathlib import Path
 
-from counterspin.errors import RecordError
+from counterspin.errors import DamagedFileError, RecordError
 
 try:
     import resource
@@ -37,3 +37,11 @@ def limits(_path: Path) -> tuple[int, int]:
     used = resource.getrusage(resource.RUSAGE_SELF)
     seconds = resource.getrlimit(resource.RLIMIT_CPU)[0] - used.ru_utime - used.ru_stime
     return seconds, resource.getrlimit(resource.RLIMIT_DATA)[0]
+
+
+def parent(_path: Path) -> int:
+    return os.getppid()
+
+
+def damage(path: Path) -> None:
+    raise DamagedFileError(f"{path}: damaged")

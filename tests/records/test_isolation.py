@@ -34,6 +34,20 @@ def test_the_process_is_kept_and_survives_a_refusal(file):
     assert isolated(misbehaving.process, file) == number
 
 
+def test_after_a_damaged_file_another_process_reads(file):
+    number = isolated(misbehaving.process, file)
+    parent = isolated(misbehaving.parent, file)
+    for _ in range(2):
+        with pytest.raises(DamagedFileError):
+            isolated(misbehaving.damage, file)
+    assert isolated(misbehaving.process, file) != number
+    assert len(read(file).time) == 1000
+    if sys.platform == "linux":  # forked, with the limits of each file from the start
+        assert isolated(misbehaving.parent, file) == parent != os.getpid()
+        seconds, _ = isolated(misbehaving.limits, file)
+        assert 5.0 < seconds < 10.0
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no signals there")
 def test_a_crash_is_a_refusal_of_the_file(file):
     with pytest.raises(DamagedFileError, match=r"run\.parquet: .*its reader crashed .*SIGSEGV"):
@@ -87,7 +101,8 @@ def test_the_process_ends_with_the_one_that_started_it(file):
     program = (
         "import sys; from pathlib import Path; import misbehaving; "
         "from counterspin.records.isolation import isolated; "
-        "print(isolated(misbehaving.process, Path(sys.argv[1])))"
+        "path = Path(sys.argv[1]); "
+        "print(isolated(misbehaving.process, path), isolated(misbehaving.parent, path))"
     )
     folders = os.pathsep.join([str(Path(misbehaving.__file__).parent), *filter(None, sys.path)])
     done = subprocess.run(
@@ -96,8 +111,9 @@ def test_the_process_ends_with_the_one_that_started_it(file):
         capture_output=True,
         check=True,
     )
-    with pytest.raises(ProcessLookupError):
-        os.kill(int(done.stdout), 0)
+    for number in done.stdout.split():
+        with pytest.raises(ProcessLookupError):
+            os.kill(int(number), 0)
 
 
 def test_a_refusal_is_the_same_as_here(tmp_path):

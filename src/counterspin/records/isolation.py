@@ -7,7 +7,9 @@
 The readers of Parquet, HDF5, MATLAB and Excel files are native code, which a flipped bit can
 crash, send round in circles or make ask for all memory. So those files are read in another process,
 which is started once, kept, and given up a minute after its last file or after one that it made
-nothing of. What it hands back is small where a record is reduced to block means. CSV is read here.
+nothing of. On Linux a process in between forks it, so that after a damaged file another, with all
+that takes long to load, is there at once. What it hands back is small where a record is reduced to
+block means. CSV is read here.
 """
 
 from __future__ import annotations
@@ -25,8 +27,9 @@ import threading
 import traceback
 from collections.abc import Callable
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, TypeVar
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NoReturn, TypeVar
 
 from counterspin.errors import CounterspinError, DamagedFileError
 
@@ -42,8 +45,10 @@ _NATIVE: Final = {
     ".h5": ("h5py",),
     ".hdf5": ("h5py",),
     ".mat": ("h5py", "scipy.io"),
-    ".pdf": (),
+    ".pdf": ("pypdf",),
 }
+#: Those that start threads when they are loaded: what has them does not fork.
+_THREADED: Final = ("polars",)
 #: Seconds without work after which the reader's process ends.
 _IDLE_SECONDS: Final = 60.0
 #: Processor time that reading may take: seconds for any file, and bytes of it a second.
@@ -53,6 +58,11 @@ _BYTES_PER_SECOND: Final = 2e6
 _READING_BYTES: Final = 1 << 30
 _BYTES_PER_BYTE: Final = 64
 _THREAD_BYTES: Final = 8 << 20
+
+#: Status of a process that another one is to follow.
+_NEXT: Final = 75
+#: Seconds that a process is given to end.
+_ENDING_SECONDS: Final = 5.0
 
 #: What the reader's process runs; its arguments are the path of modules and those to load.
 _PROGRAM: Final = (
@@ -127,8 +137,6 @@ class _Reader:
                         return None
                     reply = self._exchange(process, message)
                     if reply is not None:
-                        if isinstance(reply, DamagedFileError):
-                            self._kill()
                         return reply
                     if not self._ready:
                         self._kill()
@@ -153,7 +161,13 @@ class _Reader:
         pipe = subprocess.PIPE
         try:
             self._process = subprocess.Popen(
-                command, stdin=pipe, stdout=pipe, stderr=subprocess.DEVNULL
+                command,
+                stdin=pipe,
+                stdout=pipe,
+                stderr=subprocess.DEVNULL,
+                # Nothing that it does takes more threads than its readers have of their own.
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+                process_group=None if sys.platform == "win32" else 0,
             )
         except OSError:
             self._startable = False
@@ -182,12 +196,12 @@ class _Reader:
         """End the process, if there is one."""
         process, self._process, self._ready = self._process, None, False
         if process is not None:
-            process.kill()
             for stream in (process.stdin, process.stdout):
                 if stream is not None:
                     with suppress(OSError):
                         stream.close()
-            process.wait()
+            if process.poll() is None:
+                _end(process)
 
     def close(self) -> None:
         """End the process, at the end of this one."""
@@ -207,6 +221,21 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_READER.forget)
 
 
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a process, and before it the one that it forked."""
+    if sys.platform == "win32":
+        process.kill()
+        process.wait()
+        return
+    # Asked so, the one that reads ends, and the other once it has seen to that.
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, number)
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_ENDING_SECONDS)
+            return
+
+
 def serve(libraries: list[str]) -> None:
     """Answer requests on standard input until it ends or none has come for a while."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # for the process that asks to see to
@@ -216,14 +245,66 @@ def serve(libraries: list[str]) -> None:
     nowhere = os.open(os.devnull, os.O_RDWR)
     for number in range(3):
         os.dup2(nowhere, number)
-    for name in (*libraries, "counterspin.records.reading"):
-        importlib.import_module(name)
+    for name in ("counterspin.records.reading", *set(libraries).difference(_THREADED)):
+        _load(name)
     replies.write(b"!")
     replies.flush()
+    while _may_fork():
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        child = os.fork()
+        if child == 0:
+            signal.signal(signal.SIGTERM, signal.SIG_DFL)
+            _read_and_exit(libraries, requests, replies)
+        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        if status != _NEXT:
+            _end_as(status)
+        # Where one file is damaged others may be, of any format.
+        for name in set(chain(*_NATIVE.values())).difference(_THREADED):
+            _load(name)
+    for name in libraries:
+        _load(name)
+    _answer_all(requests, replies)
+
+
+def _load(name: str) -> None:
+    with suppress(ImportError):  # the function that needs it says so
+        importlib.import_module(name)
+
+
+def _may_fork() -> bool:
+    """Return whether this process can be doubled: with threads it may hold locks for ever."""
+    try:
+        return sys.platform == "linux" and len(os.listdir("/proc/self/task")) == 1  # noqa: PTH208
+    except OSError:
+        return False
+
+
+def _read_and_exit(libraries: list[str], requests: Any, replies: BinaryIO) -> NoReturn:
+    status = 1
+    try:
+        for name in libraries:
+            _load(name)
+        status = 0 if _answer_all(requests, replies) else _NEXT
+    finally:
+        os._exit(status)
+
+
+def _end_as(status: int) -> NoReturn:
+    """End as the process that was forked did: with its status, or of its signal."""
+    if status < 0:
+        _bound("RLIMIT_CORE", 0)
+        with suppress(OSError, ValueError):
+            signal.signal(-status, signal.SIG_DFL)
+        os.kill(os.getpid(), -status)
+    os._exit(status if status >= 0 else 1)
+
+
+def _answer_all(requests: Any, replies: BinaryIO) -> bool:
+    """Answer requests until there are none; return False after a file that did harm, perhaps."""
     while _comes_in_time(requests.fileno()):
         size = requests.read(8)
         if len(size) < 8:
-            return
+            return True
         reply = _answer(_read_all(requests, int.from_bytes(size, "little")))
         try:
             answer = pickle.dumps(reply)
@@ -232,6 +313,9 @@ def serve(libraries: list[str]) -> None:
         replies.write(len(answer).to_bytes(8, "little"))
         replies.write(answer)
         replies.flush()
+        if isinstance(reply, DamagedFileError):
+            return False
+    return True
 
 
 def _answer(message: bytes) -> tuple[Any] | BaseException:
@@ -279,18 +363,26 @@ def _limit(path: Path) -> None:
         return  # reading says why
     spent = resource.getrusage(resource.RUSAGE_SELF)
     seconds = _READING_SECONDS + size / _BYTES_PER_SECOND
-    limits = {resource.RLIMIT_CPU: spent.ru_utime + spent.ru_stime + seconds}
+    _bound("RLIMIT_CPU", spent.ru_utime + spent.ru_stime + seconds)
     with suppress(OSError, ValueError):
         # Memory that this process may write to: what files are mapped to is not counted.
         status = Path("/proc/self/status").read_text("ascii")
         taken = 1024 * int(status.partition("VmData:")[2].split()[0])
         more = _READING_BYTES + _BYTES_PER_BYTE * size + _THREAD_BYTES * (os.cpu_count() or 1)
-        limits[resource.RLIMIT_DATA] = taken + more
-    limits[resource.RLIMIT_CORE] = 0
-    for kind, limit in limits.items():
-        _, hard = resource.getrlimit(kind)
-        soft = int(limit) if hard == resource.RLIM_INFINITY else min(int(limit), hard)
-        resource.setrlimit(kind, (soft, hard))
+        _bound("RLIMIT_DATA", taken + more)
+    _bound("RLIMIT_CORE", 0)
+
+
+def _bound(what: str, limit: float) -> None:
+    """Set a limit of this process, as far as the one set for good lets it."""
+    if sys.platform == "win32":
+        return
+    import resource
+
+    kind: int = getattr(resource, what)
+    _, hard = resource.getrlimit(kind)
+    soft = int(limit) if hard == resource.RLIM_INFINITY else min(int(limit), hard)
+    resource.setrlimit(kind, (soft, hard))
 
 
 def _directory() -> str | None:
