@@ -16,9 +16,10 @@ PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet --no-input
 PINNED := $(VENV)/.pinned
 READY := $(VENV)/.ready
 BENCH := $(VENV)/.bench
+DOCS := $(VENV)/.docs
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test quick lint format bench fuzz pictures violations coverage lock clean
+.PHONY: help setup demo test quick lint format bench fuzz docs pictures violations coverage lock clean
 
 help: ## Show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-10s %s\n", $$1, $$2 }'
@@ -47,6 +48,11 @@ format: $(READY) ## Format the code and mend what the linter can
 bench: $(READY) $(BENCH) ## Time the main jobs; make bench FULL=--full for the sizes of the targets
 	$(BIN)/python benchmarks $(FULL)
 
+docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
+	$(BIN)/sphinx-build $(SPHINX) -b html -j $(JOBS) docs build/site
+	$(BIN)/sphinx-build $(SPHINX) -b doctest -q docs build/doctest
+	$(BIN)/python -m pytest -q tests/test_docs_browser.py
+
 violations: $(READY) ## Make the table of what violations of the model do again
 	$(BIN)/python docs/violations.py
 
@@ -67,11 +73,16 @@ lock: ## Renew the pins: make lock UPGRADE=--upgrade
 	$(compile-pins) --extra dev --output-file requirements/dev.txt
 	$(compile-pins) --extra bench --constraint requirements/dev.txt \
 	  --output-file requirements/bench.txt
+	$(compile-pins) --extra docs --constraint requirements/dev.txt \
+	  --output-file requirements/docs.txt
 
 clean: ## Remove .venv, caches and build output
 	rm -rf $(VENV) build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis \
 	  .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# Warnings are errors, and so is a reference that leads nowhere.
+SPHINX := -W -n --keep-going -d build/doctrees
 
 # --no-emit-index-url: a pin says which file by its hash, not where somebody fetched it.
 # --fork-strategy fewest: one version of each for all Pythons, so that all test the same.
@@ -102,4 +113,8 @@ $(READY): $(PINNED) pyproject.toml src/counterspin/_version.py
 
 $(BENCH): $(PINNED) requirements/bench.txt
 	@$(PIP) install --no-compile --require-hashes --requirement requirements/bench.txt
+	@touch $@
+
+$(DOCS): $(PINNED) requirements/docs.txt
+	@$(PIP) install --no-compile --require-hashes --requirement requirements/docs.txt
 	@touch $@

@@ -345,7 +345,9 @@ def test_pins_carry_hashes_and_no_address(pins):
     assert "//" not in text
 
 
-@pytest.mark.parametrize(("extra", "pins"), [("dev", "dev.txt"), ("bench", "bench.txt")])
+@pytest.mark.parametrize(
+    ("extra", "pins"), [("dev", "dev.txt"), ("bench", "bench.txt"), ("docs", "docs.txt")]
+)
 def test_pins_meet_what_the_package_asks_for(extra, pins):
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     asked = [*project["dependencies"], *project["optional-dependencies"][extra]]

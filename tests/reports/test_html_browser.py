@@ -1,27 +1,20 @@
 """The HTML report in a browser: Chromium, driven by Playwright, cut off from everything else.
 
-COUNTERSPIN_CHROMIUM names an executable; without it, ``chromium`` of the path is taken. Nothing is
-downloaded: where there is no browser, these tests are skipped.
+Nothing is downloaded: where there is no browser, these tests are skipped.
 """
 
-import os
 import re
-import shutil
 from contextlib import contextmanager
 from io import BytesIO
 
 import pytest
+from chromium import chromium, needs_chromium
 from pages import page
 from pypdf import PdfReader
 
 from counterspin.reports.blocks import Column, Table
 
-sync_api = pytest.importorskip("playwright.sync_api", reason="Playwright is not installed")
-
-CHROMIUM = os.environ.get("COUNTERSPIN_CHROMIUM") or shutil.which("chromium")
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="no Chromium: install Debian's package, or set COUNTERSPIN_CHROMIUM"
-)
+pytestmark = needs_chromium
 
 PHONE = {"width": 360, "height": 740}
 DESK = {"width": 1280, "height": 900}
@@ -29,14 +22,8 @@ DESK = {"width": 1280, "height": 900}
 
 @pytest.fixture(scope="module")
 def browser():
-    # Chromium refuses to sandbox itself for root, as whom continuous integration often runs.
-    root = hasattr(os, "geteuid") and os.geteuid() == 0
-    with sync_api.sync_playwright() as playwright:
-        started = playwright.chromium.launch(
-            executable_path=CHROMIUM, args=["--no-sandbox"] if root else []
-        )
+    with chromium() as started:
         yield started
-        started.close()
 
 
 @pytest.fixture(scope="module")

@@ -197,7 +197,7 @@ class Residual(ResultPart):
 
 
 class BudgetLine(ResultPart):
-    """One source of uncertainty: contribution = |sensitivity| x u; share of u^2.
+    """One source of uncertainty: contribution = abs(sensitivity) x u; share of u^2.
 
     For noise the sensitivity is None: it is a different one for every sample.
     """

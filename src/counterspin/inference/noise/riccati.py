@@ -37,9 +37,9 @@ class BlockSpans:
     variance
         (n,) mean of u^2, u being a sample's time from the block's mean time, s^2.
     mean_distance
-        (n,) mean of |u - u'| over all pairs of samples of the block, s.
+        (n,) mean of abs(u - u') over all pairs of samples of the block, s.
     mean_cube
-        (n,) mean of |u - u'|^3, s^3.
+        (n,) mean of abs(u - u')^3, s^3.
     """
 
     time: Array

@@ -1,0 +1,88 @@
+"""How Sphinx makes the site of these pages: `make docs` builds it in build/site.
+
+The pages are the Markdown files beside this one, which stay readable as they are; what is added
+to them, and how, is in `extensions/`. The site asks no other machine for anything.
+"""
+
+import os
+import sys
+from pathlib import Path
+
+from counterspin import __version__
+
+sys.path.insert(0, str(Path(__file__).parent / "extensions"))
+
+# Notebooks draw in processes of their own, which take it from here.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("SOURCE_DATE_EPOCH", "1772323200")
+
+project = "counterspin"
+author = "The counterspin developers"
+copyright = "The counterspin developers, MIT licence"
+version = release = __version__
+language = "en"
+
+extensions = [
+    "sphinx.ext.autodoc",
+    "sphinx.ext.doctest",
+    "sphinx.ext.intersphinx",
+    "numpydoc",
+    "myst_nb",
+    # Ours, in extensions/.
+    "mathml",
+    "navigation",
+    "reference",
+]
+
+root_doc = "index"
+nitpicky = True
+suppress_warnings = ["config.cache"]
+
+# Pages: as a Git host shows them, with its anchors for headings.
+myst_enable_extensions = ["dollarmath", "deflist"]
+myst_heading_anchors = 4
+myst_links_external_new_tab = False
+
+# Gallery: each page is run from an empty state; what fails there fails the build.
+nb_execution_mode = "auto"
+nb_execution_timeout = 60
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+# Reference of the Python interface.
+autodoc_member_order = "bysource"
+autodoc_typehints_format = "short"
+autodoc_preserve_defaults = True
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 88
+autodoc_type_aliases = {
+    "Array": "numpy.ndarray",
+    "ArrayLike": "numpy.typing.ArrayLike",
+    "npt.ArrayLike": "numpy.typing.ArrayLike",
+}
+numpydoc_show_class_members = False
+numpydoc_class_members_toctree = False
+
+# Where types of other packages are told. The lists are ours, and short: nothing is fetched.
+_TOLD = {
+    "python": "https://docs.python.org/3/",
+    "numpy": "https://numpy.org/doc/stable/",
+    "polars": "https://docs.pola.rs/api/python/stable/reference/",
+    "rich": "https://rich.readthedocs.io/en/stable/",
+}
+_INVENTORIES = Path(__file__).parent / "inventories"
+intersphinx_mapping = {
+    name: (address, str(_INVENTORIES / f"{name}.txt")) for name, address in _TOLD.items()
+}
+
+html_theme = "furo"
+html_title = f"counterspin {version}"
+html_static_path = ["theme"]
+html_css_files = ["site.css"]
+html_math_renderer = "mathml"
+html_copy_source = False
+html_show_sourcelink = False
+html_show_search_summary = False  # a file that is opened from a disk may read no other
+html_theme_options = {"navigation_with_keys": True}
+pygments_style = "a11y-high-contrast-light"
+pygments_dark_style = "a11y-high-contrast-dark"

@@ -1,0 +1,76 @@
+"""How Sphinx reads our docstrings and signatures, and fills in what `from_code` says."""
+
+import re
+from typing import Any
+
+from docutils import nodes
+from from_code import filled, own_words
+from pygments.lexers.special import TextLexer
+from sphinx.addnodes import pending_xref
+from sphinx.application import Sphinx
+from sphinx.environment import BuildEnvironment
+from sphinx.ext.intersphinx import resolve_reference_any_inventory
+
+#: What NumPy's ArrayLike is made of: it stands in its place where None is allowed too.
+_ARRAY_LIKE = re.compile(
+    r"~?numpy\._typing\._array_like\._Buffer .*?_NestedSequence\[complex \| bytes \| str\]"
+)
+
+
+def _on_signature(*given: Any) -> tuple[str | None, str | None]:
+    """Return a signature that can be read: arrays by their name, made defaults as dots."""
+    *_, signature, returns = given
+
+    def plain(text: str | None) -> str | None:
+        if text is None:
+            return None
+        text = _ARRAY_LIKE.sub("~numpy.typing.ArrayLike", text)
+        text = re.sub(r"~?(?:\w+\.)*TypeAliasForwardRef\('([\w.]+)'\)", r"~\1", text)
+        return text.replace("<factory>", "...").replace("PydanticUndefined", "...")
+
+    return plain(signature), plain(returns)
+
+
+def _on_read(app: Sphinx, name: str, content: list[str]) -> None:  # noqa: ARG001 -- Sphinx's
+    content[0] = filled(content[0])
+
+
+def _short(env: BuildEnvironment, name: str) -> str | None:
+    """Return the whole name of the one object that a short one means."""
+    known = set(env.get_domain("py").objects)  # type: ignore[attr-defined]
+    inventory = getattr(env, "intersphinx_inventory", {})
+    for kind, entries in inventory.items():
+        if kind.startswith("py:"):
+            known |= set(entries)
+    found = sorted((whole for whole in known if whole.split(".")[-1] == name), key=len)
+    return found[0] if found else None
+
+
+def _on_missing(
+    app: Sphinx, env: BuildEnvironment, node: pending_xref, words: nodes.Element
+) -> nodes.Element | None:
+    """Find what an annotation calls by its last name, as imported for the type checker only."""
+    if node.get("refdomain") != "py":
+        return None
+    target = node["reftarget"]
+    last = target.split(".")[-1]
+    whole = _short(env, last)
+    if whole is None and last in own_words():
+        return words
+    if whole is None or whole == target:
+        return None
+    domain = env.get_domain("py")
+    found = domain.resolve_any_xref(env, node["refdoc"], app.builder, whole, node, words)
+    if found:
+        return found[0][1]
+    node["reftarget"] = whole
+    return resolve_reference_any_inventory(env, False, node, words)
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Have pages filled as they are read."""
+    app.connect("source-read", _on_read)
+    app.connect("autodoc-process-signature", _on_signature)
+    app.add_lexer("csv", TextLexer)
+    app.connect("missing-reference", _on_missing, priority=600)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,70 @@
+"""The site that `make docs` has built: no broken link, words for pictures, nothing fetched."""
+
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import lxml.html
+import pytest
+from chromium import chromium, needs_chromium
+
+SITE = Path(__file__).parents[1] / "build" / "site"
+PAGES = sorted(path for path in SITE.rglob("*.html") if "_" not in path.relative_to(SITE).parts[0])
+
+pytestmark = pytest.mark.skipif(not PAGES, reason="the site is not built: make docs")
+
+PHONE = {"width": 360, "height": 740}
+
+
+@pytest.fixture(scope="module")
+def trees():
+    return {page: lxml.html.parse(page).getroot() for page in PAGES}
+
+
+def test_links_inside_lead_somewhere(trees):
+    names = {page.resolve(): set(tree.xpath("//@id | //@name")) for page, tree in trees.items()}
+    broken = []
+    for page, tree in trees.items():
+        for link in tree.xpath("//@href | //@src"):
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc:
+                continue
+            place = (page.parent / unquote(parts.path)).resolve() if parts.path else page.resolve()
+            known = names.get(place)
+            anchor = unquote(parts.fragment)
+            if not place.exists() or (anchor and known is not None and anchor not in known):
+                broken.append((page.name, link))
+    assert broken == []
+
+
+def test_every_picture_has_words(trees):
+    for page, tree in trees.items():
+        for picture in tree.xpath("//article//img"):
+            words = picture.get("alt", "")
+            assert len(words) > 20, (page.name, picture.get("src"), words)
+
+
+@needs_chromium
+def test_browsing_asks_nobody_and_fits_a_phone():
+    asked, wrong, wide = [], [], []
+    with chromium() as browser:
+        context = browser.new_context(viewport=PHONE, color_scheme="dark")
+
+        def decide(route):
+            inside = route.request.url.startswith((SITE.as_uri(), "data:"))
+            if not inside:
+                asked.append(route.request.url)
+            (route.continue_ if inside else route.abort)()
+
+        context.route("**/*", decide)
+        tab = context.new_page()
+        tab.on("pageerror", lambda error: wrong.append(str(error)))
+        for page in PAGES:
+            tab.goto(page.as_uri())
+            if tab.evaluate("document.documentElement.scrollWidth") > PHONE["width"]:
+                wide.append(page.name)
+        tab.goto((SITE / "search.html").as_uri() + "?q=two-stage")
+        tab.locator("#search-results li a").first.wait_for()
+        context.close()
+    assert asked == []
+    assert wrong == []
+    assert wide == []
