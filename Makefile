@@ -51,7 +51,7 @@ bench: $(READY) $(BENCH) ## Time the main jobs; make bench FULL=--full for the s
 docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
 	$(BIN)/sphinx-build $(SPHINX) -b html -j $(JOBS) docs build/site
 	$(BIN)/sphinx-build $(SPHINX) -b doctest -q docs build/doctest
-	$(BIN)/python -m pytest -q tests/test_docs_browser.py
+	COUNTERSPIN_SITE=build/site $(BIN)/python -m pytest -q tests/test_docs_browser.py
 
 violations: $(READY) ## Make the table of what violations of the model do again
 	$(BIN)/python docs/violations.py
