@@ -18,6 +18,9 @@ READY := $(VENV)/.ready
 BENCH := $(VENV)/.bench
 DOCS := $(VENV)/.docs
 
+# Without bytecode on disk every process that a test starts compiles 300 modules anew.
+unexport PYTHONDONTWRITEBYTECODE
+
 .DEFAULT_GOAL := help
 .PHONY: help setup demo test quick lint format bench fuzz docs pictures violations coverage lock clean
 
@@ -109,6 +112,7 @@ $(PINNED): requirements/dev.txt
 # The build back end is pinned too, so building needs no isolation and no network.
 $(READY): $(PINNED) pyproject.toml src/counterspin/_version.py
 	@$(PIP) install --no-deps --no-build-isolation --editable .
+	@$(BIN)/python -m compileall -q src
 	@touch $@
 
 $(BENCH): $(PINNED) requirements/bench.txt

@@ -18,8 +18,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.inference.joint.fit import JointFit, blocks_of, solve_blocks
-from counterspin.inference.joint.prepared import prepare_columns
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Considered, Unknowns
 from counterspin.inference.readings import Readings, blocks_at
 
@@ -55,17 +54,12 @@ def sensitivities(
     Array
         Shape (p, q + r), in the unknown's unit per unit of the term or input.
     """
-    series = [prepared.series for prepared in fit.prepared]
-    step = max(1, math.ceil(sum(record.time.size for record in series) / _ROWS))
+    step = max(1, math.ceil(sum(record.series.time.size for record in fit.prepared) / _ROWS))
     model = Unknowns(fit.model.unknowns, tuple(terms), inputs)
     estimate = fit.solution.estimate[: len(fit.model.unknowns)]
-    scale_factors = {record.accelerometer: 1.0 for record in series}
-    thinned = prepare_columns(
-        [_thinned(record, step) for record in series],
-        model,
-        scale_factors,
-        estimate,
-    )
+    thinned = [
+        _thinned(record, step).again(fit.model, model, 1.0, estimate) for record in fit.prepared
+    ]
     noise = {
         name: replace(
             level,
@@ -79,7 +73,8 @@ def sensitivities(
     return moved
 
 
-def _thinned(series: Series, step: int) -> Series:
-    drop = np.ones(series.time.size, dtype=bool)
-    drop[::step] = False
-    return series.without(drop)
+def _thinned(record: Prepared, step: int) -> Prepared:
+    """Return every so many rows, the last one among them: panels and motion are the whole's."""
+    drop = np.ones(record.series.time.size, dtype=bool)
+    drop[::-step] = False
+    return record.without(drop)
