@@ -1,8 +1,11 @@
 """What the tests of planning share."""
 
+import tomllib
+from functools import cache
+
 import pytest
 
-from counterspin.planning.plan import write_example
+from counterspin.planning.plan import plan, write_example
 
 
 @pytest.fixture
@@ -20,3 +23,14 @@ def starter(tmp_path):
         return file
 
     return changed
+
+
+@cache
+def _planned(text):
+    return plan(tomllib.loads(text))
+
+
+@pytest.fixture
+def plan_of(starter):
+    """Return what plans the changed example; what several tests ask for is planned once."""
+    return lambda *pairs: _planned(starter(*pairs).read_text(encoding="utf-8"))

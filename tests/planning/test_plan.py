@@ -102,13 +102,14 @@ K_II = "2e-5 g/g^2"
 [truth.Qy]
 K_II = "-2e-5 g/g^2"
 [limits]
-total_time = "10 min"
+total_time = "3 min"
+lowest_rate = "0.5 rev/s"
 specific_force = "8 g"
 settling = "5 s"
 spin_up = "0.5 rad/s^2"
 spin_down = "0.5 rad/s^2"
 senses = "both"
-runs = 6
+runs = 3
 attitudes = ["level", { x = "north", y = "west" }]
 attitude_change = "30 s"
 [goal]
@@ -127,14 +128,14 @@ def test_calibration_says_what_a_plan_with_everything_has_promised(tmp_path):
             told = found.accelerometers[name].coefficients[symbol]
             assert told.estimated == one.estimated
             assert told.u == pytest.approx(one.u, rel=0.05), symbol
-    assert planned.result.total_time <= 600.0
+    assert planned.result.total_time <= 180.0
     assert max(run.specific_force for run in planned.result.runs) <= 8.0 * (1.0 + 1e-9)
 
 
 @pytest.mark.parametrize("changes", PLANS.values(), ids=PLANS)
-def test_calibration_says_what_the_plan_has_promised(changes, starter, tmp_path):
+def test_calibration_says_what_the_plan_has_promised(changes, plan_of, tmp_path):
     """Within the 5 % that issue 5 asks for: every u of the accelerometer and the platform."""
-    planned = plan(starter(*changes))
+    planned = plan_of(*changes)
     file = write_campaign(planned, tmp_path / "planned")
     campaign = read_campaign(file)
     limits = read_plan(tmp_path / "PLAN.toml").limits
@@ -150,9 +151,9 @@ def test_calibration_says_what_the_plan_has_promised(changes, starter, tmp_path)
             assert told[symbol].u == pytest.approx(one.u, rel=0.05), symbol
 
 
-def test_the_day_of_the_issue(starter):
+def test_the_day_of_the_issue(plan_of):
     """The issue asks for at most 0.45 of the paper's plan, in the same time and in one sense."""
-    result = plan(starter()).result
+    result = plan_of().result
     u = result.accelerometers["Qx"].coefficients["K_II"].u
     assert u == pytest.approx(2.254e-8, rel=1e-3)
     paper = result.others[0]
@@ -166,18 +167,18 @@ def test_the_day_of_the_issue(starter):
     assert result.goal.efficiency > 0.99
 
 
-def test_the_day_of_the_issue_in_both_senses(starter):
-    result = plan(starter(('senses = "one"', 'senses = "both"'))).result
+def test_the_day_of_the_issue_in_both_senses(plan_of):
+    result = plan_of(('senses = "one"', 'senses = "both"')).result
     u = result.accelerometers["Qx"].coefficients["K_II"].u
     assert u == pytest.approx(1.643e-8, rel=1e-3)
     assert sum(1 for run in result.runs if run.rate > 0.0) == 7
 
 
-def test_gain_of_one_rate_fewer_is_that_of_planning_anew(starter):
+def test_gain_of_one_rate_fewer_is_that_of_planning_anew(plan_of):
     target = (GOAL, 'target = { K_II = "3.5e-8 g/g^2" }')
-    two = plan(starter(target, ("runs = 14 ", "runs = 14\nfewest_rates = 2 "))).result
+    two = plan_of(target, ("runs = 14 ", "runs = 14\nfewest_rates = 2 ")).result
     gains = {line.key: line.gain for line in two.limits}
-    one = plan(starter(target)).result
+    one = plan_of(target).result
     # A gain is at least what it says; rounding to 0.1 s a run is left out of it.
     assert gains["fewest_rates"] == pytest.approx(1.0 - one.total_time / two.total_time, abs=0.01)
 
@@ -189,8 +190,8 @@ def test_only_drift_makes_one_run_long(starter):
     assert max(durations) - min(durations) < 1.0
 
 
-def test_check_says_what_plan_says(starter, tmp_path):
-    planned = plan(starter(SMALL))
+def test_check_says_what_plan_says(plan_of, tmp_path):
+    planned = plan_of(SMALL)
     write_campaign(planned, tmp_path / "planned")
     checked = check(tmp_path / "planned")
     assert checked.accelerometers == planned.result.accelerometers
@@ -199,9 +200,9 @@ def test_check_says_what_plan_says(starter, tmp_path):
     assert cli.main(["plan", "--check", str(tmp_path / "planned")]) == 0
 
 
-@pytest.mark.parametrize("size", ["2.2537", "2.4", "2.6", "3", "3.5", "4"])
-def test_a_target_is_met_by_the_forecast(size, starter):
-    result = plan(starter((GOAL, f'target = {{ K_II = "{size}e-8 g/g^2" }}'))).result
+@pytest.mark.parametrize("size", ["2.2537", "2.6", "4"])
+def test_a_target_is_met_by_the_forecast(size, plan_of):
+    result = plan_of((GOAL, f'target = {{ K_II = "{size}e-8 g/g^2" }}')).result
     u = result.accelerometers["Qx"].coefficients["K_II"].u
     # Not above it, and below by no more than one step of 0.1 s in a run of 15 s makes.
     assert 1.0 - 0.004 <= u / (float(size) * 1e-8) <= 1.0
@@ -233,10 +234,10 @@ def test_the_search_predicts_what_the_forecast_says(changes, starter):
         assert predicted == pytest.approx({name: told[name] for name in predicted}, rel=2e-4)
 
 
-def test_forecast_has_all_samples_of_dense_records(starter, tmp_path):
+def test_forecast_has_all_samples_of_dense_records(plan_of, tmp_path):
     """The last block is shorter, as the reduction of a record makes it."""
-    file = starter(*PLANS["dense velocity records"])
-    campaign = read_campaign(write_campaign(plan(file), tmp_path / "planned"))
+    planned = plan_of(*PLANS["dense velocity records"])
+    campaign = read_campaign(write_campaign(planned, tmp_path / "planned"))
     runs = tuple(replace(run, duration=20.011) for run in campaign.runs[:2])
     campaign = replace(campaign, runs=runs)
     series = planned_series(campaign, campaign.runs[0], "Qx", 400.0)
@@ -246,8 +247,8 @@ def test_forecast_has_all_samples_of_dense_records(starter, tmp_path):
     assert series.time[-1] + 0.5 * step * (series.count[-1] - 1.0) == pytest.approx(8004 * step)
 
 
-def test_forecast_takes_a_folder_a_file_or_a_campaign(starter, tmp_path):
-    file = write_campaign(plan(starter(SMALL)), tmp_path / "planned")
+def test_forecast_takes_a_folder_a_file_or_a_campaign(plan_of, tmp_path):
+    file = write_campaign(plan_of(SMALL), tmp_path / "planned")
     expected = forecast(read_campaign(file)).u
     for where in (file, file.parent, str(file.parent)):
         assert forecast(where).u == expected
@@ -255,8 +256,8 @@ def test_forecast_takes_a_folder_a_file_or_a_campaign(starter, tmp_path):
         forecast(tmp_path / "nothing")
 
 
-def test_check_of_a_campaign_that_says_too_little(starter, tmp_path):
-    planned = plan(starter(SMALL))
+def test_check_of_a_campaign_that_says_too_little(plan_of, tmp_path):
+    planned = plan_of(SMALL)
     document = tomllib.loads(planned.document)
     del document["simulation"], document["truth"]
     for run in document["runs"]:
@@ -272,9 +273,9 @@ def test_check_of_a_campaign_that_says_too_little(starter, tmp_path):
     assert cli.main(["plan", "--check", str(tmp_path), *arguments]) == 0
 
 
-def test_forecast_needs_no_truth(starter, tmp_path):
+def test_forecast_needs_no_truth(plan_of, tmp_path):
     """What is expected of the coefficients is what is known beforehand, and makes no u."""
-    document = tomllib.loads(plan(starter(SMALL)).document)
+    document = tomllib.loads(plan_of(SMALL).document)
     known = write_document({**document, "truth": {}})
     (tmp_path / "campaign.toml").write_text(known, encoding="utf-8")
     without = forecast(read_campaign(tmp_path)).u
@@ -294,15 +295,15 @@ def report_of(result, capsys) -> str:
     return " ".join(capsys.readouterr().out.split())
 
 
-def test_report_names_what_needs_a_second_attitude(starter, capsys):
+def test_report_names_what_needs_a_second_attitude(plan_of, capsys):
     changes = [SMALL, ('"K_III", ', '"K_III", "K_OO", ')]
-    text = report_of(plan(starter(*changes)).result, capsys)
+    text = report_of(plan_of(*changes).result, capsys)
     assert "K_II and K_OO" in text
     assert "need a second attitude" in text
 
 
-def test_report_says_what_the_issue_asks_for(starter, capsys):
-    text = report_of(plan(starter(SMALL)).result, capsys)
+def test_report_says_what_the_issue_asks_for(plan_of, capsys):
+    text = report_of(plan_of(SMALL).result, capsys)
     for words in (
         "u(K_II of Qx) =",
         "Starts at, s",
@@ -319,13 +320,14 @@ def test_report_says_what_the_issue_asks_for(starter, capsys):
 
 
 def test_gain_of_a_limit_is_that_of_planning_anew(starter):
-    described = starter(("runs = 14", "runs = 6"), SMALL)
-    lines = {line.key: line for line in plan(described).result.limits}
-    before = plan(described).result.accelerometers["Qx"].coefficients["K_II"].u
+    described = starter(("runs = 14", "runs = 4"), SMALL)
+    planned = plan(described).result
+    lines = {line.key: line for line in planned.limits}
+    before = planned.accelerometers["Qx"].coefficients["K_II"].u
     text = described.read_text(encoding="utf-8")
     for key, old, new in (
         ("rate", '"1 rev/s"', '"1.1 rev/s"'),
-        ("runs", "runs = 6", "runs = 7"),
+        ("runs", "runs = 4", "runs = 5"),
         ("senses", 'senses = "one"', 'senses = "both"'),
     ):
         described.write_text(text.replace(old, new), encoding="utf-8")
@@ -543,10 +545,10 @@ def test_every_key_is_documented():
             assert f"`{key}`" in page, key
 
 
-def test_a_mapping_is_planned_as_its_file(starter):
+def test_a_mapping_is_planned_as_its_file(starter, plan_of):
     file = starter(SMALL)
     document = tomllib.loads(file.read_text(encoding="utf-8"))
-    of_file, in_memory = plan(file), plan(document)
+    of_file, in_memory = plan(file), plan_of(SMALL)  # which plans a mapping
     assert in_memory.document == of_file.document
     assert in_memory.result.runs == of_file.result.runs
     assert in_memory.result.goal == of_file.result.goal
