@@ -28,6 +28,8 @@ _HALF: Final = re.compile(r"\\u[dD][89a-fA-F]")
 
 #: No number of any result is larger; squares of larger ones would be beyond all numbers.
 _LARGEST: Final = 1e100
+#: No uncertainty but 0 is smaller: the square of a number over it would be beyond all numbers too.
+_SMALLEST_UNCERTAINTY: Final = 1e-50
 
 #: The keys of standard uncertainties.
 _UNCERTAINTY: Final = re.compile(r"u(_\w+)?")
@@ -170,8 +172,9 @@ def _odd_numbers(value: Any, path: str, key: str = "") -> Iterator[str]:
     elif isinstance(value, int | float):
         if not abs(value) <= _LARGEST:
             yield f"{path} is larger than any number that is measured"
-        elif value < 0 and _UNCERTAINTY.fullmatch(key):
-            yield f"{path} is {value:g}, and an uncertainty is not negative"
+        elif value < _SMALLEST_UNCERTAINTY and value != 0 and _UNCERTAINTY.fullmatch(key):
+            wrong = "not negative" if value < 0 else "0 or not so small"
+            yield f"{path} is {value:g}, and an uncertainty is {wrong}"
 
 
 def _not_a_number(word: str) -> None:

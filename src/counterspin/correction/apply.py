@@ -237,6 +237,8 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
     mounting = Mounting(tuple(found.axes)) if placed and found.axes else _ALONE
     terms = {s: c for s, c in _terms(found).items() if c.value is not None}
     values = {s: float(c.value) for s, c in terms.items() if c.value is not None}
+    if not values:
+        raise CampaignError(_SOURCE, [f"the result has no coefficient of {name} with a value"])
     covariance = _covariance(found, terms)
     if not _possible(covariance):
         # However the errors are related, (sum of n parts)^2 is at most n times their squares' sum.
