@@ -398,6 +398,13 @@ def readings_parquet(place: Path) -> Format:
     return Format(".parquet", lambda rng: native.readings(rng, rows), use)
 
 
+def readings_excel(place: Path) -> Format:
+    """Return a table of readings as Excel writes it."""
+    rows = _reading_rows()
+    use = readings_campaign(place, ".xlsx")
+    return Format(".xlsx", lambda rng: native.workbook(rng, rows), use)
+
+
 def record_csv(place: Path) -> Format:
     """Return a record as CSV."""
     rows = [line.split(",") for line in record_files.lines(record_files.table(n=330))]
@@ -500,6 +507,7 @@ FORMATS: dict[str, Entry] = {
     "record-csv": Entry(record_csv, 0.6),
     "certificate-pdf": Entry(certificate_pdf, 0.5, native=True),
     "readings-parquet": Entry(readings_parquet, native=True),
+    "readings-excel": Entry(readings_excel, native=True),
     "record-parquet": Entry(_native(".parquet", native.parquet), 3.0, native=True),
     "record-mat5": Entry(_native(".mat", native.mat5), native=True),
     "record-mat73": Entry(_native(".mat", native.mat73), native=True),

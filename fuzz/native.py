@@ -4,6 +4,7 @@ Some are changed where the format's own structure says what matters: types, shap
 through the library that writes them, and compressed streams before they are compressed.
 
 - `parquet`, `hdf5`, `mat5`, `mat73`: a record; `readings`: a table of readings as Parquet
+- `workbook`: the same as Excel writes it, with bombs among them
 - `numpy_archive`: what a study keeps; `damaged`: a whole file with changed bytes
 """
 
@@ -12,8 +13,10 @@ from __future__ import annotations
 import contextlib
 import io
 import struct
+import zipfile
 import zlib
 from collections.abc import Callable
+from functools import cache
 from random import Random
 from typing import Any
 
@@ -23,8 +26,9 @@ import polars as pl
 import record_files
 from scipy import sparse
 from scipy.io import savemat
+from workbooks import write_workbook
 
-from fuzz.mutations import mutate_bytes
+from fuzz.mutations import HOSTILE, mutate_bytes, mutate_text
 
 _ROWS = 330
 
@@ -226,6 +230,97 @@ def _inside(rng: Random, content: bytes) -> bytes:
             body = zlib.compress(body * rng.choice((1,) * 9 + (50,)))
         made += struct.pack("<II", kind, len(body)) + body
     return made
+
+
+#: What is put into a sheet: cells far out, dimensions that are lies, numbers of texts that are not
+#: there, entities.
+_SHEET_TRICKS: list[tuple[str, str]] = [
+    ('r="B5"', 'r="XFD1048576"'),
+    ('r="5"', 'r="1048576"'),
+    ('r="5"', 'r="4294967296"'),
+    ('r="B5"', 'r=""'),
+    ('r="B5"', 'r="5B"'),
+    ('r="B5"', 'r="AAAAAAAAAA9"'),
+    ("<sheetData>", '<dimension ref="A1:XFD1048576"/><sheetData>'),
+    ("<sheetData>", '<dimension ref="B9:A1"/><sheetData>'),
+    ('t="inlineStr"', 't="s"'),
+    ('t="inlineStr"', 't="e"'),
+    ('t="inlineStr"', 't="b"'),
+    ("<v>", "<v>99999999999999999999"),
+    ("<v>", "<f>A1</f><v>"),
+    ("<is>", "<is><r>"),
+    ("<row", "<row><row"),
+    ("<worksheet", '<!DOCTYPE x [<!ENTITY a "b">]><worksheet'),
+]
+
+
+def workbook(rng: Random, rows: list[list[str]]) -> bytes:
+    """Return a table of readings as Excel writes it."""
+    table: list[list[Any]] = [[_cell(rng, text) for text in row] for row in rows]
+    sheets = {"Tumble": table}
+    if rng.random() < 0.1:
+        sheets[rng.choice(("", "Notes", "x" * 300, "\u202e"))] = rng.choice(([], [["a"]], table))
+    file = io.BytesIO()
+    write_workbook(file, sheets)
+    if rng.random() < 0.1:
+        return damaged(rng, file.getvalue(), None)
+    return _repacked(rng, file)
+
+
+def _cell(rng: Random, text: str) -> Any:
+    if rng.random() < 0.005:
+        return _storable(rng.choice(HOSTILE))
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _storable(value: Any) -> Any:
+    return value if isinstance(value, int | float) else str(value)
+
+
+def _repacked(rng: Random, file: io.BytesIO) -> bytes:
+    """Return a workbook with some of its parts changed."""
+    made = io.BytesIO()
+    with zipfile.ZipFile(file) as whole, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as new:
+        for name in whole.namelist():
+            content = whole.read(name)
+            is_sheet = name.startswith("xl/worksheets")
+            if is_sheet and rng.random() < 0.3:
+                old, changed = rng.choice(_SHEET_TRICKS)
+                content = content.replace(old.encode(), changed.encode(), rng.choice((1, 1, -1)))
+            if rng.random() < (0.3 if is_sheet else 0.08):
+                content = mutate_text(rng, content.decode()).encode("utf-8", "replace")
+            if rng.random() < 0.97:
+                new.writestr(name, content)
+        if rng.random() < 0.05:
+            new.writestr("xl/sharedStrings.xml", mutate_text(rng, _STRINGS))
+    content = made.getvalue()
+    if rng.random() < 0.01:
+        content = _bomb(rng.choice((b" ", b"<row><c><v>1</v></c></row>", b"<a>")))
+    return damaged(rng, content, None) if rng.random() < 0.3 else content
+
+
+_STRINGS = (
+    '<sst xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main" count="4294967295" '
+    'uniqueCount="4294967295"><si><t>a</t></si></sst>'
+)
+
+
+@cache
+def _bomb(piece: bytes) -> bytes:
+    """Return a small workbook whose sheet is large, but not as large as would be refused."""
+    file, made = io.BytesIO(), io.BytesIO()
+    write_workbook(file, {"Tumble": [["a"], [1.0]]})
+    with zipfile.ZipFile(file) as whole, zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as new:
+        for name in whole.namelist():
+            content = whole.read(name)
+            if name.startswith("xl/worksheets"):
+                filling = piece * (60_000_000 // len(piece))
+                content = content.replace(b"</sheetData>", filling + b"</sheetData>")
+            new.writestr(name, content)
+    return made.getvalue()
 
 
 def numpy_archive(rng: Random, whole: bytes) -> bytes:

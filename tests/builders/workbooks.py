@@ -13,8 +13,8 @@ _TYPES = (
 )
 
 
-def write_workbook(path, sheets):
-    """Write sheets, name -> rows of text, numbers or None."""
+def write_workbook(path, sheets, moved=()):
+    """Write sheets, name -> rows of text, numbers or None; `moved`: a cell's name -> another."""
     numbered = list(enumerate(sheets.items(), 1))
     with zipfile.ZipFile(path, "w") as file:
         file.writestr("[Content_Types].xml", _TYPES)
@@ -30,6 +30,8 @@ def write_workbook(path, sheets):
         file.writestr("xl/_rels/workbook.xml.rels", _relations(parts))
         for i, (_, rows) in numbered:
             body = "".join(_row(k, row) for k, row in enumerate(rows, 1))
+            for cell in moved:
+                body = body.replace(f'"{cell}"', f'"{moved[cell]}"')
             text = f'<worksheet xmlns="{_MAIN}"><sheetData>{body}</sheetData></worksheet>'
             file.writestr(f"xl/worksheets/sheet{i}.xml", text)
     return path

@@ -1,6 +1,8 @@
 """Workbooks of Excel as tables, read where they can do no harm."""
 
 import builtins
+import sys
+import zipfile
 
 import pytest
 from workbooks import write_workbook
@@ -44,7 +46,23 @@ def test_which_sheet_must_be_clear(tmp_path):
 def test_a_damaged_workbook_is_told(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS})
     path.write_bytes(path.read_bytes()[:600])
-    with pytest.raises(DamagedFileError, match=r"r\.xlsx: the file is damaged"):
+    with pytest.raises(DamagedFileError, match=r"r\.xlsx: this is no workbook, or a damaged one"):
+        read_table(path)
+
+
+def test_what_unpacks_to_more_than_a_table_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+    monkeypatch.setattr("counterspin.records.excel_file._UNPACKED_BYTES", 1_000_000)
+    path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS})
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as file:
+        file.writestr("xl/sharedStrings.xml", bytes(3_000_000))
+    with pytest.raises(DamagedFileError, match=r"r\.xlsx: .* unpacks to 3 MB, more than the 1 MB"):
+        excel_table(path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits are Linux's")
+def test_a_cell_far_out_takes_no_memory_but_its_readers(tmp_path):
+    path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS}, {"B5": "XFD1048576"})
+    with pytest.raises(DamagedFileError, match="asks for more memory than it may have"):
         read_table(path)
 
 

@@ -5,15 +5,20 @@
 
 from __future__ import annotations
 
+import io
+import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
-from counterspin.errors import RecordError
+from counterspin.errors import DamagedFileError, RecordError
 from counterspin.input import read_file
 from counterspin.records.column_file import quoted, record_errors
 
 if TYPE_CHECKING:
     import polars as pl
+
+#: More than this no workbook has when it is unpacked; a row of ten numbers has 400 bytes.
+_UNPACKED_BYTES: Final = 100_000_000
 
 
 def excel_table(path: Path, sheet: str | None = None, content: bytes | None = None) -> pl.DataFrame:
@@ -25,7 +30,6 @@ def excel_table(path: Path, sheet: str | None = None, content: bytes | None = No
         The workbook.
     sheet
         The sheet's name; None: the only one that has rows.
-
     content
         What is in the file; None: it is read.
 
@@ -44,7 +48,9 @@ def excel_table(path: Path, sheet: str | None = None, content: bytes | None = No
                 f"{path}: Excel files need the package fastexcel. Install it with pip install "
                 "'counterspin[excel]', or save the table as CSV."
             ) from None
-        book = fastexcel.read_excel(read_file(path) if content is None else content)
+        content = read_file(path) if content is None else content
+        _require_size(path, content)
+        book = fastexcel.read_excel(content)
         names = book.sheet_names
         if sheet is None:
             # A workbook may come with empty sheets.
@@ -65,3 +71,20 @@ def excel_table(path: Path, sheet: str | None = None, content: bytes | None = No
             exact = numbers.cast(pl.String())
             table = table.with_columns(exact[name].fill_null(table[name]) for name in mixed)
         return table
+
+
+def _require_size(path: Path, content: bytes) -> None:
+    """Refuse what is no workbook, or unpacks to what no table has, before it is unpacked."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as parts:
+            size = sum(part.file_size for part in parts.infolist())
+    except zipfile.BadZipFile as error:
+        raise DamagedFileError(
+            f"{path}: this is no workbook, or a damaged one ({error}). If it is an older one or has "
+            "a password, save it as .xlsx without one, or as CSV."
+        ) from None
+    if size > _UNPACKED_BYTES:
+        raise DamagedFileError(
+            f"{path}: the workbook unpacks to {size / 1e6:.0f} MB, more than the "
+            f"{_UNPACKED_BYTES / 1e6:.0f} MB that a table may have; save the table as CSV."
+        )

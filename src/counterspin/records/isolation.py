@@ -41,7 +41,7 @@ R = TypeVar("R")
 #: Endings of the formats that are read by native code -> the libraries.
 _NATIVE: Final = {
     ".parquet": ("polars",),
-    ".xlsx": ("polars",),  # its own library may be absent
+    ".xlsx": ("fastexcel", "polars"),
     ".h5": ("h5py",),
     ".hdf5": ("h5py",),
     ".mat": ("h5py", "scipy.io"),
@@ -401,6 +401,11 @@ def _death_words(status: int) -> str:
     if name == "SIGXCPU":
         return (
             "the file is damaged: reading it takes more processor time than its size accounts for."
+        )
+    if name == "SIGABRT":
+        return (
+            "the file is damaged, or asks for more memory than it may have: its reader gave up on it "
+            "(SIGABRT)."
         )
     if name == "SIGKILL":
         return "the system ended the reading of this file, most likely for lack of memory."
