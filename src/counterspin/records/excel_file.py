@@ -80,8 +80,8 @@ def _require_size(path: Path, content: bytes) -> None:
             size = sum(part.file_size for part in parts.infolist())
     except zipfile.BadZipFile as error:
         raise DamagedFileError(
-            f"{path}: this is no workbook, or a damaged one ({error}). If it is an older one or has "
-            "a password, save it as .xlsx without one, or as CSV."
+            f"{path}: this is no workbook, or a damaged one ({error}). If it is an older one or "
+            "has a password, save it as .xlsx without one, or as CSV."
         ) from None
     if size > _UNPACKED_BYTES:
         raise DamagedFileError(

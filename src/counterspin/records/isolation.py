@@ -404,8 +404,8 @@ def _death_words(status: int) -> str:
         )
     if name == "SIGABRT":
         return (
-            "the file is damaged, or asks for more memory than it may have: its reader gave up on it "
-            "(SIGABRT)."
+            "the file is damaged, or asks for more memory than it may have: its reader gave up on "
+            "it (SIGABRT)."
         )
     if name == "SIGKILL":
         return "the system ended the reading of this file, most likely for lack of memory."
