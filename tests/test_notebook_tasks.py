@@ -44,10 +44,23 @@ def task_calibrate_frames(description, records):
 
 
 def task_compare_models(campaign):
-    found = {}
-    for terms in (["K_F", "K_I", "K_II"], ["K_F", "K_I", "K_II", "K_III"]):
-        found[len(terms)] = cs.calibrate(campaign.change(terms=terms))
-    return found
+    models = [["K_F", "K_I", "K_II"], ["K_F", "K_I", "K_II", "K_III"]]
+    return cs.compare(*(cs.calibrate(campaign.change(terms=terms)) for terms in models))
+
+
+def task_own_residual_plot(result, axes):
+    for left in result.residuals("Qx"):
+        axes.plot(left.time, 1e3 * left.residual, ".", label=left.run)
+    axes.set(xlabel="time, s", ylabel="residual, mm")
+
+
+def task_labelled_covariance(result):
+    own = result.covariance[["Qx.K_F", "Qx.K_II"]]
+    return own, result.correlation["Qx.K_F", "Qx.K_II"], result.covariance["Qx.K_II", "Qy.K_II"]
+
+
+def task_latex_and_pandas(result):
+    return result.to_latex(), result.table("pandas").query("term == 'K_II'")
 
 
 def task_simulate_another_truth(description):
@@ -98,11 +111,42 @@ def test_frames_are_calibrated(records):
 
 
 def test_models_are_compared(campaign):
-    found = task_compare_models(campaign)
-    assert [list(r.accelerometers["Qx"].coefficients) for r in found.values()] == [
-        ["K_F", "K_I", "K_II"],
-        ["K_F", "K_I", "K_II", "K_III"],
+    compared = task_compare_models(campaign)
+    (k_ii,) = (c for c in compared.coefficients if (c.accelerometer, c.term) == ("Qx", "K_II"))
+    # One term more: the difference is less certain than nothing and far less than the estimate.
+    assert 0.0 < k_ii.estimates[1].u_difference < 0.1 * k_ii.estimates[0].u
+    assert [a.dof for a in compared.agreements] == [1, 1]
+    assert [c.subject for c in compared.changes] == [
+        "terms of Qx",
+        "terms of Qy",
+        "campaign.toml",
     ]
+
+
+def test_residuals_are_plotted_by_hand(result):
+    from matplotlib.figure import Figure
+
+    axes = Figure().subplots()
+    task_own_residual_plot(result, axes)
+    assert [line.get_label() for line in axes.lines] == ["slow", "middle", "fast"]
+    drawn = axes.lines[0].get_ydata()
+    assert 5.0 < drawn.std() < 15.0  # mm; the noise is 10 mm
+
+
+def test_covariance_has_labels(result):
+    own, correlation, between = task_labelled_covariance(result)
+    assert own[1, 1] == pytest.approx(k_ii(result).u ** 2, rel=1e-12)
+    assert own[0, 1] == pytest.approx(correlation * (own[0, 0] * own[1, 1]) ** 0.5, rel=1e-12)
+    assert abs(between) < own[1, 1]
+
+
+def test_a_table_for_a_paper_and_for_pandas(result):
+    latex, table = task_latex_and_pandas(result)
+    assert latex.startswith("\\begin{tabular}")
+    assert list(table["owner"]) == ["Qx", "Qy"]
+    assert list(table["value"] * 1e-6) == pytest.approx(
+        [result.accelerometers[name].coefficients["K_II"].value for name in ("Qx", "Qy")]
+    )
 
 
 def test_another_truth_is_found():

@@ -19,6 +19,7 @@ The commands, as functions:
   `Workers`: where they are kept, and who makes them
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
 - `history`: a coefficient of each instrument through all its results (`History`)
+- `compare`: results of other models, methods or campaigns beside each other (`Compared`)
 - `reproduce`: the paper's figures beside what they should be (`Reproduction`)
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
 - `report`, `write_report`: its full report as HTML, PDF or Markdown, returned or written
@@ -90,6 +91,8 @@ if TYPE_CHECKING:
     from counterspin.campaign.starter import init as init
     from counterspin.certificates.issuing import Certificate as Certificate
     from counterspin.certificates.issuing import certificate as certificate
+    from counterspin.comparisons.compare import compare as compare
+    from counterspin.comparisons.result import Compared as Compared
     from counterspin.correction.apply import ApplyOptions as ApplyOptions
     from counterspin.correction.apply import Correction as Correction
     from counterspin.correction.apply import apply as apply
@@ -148,6 +151,8 @@ _OFFERED = {
     "campaign.quantity": ("Quantity",),
     "campaign.resolved": ("Campaign",),
     "calibration.result": ("Result", "read_result", "write_result"),
+    "comparisons.compare": ("compare",),
+    "comparisons.result": ("Compared",),
     "correction.apply": ("ApplyOptions", "Correction", "apply"),
     "correction.apply_file": ("apply_file",),
     "calibration.calibrate": ("calibrate",),

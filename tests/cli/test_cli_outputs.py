@@ -32,6 +32,8 @@ KEPT = {
 WRITERS = {
     ("calibrate", "camp", "--json"): {"r.json"},
     ("history", "r.json", "--json"): {"history.json"},
+    ("compare", "r.json", "r.json", "--json"): set(),
+    ("compare", "r.json", "r.json", "--report"): set(),
     ("reproduce", "--json"): set(),
     ("plan", "PLAN.toml", "--json"): set(),
     ("study", "camp", "--trials", "2", "--json"): set(),

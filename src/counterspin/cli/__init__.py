@@ -3,8 +3,8 @@
 Each command has a module of its own, and imports what it uses when it runs, so that `--help`
 answers at once.
 
-- `init`, `simulate`, `calibrate`, `report`, `certificate`, `history`, `apply`, `plan`, `study`,
-  `demo`, `reproduce`: the commands
+- `init`, `simulate`, `calibrate`, `report`, `certificate`, `history`, `compare`, `apply`, `plan`,
+  `study`, `demo`, `reproduce`: the commands
 - `words`: what several of them share, and errors in the words of a command line
 """
 
@@ -24,6 +24,7 @@ from counterspin.cli import (
     apply,
     calibrate,
     certificate,
+    compare,
     demo,
     history,
     init,
@@ -51,6 +52,7 @@ for _command in (
     report.report,
     certificate.certificate,
     history.history,
+    compare.compare,
     apply.apply,
     plan.plan,
     study.study,

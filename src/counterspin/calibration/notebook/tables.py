@@ -1,13 +1,13 @@
 """The coefficients of a result as a table: a frame, or LaTeX for a paper.
 
-- `frame`: a polars frame, or one of pandas
+- `frame`: a polars frame, or one of pandas; `frame_of`: of any columns
 - `latex_table`: a ``tabular``
 - `brief`: a few lines of text
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
@@ -83,14 +83,26 @@ def frame(result: Result, library: str = "polars") -> Any:
         row = (owner, symbol, value, u, unit, low, high, typical, c.dof, c.estimated)
         for column, cell in zip(columns.values(), row, strict=True):
             column.append(cell)
+    return frame_of(columns, ("value", "u", "low", "high", "u_typical", "dof"), library)
+
+
+def frame_of(columns: Mapping[str, list[Any]], numeric: Sequence[str], library: str) -> Any:
+    """Return columns as a frame of a library; `numeric` hold numbers, even if all are None.
+
+    Raises
+    ------
+    ValueError
+        If there is no such library.
+    ModuleNotFoundError
+        If pandas is asked for and not installed.
+    """
     if library == "pandas":
         return import_module("pandas").DataFrame(columns)
     if library != "polars":
         raise ValueError(f"library: {library!r} is not polars or pandas")
     import polars as pl
 
-    numeric = dict.fromkeys(("value", "u", "low", "high", "u_typical", "dof"), pl.Float64)
-    return pl.DataFrame(columns, schema_overrides=numeric)
+    return pl.DataFrame(columns, schema_overrides=dict.fromkeys(numeric, pl.Float64))
 
 
 def latex_table(result: Result) -> str:

@@ -1,0 +1,33 @@
+"""`counterspin compare`: results beside each other."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from counterspin.cli.words import NOT_SAVED, Saved
+
+
+def compare(*results: Path, saved: Saved = NOT_SAVED, report: Path | None = None) -> None:
+    """Put results of other models, methods or campaigns beside each other, and say what changed.
+
+    Parameters
+    ----------
+    results
+        Two result files or more; each is compared with the first.
+    report
+        Write the comparison to this file too: .html, .pdf or .md.
+    """
+    from counterspin.comparisons.compare import compare as run
+    from counterspin.comparisons.page import file_kind, render_comparison, write_report
+    from counterspin.comparisons.result import Compared
+    from counterspin.output import reserve
+    from counterspin.reports.text import report_console
+
+    if report is not None:
+        reserve(report, lambda: file_kind(report), overwrite=saved.overwrite)
+    saved.reserve(Compared.file_kind)
+    compared = run(*results)
+    with saved.written(compared):
+        if report is not None:
+            write_report(compared, report, overwrite=saved.overwrite)
+        report_console().print(render_comparison(compared))

@@ -1,0 +1,198 @@
+"""`counterspin compare`: results of other models, methods or campaigns beside each other.
+
+- `compare`: from results or their files to a `Compared`
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from counterspin.calibration.findings import judge_result
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Coefficient
+from counterspin.comparisons.changes import changes
+from counterspin.comparisons.common import chi_square, covariance_of_difference
+from counterspin.comparisons.estimates import estimates_of
+from counterspin.comparisons.relations import by_the_joint_check, records_of, relation_of
+from counterspin.comparisons.result import (
+    AgreementOfTwo,
+    Compared,
+    ComparedCoefficient,
+    ComparedEstimate,
+    ComparedResult,
+)
+from counterspin.errors import CampaignError
+
+#: A difference whose variance is below this part of the variances' sum has none.
+_NO_VARIANCE: Final = 1e-9
+
+
+def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -> Compared:
+    """Put results beside each other: values, differences and their uncertainty, what changed.
+
+    Each is compared with the first. What two have in common is counted: the records, radius,
+    gravity, and what is known beforehand, where it is stated alike. Where it cannot be known, the
+    comparison says what was assumed.
+
+    Parameters
+    ----------
+    results
+        Two or more results or their files.
+    names
+        What each is called; None: by its file or title.
+
+    Returns
+    -------
+    Compared
+        In g-units of the first result's gravity.
+
+    Raises
+    ------
+    CampaignError
+        If there are fewer than two results, not as many names, or no accelerometer in common.
+    RecordError
+        If a file is no result.
+    """
+    if len(results) < 2:
+        raise CampaignError("compare", ["give two results or more, or their files"])
+    if names is not None and len(names) != len(results):
+        raise CampaignError(
+            "compare", [f"there are {len(results)} results and {len(names)} `names`"]
+        )
+    read = [judge_result(r if isinstance(r, Result) else Result.read(r)) for r in results]
+    called = list(names) if names is not None else _names(results, read)
+    every = dict.fromkeys(name for result in read for name in result.accelerometers)
+    shared = [name for name in every if sum(name in r.accelerometers for r in read) > 1]
+    if not shared:
+        known = "; ".join(
+            f"{n}: {', '.join(r.accelerometers)}" for n, r in zip(called, read, strict=True)
+        )
+        raise CampaignError("compare", [f"the results have no accelerometer in common ({known})"])
+    coefficients, agreements = [], []
+    for name in shared:
+        table, own = _accelerometer(name, read, called)
+        coefficients += table
+        agreements += own
+    return Compared(
+        gravity=read[0].inputs.gravity,
+        results=[
+            ComparedResult(
+                name=label,
+                title=result.title,
+                method=result.method,
+                model=result.model,
+                state=result.state,
+                version=result.provenance.version,
+                date=result.details.get("date"),
+            )
+            for label, result in zip(called, read, strict=True)
+        ],
+        coefficients=coefficients,
+        agreements=agreements,
+        changes=changes(read),
+    )
+
+
+def _names(given: Sequence[Result | Path | str], results: Sequence[Result]) -> list[str]:
+    """Return a name for each: its file or title, with its place where several are alike."""
+    names = [
+        (result.title or "result") if isinstance(g, Result) else str(g)
+        for g, result in zip(given, results, strict=True)
+    ]
+    return [
+        f"{name} ({place})" if names.count(name) > 1 else name
+        for place, name in enumerate(names, 1)
+    ]
+
+
+def _determined(c: Coefficient | None) -> bool:
+    return c is not None and c.estimated and c.value is not None and bool(c.u)
+
+
+def _accelerometer(
+    name: str, results: Sequence[Result], called: Sequence[str]
+) -> tuple[list[ComparedCoefficient], list[AgreementOfTwo]]:
+    """Return an accelerometer's coefficients, and its agreement in each result with the first."""
+    having = [place for place, result in enumerate(results) if name in result.accelerometers]
+    start, *later = having
+    first = results[start].accelerometers[name].coefficients
+    rows: dict[str, list[ComparedEstimate]] = {}
+    units: dict[str, str] = {}
+    for place in having:
+        for symbol, c in results[place].accelerometers[name].coefficients.items():
+            nothing = ComparedEstimate(value=None, u=None)
+            row = rows.setdefault(symbol, [nothing] * len(results))
+            units[symbol] = c.unit
+            if _determined(c):
+                gravity = results[0].inputs.gravity
+                own = estimates_of(results[place], name, [symbol], _units(results, place, gravity))
+                row[place] = ComparedEstimate(
+                    value=float(own.value[0]),
+                    u=float(own.covariance[0, 0] ** 0.5),
+                    dof=c.dof,
+                )
+    agreements = []
+    for place in later:
+        other = results[place].accelerometers[name].coefficients
+        terms = [s for s in first if _determined(first[s]) and _determined(other.get(s))]
+        agreement, differences = _pair(name, results, (start, place), terms, called)
+        agreements.append(agreement)
+        for symbol, (difference, u, z) in differences.items():
+            update = {"difference": difference, "u_difference": u, "z": z}
+            rows[symbol][place] = rows[symbol][place].model_copy(update=update)
+    table = [
+        ComparedCoefficient(accelerometer=name, term=symbol, unit=units[symbol], estimates=row)
+        for symbol, row in rows.items()
+    ]
+    return table, agreements
+
+
+def _units(results: Sequence[Result], place: int, gravity: float) -> float | None:
+    """Return the gravity to convert to; None where the same records were given another gravity.
+
+    Then the gravity is what was changed, and what that does is to be seen.
+    """
+    return None if records_of(results[place]) & records_of(results[0]) else gravity
+
+
+def _pair(
+    name: str,
+    results: Sequence[Result],
+    places: tuple[int, int],
+    terms: Sequence[str],
+    called: Sequence[str],
+) -> tuple[AgreementOfTwo, dict[str, tuple[float, float, float | None]]]:
+    gravity = results[0].inputs.gravity
+    one, two = (
+        estimates_of(results[place], name, terms, _units(results, place, gravity))
+        for place in places
+    )
+    first, second = (results[place] for place in places)
+    relation, assumed = relation_of(name, (first, second), (one, two))
+    covariance, shared = covariance_of_difference(one, two, relation)
+    covariance = by_the_joint_check(name, (first, second), (one, two), covariance)
+    difference = two.value - one.value
+    scale = np.sqrt(np.diag(one.covariance) + np.diag(two.covariance))
+    chi2, dof, p = chi_square(difference, covariance, scale)
+    differences = {}
+    for i, symbol in enumerate(terms):
+        variance = float(covariance[i, i])
+        u = variance**0.5 if variance > _NO_VARIANCE * scale[i] ** 2 else 0.0
+        z = float(difference[i]) / u if u else None
+        differences[symbol] = (float(difference[i]), u, z)
+    agreement = AgreementOfTwo(
+        result=called[places[1]],
+        accelerometer=name,
+        records=relation.records,
+        terms=list(terms),
+        chi2=chi2,
+        dof=dof,
+        p=p,
+        shared=sorted(shared),
+        assumed=assumed,
+    )
+    return agreement, differences

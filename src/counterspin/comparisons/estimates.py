@@ -1,0 +1,177 @@
+"""What a result says of one accelerometer, with its uncertainty taken apart by source.
+
+- `Estimates`: values, their covariance, and what each source contributes to it
+- `Source`: a prior, a considered term or an input
+- `estimates_of`: from a result
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.result import Result
+from counterspin.frozen import frozen
+from counterspin.physics.accelerometer import TERMS
+
+#: How a line of a budget names its source and what kind it is.
+_LINE: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encoder)\)")
+
+
+@frozen(eq=False)
+class Source:
+    """One thing that is known with an uncertainty and moves estimates.
+
+    Attributes
+    ----------
+    estimated
+        Whether it is the prior of an estimated term; else it is considered.
+    stated
+        Its value, where the result says it, and its standard uncertainty.
+    moves
+        Signed: what its standard uncertainty moves each estimate by, shape (p,).
+    of_run
+        Whether it belongs to one run, as its tilt does.
+    """
+
+    estimated: bool
+    stated: tuple[float | None, float]
+    moves: Array
+    of_run: bool
+
+    def is_as(self, other: Source) -> bool:
+        """Return whether another is stated alike, as far as the results say it."""
+        (value, u), (its_value, its_u) = self.stated, other.stated
+        known = value is not None and its_value is not None
+        return bool(np.isclose(u, its_u, rtol=1e-9, atol=0.0)) and (not known or value == its_value)
+
+
+@frozen(eq=False)
+class Estimates:
+    """Estimates of one accelerometer, p of them.
+
+    Attributes
+    ----------
+    symbols
+        Of the terms.
+    value
+        Shape (p,).
+    covariance
+        All of it, shape (p, p).
+    sources
+        By name: priors, considered terms, inputs and recorded rotations.
+    complete
+        Whether the sources and correlations are known; else what is considered is only known as a
+        sum, in `considered`, and the covariance may be without its correlations.
+    considered
+        Root of the sum of squares of all that is considered, shape (p,).
+    """
+
+    symbols: tuple[str, ...]
+    value: Array
+    covariance: Array
+    sources: dict[str, Source]
+    complete: bool
+    considered: Array
+
+    def part(self, *, estimated: bool) -> Array:
+        """Return what priors of estimated terms, or all that is considered, contribute."""
+        if not self.complete and not estimated:
+            return np.diag(self.considered**2)
+        moves = [s.moves for s in self.sources.values() if s.estimated is estimated]
+        return squares(moves, len(self.symbols))
+
+
+def squares(moves: Sequence[Array], size: int) -> Array:
+    """Return the covariance of independent sources from what each moves, shape (size, size)."""
+    if not moves:
+        return np.zeros((size, size))
+    stacked = np.stack(moves)
+    covariance: Array = stacked.T @ stacked
+    return covariance
+
+
+def estimates_of(
+    result: Result, name: str, symbols: Sequence[str], gravity: float | None = None
+) -> Estimates:
+    """Return what a result says of some of an accelerometer's terms.
+
+    Parameters
+    ----------
+    result
+        The result.
+    name
+        The accelerometer.
+    symbols
+        Terms that are estimated.
+    gravity
+        Whose g-units to have the numbers in, m/s^2; None: the result's own.
+    """
+    accelerometer = result.accelerometers[name]
+    own = [accelerometer.coefficients[symbol] for symbol in symbols]
+    ratio = 1.0 if gravity is None else result.inputs.gravity / gravity
+    # A coefficient of n factors is in g/g^n, and so goes with g^(1 - n).
+    factor = np.array(
+        [ratio ** (1 - len(TERMS[s].factors)) if s in TERMS else 1.0 for s in symbols]
+    )
+    u = np.array([c.u or 0.0 for c in own])
+    correlation = np.eye(len(own))
+    stated = accelerometer.correlation
+    known = stated is not None and set(symbols) <= set(stated.terms)
+    if stated is not None and known:
+        correlation = stated[list(symbols)]
+    sources = {
+        source: _scaled(found, factor) for source, found in _sources(result, name, symbols).items()
+    }
+    return Estimates(
+        symbols=tuple(symbols),
+        value=factor * np.array([c.value or 0.0 for c in own]),
+        covariance=np.outer(factor * u, factor * u) * correlation,
+        sources=sources,
+        complete=known and all(accelerometer.budget.get(symbol) for symbol in symbols),
+        considered=factor * np.array([c.u_considered or 0.0 for c in own]),
+    )
+
+
+def _scaled(source: Source, factor: Array) -> Source:
+    return Source(source.estimated, source.stated, source.moves * factor, source.of_run)
+
+
+def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, Source]:
+    accelerometer = result.accelerometers[name]
+    found: dict[str, Source] = {}
+    for place, symbol in enumerate(symbols):
+        for line in accelerometer.budget.get(symbol, ()):
+            match = _LINE.fullmatch(line.source)
+            if match is None or line.u is None or line.sensitivity is None:
+                continue
+            source = found.get(match["name"])
+            if source is None:
+                source = found[match["name"]] = Source(
+                    estimated=match["kind"] == "prior",
+                    stated=(_value(result, name, match["name"]), line.u),
+                    moves=np.zeros(len(symbols)),
+                    of_run=any(match["name"].startswith(f"{run}.") for run in result.runs),
+                )
+            source.moves[place] = line.sensitivity * line.u
+    return found
+
+
+def _value(result: Result, name: str, source: str) -> float | None:
+    """Return the value of an input or of what is known beforehand, where the result says it."""
+    inputs, accelerometer = result.inputs, result.accelerometers[name]
+    stated = {
+        "centrifuge.radius": inputs.radius,
+        "site.gravity": inputs.gravity,
+        "site.latitude": inputs.latitude,
+    }
+    if source in stated:
+        return stated[source]
+    if source in accelerometer.known:
+        return accelerometer.known[source].value
+    found = accelerometer.coefficients.get(source)
+    return None if found is None or found.estimated else found.value

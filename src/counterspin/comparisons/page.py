@@ -1,0 +1,213 @@
+"""A comparison as a page: what agrees, the values and differences, what changed.
+
+- `render_comparison`: as something that rich prints; `comparison_blocks`: the same as blocks
+- `write_report`: as .html, .pdf or .md; `file_kind`: how these are known again
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from datetime import UTC
+from pathlib import Path
+from typing import Final
+
+from counterspin._version import __version__
+from counterspin.calibration.pages.publishing import check_format, issue_date
+from counterspin.comparisons.result import (
+    AgreementOfTwo,
+    Compared,
+    ComparedCoefficient,
+    ComparedEstimate,
+)
+from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.output import FileKind, holds, reserve, write_text, write_whole
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
+from counterspin.reports.numbers import (
+    NOT_DETERMINED,
+    field_unit,
+    format_estimate,
+    format_number,
+)
+from counterspin.reports.text import Report
+
+_TITLE: Final = "Comparison of results"
+
+_RECORDS: Final = {
+    "same": "the same records",
+    "part": "some records in common",
+    "independent": "independent records",
+}
+
+
+def render_comparison(compared: Compared) -> Report:
+    """Return the comparison for the terminal."""
+    return Report(list(comparison_blocks(compared)))
+
+
+def comparison_blocks(compared: Compared) -> Iterator[Block]:
+    """Yield whether the results agree, their values and differences, and what changed."""
+    yield Heading(_TITLE, 1)
+    for agreement in compared.agreements:
+        good = agreement.p is None or agreement.p >= SIGNIFICANCE
+        yield Paragraph(in_words(compared, agreement), "answer" if good else "warning")
+    for name in dict.fromkeys(c.accelerometer for c in compared.coefficients):
+        yield Heading(name)
+        own = [c for c in compared.coefficients if c.accelerometer == name]
+        yield _table(compared, own)
+        yield from _pictures(own)
+    yield Paragraph(
+        f"± is one standard uncertainty (k = 1). Differences are from {compared.results[0].name}; "
+        "their u counts what both results have in common. z: difference over its u.",
+        "quiet",
+    )
+    yield from _what_is_common(compared)
+    yield Heading("What changed")
+    if compared.changes:
+        columns = [Column("", wraps=True), *(Column(r.name, wraps=True) for r in compared.results)]
+        rows = tuple((change.subject, *change.values) for change in compared.changes)
+        yield Table(tuple(columns), rows)
+    else:
+        yield Paragraph("Nothing that the results say of themselves.")
+
+
+def in_words(compared: Compared, agreement: AgreementOfTwo) -> str:
+    """Return whether two results agree, in a sentence."""
+    first = compared.results[0].name
+    whose = f"{agreement.accelerometer}: {agreement.result} and {first}"
+    records = _RECORDS[agreement.records]
+    if not agreement.terms:
+        return f"{whose} determine no coefficient both ({records})."
+    if agreement.p is None:
+        return f"{whose} cannot differ by chance ({records}): a difference is what was changed."
+    agree = "agree" if agreement.p >= SIGNIFICANCE else "do not agree"
+    words = (
+        f"chi-square {format_number(agreement.chi2)} with {agreement.dof} "
+        f"{'degree' if agreement.dof == 1 else 'degrees'} of freedom, "
+        f"p = {format_number(agreement.p, 2)}"
+    )
+    return f"{whose} {agree} ({words}; {records})."
+
+
+def write_report(compared: Compared, path: Path | str, *, overwrite: bool = False) -> None:
+    """Write the comparison as a report.
+
+    Parameters
+    ----------
+    compared
+        The comparison.
+    path
+        The file; its ending says the format: .html, .pdf or .md.
+    overwrite
+        Whether an earlier comparison may be replaced; nothing else is.
+
+    Raises
+    ------
+    CampaignError
+        If there is no such format.
+    CounterspinError
+        If a file is in the way, or it cannot be written; nothing is left behind then.
+    """
+    path = Path(path)
+    suffix = check_format(path)
+    reserve(path, lambda: file_kind(path), overwrite=overwrite)
+    blocks, made = list(comparison_blocks(compared)), issue_date()
+    identifier = " / ".join(result.name for result in compared.results)
+    if suffix == ".html":
+        from counterspin.reports.html import html
+
+        page = html(blocks, title=_TITLE, identifier=identifier, date=made, version=__version__)
+        write_text(path, page)
+    elif suffix == ".pdf":
+        from counterspin.reports.pdf import pdf
+
+        content = pdf(blocks, title=_TITLE, identifier=identifier, date=made)
+        write_whole(path, lambda part: part.write_bytes(content))
+    else:
+        from counterspin.reports.markdown import markdown
+
+        end = f"Made by counterspin compare, {made.astimezone(UTC):%Y-%m-%d %H:%M} UTC."
+        write_text(path, markdown([*blocks, Paragraph(end, "quiet")]))
+
+
+def file_kind(path: Path) -> FileKind:
+    """Return what `write_report` writes under a name, so that its own reports are known again."""
+    marks = {
+        ".html": f"<title>{_TITLE}</title>".encode(),
+        ".pdf": b"counterspin",
+        ".md": b"Made by counterspin compare",
+    }
+    return FileKind("a comparison of counterspin", holds(marks[check_format(path)]))
+
+
+def _table(compared: Compared, own: Sequence[ComparedCoefficient]) -> Table:
+    rows, quiet = list[tuple[str, ...]](), set[int]()
+    for coefficient in own:
+        unit, factor = field_unit(coefficient.unit)
+        label = f"{coefficient.term}, {unit}"
+        for result, found in zip(compared.results, coefficient.estimates, strict=True):
+            if found.value is None or found.u is None:
+                quiet.add(len(rows))
+                rows.append((label, result.name, NOT_DETERMINED, "", ""))
+            else:
+                value = format_estimate(found.value * factor, found.u * factor)
+                z = "" if found.z is None else f"{found.z:.2f}"
+                rows.append((label, result.name, value, _difference(found, factor), z))
+            label = ""
+    return Table(
+        columns=(
+            Column("Coefficient"),
+            Column("Result", wraps=True),
+            Column("Value", "right"),
+            Column("Difference", "right"),
+            Column("z", "right"),
+        ),
+        rows=tuple(rows),
+        quiet=frozenset(quiet),
+    )
+
+
+def _difference(found: ComparedEstimate, factor: float) -> str:
+    if found.difference is None or found.u_difference is None:
+        return ""
+    difference, u = found.difference * factor, found.u_difference * factor
+    return format_estimate(difference, u) if u else format_number(difference)
+
+
+def _pictures(own: list[ComparedCoefficient]) -> Iterator[Block]:
+    """Yield K_II through the results, with its standard uncertainties."""
+    for coefficient in own:
+        if coefficient.term != "K_II":
+            continue
+        unit, factor = field_unit(coefficient.unit)
+        found = [
+            (float(place), e.value * factor, e.u * factor)
+            for place, e in enumerate(coefficient.estimates, 1)
+            if e.value is not None and e.u is not None
+        ]
+        if len(found) > 1:
+            x, y, u = (tuple(numbers) for numbers in zip(*found, strict=True))
+            yield Plot(
+                title=f"K_II of {coefficient.accelerometer} in each result",
+                x_label="result, in the order of the table",
+                y_label=f"K_II, {unit}",
+                series=(
+                    PlotSeries(
+                        "estimate; bars: one standard uncertainty",
+                        x,
+                        y,
+                        low=tuple(a - b for a, b in zip(y, u, strict=True)),
+                        high=tuple(a + b for a, b in zip(y, u, strict=True)),
+                        kind="points",
+                    ),
+                ),
+            )
+
+
+def _what_is_common(compared: Compared) -> Iterator[Block]:
+    shared = dict.fromkeys(source for a in compared.agreements for source in a.shared)
+    if shared:
+        yield Paragraph(
+            f"Moves both results alike, and was counted so: {', '.join(shared)}.", "quiet"
+        )
+    for text in dict.fromkeys(text for a in compared.agreements for text in a.assumed):
+        yield Paragraph(f"Assumed: {text}", "quiet")

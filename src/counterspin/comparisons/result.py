@@ -1,0 +1,184 @@
+"""A comparison of results, and its JSON.
+
+Values are in the units of the coefficients, in g-units of the first result's gravity.
+
+- `Compared`: all of it
+- `ComparedResult`: one of the results; `Change`: something that is not the same in all of them
+- `ComparedCoefficient`, `ComparedEstimate`: a coefficient through all results
+- `AgreementOfTwo`: whether an accelerometer's coefficients in a result agree with those in the
+  first
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
+
+from counterspin.reports.numbers import field_unit
+from counterspin.reports.shown import ShownResult
+from counterspin.results import ResultPart
+
+if TYPE_CHECKING:
+    from counterspin.reports.text import Report
+
+
+class ComparedResult(ResultPart):
+    """One of the results: what it is called here, and how it was made."""
+
+    name: str
+    title: str
+    method: str
+    model: str
+    state: str | None
+    version: str
+    date: str | None
+
+
+class ComparedEstimate(ResultPart):
+    """A coefficient in one result.
+
+    Attributes
+    ----------
+    value, u, dof
+        Estimate, standard uncertainty, degrees of freedom (None is infinite); None where it is not
+        determined or not in the model.
+    difference
+        From the first result that determines it; None for that one itself.
+    u_difference
+        Standard uncertainty of `difference`, what both have in common being counted; 0 where
+        nothing that is uncertain lies between the two.
+    z
+        `difference` over `u_difference`.
+    """
+
+    value: float | None
+    u: float | None
+    dof: float | None = None
+    difference: float | None = None
+    u_difference: float | None = None
+    z: float | None = None
+
+
+class ComparedCoefficient(ResultPart):
+    """A coefficient through all results: one estimate for each, in their order."""
+
+    accelerometer: str
+    term: str
+    unit: str
+    estimates: list[ComparedEstimate]
+
+
+class AgreementOfTwo(ResultPart):
+    """Whether an accelerometer's coefficients agree with those of the first result.
+
+    Attributes
+    ----------
+    result, accelerometer
+        Which.
+    records
+        Whether it rests on the ``same`` records as the first, ``part`` of them are, or they are
+        ``independent``.
+    terms
+        Those that both determine.
+    chi2, dof, p
+        Of their differences together, with `dof` directions in which they can differ; None where
+        there is none.
+    shared
+        What moves both alike, beside the records.
+    assumed
+        What had to be assumed of their correlation, in sentences.
+    """
+
+    result: str
+    accelerometer: str
+    records: Literal["same", "part", "independent"]
+    terms: list[str]
+    chi2: float
+    dof: int
+    p: float | None
+    shared: list[str]
+    assumed: list[str]
+
+
+class Change(ResultPart):
+    """Something that is not the same in all results: its words in each, in their order."""
+
+    subject: str
+    values: list[str]
+
+
+#: Columns of `Compared.table`.
+_COLUMNS: Final = (
+    *("accelerometer", "term", "result", "value", "u", "difference", "u_difference", "z", "unit"),
+)
+
+
+class Compared(ShownResult):
+    """Results beside each other.
+
+    Attributes
+    ----------
+    gravity
+        Of the g-units, m/s^2: that of the first result.
+    results
+        In the order in which they were given.
+    coefficients
+        Of all accelerometers that more than one result has.
+    agreements
+        Each later result with the first.
+    changes
+        What is not the same: files, terms, noise, options, versions.
+    """
+
+    KIND: ClassVar[str] = "comparison"
+
+    gravity: float
+    results: list[ComparedResult]
+    coefficients: list[ComparedCoefficient]
+    agreements: list[AgreementOfTwo]
+    changes: list[Change]
+
+    def table(self, library: str = "polars") -> Any:
+        """Return the estimates as a frame, a row for each coefficient and result.
+
+        Parameters
+        ----------
+        library
+            ``polars``, or ``pandas`` where it is installed.
+
+        Returns
+        -------
+        polars.DataFrame or pandas.DataFrame
+            In the units of the field.
+
+        Raises
+        ------
+        ValueError
+            If there is no such library.
+        """
+        from counterspin.calibration.notebook.tables import frame_of
+
+        columns: dict[str, list[Any]] = {name: [] for name in _COLUMNS}
+        for coefficient in self.coefficients:
+            unit, factor = field_unit(coefficient.unit)
+            for result, found in zip(self.results, coefficient.estimates, strict=True):
+                numbers = (found.value, found.u, found.difference, found.u_difference)
+                row = (
+                    *(coefficient.accelerometer, coefficient.term, result.name),
+                    *(None if number is None else number * factor for number in numbers),
+                    *(found.z, unit),
+                )
+                for column, cell in zip(columns.values(), row, strict=True):
+                    column.append(cell)
+        return frame_of(columns, _COLUMNS[3:8], library)
+
+    def write_report(self, path: Path | str, *, overwrite: bool = False) -> None:
+        """Write the comparison as .html, .pdf or .md; see `counterspin.comparisons.page`."""
+        from counterspin.comparisons.page import write_report
+
+        write_report(self, path, overwrite=overwrite)
+
+    def _report(self) -> Report:
+        from counterspin.comparisons.page import render_comparison
+
+        return render_comparison(self)

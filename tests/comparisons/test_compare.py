@@ -1,0 +1,251 @@
+"""Results beside each other: u of a difference against closed forms, the fit itself, and chance."""
+
+import copy
+import inspect
+import json
+import math
+import re
+from pathlib import Path
+
+import frames
+import numpy as np
+import pytest
+import results as by_hand
+from scipy.stats import chi2 as chi2_distribution
+
+import counterspin as cs
+from counterspin.cli import main
+from counterspin.comparisons import result as comparison_result
+from counterspin.comparisons.result import Compared
+from counterspin.errors import CampaignError
+
+TERMS = ["K_F", "K_I", "K_II"]
+TRIALS = 10
+
+
+def description():
+    """Return a small campaign of one accelerometer, with an uncertain radius and scale factor."""
+    document = frames.untrue()
+    del document["accelerometers"]["Qy"], document["accelerometers"]["Qx"]["scale_factor"]
+    document["centrifuge"]["radius"] = "2.5 ± 1e-4 m"
+    return document | {
+        "model": {
+            "terms": TERMS,
+            "considered": ["K_IP"],
+            "priors": {"K_I": "1.002 ± 1e-5 g/g", "K_IP": "0 ± 1e-5 g/g^2"},
+        },
+        "truth": {"Qx": {"K_F": "0.005 g", "K_I": "1.002 g/g", "K_II": "2.7e-5 g/g^2"}},
+        "simulation": {"sampling_rate": "10 Hz", "seed": 1, "revolutions": 12},
+    }
+
+
+@pytest.fixture(scope="module")
+def made():
+    """Return a function from a seed to (records, calibration, with K_III, without a run)."""
+    base = cs.make_campaign(description())
+
+    def of(seed, count=4):
+        records = cs.simulate(base.change(seed=seed))
+        larger = records.change(terms=[*TERMS, "K_III"])
+        part = records.change(runs=["slow", "fast"])
+        found = [cs.calibrate(campaign) for campaign in (records, larger, part)[: count - 1]]
+        return records, *found
+
+    return of
+
+
+@pytest.fixture(scope="module")
+def one(made):
+    return made(1)
+
+
+def k_ii(compared, place=1):
+    (row,) = (c for c in compared.coefficients if c.term == "K_II")
+    return row.estimates[place]
+
+
+# --- the same records -----------------------------------------------------------------------------
+
+
+def test_one_more_term_differs_by_what_that_term_is(one):
+    _, small, large, _ = one
+    compared = cs.compare(small, large)
+    (agreement,) = compared.agreements
+    # All that the estimates can differ by is the new term's size: closed form.
+    k_iii = large.coefficient("Qx.K_III")
+    assert (agreement.records, agreement.dof, agreement.assumed) == ("same", 1, [])
+    assert agreement.shared == ["K_IP", "centrifuge.radius"]
+    assert agreement.chi2 == pytest.approx((k_iii.value / k_iii.u) ** 2, rel=1e-4)
+    assert k_ii(compared).u_difference < 0.1 * small.coefficient("Qx.K_II").u
+    back = cs.compare(large, small)
+    assert k_ii(back).difference == -k_ii(compared).difference
+    assert k_ii(back).u_difference == pytest.approx(k_ii(compared).u_difference, rel=1e-9)
+
+
+def test_a_run_left_out_is_as_the_fit_itself_has_it(one):
+    _, whole, _, part = one
+    compared = cs.compare(whole, part)
+    (left_out,) = (line for line in whole.accelerometers["Qx"].jackknife if line.run == "middle")
+    found = k_ii(compared)
+    assert compared.agreements[0].records == "part"
+    assert found.difference == pytest.approx(left_out.shift, rel=1e-6)
+    assert abs(found.z) == pytest.approx(abs(left_out.z), rel=1e-3)
+
+
+def test_the_two_methods_are_as_the_joint_fit_has_them(one):
+    records, joint, _, _ = one
+    compared = cs.compare(joint, cs.calibrate(records, method="two-stage"))
+    check = joint.accelerometers["Qx"].two_stage
+    assert k_ii(compared).u_difference == pytest.approx(check.u_difference, rel=1e-12)
+    assert k_ii(compared).z == pytest.approx(check.z, rel=1e-9)
+    assert any("joint method is taken" in text for text in compared.agreements[0].assumed)
+    method = next(c for c in compared.changes if c.subject == "method")
+    assert method.values == ["joint", "two-stage"]
+
+
+def test_differences_are_as_large_as_their_u_says(made):
+    pairs = [cs.compare(*made(seed, 3)[1:]) for seed in range(10, 10 + TRIALS)]
+    total = sum(compared.agreements[0].chi2 for compared in pairs)
+    dof = sum(compared.agreements[0].dof for compared in pairs)
+    low, high = chi2_distribution.interval(0.999, dof)
+    assert low < total < high
+    squares = sum(k_ii(compared).z ** 2 for compared in pairs)
+    low, high = chi2_distribution.interval(0.999, TRIALS)
+    assert low < squares < high
+
+
+def test_a_changed_input_differs_by_no_chance(one):
+    records, result, _, _ = one
+    exact = records.change(radius="2.5 m")
+    other = cs.compare(cs.calibrate(exact), cs.calibrate(records.change(radius="2.5001 m")))
+    assert k_ii(other).difference
+    assert (k_ii(other).u_difference, k_ii(other).z) == (0.0, None)
+    assert other.agreements[0].p is None
+    assert {c.subject for c in other.changes} == {"radius", "campaign.toml"}
+    # The same change of a radius that is uncertain, stated twice: the two are independent.
+    twice = cs.compare(result, cs.calibrate(records.change(radius="2.5001 ± 1e-4 m")))
+    (line,) = (
+        line
+        for line in result.accelerometers["Qx"].budget["K_II"]
+        if line.source == "centrifuge.radius (input)"
+    )
+    expected = math.sqrt(2.0) * line.contribution
+    assert k_ii(twice).u_difference == pytest.approx(expected, rel=1e-3)
+
+
+# --- independent records --------------------------------------------------------------------------
+
+
+def independent(value=2.7e-5, **changes):
+    result = by_hand.result()
+    document = json.loads(result.to_json())
+    document["accelerometers"]["Qx"]["coefficients"]["K_II"]["value"] = value
+    document["provenance"]["inputs"] = {"run.csv": f"sha256:{value}{changes}"}
+    document["inputs"] |= changes
+    return cs.Result.model_validate(document)
+
+
+def test_what_is_known_beforehand_is_counted_once():
+    # u of each is 1e-9 with 0.6e-9 from K_I, which both have: sqrt(2) 0.8e-9 is left.
+    first, second = independent(), independent(2.7002e-5)
+    found = k_ii(cs.compare(first, second))
+    assert found.u_difference == pytest.approx(math.sqrt(2.0 * (1e-18 - 0.36e-18)), rel=1e-12)
+    agreement = cs.compare(first, second).agreements[0]
+    assert (agreement.records, agreement.shared) == ("independent", ["K_I"])
+
+
+def test_what_is_stated_otherwise_is_independent():
+    first, second = independent(), independent(2.7002e-5)
+    document = json.loads(second.to_json())
+    document["accelerometers"]["Qx"]["known"]["K_I"]["value"] = 1.003
+    other = cs.Result.model_validate(document)
+    found = k_ii(cs.compare(first, other))
+    assert found.u_difference == pytest.approx(math.sqrt(2.0) * 1e-9, rel=1e-12)
+
+
+def test_other_places_are_converted_to_the_first_one_s_gravity():
+    here, there = independent(), independent(gravity=9.9)
+    compared = cs.compare(here, there)
+    assert k_ii(compared).value == pytest.approx(2.7e-5 * 9.8 / 9.9, rel=1e-12)
+    assert compared.gravity == 9.8
+
+
+def test_several_coefficients_are_judged_together():
+    first, second = independent(), independent(2.7002e-5)
+    (agreement,) = cs.compare(first, second).agreements
+    covariance = np.array([[2e-12, 0.5e-15], [0.5e-15, 1.28e-18]])
+    # K_F has no line in the budget, so that nothing is known of what it shares.
+    assert agreement.terms == ["K_F", "K_II"]
+    difference = np.array([0.0, 2e-9])
+    expected = difference @ np.linalg.solve(covariance, difference)
+    assert agreement.chi2 == pytest.approx(expected, rel=1e-6)
+    assert agreement.p == pytest.approx(chi2_distribution.sf(expected, 2), rel=1e-6)
+
+
+# --- how it is shown and kept ---------------------------------------------------------------------
+
+
+def test_a_comparison_shows_itself_and_is_read_back(one, tmp_path):
+    compared = cs.compare(*one[1:], names=["small", "large", "part"])
+    assert len(repr(compared).splitlines()) <= 20
+    assert "large and small" in repr(compared)
+    assert "<table" in compared._repr_html_()
+    assert "| middle.parquet |" in compared._repr_markdown_()
+    compared.write(tmp_path / "c.json")
+    assert Compared.read(tmp_path / "c.json") == compared
+    table = compared.table()
+    assert table.height == 3 * len(compared.coefficients)
+    assert compared.table("pandas").shape == table.shape
+    row = table.filter(term="K_II", result="large").row(0, named=True)
+    assert row["difference"] == pytest.approx(k_ii(compared).difference * 1e6)
+    assert row["unit"] == "ug/g^2"
+
+
+@pytest.mark.parametrize("ending", ["html", "md", "pdf"])
+def test_the_command_writes_a_report(ending, one, tmp_path, capsys):
+    for name, result in zip("ab", one[1:3], strict=True):
+        result.write(tmp_path / f"{name}.json")
+    words = ["compare", str(tmp_path / "a.json"), str(tmp_path / "b.json")]
+    report = tmp_path / f"c.{ending}"
+    assert main([*words, "--report", str(report), "--json", str(tmp_path / "c.json")]) == 0
+    assert "chi-square" in capsys.readouterr().out
+    assert report.stat().st_size > 1000
+    # Nothing is replaced, but by an earlier one of its own where it is asked for.
+    assert main([*words, "--report", str(report)]) == 1
+    assert main([*words, "--report", str(report), "--overwrite"]) == 0
+    report.write_text("mine")
+    assert main([*words, "--report", str(report), "--overwrite"]) == 1
+    assert report.read_text() == "mine"
+
+
+def test_what_cannot_be_compared_is_refused(one):
+    result = one[1]
+    with pytest.raises(CampaignError, match="two results or more"):
+        cs.compare(result)
+    with pytest.raises(CampaignError, match="2 results and 1 `names`"):
+        cs.compare(result, result, names=["a"])
+    other = copy.deepcopy(json.loads(result.to_json()))
+    other["accelerometers"]["A"] = other["accelerometers"].pop("Qx")
+    with pytest.raises(CampaignError, match="no accelerometer in common"):
+        cs.compare(result, cs.Result.model_validate(other))
+
+
+def test_a_result_and_itself_differ_by_nothing(one):
+    compared = cs.compare(one[1], one[1])
+    assert compared.changes == []
+    assert all(e.difference in (None, 0.0) for c in compared.coefficients for e in c.estimates)
+
+
+def test_the_page_on_comparisons_has_every_key():
+    page = (Path(__file__).parents[2] / "docs" / "compare.md").read_text(encoding="utf-8")
+    tables = dict(re.findall(r"^<!-- fields: (\w+) -->\n((?:\|.*\n)+)", page, re.MULTILINE))
+    parts = {name: part for name, part in vars(comparison_result).items() if _is_part(part)}
+    assert set(tables) == set(parts)
+    for name, rows in tables.items():
+        listed = re.findall(r"^\| `(\w+)` \|", rows, re.MULTILINE)
+        assert listed == [f.alias or key for key, f in parts[name].model_fields.items()]
+
+
+def _is_part(value):
+    module = comparison_result.__name__
+    return inspect.isclass(value) and value.__module__ == module
