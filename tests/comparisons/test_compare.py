@@ -213,6 +213,8 @@ def test_the_command_writes_a_report(ending, one, tmp_path, capsys):
     # Nothing is replaced, but by an earlier one of its own where it is asked for.
     assert main([*words, "--report", str(report)]) == 1
     assert main([*words, "--report", str(report), "--overwrite"]) == 0
+    # A report of one result is of another kind.
+    assert main(["report", words[1], "-o", str(report), "--overwrite"]) == 1
     report.write_text("mine")
     assert main([*words, "--report", str(report), "--overwrite"]) == 1
     assert report.read_text() == "mine"

@@ -20,7 +20,7 @@ from typing import Final, Literal
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.comparisons.estimates import Estimates, Source, squares
+from counterspin.comparisons.estimates import Estimates, SharedSource, squares
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
 
@@ -98,7 +98,7 @@ def _of_common_records(
             rest = [np.zeros(size), np.zeros(size)]
         difference = np.abs(rest[0] - rest[1]) + (first.considered - second.considered) ** 2
         return np.diag(difference), []
-    in_both, apart = list[tuple[Source, Source]](), list[Array]()
+    in_both, apart = list[tuple[SharedSource, SharedSource]](), list[Array]()
     shared = []
     for name, source in better.sources.items():
         its = other.sources.get(name)

@@ -1,7 +1,7 @@
 """What a result says of one accelerometer, with its uncertainty taken apart by source.
 
 - `Estimates`: values, their covariance, and what each source contributes to it
-- `Source`: a prior, a considered term or an input
+- `SharedSource`: a prior, a considered term or an input
 - `estimates_of`: from a result
 """
 
@@ -23,7 +23,7 @@ _LINE: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encod
 
 
 @frozen(eq=False)
-class Source:
+class SharedSource:
     """One thing that is known with an uncertainty and moves estimates.
 
     Attributes
@@ -43,7 +43,7 @@ class Source:
     moves: Array
     of_run: bool
 
-    def is_as(self, other: Source) -> bool:
+    def is_as(self, other: SharedSource) -> bool:
         """Return whether another is stated alike, as far as the results say it."""
         (value, u), (its_value, its_u) = self.stated, other.stated
         known = value is not None and its_value is not None
@@ -74,7 +74,7 @@ class Estimates:
     symbols: tuple[str, ...]
     value: Array
     covariance: Array
-    sources: dict[str, Source]
+    sources: dict[str, SharedSource]
     complete: bool
     considered: Array
 
@@ -137,13 +137,13 @@ def estimates_of(
     )
 
 
-def _scaled(source: Source, factor: Array) -> Source:
-    return Source(source.estimated, source.stated, source.moves * factor, source.of_run)
+def _scaled(source: SharedSource, factor: Array) -> SharedSource:
+    return SharedSource(source.estimated, source.stated, source.moves * factor, source.of_run)
 
 
-def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, Source]:
+def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, SharedSource]:
     accelerometer = result.accelerometers[name]
-    found: dict[str, Source] = {}
+    found: dict[str, SharedSource] = {}
     for place, symbol in enumerate(symbols):
         for line in accelerometer.budget.get(symbol, ()):
             match = _LINE.fullmatch(line.source)
@@ -151,7 +151,7 @@ def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, Sou
                 continue
             source = found.get(match["name"])
             if source is None:
-                source = found[match["name"]] = Source(
+                source = found[match["name"]] = SharedSource(
                     estimated=match["kind"] == "prior",
                     stated=(_value(result, name, match["name"]), line.u),
                     moves=np.zeros(len(symbols)),

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final
 
 from counterspin._version import __version__
-from counterspin.calibration.pages.publishing import check_format, issue_date
+from counterspin.calibration.pages.publishing import COMPARISON_TITLE, check_format, issue_date
 from counterspin.comparisons.result import (
     AgreementOfTwo,
     Compared,
@@ -30,7 +30,7 @@ from counterspin.reports.numbers import (
 )
 from counterspin.reports.text import Report
 
-_TITLE: Final = "Comparison of results"
+_TITLE: Final = COMPARISON_TITLE
 
 _RECORDS: Final = {
     "same": "the same records",
@@ -133,7 +133,7 @@ def file_kind(path: Path) -> FileKind:
     """Return what `write_report` writes under a name, so that its own reports are known again."""
     marks = {
         ".html": f"<title>{_TITLE}</title>".encode(),
-        ".pdf": b"counterspin",
+        ".pdf": _TITLE.encode(),
         ".md": b"Made by counterspin compare",
     }
     return FileKind("a comparison of counterspin", holds(marks[check_format(path)]))

@@ -14,7 +14,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.comparisons.changes import terms_of
 from counterspin.comparisons.common import Relation
-from counterspin.comparisons.estimates import Estimates, Source
+from counterspin.comparisons.estimates import Estimates, SharedSource
 
 
 def records_of(result: Result) -> frozenset[str]:
@@ -104,7 +104,9 @@ def _better(
     return None
 
 
-def _same_prior(name: str, one: Mapping[str, Source], two: Mapping[str, Source]) -> bool:
+def _same_prior(
+    name: str, one: Mapping[str, SharedSource], two: Mapping[str, SharedSource]
+) -> bool:
     return not two[name].estimated or one[name].is_as(two[name])
 
 

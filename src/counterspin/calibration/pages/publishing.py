@@ -22,6 +22,9 @@ from counterspin.reports.blocks import Paragraph
 FORMATS: Final = (".html", ".pdf", ".md")
 
 
+#: Stands in the place of a calibration's title in a report that compares several.
+COMPARISON_TITLE: Final = "Comparison of results"
+
 #: What stands in a report of each.
 _MARKS: Final = {
     ".html": b'name="generator" content="counterspin',
@@ -33,10 +36,12 @@ _MARKS: Final = {
 def file_kind(path: Path) -> FileKind:
     """Return what `write_report` writes under a name, so that its own reports are known again."""
     marked, attached = holds(_MARKS[check_format(path)]), holds(b"/EmbeddedFile")
+    compares = holds(COMPARISON_TITLE.encode())
 
     def recognises(place: Path) -> bool:
         # A certificate's PDF says the same of its making, and carries its XML.
-        return place.suffix.lower() == path.suffix.lower() and marked(place) and not attached(place)
+        own = marked(place) and not attached(place) and not compares(place)
+        return own and place.suffix.lower() == path.suffix.lower()
 
     return FileKind("a report of counterspin", recognises)
 
