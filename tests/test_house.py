@@ -224,8 +224,14 @@ def test_files_that_the_way_of_a_record_names_exist():
 # Words
 
 
-#: Custom properties of style sheets, which look like options; the words that a result keeps.
-DASHED = {"reports/charts.py", "reports/zoomable.py", "calibration/options.py"}
+#: Custom properties of style sheets, which look like options; the words that a result keeps, and
+#: those that the page shows.
+DASHED = {
+    "application/commands.py",
+    "calibration/options.py",
+    "reports/charts.py",
+    "reports/zoomable.py",
+}
 FLAG = re.compile(r"(?<![\w-])--[a-z]")
 
 

@@ -4,7 +4,7 @@ Each command has a module of its own, and imports what it uses when it runs, so 
 answers at once.
 
 - `init`, `simulate`, `calibrate`, `report`, `certificate`, `history`, `compare`, `apply`, `plan`,
-  `study`, `demo`, `reproduce`: the commands
+  `study`, `serve`, `demo`, `reproduce`: the commands
 - `words`: what several of them share, and errors in the words of a command line
 """
 
@@ -31,6 +31,7 @@ from counterspin.cli import (
     plan,
     report,
     reproduce,
+    serve,
     simulate,
     study,
 )
@@ -56,6 +57,7 @@ for _command in (
     apply.apply,
     plan.plan,
     study.study,
+    serve.serve,
     demo.demo,
     reproduce.reproduce,
 ):

@@ -5,6 +5,7 @@ look become zoomable (uPlot, inlined); their data travel beside them, rounded to
 shows.
 
 - `html`: blocks as a page; `cell`: as a part of somebody else's, such as a notebook
+- `part`: as a part of a page of ours, which has the style and the script
 """
 
 from __future__ import annotations
@@ -80,6 +81,34 @@ def cell(blocks: Sequence[Block]) -> str:
     return _environment().get_template("cell.html.jinja").render(content=content, style=style)
 
 
+def part(blocks: Sequence[Block], *, title: str) -> str:
+    """Return blocks as a part of a page that has `page_style` and `page_script`.
+
+    Still pictures take long to draw: in their place stands ``data-place``, the place of the picture
+    among the pictures of the blocks, so that the page can ask for them one by one.
+
+    Parameters
+    ----------
+    blocks
+        Words, tables and pictures, the answer first.
+    title
+        What precedes the first chapter is called.
+    """
+    summary, *chapters = _Page(drawn=False).chapters(blocks, title)
+    template = _environment().get_template("part.html.jinja")
+    return template.render(summary=summary["content"], chapters=chapters)
+
+
+def page_style() -> str:
+    """Return the style of a report, with that of its plots."""
+    return _style(uplot=True)
+
+
+def page_script() -> str:
+    """Return the script of a report, after that of its plots; it offers `counterspin.draw`."""
+    return f"{_uplot()}\n{_asset('report.js')}"
+
+
 def _environment() -> Environment:
     environment = Environment(
         autoescape=True, loader=FunctionLoader(_asset), undefined=StrictUndefined
@@ -112,9 +141,11 @@ def _css_text(text: str) -> str:
 class _Page:
     """The items of one page: blocks with what the template needs beside them."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, drawn: bool = True) -> None:
         self.names: set[str] = set()
         self.zoomable = False
+        self.drawn = drawn
+        self.pictures = 0
 
     def chapters(self, blocks: Iterable[Block], title: str) -> list[dict[str, Any]]:
         """Return title, id and content of each chapter; first, without these, what precedes."""
@@ -167,11 +198,18 @@ class _Page:
 
     def figure(self, picture: Picture) -> dict[str, Any]:
         """Return a picture, still, and zoomable if it is worth it."""
-        figure = {"block": picture, "id": self.name(picture.title), "data": None}
+        figure: dict[str, Any] = {
+            "block": picture,
+            "id": self.name(picture.title),
+            "data": None,
+            "place": None,
+        }
         if isinstance(picture, Plot) and can_zoom(picture):
             self.zoomable = True
             figure["data"] = Markup(plot_data(picture))
-        figure["svg"] = Markup(svg(picture, theme="page"))
+        figure["svg"] = Markup(svg(picture, theme="page")) if self.drawn else ""
+        figure["place"] = None if self.drawn else self.pictures
+        self.pictures += 1
         return figure
 
 

@@ -49,7 +49,6 @@
 
   const moved = new ResizeObserver((boxes) => boxes.forEach(({ target }) =>
     target.classList.toggle("more", target.scrollWidth > target.clientWidth + 1)));
-  document.querySelectorAll(".scroll").forEach((box) => moved.observe(box));
 
   // A plot: lines and bands are uPlot's, points and levels are drawn here, over them
 
@@ -299,6 +298,13 @@
     }).observe(box);
   }
 
-  if (typeof uPlot !== "undefined") document.querySelectorAll("figure.zoomable").forEach(zoomable);
+  // Whatever a page shows later is given to this, too.
+  function draw(part) {
+    part.querySelectorAll(".scroll").forEach((box) => moved.observe(box));
+    if (typeof uPlot !== "undefined") part.querySelectorAll("figure.zoomable").forEach(zoomable);
+  }
+
+  globalThis.counterspin = { draw, axis, colour, format, redraws };
+  draw(document);
   showTheme();
 })();

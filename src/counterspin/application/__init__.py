@@ -1,0 +1,17 @@
+"""The local application: a page of this machine alone, over the campaigns of one folder.
+
+What it shows is made by the other rooms: a report's own blocks, a plan's forecast. Each thing that
+is done by a click is a command too, and the page says which.
+
+- `server`: `serve`, from a folder to a page in the browser
+- `guard`: who may ask, how much, and what a browser may do with the answer
+- `folder`: the files of the folder, and no others; versions, so that no edit is lost
+- `desk`: what all requests share
+- `campaigns`: the folder's campaigns and results, with their state
+- `jobs`: calibrations, each in a process of its own
+- `results`: a result as the report's words and pictures
+- `commands`: what a click does, as the words of a command line
+- `interface`: what the page may ask, by name
+
+The page itself stands in the folder "assets": modules as a browser reads them, no build step.
+"""

@@ -1,0 +1,134 @@
+// @ts-check
+// One campaign: calibrate, and what came of it.
+
+import { get, send } from "./api.js";
+import { commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
+import { resultLines } from "./folder.js";
+import { resultPart } from "./result.js";
+
+/** @typedef {{number: number, campaign: string, output: string, command: string, state: string,
+ *   progress: [number, number], error: string, seconds: number}} Job */
+
+const PAUSE = 250;
+
+/**
+ * Follow a job to its end.
+ * @param {Job} job
+ * @param {HTMLElement} place
+ * @param {() => void} done
+ */
+function follow(job, place, done) {
+  const bar = make("progress", { "aria-label": "Progress of the calibration" });
+  const words = make("p", { class: "quiet", "aria-live": "polite" });
+  const stop = make("button", {
+    type: "button",
+    onclick: () => send("DELETE", "jobs", { number: job.number }),
+  }, "Stop");
+  place.replaceChildren(make("div", { class: "job" }, bar, words, stop));
+  /** @param {Job} now */
+  const show = (now) => {
+    const [read, all] = now.progress;
+    if (all && read < all) {
+      bar.max = all;
+      bar.value = read;
+    } else {
+      bar.removeAttribute("value");
+    }
+    const what = now.state === "waiting" ? "Waiting for another calibration"
+      : all && read === all ? "Estimating" : `Reading runs: ${read} of ${all || "?"}`;
+    words.textContent = `${what}, ${Math.round(now.seconds)} s`;
+  };
+  const ask = async () => {
+    if (!place.isConnected && asked++ > 4) return;
+    try {
+      /** @type {Job[]} */
+      const jobs = await get("jobs");
+      const now = jobs.find(({ number }) => number === job.number);
+      if (now && (now.state === "waiting" || now.state === "running")) {
+        show(now);
+        setTimeout(ask, PAUSE);
+      } else if (now?.state === "done") {
+        say(`Wrote ${now.output}.`);
+        done();
+      } else {
+        place.replaceChildren(warning(now?.error || "The calibration was stopped."));
+      }
+    } catch (error) {
+      place.replaceChildren(warning(/** @type {Error} */ (error).message));
+    }
+  };
+  let asked = 0;
+  show(job);
+  setTimeout(ask, PAUSE);
+}
+
+/**
+ * How the campaign is calibrated, and the button.
+ * @param {any} campaign
+ * @param {() => void} again
+ */
+function calibration(campaign, again) {
+  const place = make("div");
+  const method = make("select", {},
+    make("option", { value: "joint" }, "Joint: all samples in one fit"),
+    make("option", { value: "two-stage" }, "Two-stage: the paper's"));
+  const output = make("input", { value: "result.json", required: true, autocomplete: "off" });
+  const reason = make("input", { autocomplete: "off" });
+  const form = make("form", {
+    onsubmit: async (/** @type {Event} */ event) => {
+      event.preventDefault();
+      try {
+        const job = await send("POST", "jobs", {
+          name: campaign.name,
+          output: output.value,
+          method: method.value,
+          accept_misfit: reason.value.trim() || undefined,
+        });
+        follow(job, place, again);
+      } catch (error) {
+        place.replaceChildren(warning(/** @type {Error} */ (error).message));
+      }
+    },
+  },
+  make("div", { class: "row" },
+    make("button", { class: "main", disabled: campaign.mistakes.length > 0 }, "Calibrate"),
+    labelled("Method", method),
+    labelled("Result's file; an earlier result is replaced", output),
+    campaign.state === "contradicted"
+      ? labelled("Use it although the records contradict it: why", reason) : null));
+  const running = campaign.jobs.find(/** @param {Job} job */ ({ state }) =>
+    state === "waiting" || state === "running");
+  if (running) follow(running, place, again);
+  return [form, place, commandLine(campaign.command)];
+}
+
+/**
+ * The page of a campaign.
+ * @param {string} name
+ */
+export async function campaignView(name) {
+  const campaign = await get("campaign", { name });
+  const again = () => dispatchEvent(new HashChangeEvent("hashchange"));
+  const newest = campaign.results[0];
+  /** @type {Node[]} */
+  const content = [
+    make("h1", {}, campaign.title),
+    make("p", {}, stateMark(campaign.state, campaign.words), ` ${campaign.name}`),
+    ...campaign.mistakes.map(warning),
+    ...(campaign.missing.length
+      ? [warning(`Not there: ${campaign.missing.join(", ")}`)] : []),
+    ...calibration(campaign, again),
+  ];
+  if (campaign.results.length > 1) {
+    content.push(make("section", {}, make("h2", {}, "Results"),
+      make("ul", { class: "cards" }, ...campaign.results.map(/** @param {any} r */ (r) =>
+        make("li", { class: "card" }, ...resultLines(r))))));
+  }
+  if (newest && newest.state !== "damaged") {
+    const { result, part } = await resultPart(newest.name);
+    // The campaign's own title stands above.
+    part.querySelector("h1")?.remove();
+    content.push(make("section", { "aria-label": "Result" }, part), commandLine(result.command));
+  }
+  return { title: campaign.title, content };
+}

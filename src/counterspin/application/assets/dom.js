@@ -1,0 +1,67 @@
+// @ts-check
+// Elements, made in one way; text never becomes markup here.
+
+/**
+ * Make an element.
+ * @template {keyof HTMLElementTagNameMap} K
+ * @param {K} name
+ * @param {Record<string, any>} [attributes] "on..." takes a listener; false and null leave out
+ * @param {...(Node|string|null|undefined)} children
+ * @returns {HTMLElementTagNameMap[K]}
+ */
+export function make(name, attributes = {}, ...children) {
+  const element = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (value === false || value === null || value === undefined) continue;
+    if (key.startsWith("on")) element.addEventListener(key.slice(2), value);
+    else if (key === "value") /** @type {any} */ (element).value = value;
+    else element.setAttribute(key, value === true ? "" : String(value));
+  }
+  for (const child of children) if (child !== null && child !== undefined) element.append(child);
+  return element;
+}
+
+/**
+ * A field with its label.
+ * @param {string} words
+ * @param {HTMLElement} control
+ * @returns {HTMLLabelElement}
+ */
+export const labelled = (words, control) => make("label", {}, words, control);
+
+/**
+ * What a click does, as a command.
+ * @param {string} command
+ * @returns {HTMLElement}
+ */
+export const commandLine = (command) =>
+  make("details", { class: "command-line" },
+    make("summary", {}, "The same as a command"),
+    make("pre", { class: "command" }, make("code", {}, command)));
+
+/**
+ * A warning that says what is wrong.
+ * @param {string} text
+ * @returns {HTMLElement}
+ */
+export const warning = (text) => make("p", { class: "warning", role: "alert" }, text);
+
+/**
+ * Say something for a moment, aloud too.
+ * @param {string} text
+ */
+export function say(text) {
+  const place = /** @type {HTMLElement} */ (document.getElementById("said"));
+  place.textContent = text;
+  setTimeout(() => {
+    if (place.textContent === text) place.textContent = "";
+  }, 6000);
+}
+
+/**
+ * A state in a word, with its colour.
+ * @param {string} state
+ * @param {string} words
+ */
+export const stateMark = (state, words) =>
+  make("span", { class: `state ${state.replaceAll(" ", "-")}` }, words);

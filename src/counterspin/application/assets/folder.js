@@ -1,0 +1,87 @@
+// @ts-check
+// The folder: its campaigns with their state, and what to begin with.
+
+import { get, send } from "./api.js";
+import { labelled, make, say, stateMark, warning } from "./dom.js";
+
+/** @typedef {{name: string, state: string, words: string, title?: string,
+ *   answers?: {name: string, text: string}[]}} ResultLine */
+
+/** @type {(name: string) => string} */
+export const campaignAddress = (name) => `#/campaign/${encodeURIComponent(name)}`;
+
+/** @type {(name: string) => string} */
+export const resultAddress = (name) => `#/result/${encodeURIComponent(name)}`;
+
+/**
+ * A result in a few lines.
+ * @param {ResultLine} result
+ */
+export const resultLines = (result) => [
+  ...(result.answers ?? []).map(({ name, text }) =>
+    make("p", { class: "answer-line" }, `${name} = ${text}`)),
+  make("p", {}, stateMark(result.state, result.words), " ",
+    make("a", { href: resultAddress(result.name) }, result.name)),
+];
+
+/** @param {any} campaign */
+function campaignCard(campaign) {
+  const newest = campaign.results[0];
+  const what = [
+    campaign.instruments.join(", "),
+    campaign.runs ? `${campaign.runs} run${campaign.runs === 1 ? "" : "s"}` : "",
+    campaign.name,
+  ].filter(Boolean).join(" · ");
+  return make("li", { class: "card" },
+    make("h2", {}, make("a", { href: campaignAddress(campaign.name) }, campaign.title)),
+    make("p", { class: "quiet" }, what),
+    make("p", {}, stateMark(campaign.state, campaign.words),
+      campaign.missing.length ? ` ${campaign.missing.length} missing` : "",
+      campaign.mistakes.length ? ` ${campaign.mistakes.length} to mend` : ""),
+    ...(newest?.answers ?? []).map(/** @param {any} a */ (a) =>
+      make("p", { class: "answer-line" }, `${a.name} = ${a.text}`)));
+}
+
+function newCampaign() {
+  const name = make("input", { required: true, autocomplete: "off", placeholder: "my-campaign" });
+  const test = make("select", {},
+    make("option", { value: "double-turntable" }, "Double turntable"),
+    make("option", { value: "tumble" }, "Tumble"),
+    make("option", { value: "arm" }, "Arm of a centrifuge"));
+  const wrong = make("div");
+  const form = make("form", {
+    class: "row",
+    onsubmit: async (/** @type {Event} */ event) => {
+      event.preventDefault();
+      try {
+        const made = await send("POST", "campaign", { name: name.value, test: test.value });
+        say(`Wrote ${made.name}/campaign.toml.`);
+        location.hash = campaignAddress(made.name);
+      } catch (error) {
+        wrong.replaceChildren(warning(/** @type {Error} */ (error).message));
+      }
+    },
+  }, labelled("Folder of the new campaign", name), labelled("Kind of test", test),
+  make("button", {}, "Write an example"));
+  return [make("h2", {}, "Begin a campaign"), form, wrong];
+}
+
+/** The list of campaigns. */
+export async function folderView() {
+  const folder = await get("folder");
+  const results = folder.results.filter(/** @param {any} r */ (r) => r.state !== "damaged");
+  const content = [
+    make("h1", {}, folder.folder),
+    folder.campaigns.length
+      ? make("ul", { class: "cards" }, ...folder.campaigns.map(campaignCard))
+      : make("p", {}, "There is no campaign in this folder yet."),
+    make("section", {}, ...newCampaign()),
+  ];
+  if (results.length) {
+    content.push(make("section", {}, make("h2", {}, "Other results"),
+      make("ul", { class: "cards" }, ...results.map(/** @param {any} r */ (r) =>
+        make("li", { class: "card" }, make("h3", {}, r.title || r.name), ...resultLines(r))))));
+  }
+  return { title: folder.folder, content };
+}
+

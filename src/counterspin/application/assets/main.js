@@ -1,0 +1,56 @@
+// @ts-check
+// The page: which view stands at which place.
+
+import { enter } from "./api.js";
+import { campaignView } from "./campaign.js";
+import { folderView } from "./folder.js";
+import { make, warning } from "./dom.js";
+import { resultView } from "./result.js";
+
+/**
+ * A place: its address, its name in the list of places, and what is shown there.
+ * @typedef {{path: RegExp, name?: string, address?: string,
+ *   view: (...words: string[]) => Promise<{title: string, content: Node[]}>}} Place
+ */
+
+/** @type {Place[]} */
+const PLACES = [
+  { path: /^\/$/, name: "Campaigns", address: "#/", view: folderView },
+  { path: /^\/campaign\/(.*)$/, view: campaignView },
+  { path: /^\/result\/(.*)$/, view: resultView },
+];
+
+const main = /** @type {HTMLElement} */ (document.getElementById("view"));
+const places = /** @type {HTMLElement} */ (document.getElementById("places"));
+let turn = 0;
+
+async function show() {
+  const mine = ++turn;
+  const path = location.hash.replace(/^#/, "") || "/";
+  const found = PLACES.map((place) => ({ place, match: place.path.exec(path) }))
+    .find(({ match }) => match);
+  places.replaceChildren(...PLACES.filter(({ name }) => name).map(({ name, address }) =>
+    make("a", { href: address, "aria-current": `#${path}` === address ? "page" : null }, name)));
+  main.setAttribute("aria-busy", "true");
+  let title = "counterspin";
+  /** @type {Node[]} */
+  let content;
+  try {
+    if (!found) throw new Error("There is no such place on this page.");
+    const words = /** @type {RegExpExecArray} */ (found.match).slice(1).map(decodeURIComponent);
+    ({ title, content } = await found.place.view(...words));
+  } catch (error) {
+    content = [make("h1", {}, "That did not work"), warning(/** @type {Error} */ (error).message)];
+  }
+  if (mine !== turn) return;
+  main.replaceChildren(...content);
+  main.removeAttribute("aria-busy");
+  document.title = `${title} – counterspin`;
+  globalThis.counterspin.draw(main);
+}
+
+addEventListener("hashchange", () => {
+  // A link within a page is none to another place.
+  if (location.hash.startsWith("#/")) show().then(() => { main.focus(); scrollTo(0, 0); });
+});
+enter().finally(show);

@@ -1,0 +1,236 @@
+"""The campaigns of the folder, with their state.
+
+- `folder_overview`: all of them in a line each, and the folder's results
+- `campaign_overview`: one of them: its description, mistakes, runs and results
+- `begin_calibration`: a job that calibrates one
+- `begin_campaign`: an example to start from
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.application.commands import calibrate_command, init_command
+from counterspin.application.desk import Desk
+from counterspin.application.jobs import Job
+from counterspin.calibration.options import Method
+from counterspin.calibration.pages.accelerometer import in_field_units
+from counterspin.calibration.result import Result
+from counterspin.campaign.starter import Test
+from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
+from counterspin.errors import CampaignError, CounterspinError, RecordError
+from counterspin.reports.numbers import format_estimate
+from counterspin.reports.typography import typeset
+
+#: Most bytes of a result's file.
+_RESULT_BYTES: Final = 200_000_000
+
+#: Words for what a campaign is, beside the states of its result.
+_WORDS: Final = {
+    "mistakes": "The description has mistakes",
+    "records missing": "Records are missing",
+    "not calibrated": "Not calibrated yet",
+    "changed": "Changed since its result",
+    "good": "Good",
+    "reservations": "With reservations",
+    "contradicted": "Contradicted by its records",
+}
+
+
+def folder_overview(desk: Desk) -> dict[str, Any]:
+    """Return the folder's campaigns and those of its results that are no campaign's."""
+    campaigns, others = [], []
+    for folder, files in desk.folder.folders():
+        name = desk.folder.name(folder)
+        results = list(_results(desk, folder, files))
+        if DESCRIPTION_NAME in files and desk.folder.holds(folder / DESCRIPTION_NAME):
+            campaigns.append(_line(desk, name, results))
+        else:
+            others += results
+    return {
+        "folder": desk.folder.root.name,
+        "campaigns": campaigns,
+        "results": others,
+    }
+
+
+def _results(desk: Desk, folder: Path, files: list[str]) -> Iterator[dict[str, Any]]:
+    """Yield the results among the files of a folder."""
+    for file in files:
+        path = folder / file
+        if path.suffix.lower() != ".json" or not desk.folder.holds(path):
+            continue
+        shown = desk.remembered.get(("line", path), [path], partial(_result_line, desk, path))
+        if shown is not None:
+            yield shown
+
+
+def _result_line(desk: Desk, path: Path) -> dict[str, Any] | None:
+    """Return what a list says of a result; None of a file that is none, or is damaged."""
+    from counterspin.calibration.findings import judge_result
+
+    name = desk.folder.name(path)
+    try:
+        if path.stat().st_size > _RESULT_BYTES or not Result.file_kind().recognises(path):
+            return None
+        result = judge_result(Result.read(path))
+    except OSError:
+        return None
+    except RecordError as error:
+        return {"name": name, "state": "damaged", "words": desk.folder.spoken(str(error))}
+    answers = []
+    for accelerometer, found in result.accelerometers.items():
+        if (k_ii := found.coefficients.get("K_II")) is not None:
+            value, u, unit = in_field_units(k_ii)
+            text = format_estimate(value, u, unit) if k_ii.estimated else "not determined"
+            answers.append({"name": f"K_II of {accelerometer}", "text": typeset(text)})
+    return {
+        "name": name,
+        "state": result.state,
+        "words": _WORDS[result.state or "good"],
+        "title": result.title,
+        "method": result.method,
+        "answers": answers,
+        "serial_numbers": [a.serial_number for a in result.accelerometers.values()],
+        "written": path.stat().st_mtime,
+        "description": result.provenance.inputs.get(DESCRIPTION_NAME, ""),
+    }
+
+
+def _line(desk: Desk, name: str, results: list[dict[str, Any]]) -> dict[str, Any]:
+    """Return what the list of campaigns says of one."""
+    path = desk.description(name)
+    line: dict[str, Any] = {
+        "name": name,
+        "title": name or desk.folder.root.name,
+        "results": sorted(results, key=lambda r: -r.get("written", 0.0)),
+        "mistakes": [],
+        "missing": [],
+        "runs": 0,
+        "instruments": [],
+    }
+    try:
+        campaign = desk.campaign(name)
+    except CampaignError as error:
+        line["mistakes"] = [desk.folder.spoken(problem) for problem in error.problems]
+    except CounterspinError as error:
+        line["mistakes"] = [desk.folder.spoken(str(error))]
+    else:
+        line["title"] = campaign.title or line["title"]
+        line["runs"] = len(campaign.runs) + len(campaign.readings)
+        line["instruments"] = list(campaign.accelerometers)
+        records = [run.record for run in campaign.runs]
+        line["missing"] = [desk.folder.name(file) for file in records if not file.is_file()]
+    line["state"] = _state(desk, path, line)
+    line["words"] = _WORDS.get(line["state"], line["state"])
+    return line
+
+
+def _state(desk: Desk, path: Path, line: dict[str, Any]) -> str:
+    """Return where a campaign stands."""
+    if line["mistakes"]:
+        return "mistakes"
+    newest = next((r for r in line["results"] if r["state"] != "damaged"), None)
+    if newest is None:
+        return "records missing" if line["missing"] else "not calibrated"
+    checksum = desk.folder.read(desk.folder.name(path)).version
+    records = [path.parent / run.record for run in desk.campaign(line["name"]).runs]
+    later = any(r.is_file() and r.stat().st_mtime > newest["written"] for r in records)
+    if later or newest["description"] not in ("", f"sha256:{checksum}"):
+        return "changed"
+    return str(newest["state"])
+
+
+def campaign_overview(desk: Desk, name: str) -> dict[str, Any]:
+    """Return all that the page of one campaign needs.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    name
+        The campaign's folder.
+    """
+    path = desk.description(name)
+    files = sorted(file.name for file in path.parent.iterdir() if file.is_file())
+    line = _line(desk, name, list(_results(desk, path.parent, files)))
+    text = desk.folder.read(desk.folder.name(path))
+    output = path.parent / "result.json"
+    return line | {
+        "text": text.text,
+        "version": text.version,
+        "run_list": _runs(desk, name, path),
+        "command": calibrate_command(path.parent, output, "joint", None),
+        "jobs": [job.shown() for job in desk.jobs.all() if job.campaign == name],
+    }
+
+
+def _runs(desk: Desk, name: str, path: Path) -> list[dict[str, Any]]:
+    """Return the runs of a description, also of one with mistakes."""
+    try:
+        campaign = desk.campaign(name)
+    except CounterspinError:
+        try:
+            runs = load_document(path).get("runs", [])
+        except CounterspinError:
+            return []
+        named = [run for run in runs if isinstance(run, dict)] if isinstance(runs, list) else []
+        return [{"name": str(run.get("name", "")), "record": None} for run in named]
+    return [
+        {
+            "name": run.name,
+            "rate": run.rate,
+            "record": desk.folder.name(run.record),
+            "bytes": run.record.stat().st_size if run.record.is_file() else None,
+        }
+        for run in campaign.runs
+    ]
+
+
+def begin_calibration(
+    desk: Desk, name: str, output: str, method: Method, accept_misfit: str | None
+) -> dict[str, Any]:
+    """Begin to calibrate a campaign; return the job.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    name
+        The campaign's folder.
+    output
+        Name of the result's file in it.
+    method, accept_misfit
+        As for `counterspin.calibration.calibrate.calibrate`.
+    """
+    path = desk.description(name)
+    desk.campaign(name)
+    if "/" in output or not output.lower().endswith(".json"):
+        raise CounterspinError(f"{output!r}: name the result's file, such as result.json")
+    place = desk.folder.path(f"{name}/{output}" if name else output)
+    command = calibrate_command(path.parent, place, method, accept_misfit)
+
+    def make(number: int) -> Job:
+        return Job(number, name, desk.folder.name(place), command)
+
+    return desk.jobs.begin(make, path, place, method, accept_misfit).shown()
+
+
+def begin_campaign(desk: Desk, name: str, test: Test) -> dict[str, Any]:
+    """Write an example campaign into a folder; return its name and the command."""
+    from counterspin.campaign.starter import init
+
+    if not name:
+        raise CounterspinError("give the new campaign's folder a name")
+    folder = desk.folder.path(name)
+    init(folder, test)
+    return {"name": name, "command": init_command(folder, test)}
+
+
+def as_json(value: Any) -> str:
+    """Return an answer as JSON; what is infinite or no number becomes null."""
+    return json.dumps(value, allow_nan=False, ensure_ascii=False, separators=(",", ":"))

@@ -1,0 +1,35 @@
+"""What a click does, as the words of a command line: whoever has clicked can type it next time.
+
+The one place of the application that knows the options of the command line; a test has the
+command line read every one of them back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from shlex import join
+
+
+def calibrate_command(campaign: Path, output: Path, method: str, accept_misfit: str | None) -> str:
+    """Return the command that calibrates a campaign and writes its result."""
+    words = ["calibrate", str(campaign), "--json", str(output), "--overwrite"]
+    if method != "joint":
+        words.append(f"--method={method}")
+    if accept_misfit:
+        words.append(f"--accept-misfit={accept_misfit}")
+    return _typed(words)
+
+
+def report_command(result: Path) -> str:
+    """Return the command that writes a result's report."""
+    return _typed(["report", str(result), "--output", str(result.with_suffix(".html"))])
+
+
+def init_command(folder: Path, test: str) -> str:
+    """Return the command that writes an example campaign."""
+    return _typed(["init", str(folder), f"--test={test}"])
+
+
+def _typed(words: Sequence[str]) -> str:
+    return join(["counterspin", *words])

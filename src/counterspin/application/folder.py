@@ -1,0 +1,176 @@
+"""The files of the folder that is served, and no others.
+
+- `ServedFolder`: files by their names within it, found, read and written
+- `FileVersion`: what a file held when somebody looked
+- `ChangedMeanwhileError`: somebody else has changed it since
+
+A name leads out of the folder by no way: not by ``..``, not as an absolute name, not by a link.
+Hidden files (a temporary file among them) are none of the folder's.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import threading
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path, PurePosixPath
+from typing import Final
+
+from counterspin.errors import CounterspinError
+from counterspin.frozen import frozen
+from counterspin.input import read_file
+from counterspin.output import make_folder, write_whole
+
+#: Folders within folders that are looked into, and most folders in all.
+_DEPTH: Final = 5
+_FOLDERS: Final = 2000
+
+#: Most bytes of a text that is shown to be edited.
+TEXT_BYTES: Final = 1_000_000
+
+#: Version of a file that is not there.
+NO_FILE: Final = ""
+
+
+class OutsideError(CounterspinError):
+    """A name that leads out of the folder, or is no name of a file."""
+
+
+class NotThereError(CounterspinError):
+    """There is no such file."""
+
+
+class ChangedMeanwhileError(CounterspinError):
+    """A file is no longer what its editor had seen; `now` is what it holds."""
+
+    def __init__(self, name: str, now: FileVersion) -> None:
+        self.now = now
+        super().__init__(
+            f"{name} was changed meanwhile, by another window or another program; nothing is "
+            "written. Compare the two, then save again."
+        )
+
+
+@frozen
+class FileVersion:
+    """A text, and by what it is known: its SHA-256; both empty where there is no file."""
+
+    text: str
+    version: str
+
+
+class ServedFolder:
+    """The folder that is served.
+
+    Parameters
+    ----------
+    root
+        The folder; CounterspinError if it is none.
+    """
+
+    def __init__(self, root: Path) -> None:
+        if not root.is_dir():
+            raise CounterspinError(f"{root}: there is no such folder to serve")
+        self.root = root.resolve()
+        self._writing = threading.Lock()
+
+    def path(self, name: str) -> Path:
+        """Return where a name leads; OutsideError if that is out of the folder.
+
+        Parameters
+        ----------
+        name
+            Relative to the folder, with slashes; empty: the folder itself.
+        """
+        parts = PurePosixPath(name).parts
+        odd = any(not part or part[0] == "." or part[-1] in ". " for part in parts)
+        if odd or name.startswith("/") or any(c in name for c in "\\:\0\n\r"):
+            raise OutsideError(f"{name!r} is no name of a file in this folder")
+        path = self.root.joinpath(*parts)
+        if not self.holds(path):
+            raise OutsideError(f"{name!r} leads out of this folder")
+        return path
+
+    def holds(self, path: Path) -> bool:
+        """Tell whether a path leads, links and all, to something in the folder."""
+        try:
+            return path.resolve().is_relative_to(self.root)
+        except (OSError, RuntimeError, ValueError):
+            return False  # a link to itself, a name that is too long
+
+    def name(self, path: Path) -> str:
+        """Return a path's name within the folder; one outside keeps its own."""
+        try:
+            name = path.relative_to(self.root).as_posix()
+        except ValueError:
+            return str(path)
+        return "" if name == "." else name
+
+    def spoken(self, message: str) -> str:
+        """Return a message with names within the folder in place of whole paths."""
+        return message.replace(f"{self.root}{os.sep}", "").replace(str(self.root), "this folder")
+
+    def folders(self) -> Iterator[tuple[Path, list[str]]]:
+        """Yield the folder and those in it, each with the names of its files, sorted.
+
+        Neither hidden ones nor links to folders are followed.
+        """
+        for place, folders, files in islice(os.walk(self.root), _FOLDERS):
+            path = Path(place)
+            deep = len(path.relative_to(self.root).parts) >= _DEPTH
+            folders[:] = [] if deep else sorted(name for name in folders if name[0] != ".")
+            yield path, sorted(name for name in files if name[0] != ".")
+
+    def read(self, name: str, most: int = TEXT_BYTES) -> FileVersion:
+        """Return a file's text and version; an empty one where there is no file.
+
+        Raises
+        ------
+        OutsideError
+            If the name leads out of the folder.
+        CounterspinError
+            If it is no text, is larger than `most` bytes or cannot be read.
+        """
+        path = self.path(name)
+        try:
+            content = read_file(path, most)
+            return FileVersion(content.decode("utf-8-sig"), hashlib.sha256(content).hexdigest())
+        except FileNotFoundError:
+            return FileVersion("", NO_FILE)
+        except UnicodeDecodeError as error:
+            raise CounterspinError(f"{name}: is not UTF-8 text") from error
+        except OSError as error:
+            raise CounterspinError(f"{name}: cannot be read: {error.strerror}") from error
+
+    def write(self, name: str, text: str, seen: str) -> FileVersion:
+        """Write a text, whole or not at all, if the file still is what its editor had seen.
+
+        Parameters
+        ----------
+        name
+            The file; its folder is made.
+        text
+            What it is to hold.
+        seen
+            The version that was edited; empty: there was no file.
+
+        Raises
+        ------
+        OutsideError
+            If the name leads out of the folder.
+        ChangedMeanwhileError
+            If it is another version now.
+        CounterspinError
+            If it cannot be written.
+        """
+        path = self.path(name)
+        data = text.encode("utf-8")
+        with self._writing:
+            now = self.read(name)
+            if now.version != seen:
+                raise ChangedMeanwhileError(name, now)
+            make_folder(path.parent)
+            write_whole(path, lambda part: part.write_bytes(data))
+        return FileVersion(text, hashlib.sha256(data).hexdigest())

@@ -1,0 +1,152 @@
+"""What the page may ask, by name: each request's form, and what answers it.
+
+- `ENDPOINTS`: method and name -> what is asked and who answers
+- `answer`: one request
+- `Answer`: status and content
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from counterspin.application import campaigns, results
+from counterspin.application.desk import Desk
+from counterspin.application.folder import ChangedMeanwhileError, NotThereError, OutsideError
+from counterspin.calibration.options import Method
+from counterspin.campaign.starter import Test
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.frozen import frozen
+
+
+class Asked(BaseModel):
+    """What a request says; nothing else may be said."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Nothing(Asked):
+    """A request that says nothing."""
+
+
+class Named(Asked):
+    """A file or campaign, by its name in the folder."""
+
+    name: str
+
+
+class PictureAsked(Named):
+    """A picture of a result's page."""
+
+    place: int
+
+
+class CalibrationAsked(Named):
+    """A calibration."""
+
+    output: str = "result.json"
+    method: Method = "joint"
+    accept_misfit: str | None = None
+
+
+class JobAsked(Asked):
+    """A job, by its number."""
+
+    number: int
+
+
+class CampaignAsked(Named):
+    """A new campaign."""
+
+    test: Test = "double-turntable"
+
+
+_STATUS: Final = {ChangedMeanwhileError: 409, NotThereError: 404, OutsideError: 403}
+
+
+@frozen
+class Answer:
+    """What is answered: status, and JSON or SVG."""
+
+    status: int
+    content: Any
+    kind: str = "application/json"
+
+
+Endpoint = tuple[type[Asked], Callable[[Desk, Any], Any]]
+
+ENDPOINTS: Final[Mapping[tuple[str, str], Endpoint]] = {
+    ("GET", "folder"): (Nothing, lambda desk, _: campaigns.folder_overview(desk)),
+    ("GET", "campaign"): (Named, lambda desk, asked: campaigns.campaign_overview(desk, asked.name)),
+    ("POST", "campaign"): (
+        CampaignAsked,
+        lambda desk, asked: campaigns.begin_campaign(desk, asked.name, asked.test),
+    ),
+    ("GET", "result"): (Named, lambda desk, asked: results.result_page(desk, asked.name)),
+    ("GET", "picture"): (
+        PictureAsked,
+        lambda desk, asked: Answer(
+            200, results.result_picture(desk, asked.name, asked.place), "image/svg+xml"
+        ),
+    ),
+    ("GET", "jobs"): (Nothing, lambda desk, _: [job.shown() for job in desk.jobs.all()]),
+    ("POST", "jobs"): (
+        CalibrationAsked,
+        lambda desk, asked: campaigns.begin_calibration(
+            desk, asked.name, asked.output, asked.method, asked.accept_misfit
+        ),
+    ),
+    ("DELETE", "jobs"): (JobAsked, lambda desk, asked: desk.jobs.stop(asked.number).shown()),
+}
+
+
+def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) -> Answer:
+    """Answer one request; whatever goes wrong is an answer, too.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    method, name
+        What is asked.
+    said
+        The words of a query, or the bytes of a form as JSON.
+    """
+    if (method, name) not in ENDPOINTS:
+        return Answer(404, {"error": "There is nothing of that name."})
+    asked, respond = ENDPOINTS[method, name]
+    try:
+        document = json.loads(said) if isinstance(said, bytes) else dict(said)
+        made = respond(desk, asked.model_validate(document))
+    except CounterspinError as error:
+        return _refused(desk, error)
+    except Exception as error:  # no traceback for a user
+        return _failed(error)
+    return made if isinstance(made, Answer) else Answer(200, made)
+
+
+def _refused(desk: Desk, error: CounterspinError) -> Answer:
+    """Return the answer for what is wrong with a file or a request, in its words."""
+    told: dict[str, Any] = {"error": desk.folder.spoken(str(error))}
+    status = next((status for kind, status in _STATUS.items() if isinstance(error, kind)), 422)
+    if isinstance(error, ChangedMeanwhileError):
+        told |= {"text": error.now.text, "version": error.now.version}
+    if isinstance(error, CampaignError):
+        told["problems"] = list(error.problems)
+    return Answer(status, told)
+
+
+def _failed(error: Exception) -> Answer:
+    """Return the answer for what nobody has foreseen, and for requests of another form."""
+    match error:
+        case ValidationError():
+            first = error.errors(include_url=False)[0]
+            return Answer(400, {"error": f"{'.'.join(map(str, first['loc']))}: {first['msg']}"})
+        case json.JSONDecodeError() | UnicodeDecodeError() | RecursionError():
+            return Answer(400, {"error": "The request is no JSON."})
+        case OSError():
+            return Answer(422, {"error": f"The operating system refuses: {error.strerror}"})
+    return Answer(500, {"error": f"internal error ({type(error).__name__}: {error})"})

@@ -1,0 +1,184 @@
+"""`counterspin serve`: a folder as a page of this machine alone.
+
+- `serve`: until Ctrl-C
+- `application`: what answers; `server_of`, `listening`: the server and its socket
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+import webbrowser
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import uvicorn
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from counterspin.application.campaigns import as_json
+from counterspin.application.desk import Desk
+from counterspin.application.folder import ServedFolder
+from counterspin.application.guard import SESSION, Door, Guard
+from counterspin.application.interface import Answer, answer
+from counterspin.errors import CounterspinError
+
+#: This machine, and no other.
+_ADDRESS: Final = "127.0.0.1"
+
+#: Endings of the page's own files -> what they are.
+_KINDS: Final = {
+    ".css": "text/css; charset=utf-8",
+    ".html": "text/html; charset=utf-8",
+    ".js": "text/javascript; charset=utf-8",
+}
+
+
+def application(desk: Desk, door: Door) -> Starlette:
+    """Return what answers requests for a folder.
+
+    Parameters
+    ----------
+    desk
+        What is served; its jobs end with the server.
+    door
+        Who is let in.
+    """
+
+    async def session(request: Request) -> Response:
+        try:
+            said = json.loads(await request.body())
+            token = said["token"]
+            opened = isinstance(token, str) and door.opens(token)
+        except (ValueError, KeyError, TypeError, RecursionError):
+            opened = False
+        if not opened:
+            why = "That is not the key of this server; open the link that it printed."
+            return JSONResponse({"error": why}, 403)
+        response = Response(status_code=204)
+        response.set_cookie(door.cookie, door.pass_word, httponly=True, samesite="strict", path="/")
+        return response
+
+    async def asked(request: Request) -> Response:
+        said: Any = dict(request.query_params) if request.method == "GET" else await request.body()
+        name = request.path_params["name"]
+        return _response(await run_in_threadpool(answer, desk, request.method, name, said))
+
+    async def page(request: Request) -> Response:
+        return _page_file(request.path_params.get("file", "index.html"))
+
+    @asynccontextmanager
+    async def lifespan(_: Starlette) -> AsyncIterator[None]:
+        yield
+        await run_in_threadpool(desk.jobs.close)
+
+    return Starlette(
+        routes=[
+            Route(SESSION, session, methods=["POST"]),
+            Route("/api/{name}", asked, methods=["GET", "POST", "PUT", "DELETE"]),
+            Route("/", page),
+            Route("/assets/{file}", page),
+        ],
+        middleware=[Middleware(Guard, door=door)],
+        lifespan=lifespan,
+    )
+
+
+def _response(made: Answer) -> Response:
+    content = as_json(made.content) if made.kind == "application/json" else made.content
+    return Response(content, made.status, media_type=made.kind)
+
+
+def _page_file(name: str) -> Response:
+    """Return a file of the page: our own, or the reports'."""
+    from counterspin.reports.html import page_script, page_style
+
+    made: dict[str, Callable[[], str]] = {"report.css": page_style, "report.js": page_script}
+    kind = _KINDS.get(Path(name).suffix)
+    if kind is None:
+        return JSONResponse({"error": "There is no such page."}, 404)
+    if name in made:
+        return Response(made[name](), media_type=kind)
+    file = resources.files("counterspin.application") / "assets" / name
+    if "/" in name or not file.is_file():
+        return JSONResponse({"error": "There is no such page."}, 404)
+    return Response(file.read_text(encoding="utf-8"), media_type=kind)
+
+
+def serve(
+    folder: Path,
+    *,
+    port: int = 0,
+    browser: bool = True,
+    say: Callable[[str], None] = print,
+) -> None:
+    """Serve a folder to this machine's browser until Ctrl-C.
+
+    Parameters
+    ----------
+    folder
+        Whose campaigns are shown; nothing outside of it is read or written.
+    port
+        Where to listen; 0: any that is free.
+    browser
+        Whether the page is opened.
+    say
+        Takes the link, and that it has ended.
+
+    Raises
+    ------
+    CounterspinError
+        If there is no such folder, or the port is taken.
+    """
+    desk = Desk(ServedFolder(folder))
+    with listening(port) as listener:
+        door = Door(listener.getsockname()[1])
+        say(f"Serving {folder} to this machine alone. Ctrl-C ends it.")
+        say(f"  {door.link}")
+        if browser:
+            opening = threading.Timer(0.3, webbrowser.open, [door.link])
+            opening.daemon = True
+            opening.start()
+        # Ctrl-C is what ends it; uvicorn has closed all by then.
+        with suppress(KeyboardInterrupt):
+            server_of(desk, door).run(sockets=[listener])
+    say("Ended.")
+
+
+def server_of(desk: Desk, door: Door) -> uvicorn.Server:
+    """Return the server of a folder, which is run with a socket that listens at the door."""
+    config = uvicorn.Config(
+        application(desk, door),
+        log_level="error",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        ws="none",
+        timeout_graceful_shutdown=2,
+    )
+    return uvicorn.Server(config)
+
+
+def listening(port: int) -> socket.socket:
+    """Return a socket that listens to this machine alone; CounterspinError if it cannot be had."""
+    listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((_ADDRESS, port))
+        listener.listen()
+    except (OSError, OverflowError) as error:
+        listener.close()
+        reason = getattr(error, "strerror", None) or str(error)
+        raise CounterspinError(
+            f"port {port} of this machine cannot be had ({reason}); give another `port`, or 0 "
+            "for any that is free"
+        ) from error
+    return listener

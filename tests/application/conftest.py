@@ -1,0 +1,67 @@
+"""A folder that is served, with a campaign and its result, and who may ask for it."""
+
+import shutil
+import warnings
+
+import pytest
+from campaigns import SMALL, write
+
+from counterspin.application.desk import Desk
+from counterspin.application.folder import ServedFolder
+from counterspin.application.guard import Door
+from counterspin.application.server import application
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.simulation import simulate
+
+with warnings.catch_warnings():
+    # It asks for the successor of httpx, which is not among our pins.
+    warnings.simplefilter("ignore")
+    from starlette.testclient import TestClient
+
+#: Shorter than the other tests' campaign: nobody asks here what comes out.
+SHORT = SMALL.replace("revolutions = 20", "revolutions = 6")
+
+PORT = 8765
+
+
+@pytest.fixture(scope="session")
+def made(tmp_path_factory):
+    """Return a folder with a campaign, "three", its records and its result."""
+    folder = tmp_path_factory.mktemp("served")
+    plan = write(tmp_path_factory.mktemp("plan"), SHORT, "plan.toml")
+    simulate(plan, folder / "three")
+    calibrate(folder / "three").write(folder / "three" / "result.json")
+    return folder
+
+
+@pytest.fixture
+def folder(made, tmp_path):
+    """Return a copy of it, which a test may change; times of files are kept."""
+    return shutil.copytree(made, tmp_path / "served")
+
+
+@pytest.fixture
+def desk(folder):
+    desk = Desk(ServedFolder(folder))
+    yield desk
+    desk.jobs.close()
+
+
+@pytest.fixture
+def door():
+    return Door(PORT)
+
+
+@pytest.fixture
+def stranger(desk, door):
+    """Return a client that knows the address, and no key."""
+    with TestClient(application(desk, door), base_url=f"http://127.0.0.1:{PORT}") as client:
+        client.headers["Origin"] = f"http://127.0.0.1:{PORT}"
+        yield client
+
+
+@pytest.fixture
+def page(stranger, door):
+    """Return a client that came by the link, as the page does."""
+    assert stranger.post("/api/session", json={"token": door.token}).status_code == 204
+    return stranger

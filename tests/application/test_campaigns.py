@@ -1,0 +1,117 @@
+"""The folder's campaigns, with the state of each."""
+
+import os
+import time
+
+import pytest
+from campaigns import SMALL, write
+
+
+def state(page, name="three"):
+    (found,) = (c for c in page.get("/api/folder").json()["campaigns"] if c["name"] == name)
+    return found["state"]
+
+
+def test_a_campaign_with_its_result(page):
+    told = page.get("/api/folder").json()
+    (campaign,) = told["campaigns"]
+    assert (campaign["name"], campaign["runs"]) == ("three", 3)
+    assert campaign["instruments"] == ["Qx", "Qy"]
+    (result,) = campaign["results"]
+    assert campaign["state"] == result["state"]
+    assert result["answers"][0]["name"] == "K_II of Qx"
+    assert "µg/g²" in result["answers"][0]["text"]
+    assert told["results"] == []
+
+
+def test_the_state_follows_the_files(page, folder):
+    three = folder / "three"
+    calibrated = state(page)
+    assert calibrated in ("good", "reservations")
+    later = time.time() + 10.0
+    os.utime(three / "fast.csv", (later, later))
+    assert state(page) == "changed"
+    result = three / "result.json"
+    os.utime(result, (later, later))
+    assert state(page) == calibrated
+    description = three / "campaign.toml"
+    text = description.read_text()
+    description.write_text(f"{text}\n# looked at\n")
+    assert state(page) == "changed"
+    description.write_text(text.replace('"2.5 m"', '"2.5 kg"'))
+    assert state(page) == "mistakes"
+    told = page.get("/api/campaign", params={"name": "three"}).json()
+    assert [m for m in told["mistakes"] if m.startswith("centrifuge.radius: ")] == told["mistakes"]
+    assert [run["name"] for run in told["run_list"]] == ["slow", "middle", "fast"]
+    description.write_text(text)
+    result.write_text("{}")
+    assert state(page) == "not calibrated"
+    (three / "slow.csv").unlink()
+    assert state(page) == "records missing"
+
+
+def test_a_damaged_result_is_said_to_be_one(page, folder):
+    file = folder / "three" / "result.json"
+    file.write_text(file.read_text().replace('"gravity": 9', '"gravity": -9', 1))
+    (campaign,) = page.get("/api/folder").json()["campaigns"]
+    assert campaign["results"][0]["state"] == "damaged"
+    assert campaign["results"][0]["words"].startswith("three/result.json: ")
+
+
+def test_an_example_to_start_from(page, folder):
+    made = page.post("/api/campaign", json={"name": "a/new", "test": "tumble"}).json()
+    assert made["command"].startswith("counterspin init ")
+    assert (folder / "a" / "new" / "readings.csv").is_file()
+    assert state(page, "a/new") == "not calibrated"
+    again = page.post("/api/campaign", json={"name": "a/new"})
+    assert again.status_code == 422
+    assert "exists" in again.json()["error"]
+    assert page.post("/api/campaign", json={"name": "../new"}).status_code == 403
+
+
+@pytest.mark.parametrize("record", ["../outside.csv", "/etc/hostname", "link.csv"])
+def test_no_record_outside_of_the_folder_is_read(page, folder, record):
+    (folder.parent / "outside.csv").write_text("time_s\n1\n")
+    (folder / "three" / "link.csv").symlink_to(folder.parent / "outside.csv")
+    name = record.replace("../", "../../")
+    write(folder / "three", SMALL.replace("slow.csv", name), "campaign.toml")
+    told = page.get("/api/campaign", params={"name": "three"}).json()
+    assert "not in the folder that is served" in told["mistakes"][0] or "records end" in str(told)
+    assert page.post("/api/jobs", json={"name": "three"}).status_code == 422
+
+
+def test_a_result_is_shown_with_the_report_s_words_and_pictures(page):
+    told = page.get("/api/result", params={"name": "three/result.json"}).json()
+    assert "of Qx = " in told["html"]
+    assert '<div class="still" data-place="0"></div>' in told["html"]
+    assert "<script>" not in told["html"]
+    query = {"name": "three/result.json", "place": 0}
+    picture = page.get("/api/picture", params=query)
+    assert picture.headers["content-type"] == "image/svg+xml"
+    assert picture.text.startswith("<svg")
+    assert page.get("/api/picture", params=query | {"place": 99}).status_code == 404
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "said", "status"),
+    [
+        ("GET", "/api/nothing", None, 404),
+        ("GET", "/api/campaign?name=nowhere", None, 404),
+        ("GET", "/api/campaign?name=../served/three", None, 403),
+        ("GET", "/api/campaign", None, 400),
+        ("GET", "/api/folder?more=1", None, 400),
+        ("POST", "/api/jobs", b"{", 400),
+        ("POST", "/api/jobs", b"[1]", 400),
+        ("POST", "/api/jobs", b'{"name": "three", "output": "../x.json"}', 422),
+        ("POST", "/api/jobs", b'{"name": "three", "output": "campaign.toml"}', 422),
+        ("DELETE", "/api/jobs", b'{"number": 7}', 422),
+        ("PATCH", "/api/folder", b"", 405),
+        ("POST", "/", b"", 405),
+        ("GET", "/assets/..%2finterface.py", None, 404),
+        ("GET", "/assets/server.py", None, 404),
+    ],
+)
+def test_what_cannot_be_answered_is_told_in_a_sentence(page, method, path, said, status):
+    answered = page.request(method, path, content=said)
+    assert answered.status_code == status
+    assert "Traceback" not in answered.text

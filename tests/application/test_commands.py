@@ -1,0 +1,31 @@
+"""What the page shows as a command is one that the command line takes."""
+
+import inspect
+import shlex
+from pathlib import Path
+
+import pytest
+
+from counterspin import cli
+from counterspin.application import commands
+
+PLACE = Path("a folder") / "it's.json"
+
+SHOWN = {
+    "calibrate_command": commands.calibrate_command(PLACE, PLACE, "two-stage", "it --is so"),
+    "init_command": commands.init_command(PLACE, "arm"),
+    "report_command": commands.report_command(PLACE),
+}
+
+
+def test_every_command_is_tried():
+    made = {name for name, _ in inspect.getmembers(commands, inspect.isfunction) if name[0] != "_"}
+    assert made - {"join"} == set(SHOWN)
+
+
+@pytest.mark.parametrize("shown", SHOWN.values(), ids=SHOWN)
+def test_the_command_line_takes_what_is_shown(shown):
+    program, *words = shlex.split(shown)
+    assert program == "counterspin"
+    _, bound, _ = cli.app.parse_args(words, exit_on_error=False, print_error=False)
+    assert PLACE in [Path(str(value)) for value in bound.args]

@@ -1,0 +1,51 @@
+"""Calibrations in processes of their own, found again by whoever asks."""
+
+import json
+import time
+
+from counterspin.application import jobs
+
+
+def wait(page, number):
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        (job,) = (job for job in page.get("/api/jobs").json() if job["number"] == number)
+        if job["state"] not in ("waiting", "running"):
+            return job
+        time.sleep(0.05)
+    raise AssertionError(job)
+
+
+def test_a_calibration_is_followed_to_its_result(page, folder):
+    result = folder / "three" / "result.json"
+    before = json.loads(result.read_text())
+    result.unlink()
+    asked = {"name": "three"}
+    begun = page.post("/api/jobs", json=asked).json()
+    # A second click, or a page that is loaded again, finds the same one.
+    assert page.post("/api/jobs", json=asked).json()["number"] == begun["number"]
+    job = wait(page, begun["number"])
+    assert (job["state"], job["progress"]) == ("done", [3, 3])
+    assert json.loads(result.read_text()) == before
+    assert job["command"].startswith("counterspin calibrate ")
+
+
+def test_one_that_fails_says_why_and_one_that_is_stopped_leaves_nothing(page, folder):
+    result = folder / "three" / "result.json"
+    kept = result.read_bytes()
+    (folder / "three" / "slow.csv").write_text("time_s\n1\n")
+    first = page.post("/api/jobs", json={"name": "three"}).json()["number"]
+    second = page.post("/api/jobs", json={"name": "three", "output": "b.json"}).json()["number"]
+    page.request("DELETE", "/api/jobs", json={"number": second})
+    assert wait(page, second)["state"] == "stopped"
+    failed = wait(page, first)
+    assert failed["state"] == "failed"
+    assert "slow.csv" in failed["error"]
+    assert result.read_bytes() == kept
+    assert not (folder / "three" / "b.json").exists()
+
+
+def test_a_process_that_dies_is_told(page, monkeypatch):
+    monkeypatch.setattr(jobs, "calibrate_into", exit)
+    number = page.post("/api/jobs", json={"name": "three"}).json()["number"]
+    assert "died" in wait(page, number)["error"]

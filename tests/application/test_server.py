@@ -1,0 +1,45 @@
+"""A server in a process of its own, as a person starts it."""
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.error
+import urllib.request
+
+import pytest
+
+from counterspin import cli
+
+
+def test_it_prints_its_link_serves_this_machine_alone_and_ends_with_ctrl_c(tmp_path):
+    words = [sys.executable, "-m", "counterspin", "serve", str(tmp_path), "--no-browser"]
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    with subprocess.Popen(words, **pipes) as server:
+        assert "this machine alone" in server.stdout.readline()
+        link = re.search(r"http://127\.0\.0\.1:(\d+)/#token=(\S{32})", server.stdout.readline())
+        port = int(link[1])
+        with urllib.request.urlopen(f"http://127.0.0.1:{port}/", timeout=30) as answer:
+            assert b"counterspin" in answer.read()
+        with pytest.raises(urllib.error.HTTPError, match="401"):
+            urllib.request.urlopen(f"http://127.0.0.1:{port}/api/folder", timeout=30)
+        # It listens on one address of the loopback, and on no other.
+        with pytest.raises(OSError, match="refused"):
+            socket.create_connection(("127.0.0.2", port), timeout=5)
+        server.send_signal(signal.SIGINT)
+        out, err = server.communicate(timeout=30)
+    assert (server.returncode, out, err) == (0, "Ended.\n", "")
+
+
+def test_a_port_that_is_taken_and_a_folder_that_is_not_there(tmp_path, capsys):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        assert cli.main(["serve", str(tmp_path), "--port", str(port)]) == 1
+    assert f"port {port} of this machine cannot be had" in (told := capsys.readouterr().err)
+    assert "give another --port" in told
+    assert cli.main(["serve", str(tmp_path), "--port", "99999"]) == 1
+    assert cli.main(["serve", str(tmp_path / "nowhere")]) == 1
+    assert "no such folder" in capsys.readouterr().err

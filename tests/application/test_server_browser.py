@@ -1,0 +1,119 @@
+"""The page in a browser, as a person uses it."""
+
+import json
+import threading
+
+import pytest
+from chromium import chromium, needs_chromium
+
+from counterspin.application.desk import Desk
+from counterspin.application.folder import ServedFolder
+from counterspin.application.guard import Door
+from counterspin.application.server import listening, server_of
+
+pytestmark = needs_chromium
+
+PHONE = {"width": 360, "height": 740}
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture
+def link(folder):
+    """Return the link of a server that runs."""
+    with listening(0) as listener:
+        door = Door(listener.getsockname()[1])
+        server = server_of(Desk(ServedFolder(folder)), door)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        yield door.link
+        server.should_exit = True
+        thread.join()
+
+
+class Window:
+    """A window, what it asked for elsewhere, and what went wrong in it."""
+
+    def __init__(self, context, link):
+        self.away, self.wrong = [], []
+        self.tab = context.new_page()
+        own = link.partition("#")[0]
+        self.tab.on("request", lambda r: None if r.url.startswith(own) else self.away.append(r.url))
+        self.tab.on("pageerror", lambda error: self.wrong.append(str(error)))
+        self.tab.on("console", self.hear)
+        self.tab.goto(link)
+
+    def hear(self, said):
+        # That an answer was no is said on the page.
+        if said.type == "error" and "Failed to load resource" not in said.text:
+            self.wrong.append(said.text)
+
+
+@pytest.fixture
+def opened(browser, link):
+    """Return what opens windows; nothing may go wrong in any, and no request may leave."""
+    context = browser.new_context()
+    context.set_default_timeout(20_000)
+    windows = []
+
+    def open_window():
+        windows.append(Window(context, link))
+        return windows[-1].tab
+
+    yield open_window
+    for window in windows:
+        assert window.wrong == []
+        assert [url for url in window.away if not url.startswith("data:")] == []
+    context.close()
+
+
+def test_from_the_link_to_the_result(opened):
+    tab = opened()
+    tab.get_by_role("link", name="three").click()
+    assert "token" not in tab.url
+    tab.get_by_role("heading", name="Is it good?").wait_for()
+    assert tab.locator(".answer").count() == 2
+    # Pictures come as they come near; what can be zoomed is drawn from its data.
+    tab.locator("figure.zoomed canvas").first.wait_for()
+    still = tab.locator("figure:not(.zoomable)").first
+    still.scroll_into_view_if_needed()
+    still.locator("svg").wait_for()
+    tab.get_by_text("The same as a command").first.click()
+    assert "counterspin calibrate" in tab.locator("code:visible").first.inner_text()
+
+
+def test_a_calibration_survives_that_the_page_is_loaded_again(opened, folder):
+    result = folder / "three" / "result.json"
+    kept = json.loads(result.read_text())
+    result.unlink()
+    tab = opened()
+    tab.get_by_role("link", name="three").click()
+    tab.get_by_role("button", name="Calibrate").click()
+    tab.get_by_role("progressbar").wait_for()
+    tab.reload()
+    tab.get_by_role("progressbar").wait_for()
+    tab.get_by_role("heading", name="Is it good?").wait_for()
+    assert json.loads(result.read_text()) == kept
+
+
+def test_a_phone_scrolls_in_one_direction(opened):
+    tab = opened()
+    tab.set_viewport_size(PHONE)
+    width = "document.documentElement.scrollWidth"
+    tab.get_by_role("link", name="three").wait_for()
+    assert tab.evaluate(width) <= PHONE["width"]
+    tab.get_by_role("link", name="three").click()
+    tab.get_by_role("heading", name="Is it good?").wait_for()
+    assert tab.evaluate(width) <= PHONE["width"]
+
+
+def test_without_the_key_the_page_says_what_to_do(opened):
+    tab = opened()
+    tab.locator("h1").wait_for()
+    tab.context.clear_cookies()
+    tab.reload()
+    tab.get_by_text("Open the link that").wait_for()
