@@ -191,7 +191,11 @@ EXACT_PATHS = [
     ('"2.5 ± 1e-5 m"', '"2.5 ± inf m"', "centrifuge.radius: '2.5 ± inf m' is not a finite"),
     ('unit = "ms"', 'unit = "m"', "records.time.unit: 'm' is not a unit of time; use s,"),
     ('unit = "deg"', 'unit = "grad"', "records.angle.unit: unknown unit 'grad'; an angle is"),
-    ('"angle", ', '"angle", skip = 1, ', "records.angle.skip: unknown key; known: column, unit"),
+    (
+        '"angle", ',
+        '"angle", skip = 1, ',
+        "records.angle.skip: unknown key; known: column,",
+    ),
     ('"angle", ', '"time_s", ', 'records.angle: column "time_s" is used by records.time already'),
     ('"east"', '"eest"', 'accelerometers.Qx.input_axis: no direction is called "eest"; did you'),
     ('"east"', "[1, 0]", "accelerometers.Qx.input_axis: a direction needs three finite"),

@@ -314,9 +314,20 @@ def _asked_about(campaign: Campaign) -> list[Finding]:
 
 def _remarks(campaign: Campaign) -> list[str]:
     """Return what a user should know of the campaign though it is nothing against the result."""
+    left_out = []
+    if campaign.skipped:
+        names = ", ".join(campaign.skipped)
+        left_out.append(f"Left out, as the description says (skip): {names}.")
+    recordings = [campaign.recording_of(run) for run in campaign.runs]
+    if any(recording.angle and recording.angle.kind == "pulses" for recording in recordings):
+        left_out.append(
+            "The angle is known at pulses only: what the rate does between them, such as a "
+            "ripple, does not show in it and is not in the uncertainty."
+        )
     if campaign.angle is not None or not campaign.runs:
-        return []
+        return left_out
     return [
+        *left_out,
         "The records have no angle: the nominal rates are taken for the rotation, and the "
-        "drift of the rate is an unknown."
+        "drift of the rate is an unknown.",
     ]

@@ -16,7 +16,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.conditions import conditions_of
-from counterspin.campaign.resolved import Accelerometer, Campaign, Channel, Run
+from counterspin.campaign.resolved import Accelerometer, Campaign, Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
@@ -27,7 +27,7 @@ from counterspin.physics.own_velocity import AxisError, taken
 from counterspin.physics.spindle import Spindle, SpindleFit, fit_spindle
 from counterspin.records.amplitude import Swing
 from counterspin.records.reading import read_record
-from counterspin.records.record import ColumnSpec, Record, RecordColumns, StatedMotion
+from counterspin.records.record import Record, RecordColumns, StatedMotion
 
 #: Horizontal part of an input axis from which its signal is held to the motion's wave.
 _HORIZONTAL: Final = 0.05
@@ -100,11 +100,6 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
     RecordError
         If a record cannot be used, with file and line, or is the record of an earlier run too.
     """
-    columns = RecordColumns(
-        _column(campaign.time),
-        _column(campaign.angle) if campaign.angle else None,
-        {name: _column(a.channel) for name, a in campaign.accelerometers.items()},
-    )
     first_with: dict[bytes, Run] = {}
     lengths: dict[str, float] = {}
     for run in campaign.runs:
@@ -114,6 +109,7 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
             if (swing := _swing(campaign, run, accelerometer)) is not None
         }
         source = campaign.record_at(run.record)
+        columns = record_columns(campaign, run)
         record = read_record(source, columns, StatedMotion(run.rate, swings))
         samples = _samples_digest(record)
         earlier = first_with.setdefault(samples, run)
@@ -151,8 +147,16 @@ def _swing(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> Swing 
     return Swing(wave, OBSERVABLES[accelerometer.observable])
 
 
-def _column(channel: Channel) -> ColumnSpec:
-    return ColumnSpec(channel.column, channel.factor)
+def record_columns(campaign: Campaign, run: Run) -> RecordColumns:
+    """Return the columns of a run's record, how its file is written, and the part to be used."""
+    gravity, recording = campaign.gravity.value, campaign.recording_of(run)
+    return RecordColumns(
+        recording.time.spec(gravity),
+        recording.angle.spec(gravity) if recording.angle else None,
+        {name: a.channel.spec(gravity) for name, a in campaign.accelerometers.items()},
+        recording.dialect,
+        run.part,
+    )
 
 
 def observe_run(

@@ -41,7 +41,6 @@ from counterspin.inference.readings import Position, Readings, ReadingsFit, judg
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
 from counterspin.records.mean import mean_of_record
-from counterspin.records.record import ColumnSpec
 
 #: Terms that no position at 1 g tells from K_II and K_F: the squares' sum is that of gravity.
 SQUARES: Final = ("K_PP", "K_OO")
@@ -343,13 +342,14 @@ def _averaged(campaign: Campaign, reading: Reading) -> Reading:
         return reading
     channel = campaign.accelerometers[reading.accelerometer].force
     assert channel is not None
+    g = campaign.gravity.value
     mean = mean_of_record(
         campaign.record_at(reading.record),
-        ColumnSpec(campaign.time.column, campaign.time.factor),
-        ColumnSpec(channel.column, channel.factor),
+        campaign.time.spec(g),
+        channel.spec(g),
         reading.rate,
+        campaign.dialect,
     )
-    g = campaign.gravity.value
     return replace(reading, value=mean.value / g, u=mean.u / g)
 
 

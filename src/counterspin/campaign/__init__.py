@@ -18,6 +18,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `questions`: what a description says that may well be a slip
 - `conditions`: when runs were made, and how warm it was
 - `memory`: campaigns made or changed in Python, and written as folders
+- `runs`: runs with records: how each is read, and which are left out
 - `checksums`: of a campaign's files
 - `starter`: a commented campaign to start from
 - `simulation`: records and readings of a campaign whose coefficients are known

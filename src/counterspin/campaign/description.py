@@ -36,9 +36,15 @@ from counterspin.campaign.resolved import (
     Simulation,
     StatedNoise,
 )
+from counterspin.campaign.runs import (
+    RunDefaults,
+    recording_of,
+    resolve_runs,
+    skipped_runs,
+    taken_runs,
+)
 from counterspin.campaign.settings import (
     OBSERVABLES,
-    RECORD_FORMATS,
     AccelerometerSettings,
     AxesSettings,
     CampaignSettings,
@@ -47,7 +53,6 @@ from counterspin.campaign.settings import (
     ModelSettings,
     NoiseSettings,
     RecordsSettings,
-    RunSettings,
     SimulationSettings,
     SiteSettings,
     exact,
@@ -66,10 +71,11 @@ from counterspin.campaign.toml_file import (
     description_file,
     load_with_checksum,
 )
-from counterspin.campaign.truth import TRUTH_TABLES, resolve_run_truth, resolve_simulation
+from counterspin.campaign.truth import TRUTH_TABLES, resolve_simulation
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.motion import Site
+from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import check_unit, unit_factor
 
 __all__ = [
@@ -144,7 +150,9 @@ class _DescriptionReader:
         self.simulated = "simulation" in raw or "truth" in raw
         self.raw_accelerometers = self._table("accelerometers")
         runs = raw.get("runs")
-        self.raw_runs = runs if isinstance(runs, list) else []
+        self.all_runs = runs if isinstance(runs, list) else []
+        self.numbered_runs = taken_runs(self.all_runs)
+        self.raw_runs = [run for _, run in self.numbered_runs]
         self.table_checksums: dict[Path, str] = {}
 
     def _table(self, key: str) -> Mapping[str, Any]:
@@ -179,6 +187,7 @@ class _DescriptionReader:
         self._check_sections(readings)
         if not self.raw_runs and "readings" not in self.raw:
             said = "must have at least one entry" if "runs" in self.raw else "is missing"
+            said = "are all left out by skip = true" if self.all_runs else said
             problems.add(("runs",), said)
         given = {name: self._given_priors(name, table) for name, table in tables.items()}
         model, priors, machine = None, given, MachineModel()
@@ -226,7 +235,7 @@ class _DescriptionReader:
             self._check_columns(records, accelerometers)
         if problems.lines:
             return None
-        site = self.site
+        site, recording = self.site, recording_of(records)
         return Campaign(
             title=info.title or self.file.parent.name,
             path=self.file,
@@ -239,8 +248,10 @@ class _DescriptionReader:
             gravity=site.gravity,
             latitude=site.latitude,
             radius=centrifuge.radius if centrifuge else Quantity(0.0, 0.0, "m"),
-            time=self._channel(records.time, "s") if records else Channel("", 1.0, "s"),
-            angle=self._channel(records.angle, "rad") if records and records.angle else None,
+            time=recording.time,
+            angle=recording.angle,
+            dialect=recording.dialect,
+            skipped=skipped_runs(self.all_runs),
             timing_offset=records.timing_offset if records else None,
             own_velocity=records is not None and records.reference == "own velocity",
             accelerometers=accelerometers,
@@ -290,7 +301,7 @@ class _DescriptionReader:
         self, mountings: Mapping[str, Mounting], outputs: Mapping[str, Output | None]
     ) -> tuple[Reading, ...]:
         runs: list[tuple[Any, tuple[str | int, ...]]] = [
-            (raw, ("runs", index)) for index, raw in enumerate(self.raw_runs) if is_reading(raw)
+            (raw, ("runs", index)) for index, raw in self.numbered_runs if is_reading(raw)
         ]
         if "readings" in self.raw:
             folder, checksums = self.file.parent, self.table_checksums
@@ -369,8 +380,8 @@ class _DescriptionReader:
     def _channel(self, settings: Any, si_unit: str) -> Channel:
         if settings is None:
             return Channel("", 1.0, si_unit)
-        factor = unit_factor(settings.unit, si_unit, gravity=self.gravity)
-        return Channel(settings.column, factor, settings.unit)
+        factor = unit_factor(settings.unit, si_unit, gravity=self.gravity) if settings.unit else 1.0
+        return Channel(settings.column, factor, settings.unit or "", si_unit=si_unit)
 
     def _noise(self) -> StatedNoise | None:
         if not isinstance(self.raw.get("noise"), dict):
@@ -475,65 +486,23 @@ class _DescriptionReader:
         return Quantity(known.value / nominal.value, known.u / abs(nominal.value), "g/g")
 
     def _runs(self) -> list[Run]:
-        runs = []
-        truth = of_records(self._table("truth"), {}, self.problems)
-        default = self._sampling()
-        names: dict[str, int] = {}
-        records: dict[str, int] = {}
-        for index, raw in enumerate(self.raw_runs):
-            path = ("runs", index)
-            if isinstance(raw, dict):
-                self._once(raw.get("name"), names, (*path, "name"), index)
-                self._once(raw.get("record"), records, (*path, "record"), index)
-            if is_reading(raw):
-                continue
-            settings = self.problems.check(RunSettings, raw, path)
-            if settings is None:
-                continue
-            duration = settings.duration
-            if duration is not None and settings.revolutions is not None:
-                self.problems.add((*path, "duration"), "revolutions is given too; keep one")
-            own_truth = None
-            turns = settings.revolutions or (default.revolutions if self.simulated else None)
-            if duration is None and turns is not None:
-                duration = turns * 2.0 * math.pi / abs(settings.rate)
-            if self.simulated:
-                own_truth = resolve_run_truth(
-                    settings.rate, truth, settings.truth or {}, (*path, "truth"), self.problems
-                )
-            elif settings.truth is not None:
-                self.problems.add((*path, "truth"), "needs [simulation] or [truth] beside it")
-            warmth = self.problems.attempt(
-                (*path, "temperature"), read_temperature, settings.temperature
-            )
-            runs.append(
-                Run(
-                    name=settings.name,
-                    rate=settings.rate,
-                    record=self.file.parent / settings.record,
-                    attitude=settings.attitude,
-                    duration=duration,
-                    truth=own_truth,
-                    temperature=warmth,
-                    time=settings.time,
-                )
-            )
-        return runs
+        simulated = of_records(self._table("truth"), {}, self.problems)
+        defaults = RunDefaults(
+            self.file.parent,
+            self._table("records"),
+            simulated if self.simulated else None,
+            self._sampling().revolutions,
+        )
+        return resolve_runs(self.numbered_runs, defaults, self.problems)
 
     def _placed(self, runs: Sequence[Run]) -> list[tuple[int, Run]]:
         """Return runs with their places in the description."""
         places = {
             raw.get("name"): place
-            for place, raw in enumerate(self.raw_runs)
+            for place, raw in self.numbered_runs
             if isinstance(raw, dict) and isinstance(raw.get("name"), str)
         }
         return [(places[run.name], run) for run in runs]
-
-    def _once(
-        self, value: Any, seen: dict[str, int], path: tuple[str | int, ...], index: int
-    ) -> None:
-        if isinstance(value, str) and seen.setdefault(value, index) != index:
-            self.problems.add(path, f'"{value}" is used by runs[{seen[value]}] already')
 
     def _sampling(self) -> SimulationSettings:
         settings = self.problems.check(
@@ -581,7 +550,7 @@ class _DescriptionReader:
         self, records: RecordsSettings, accelerometers: Mapping[str, Accelerometer]
     ) -> None:
         """Note columns that are used twice."""
-        seen = {records.time.column: "records.time"}
+        seen = {records.time.column or "": "records.time"}
         others = {"records.angle": records.angle.column} if records.angle else {}
         others |= {
             f"accelerometers.{a.name}.{a.observable}": a.channel.column

@@ -65,6 +65,7 @@ class ReadingRunSettings(SettingsSection):
     """[[runs]] with a reading: one value at one station."""
 
     name: Text
+    skip: bool = False
     motion: MotionWord = "counter-rotating"
     reading: Written | dict[str, Written] | None = None
     record: Text | None = None
@@ -144,7 +145,9 @@ class Reading:
 
 
 def is_reading(raw: object) -> bool:
-    """Return whether an entry of ``[[runs]]`` is a reading and not a record."""
+    """Return whether an entry of ``[[runs]]`` is a reading that counts, and not a record."""
+    if isinstance(raw, Mapping) and raw.get("skip") is True:
+        return False
     moved = isinstance(raw, Mapping) and raw.get("motion", "counter-rotating") != "counter-rotating"
     return moved or (isinstance(raw, Mapping) and "reading" in raw)
 

@@ -26,7 +26,9 @@ from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.spindle import Spindle
+from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.memory import MemoryTable
+from counterspin.records.record import ColumnKind, ColumnSpec
 
 if TYPE_CHECKING:
     from counterspin.campaign.memory.source import Source
@@ -55,12 +57,49 @@ class Channel:
         Factor from its numbers to SI: s, rad, m, m/s or m/s^2. Of a specific force recorded in g
         it is the site's gravity.
     unit
-        The unit in the file, as the campaign writes it.
+        The unit in the file, as the campaign writes it; empty text: the file says it.
+    offset
+        What is added then, SI: the direction of an encoder's zero, rad.
+    si_unit
+        The SI unit of what comes out; empty text: an output such as a current, as m/s^2.
+    kind, per_revolution
+        As of `counterspin.records.record.ColumnSpec`.
     """
 
     column: str
     factor: float
     unit: str
+    offset: float = 0.0
+    si_unit: str = ""
+    kind: ColumnKind = "numbers"
+    per_revolution: float = 1.0
+
+    def filed(self, values: Array) -> Array:
+        """Return values in SI as the column has them."""
+        filed: Array = (values - self.offset) / self.factor
+        return filed
+
+    def spec(self, gravity: float) -> ColumnSpec:
+        """Return the column as the records know it; `gravity` is the site's, m/s^2."""
+        return ColumnSpec(
+            self.column,
+            self.factor,
+            self.offset,
+            self.unit or None,
+            self.si_unit,
+            gravity,
+            self.kind,
+            self.per_revolution,
+        )
+
+
+@frozen
+class Recording:
+    """How a record is read: its time, its angle (or None), and how its file is written."""
+
+    time: Channel
+    angle: Channel | None
+    dialect: Dialect = TO_BE_FOUND
 
 
 @frozen
@@ -196,6 +235,10 @@ class Run:
         read it.
     temperature, time
         K, and s of its beginning by any clock; None where they were not recorded.
+    recording
+        How its record is read; None: as the campaign's others.
+    part
+        From where to where the record is used, s in its own time.
     """
 
     name: str
@@ -206,6 +249,8 @@ class Run:
     truth: RunTruth | None = None
     temperature: float | None = None
     time: float | None = None
+    recording: Recording | None = None
+    part: tuple[float, float] = (-math.inf, math.inf)
 
 
 @frozen
@@ -297,6 +342,10 @@ class Campaign:
         Files of readings, and SHA-256 of those that were read with the description.
     frames
         Records that are in memory, by the files in whose place they are.
+    dialect
+        How record files are written, as far as that is said.
+    skipped
+        Names of the runs that are left out.
     source
         The description that it was resolved from; None of a copy that `dataclasses.replace` made.
     """
@@ -325,7 +374,13 @@ class Campaign:
     table_checksums: Mapping[Path, str] = field(default_factory=dict)
     frames: Mapping[Path, MemoryTable] = field(default_factory=dict, repr=False)
     own_velocity: bool = False
+    dialect: Dialect = TO_BE_FOUND
+    skipped: tuple[str, ...] = ()
     source: Source | None = field(default=None, init=False, repr=False, compare=False)
+
+    def recording_of(self, run: Run) -> Recording:
+        """Return how the record of a run is read."""
+        return run.recording or Recording(self.time, self.angle, self.dialect)
 
     def record_at(self, file: Path) -> Path | MemoryTable:
         """Return the record in memory that stands in the place of a file, or else the file."""

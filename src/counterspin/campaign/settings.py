@@ -8,12 +8,13 @@ The keys that name coefficients are not written here: they are made from the ter
 
 from __future__ import annotations
 
+import codecs
 import datetime
 import math
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import PurePath
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
 from pydantic import (
     AfterValidator,
@@ -24,6 +25,7 @@ from pydantic import (
     PlainValidator,
     ValidationInfo,
     create_model,
+    model_validator,
 )
 
 from counterspin.campaign.attitude import attitude_rows, read_direction
@@ -31,15 +33,15 @@ from counterspin.campaign.quantity import Quantity, parse
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import unit_factor
 
-#: Ending of a record file -> its format.
-RECORD_FORMATS: Final = {
-    ".csv": "CSV",
-    ".parquet": "Parquet",
-    ".h5": "HDF5",
-    ".hdf5": "HDF5",
-    ".mat": "MATLAB",
+#: Written as the unit of time stamps in ISO 8601.
+STAMPS: Final = "iso"
+
+#: Directions that the zero of an encoder may have, rad from east towards north.
+_COMPASS: Final = {
+    name: quarter * math.pi / 2.0 for quarter, name in enumerate(("east", "north", "west", "south"))
 }
 
 #: What an accelerometer's record may hold -> its SI unit.
@@ -240,16 +242,76 @@ class _Channel(SettingsSection):
     column: Text
 
 
-class TimeChannel(_Channel):
-    """The column that holds the time."""
+def _time_unit(unit: str) -> str:
+    if unit != STAMPS:
+        unit_factor(unit, "s")
+    return unit
 
-    unit: Annotated[str, _unit_of("s")]
+
+def _angle_unit(unit: str, info: ValidationInfo) -> str:
+    # Pulses are recorded by their times.
+    if not (info.data.get("pulses") and _is_unit(unit, "s")) and not _is_unit(unit, "count"):
+        unit_factor(unit, "rad")
+    return unit
+
+
+def _is_unit(unit: str, wanted: str) -> bool:
+    with suppress(ValueError):
+        return bool(unit_factor(unit, wanted))
+    return False
+
+
+def _zero(value: object) -> float:
+    """Return the direction of an encoder's zero, rad from east towards north."""
+    if isinstance(value, str) and value in _COMPASS:
+        return _COMPASS[value]
+    try:
+        return exact(value, "rad")
+    except ValueError as error:
+        raise ValueError(f"{error}; or one of {', '.join(_COMPASS)}") from None
+
+
+def _encoding(name: str) -> str:
+    try:
+        codecs.lookup(name)
+    except LookupError:
+        raise ValueError(f'there is no encoding "{name}"; usual: utf-8, latin-1, utf-16') from None
+    return name
+
+
+class TimeChannel(SettingsSection):
+    """The column that holds the time, or how many rows there are a second."""
+
+    column: Text | None = None
+    unit: Annotated[str, AfterValidator(_time_unit)] | None = None
+    sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = None
+
+    @model_validator(mode="after")
+    def _one_of_two(self) -> Self:
+        if (self.column is None) == (self.sampling_rate is None):
+            raise ValueError("give a column, or a sampling_rate")
+        if self.unit is not None and self.column is None:
+            raise ValueError("a unit belongs to a column; with sampling_rate there is none")
+        return self
 
 
 class AngleChannel(_Channel):
-    """The column that holds the spindle's angle."""
+    """The column that holds the spindle's angle, or the times of its pulses."""
 
-    unit: Annotated[str, _unit_of("rad")]
+    pulses: bool = False
+    unit: Annotated[str, AfterValidator(_angle_unit)] | None = None
+    sense: Literal["counterclockwise", "clockwise"] = "counterclockwise"
+    zero: Annotated[float, PlainValidator(_zero)] = 0.0
+    per_revolution: Annotated[float, PlainValidator(_ratio), AfterValidator(positive)] | None = None
+
+    @model_validator(mode="after")
+    def _counts(self) -> Self:
+        counted = self.unit is not None and _is_unit(self.unit, "count")
+        if counted and self.per_revolution is None:
+            raise ValueError("counts need per_revolution: how many make one revolution")
+        if self.per_revolution is not None and not (counted or self.pulses):
+            raise ValueError('per_revolution belongs to pulses, or to unit = "count"')
+        return self
 
 
 class RecordsSettings(SettingsSection):
@@ -257,6 +319,13 @@ class RecordsSettings(SettingsSection):
 
     time: TimeChannel
     angle: AngleChannel | None = None
+    skip_lines: Annotated[int, Field(ge=0)] | None = None
+    delimiter: Literal[",", ";", "\t"] | None = None
+    decimal: Literal[".", ","] | None = None
+    encoding: Annotated[str, AfterValidator(_encoding)] | None = None
+    units_row: bool | None = None
+    sheet: Text | None = None
+    group: Text | None = None
     timing_offset: Annotated[Quantity, _uncertain("s")] | None = None
     reference: Literal["platform", "own velocity"] = "platform"
 
@@ -264,13 +333,13 @@ class RecordsSettings(SettingsSection):
 class DisplacementChannel(_Channel):
     """The column that holds the displacement along the input axis."""
 
-    unit: Annotated[str, _unit_of("m")]
+    unit: Annotated[str, _unit_of("m")] | None = None
 
 
 class VelocityChannel(_Channel):
     """The column that holds the velocity along the input axis."""
 
-    unit: Annotated[str, _unit_of("m/s")]
+    unit: Annotated[str, _unit_of("m/s")] | None = None
 
 
 class ForceChannel(_Channel):
@@ -437,4 +506,8 @@ class RunSettings(SettingsSection):
     revolutions: PositiveRatio | None = None
     temperature: Text | None = None
     time: Annotated[float, read_exactly("s")] | None = None
+    records: dict[str, Any] | None = None
+    skip: bool = False
+    start: Annotated[float, read_exactly("s")] | None = None
+    stop: Annotated[float, read_exactly("s")] | None = None
     truth: dict[str, Any] | None = None

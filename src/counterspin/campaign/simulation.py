@@ -34,6 +34,7 @@ from counterspin.campaign.resolved import (
     StatedNoise,
     sample_count,
 )
+from counterspin.campaign.runs import refuse_unwritable
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError, CounterspinError
@@ -94,6 +95,7 @@ def simulate(
     """
     campaign = where if isinstance(where, Campaign) else read_campaign(where)
     _refuse_unfit(campaign)
+    refuse_unwritable(campaign)
     if folder is None:
         return _simulated_in_memory(campaign)
     folder = Path(folder)
@@ -207,7 +209,7 @@ def _mean_records(campaign: Campaign, head_errors: Array) -> Iterator[pl.DataFra
                 columns[campaign.time.column] = stamps / campaign.time.factor
                 if campaign.angle is not None:
                     angle = _noisy(generator, angle, noise.angle)
-                    columns[campaign.angle.column] = angle / campaign.angle.factor
+                    columns[campaign.angle.column] = campaign.angle.filed(angle)
             signal = _measured(generator, time, signal, accelerometer, noise)
             columns[accelerometer.channel.column] = signal / accelerometer.channel.factor
         yield pl.DataFrame(columns)
@@ -309,7 +311,7 @@ def simulate_run(
         late = campaign.timing_offset.value if campaign.timing_offset else 0.0
         angle = run.truth.spindle.angle(times + late)
         angle = _noisy(generator, angle + encoder_error(run.truth.shared, angle), noise.angle)
-        columns[campaign.angle.column] = angle / campaign.angle.factor
+        columns[campaign.angle.column] = campaign.angle.filed(angle)
     indicated = _indicated(campaign, run, trajectory, times)
     for name, accelerometer in campaign.accelerometers.items():
         signal = indicated[name]

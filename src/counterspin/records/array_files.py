@@ -21,6 +21,7 @@ import numpy as np
 
 from counterspin.errors import RecordError
 from counterspin.records.column_file import ColumnFile
+from counterspin.records.dialect import Dialect
 from counterspin.records.pieces import Columns, joined
 
 if TYPE_CHECKING:
@@ -86,7 +87,7 @@ class ArrayFile(ColumnFile):
 class Hdf5File(ArrayFile):
     """Datasets of an HDF5 file."""
 
-    def __init__(self, path: Path, stream: BinaryIO) -> None:
+    def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect) -> None:
         import h5py
 
         super().__init__(path, stream)
@@ -98,10 +99,14 @@ class Hdf5File(ArrayFile):
             file.visititems(
                 lambda name, item: full.append(name) if isinstance(item, h5py.Dataset) else None
             )
-        groups = {name.rpartition("/")[0] for name in full}
-        short = len(groups) == 1
-        self._full = {name.rpartition("/")[2] if short else name: name for name in full}
+        if path.suffix.lower() == ".mat":
+            # MATLAB's own are no columns; its structures are groups, whose fields it parts by dots.
+            full = [name for name in full if not name.startswith("#")]
+        mark = "." if path.suffix.lower() == ".mat" else "/"
+        self._full = named_within(full, dialect.group, mark)
         self.names = list(self._full)
+        if not self.names and dialect.group is not None:
+            raise RecordError(f"{path}: there is no group '{dialect.group}' with columns in it.")
 
     def _shape(self, name: str) -> tuple[int, ...] | None:
         import h5py
@@ -140,7 +145,7 @@ class Hdf5File(ArrayFile):
 class MatlabFile(ArrayFile):
     """Variables of a MATLAB file up to version 7."""
 
-    def __init__(self, path: Path, stream: BinaryIO) -> None:
+    def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect) -> None:
         from scipy.io import whosmat
 
         super().__init__(path, stream)
@@ -150,11 +155,39 @@ class MatlabFile(ArrayFile):
         except (ValueError, TypeError, NotImplementedError) as error:
             raise RecordError(f"{path}: this is not a MATLAB file: {error}.") from None
         self._variables = {name: (tuple(shape), kind) for name, shape, kind in variables}
-        self.names = list(self._variables)
         self._loaded: dict[str, np.ndarray] = {}
+        for name, (_, kind) in list(self._variables.items()):
+            if kind == "struct":
+                self._open_structure(name)
+        self._full = named_within(list(self._variables), dialect.group, ".", within=".")
+        self.names = list(self._full)
+
+    def _open_structure(self, name: str) -> None:
+        """Put the fields of a structure in its place, by their paths."""
+        from scipy.io import loadmat
+
+        self._stream.seek(0)
+        inside = {name: loadmat(self._stream, variable_names=[name])[name]}
+        del self._variables[name]
+        while inside:
+            path, value = inside.popitem()
+            if value.dtype.names is not None and value.size == 1:
+                inside |= {f"{path}.{key}": value[key].item() for key in value.dtype.names}
+            elif value.dtype.kind in "fiub":
+                self._variables[path] = (value.shape, "double")
+                self._loaded[path] = value
+
+    def _missing_words(self, missing: Sequence[str]) -> str:
+        opaque = [name for name, (_, kind) in self._variables.items() if kind == "opaque"]
+        if opaque or any(name == "None" for name in self._variables):
+            return (
+                f"there is no column '{missing[0]}'. The file has an object such as a table, which "
+                "only MATLAB reads: save s = table2struct(T, 'ToScalar', true) in its place."
+            )
+        return super()._missing_words(missing)
 
     def _shape(self, name: str) -> tuple[int, ...]:
-        shape, kind = self._variables[name]
+        shape, kind = self._variables[self._full[name]]
         if kind not in _MATLAB_NUMBERS:
             raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
         return shape
@@ -164,18 +197,46 @@ class MatlabFile(ArrayFile):
         from scipy.io import loadmat
 
         # The format has no way to read part of a variable.
-        missing = [name for name in wanted if name not in self._loaded]
+        paths = [self._full[name] for name in wanted]
+        missing = [path for path in paths if path not in self._loaded]
         if missing:
             self._stream.seek(0)
             self._loaded |= loadmat(self._stream, variable_names=missing)
-        yield {name: self._loaded[name] for name in wanted}
+        yield {name: self._loaded[self._full[name]] for name in wanted}
 
 
-def matlab_or_hdf5(path: Path, stream: BinaryIO) -> ArrayFile:
+def matlab_or_hdf5(path: Path, stream: BinaryIO, dialect: Dialect) -> ArrayFile:
     """Open a .mat file, which from version 7.3 on is an HDF5 file."""
     import h5py
 
-    return Hdf5File(path, stream) if h5py.is_hdf5(path) else MatlabFile(path, stream)
+    return (Hdf5File if h5py.is_hdf5(path) else MatlabFile)(path, stream, dialect)
+
+
+def named_within(
+    full: Sequence[str], group: str | None, mark: str, within: str = "/"
+) -> dict[str, str]:
+    """Return names -> paths of the columns in a group, or in the only one there is, or of all.
+
+    Parameters
+    ----------
+    full
+        Paths, their parts joined by `within`.
+    group
+        A path, its parts joined by `mark`.
+    mark, within
+        What parts are joined by, in names and in paths.
+    """
+    if group is None:
+        groups = {path.rpartition(within)[0] for path in full}
+        start = f"{groups.pop()}{within}" if len(groups) == 1 else ""
+    else:
+        start = group.strip(mark).replace(mark, within) + within
+    start = start.removeprefix(within)
+    named = {
+        path[len(start) :].replace(within, mark): path for path in full if path.startswith(start)
+    }
+    # The whole path does as well.
+    return named | {path.replace(within, mark): path for path in full if group is None}
 
 
 def _inflated_bytes(stream: BinaryIO) -> int:

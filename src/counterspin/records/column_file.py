@@ -7,7 +7,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import TracebackType
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, BinaryIO, Self
 
 from counterspin.errors import CounterspinError, DamagedFileError, RecordError
 from counterspin.input import FileIdentity
-from counterspin.records.pieces import Columns, column_rows
+from counterspin.records.pieces import Columns, column_rows, joined
 
 if TYPE_CHECKING:
     import polars as pl
@@ -87,12 +87,31 @@ class ColumnFile(ABC):
         All its columns.
     identity
         Which file this is; None of a table in memory.
+    units
+        Column -> its unit by the file itself, in plain signs; empty text where it states none.
+    units_row
+        Whether they stand in a row of their own, or else in brackets behind the names.
+    stamps
+        Columns that are to be read as time stamps: seconds after the first one. Set it before
+        reading.
+    first_stamp
+        The first time stamp, ns; None as long as it is unknown.
+    found
+        How the file is written, where that is not plain.
     """
+
+    units: Mapping[str, str]
+    units_row: bool
+    stamps: frozenset[str]
+    first_stamp: int | None
+    found: str
 
     def __init__(self, path: Path, stream: BinaryIO) -> None:
         self.path = path
         self.names: list[str] = []
         self.identity: FileIdentity | None = FileIdentity.of(stream.fileno())
+        self.units, self.units_row, self.stamps, self.found = {}, False, frozenset(), ""
+        self.first_stamp = None
         self._stream = stream
 
     def __enter__(self) -> Self:
@@ -130,6 +149,18 @@ class ColumnFile(ABC):
             for batch in self._batches(wanted):
                 yield batch
                 rows += column_rows(batch)
+
+    def whole(self, wanted: Sequence[str]) -> Columns:
+        """Return whole columns, which `require` has passed; with more patience if it has to be."""
+        try:
+            batches = list(self.batches(wanted))
+        except RecordError:
+            if not self.look_closely():
+                raise
+            batches = list(self.batches(wanted))
+        if not batches:
+            raise RecordError(f"{self.path}: the file has no rows.")
+        return joined(batches)
 
     def table(self) -> pl.DataFrame:
         """Return the whole file as it stands, cells of text remaining text.

@@ -1,11 +1,12 @@
 """Record files of text: a header line, then lines of numbers.
 
-- `CsvFile`: cells parted by comma, semicolon or tab
+- `CsvFile`: cells parted by comma, semicolon or tab, in the dialects of `dialect`
 """
 
 from __future__ import annotations
 
 import csv
+import io
 from collections.abc import Iterator, Sequence
 from itertools import count, islice
 from pathlib import Path
@@ -13,7 +14,17 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 
 from counterspin.errors import RecordError
 from counterspin.records.column_file import ColumnFile, frame_columns, plain_path
+from counterspin.records.dialect import (
+    EMPTY_WORDS,
+    HEAD_LINES,
+    TO_BE_FOUND,
+    Dialect,
+    find_layout,
+    is_plain,
+    plain_layout,
+)
 from counterspin.records.pieces import Columns
+from counterspin.records.stamps import nanoseconds
 
 if TYPE_CHECKING:
     import polars as pl
@@ -21,22 +32,34 @@ if TYPE_CHECKING:
 #: No line is longer.
 _LINE_BYTES = 100_000
 _FORM = "A .csv file holds a line of column names and lines of numbers."
-#: What counts as an empty cell of a CSV file, in lower case and without surrounding blanks.
-_EMPTY_WORDS = ("", "nan")
 
 
 class CsvFile(ColumnFile):
-    """A text table with a header line; cells parted by comma, semicolon or tab; '#' comments."""
+    """A text table: names, perhaps units, then rows; '#' comments.
 
-    def __init__(self, path: Path, stream: BinaryIO) -> None:
+    Parameters
+    ----------
+    path, stream
+        As of `ColumnFile`.
+    dialect
+        How it is written, as far as that is known.
+    """
+
+    def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect = TO_BE_FOUND) -> None:
         super().__init__(path, stream)
         self._closely = False
-        self._find_header()
+        self._content: bytes | None = None  # where it is no superset of ASCII: as UTF-8
+        self._encoding = dialect.encoding or "utf-8"
+        self._find_layout(dialect)
 
     def _lines(self) -> Iterator[tuple[int, bytes]]:
         """Yield the numbers and bytes of the lines."""
         self._stream.seek(0)
-        with open(self._stream.fileno(), "rb", closefd=False) as file:
+        with (
+            open(self._stream.fileno(), "rb", closefd=False)
+            if self._content is None
+            else io.BytesIO(self._content)
+        ) as file:
             for number in count(1):
                 line = file.readline(_LINE_BYTES + 1)
                 if len(line) > _LINE_BYTES:
@@ -53,47 +76,84 @@ class CsvFile(ColumnFile):
             if self.names.count(name) > 1:
                 raise RecordError(f"{self.path}: two columns of the header are named '{name}'.")
 
-    def _find_header(self) -> None:
-        blank = 0
-        numbered = self._lines()
-        for number, raw in numbered:
+    def _find_layout(self, dialect: Dialect) -> None:
+        self._transcode(dialect)
+        head = list(islice(self._lines(), HEAD_LINES + (dialect.skip_lines or 0)))
+        lines = [(number, self._decoded(raw)) for number, raw in head]
+        layout = None
+        if dialect.delimiter is None and dialect.decimal is None:
+            unsaid = dialect.skip_lines is None and not dialect.units_row
+            layout = plain_layout(lines, dialect) if unsaid and is_plain(lines) else None
+        found = layout or find_layout(lines, dialect)
+        layout = found or plain_layout(lines, dialect)
+        if found is None and dialect.encoding is None:
+            # What is in no known form may be no text at all.
+            self._refuse_what_is_no_text(head)
+        if layout is None:
+            raise RecordError(f"{self.path}: the file has no header line and no rows.")
+        line = next(line for number, line in lines if number == layout.header)
+        if all(_is_number(cell) for cell in layout.names):
+            raise RecordError(
+                f"{self.path}, line {layout.header}: the first line must name the columns, "
+                f"but it holds numbers: {line[:60]}"
+            )
+        self._separator, self._decimal = layout.delimiter, layout.decimal
+        self._before_rows, self.names = layout.before_rows, list(layout.names)
+        self.units = dict(zip(layout.names, layout.units, strict=True))
+        self.units_row = layout.units_row
+        if not is_plain(lines):
+            self.found = layout.words(self._encoding)
+
+    def _transcode(self, dialect: Dialect) -> None:
+        """Take the content as UTF-8 where it is written in an encoding of wide characters."""
+        self._stream.seek(0)
+        mark = self._stream.read(2)
+        if dialect.encoding is None and mark in (b"\xff\xfe", b"\xfe\xff"):
+            self._encoding = "utf-16"
+        try:
+            wide = "a,;\t1\n".encode(self._encoding) != b"a,;\t1\n"
+        except LookupError:
+            raise RecordError(f"{self.path}: there is no encoding '{self._encoding}'.") from None
+        if wide and self._encoding != "utf-8-sig":
+            try:
+                self._content = self.content().decode(self._encoding).encode()
+            except UnicodeError:
+                raise RecordError(f"{self.path}: this is not text in {self._encoding}.") from None
+
+    def _decoded(self, raw: bytes) -> str:
+        """Return a line of the head as text."""
+        encoding = "utf-8" if self._content is not None else self._encoding
+        try:
+            return raw.decode("utf-8-sig" if encoding == "utf-8" else encoding).rstrip("\r\n")
+        except UnicodeError:
+            if self._encoding == "utf-8":
+                self._encoding = "latin-1"
+            return raw.decode("latin-1").rstrip("\r\n")
+
+    def _refuse_what_is_no_text(self, head: Sequence[tuple[int, bytes]]) -> None:
+        for number, raw in head:
             line = raw.decode("utf-8-sig", errors="replace").strip("\r\n")
             if "\ufffd" in line or any(c < " " and c != "\t" for c in line):
                 raise RecordError(f"{self.path}, line {number}: this is not text in UTF-8. {_FORM}")
             if line.strip() and not line.startswith("#"):
-                break
-        else:
-            raise RecordError(f"{self.path}: the file has no header line and no rows.")
-        for _, raw in numbered:
-            # Among the rows a blank line is a row of empty cells; here it stops the parser.
-            if raw.strip():
-                break
-            blank += 1
-        self._before_rows = number + blank
-        # The delimiter is the one that the header uses most; a lone column has none.
-        self._separator = max(",;\t", key=line.count)
-        cells = next(csv.reader([line], delimiter=self._separator))
-        self.names = [cell.strip() for cell in cells]
-        if all(_is_number(cell) for cell in self.names):
-            raise RecordError(
-                f"{self.path}, line {number}: the first line must name the columns, "
-                f"but it holds numbers: {line[:60]}"
-            )
+                return
 
     def _scan(self, wanted: Sequence[str], kind: Any, *, comments: bool) -> pl.LazyFrame:
         import polars as pl
 
+        def kind_of(name: str) -> Any:
+            return kind if name in wanted and name not in self.stamps else pl.String()
+
         # An explicit type for every column: a type guessed from the first lines breaks on a
         # column that looks whole at the start. Unwanted columns are never parsed.
         schema = {
-            name if name not in self.names[:place] else f"{name} ({place})": (
-                kind if name in wanted else pl.String()
-            )
+            name if name not in self.names[:place] else f"{name} ({place})": (kind_of(name))
             for place, name in enumerate(self.names)
         }
         return pl.scan_csv(
-            plain_path(self.path),
+            plain_path(self.path) if self._content is None else self._content,
             separator=self._separator,
+            decimal_comma=self._decimal == ",",
             has_header=False,  # read above: blanks around the names are no part of them
             skip_lines=self._before_rows,
             comment_prefix="#" if comments else None,
@@ -135,17 +195,20 @@ class CsvFile(ColumnFile):
         """
         import polars as pl
 
+        stamps = [name for name in wanted if name in self.stamps]
         if self._closely:
             self._refuse_bad_cells(wanted)
-            cells = pl.all().str.strip_chars().cast(pl.Float64(), strict=False)
-            frames = self._text(wanted).select(cells)
+            frames = self._text(wanted).select(
+                pl.col(name) if name in stamps else self._number(name) for name in wanted
+            )
         else:
             # Looking out for comments takes the parser half as long again. They cannot pass for
             # numbers, so where the first column is read the strict parser stops at them by itself.
-            frames = self._scan(wanted, pl.Float64(), comments=self.names[0] not in wanted)
+            comments = self.names[0] not in wanted or self.names[0] in stamps
+            frames = self._scan(wanted, pl.Float64(), comments=comments)
         try:
             for frame in frames.collect_batches(maintain_order=True):
-                yield frame_columns(frame)
+                yield frame_columns(self._timed(frame, stamps) if stamps else frame)
         except pl.exceptions.NoDataError:
             return
         except pl.exceptions.PolarsError as error:
@@ -155,11 +218,8 @@ class CsvFile(ColumnFile):
         import polars as pl
 
         self._refuse_bad_lines()
-        text = pl.all().str.strip_chars()
-        bad = text.cast(pl.Float64(), strict=False).is_null() & ~text.str.to_lowercase().is_in(
-            list(_EMPTY_WORDS)
-        )
-        marks = self._text(wanted).select(bad.fill_null(False))
+        bad = [self._bad(name) for name in wanted]
+        marks = self._text(wanted).select(bad)
         index = _unused_name(wanted)
         rows = (
             marks.with_row_index(index)
@@ -172,6 +232,11 @@ class CsvFile(ColumnFile):
         row = int(rows[index][0])
         column = next(name for name in wanted if rows[name][0])
         cell = str(self._text([column]).slice(row, 1).collect().item())
+        if column in self.stamps:
+            raise RecordError(
+                f"{self.path}, {self.locate(row)}: column '{column}' holds the text '{cell[:40]}' "
+                "where a time in ISO 8601 belongs, such as 2026-03-01T12:00:00.020."
+            )
         hint = ""
         if _is_number(cell.replace(",", ".")):
             hint = " Write numbers with a decimal point, not a comma."
@@ -180,12 +245,43 @@ class CsvFile(ColumnFile):
             f"where a number belongs.{hint}"
         )
 
+    def _number(self, name: str) -> pl.Expr:
+        """Return the text of a cell as a number, null where it is none."""
+        import polars as pl
+
+        text = pl.col(name).str.strip_chars()
+        if self._decimal == ",":
+            text = text.str.replace_all(".", "_", literal=True).str.replace(",", ".", literal=True)
+        return text.cast(pl.Float64(), strict=False)
+
+    def _bad(self, name: str) -> pl.Expr:
+        """Return whether a cell is neither empty nor what belongs there."""
+        import polars as pl
+
+        empty = pl.col(name).str.strip_chars().str.to_lowercase().is_in(list(EMPTY_WORDS))
+        value = nanoseconds(name) if name in self.stamps else self._number(name)
+        return (value.is_null() & ~empty).fill_null(False).alias(name)
+
+    def _timed(self, frame: pl.DataFrame, stamps: Sequence[str]) -> pl.DataFrame:
+        """Return a batch with its stamps as seconds after the first one of the file."""
+        import polars as pl
+
+        for name in stamps:
+            if frame.select(self._bad(name)).to_series().any():
+                raise RecordError(f"{self.path}: a cell is no time.")
+            times = frame.select(nanoseconds(name)).to_series()
+            if self.first_stamp is None and (first := times.drop_nulls()).len():
+                self.first_stamp = int(first[0])
+            seconds = (times - (self.first_stamp or 0)).cast(pl.Float64()) * 1e-9
+            frame = frame.with_columns(seconds.alias(name))
+        return frame
+
     def _refuse_bad_lines(self) -> None:
         """Refuse a line with too many cells, or a quotation mark that is never closed."""
         opened = 0  # the line at which a quoted cell begins that has not ended yet
         for number, raw in self._lines():
             line = raw.decode("utf-8", errors="replace").rstrip("\r\n")
-            if line.startswith("#") and not opened:
+            if number <= self._before_rows or (line.startswith("#") and not opened):
                 continue
             if line.count('"') % 2:
                 opened = 0 if opened else number

@@ -20,14 +20,16 @@ from counterspin.input import FileIdentity, open_file
 from counterspin.records.array_files import Hdf5File, matlab_or_hdf5
 from counterspin.records.column_file import ColumnFile, record_errors
 from counterspin.records.csv_file import CsvFile
+from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.memory import MemoryFile, MemoryTable
 from counterspin.records.parquet_file import ParquetFile
 
 #: Ending of a record file, in lower case -> what opens it.
-RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO], ColumnFile]]] = {
+RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFile]]] = {
     ".csv": CsvFile,
     ".txt": CsvFile,
     ".tsv": CsvFile,
+    ".lvm": CsvFile,
     ".parquet": ParquetFile,
     ".h5": Hdf5File,
     ".hdf5": Hdf5File,
@@ -35,13 +37,15 @@ RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO], ColumnFile]]] = {
 }
 
 
-def open_columns(path: Path | MemoryTable) -> ColumnFile:
+def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> ColumnFile:
     """Open a record file, as a context manager.
 
     Parameters
     ----------
     path
         An ordinary file with one of the endings `RECORD_FORMATS`, or a table in memory.
+    dialect
+        How it is written, as far as that is known.
 
     Raises
     ------
@@ -59,6 +63,6 @@ def open_columns(path: Path | MemoryTable) -> ColumnFile:
         stream = stack.enter_context(open_file(path))
         if FileIdentity.of(stream.fileno()).size == 0:
             raise RecordError(f"{path}: the file is empty.")
-        file = opener(path, stream)
+        file = opener(path, stream, dialect)
         stack.pop_all()
         return file

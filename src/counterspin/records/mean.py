@@ -14,9 +14,10 @@ import numpy as np
 
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
+from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnSpec
-from counterspin.records.tables import locate, read_numbers
+from counterspin.records.tables import locate, read_scaled
 
 #: Stretches of a record whose means scatter; the fewest, and the most.
 _STRETCHES: Final = (8, 64)
@@ -49,7 +50,11 @@ class RecordMean:
 
 
 def mean_of_record(
-    path: Path | MemoryTable, time: ColumnSpec, signal: ColumnSpec, rate: float
+    path: Path | MemoryTable,
+    time: ColumnSpec,
+    signal: ColumnSpec,
+    rate: float,
+    dialect: Dialect = TO_BE_FOUND,
 ) -> RecordMean:
     """Return the mean of a signal over the whole revolutions of a record.
 
@@ -65,6 +70,8 @@ def mean_of_record(
         Their columns; time in s after its factor.
     rate
         Of the spindle, rad/s; 0 at rest, where the whole record counts.
+    dialect
+        How the file is written, as far as that is known.
 
     Raises
     ------
@@ -72,8 +79,7 @@ def mean_of_record(
         If the file cannot be read, time does not run forward, more than 5 % is empty, or it is
         shorter than a revolution or than 16 samples.
     """
-    columns = read_numbers(path, [time.name, signal.name])
-    t, y = (columns[spec.name] * spec.factor for spec in (time, signal))
+    t, y = read_scaled(path, [time, signal], dialect)
     whole = np.isfinite(t) & np.isfinite(y)
     if whole.mean() < 1.0 - _EMPTY:
         raise RecordError(f"{path}: {1.0 - whole.mean():.0%} of the rows are empty; 5 % may be.")

@@ -76,6 +76,8 @@ class MemoryFile(ColumnFile):
         self.path = Path(table.name)
         self.names = [*table.columns, *table.others]
         self.identity = None
+        self.units, self.units_row, self.stamps, self.found = {}, False, frozenset(), ""
+        self.first_stamp = None
         self._table_in_memory = table
 
     def __exit__(

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, BinaryIO
 
 from counterspin.errors import RecordError
 from counterspin.records.column_file import ColumnFile, frame_columns, plain_path
+from counterspin.records.dialect import Dialect
 from counterspin.records.pieces import Columns
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 class ParquetFile(ColumnFile):
     """A Parquet file with numeric columns."""
 
-    def __init__(self, path: Path, stream: BinaryIO) -> None:
+    def __init__(self, path: Path, stream: BinaryIO, _dialect: Dialect) -> None:
         import polars as pl
 
         super().__init__(path, stream)

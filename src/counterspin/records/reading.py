@@ -9,12 +9,15 @@ the rest is averaged (`reduction`). At the end the amplitudes are checked (`ampl
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
 from counterspin.errors import RecordError
+from counterspin.input import FileIdentity
 from counterspin.records.amplitude import (
     UnitChange,
     Waves,
@@ -25,6 +28,7 @@ from counterspin.records.amplitude import (
 )
 from counterspin.records.clock import LISTED, Clock
 from counterspin.records.column_file import ColumnFile
+from counterspin.records.dialect import TO_BE_FOUND
 from counterspin.records.formats import open_columns
 from counterspin.records.isolation import isolated
 from counterspin.records.memory import MemoryTable
@@ -32,6 +36,7 @@ from counterspin.records.pieces import Columns, Piece, column_rows, in_pieces, p
 from counterspin.records.record import ColumnSpec, Record, RecordColumns, StatedMotion
 from counterspin.records.reduction import Blocks, Reducer, block_size, without_lone_rows
 from counterspin.records.report import Gap, Outlier, RecordReport
+from counterspin.records.run_file import RunFile, is_derived, pulse_angle
 from counterspin.records.spikes import find_spikes
 
 #: More empty cells than this part of a run's rows refuse the record.
@@ -80,7 +85,15 @@ def read_record(
         are fewer than three revolutions.
     """
     record = path if isinstance(path, MemoryTable) else Path(path)
-    return isolated(_read, record, columns, motion, block)
+    pulses = None
+    if columns.angle is not None and columns.angle.kind == "pulses":
+        source = record if columns.pulses is None else columns.pulses
+        pulses = isolated(_pulse_times, source, columns)
+        try:
+            pulse_angle(pulses[0], pulses[0][:0], motion.rate, columns.angle.per_revolution)
+        except ValueError as error:
+            raise RecordError(f"{source}: column '{columns.angle.name}': {error}.") from None
+    return isolated(_read, record, columns, motion, block, pulses)
 
 
 def _read(
@@ -88,28 +101,59 @@ def _read(
     columns: RecordColumns,
     motion: StatedMotion,
     block: Literal["auto"] | None,
+    pulses: tuple[np.ndarray, FileIdentity | None] | None,
 ) -> Record:
-    with open_columns(path) as file:
-        file.require(columns.names)
+    with ExitStack() as stack:
+        files = [stack.enter_context(open_columns(path, columns.dialect))]
+        files += [stack.enter_context(open_columns(more, columns.dialect)) for more in columns.more]
+        for opened in files:
+            opened.require(columns.filed)
+            opened.stamps = columns.stamps
+        columns = columns.resolved(files[0])
+        file: ColumnFile | RunFile = files[0]
+        if len(files) > 1 or is_derived(columns):
+            columns = columns.made()
+            file = RunFile(files, columns, motion.rate, pulses and pulses[0])
         try:
-            return _judged(file, columns, motion, block)
+            record = _judged(file, columns, motion, block)
         except RecordError:
             if not file.look_closely():
                 raise
-            return _judged(file, columns, motion, block)
+            record = _judged(file, columns, motion, block)
+        others = {opened.path: opened.identity for opened in files[1:] if opened.identity}
+        if columns.pulses and pulses and pulses[1]:
+            others[columns.pulses] = pulses[1]
+        return replace(record, others=others) if others else record
+
+
+def _pulse_times(
+    path: Path | MemoryTable, columns: RecordColumns
+) -> tuple[np.ndarray, FileIdentity | None]:
+    """Return the times of a record's pulses, s, and the file they are in."""
+    spec = columns.angle
+    assert spec is not None
+    with open_columns(path, columns.dialect if columns.pulses is None else TO_BE_FOUND) as file:
+        file.require([spec.name])
+        spec = spec.resolved(file)
+        times = file.whole([spec.name])[spec.name]
+        return times[np.isfinite(times)] * spec.factor, file.identity
 
 
 @np.errstate(all="ignore")  # values beyond measure are refused at the end
 def _judged(
-    file: ColumnFile, columns: RecordColumns, motion: StatedMotion, block: Literal["auto"] | None
+    file: ColumnFile | RunFile,
+    columns: RecordColumns,
+    motion: StatedMotion,
+    block: Literal["auto"] | None,
 ) -> Record:
     """Read a file, and again without the rows that turn out to stand alone at its ends."""
     reader = _RecordReader(file, columns, motion, block)
-    blocks = reader.blocks()
+    blocks = reader.blocks(columns.part)
     within = reader.without_lone_rows(blocks)
     if within is not None:
         reader = _RecordReader(file, columns, motion, block)
-        blocks = reader.blocks(within)
+        begin, end = columns.part
+        blocks = reader.blocks((max(begin, within[0]), min(end, within[1])))
     return reader.record(blocks)
 
 
@@ -118,7 +162,7 @@ class _RecordReader:
 
     def __init__(
         self,
-        file: ColumnFile,
+        file: ColumnFile | RunFile,
         columns: RecordColumns,
         motion: StatedMotion,
         block: Literal["auto"] | None,
@@ -131,6 +175,7 @@ class _RecordReader:
         self._clock = Clock(file.path, file.locate, motion.rate)
         self._rows = 0
         self._lone = 0
+        self._outside = 0
         self._empty = [0] * len(self._signals)
         self._outliers = [0] * len(self._signals)
         self._listed: list[Outlier] = []
@@ -155,7 +200,10 @@ class _RecordReader:
         for columns in in_pieces(self._file.batches(self._columns.names), self._choose_rows):
             rows = column_rows(columns)
             first, last = self._rows_within(columns, within)
-            self._lone += rows - (last - first)
+            left = rows - (last - first)
+            outside = rows - _count(*self._rows_within(columns, self._columns.part)) if left else 0
+            self._outside += outside
+            self._lone += left - outside
             if first < last:
                 taken = {name: column[first:last] for name, column in columns.items()}
                 if reducer is None:
@@ -169,7 +217,11 @@ class _RecordReader:
                     parts.append(blocks)
             self._rows += rows
         if reducer is None:
-            raise RecordError(f"{self._file.path}: the file names its columns, but has no rows.")
+            raise RecordError(
+                f"{self._file.path}: none of its {self._rows} rows is in the part to be used."
+                if self._rows
+                else f"{self._file.path}: the file names its columns, but has no rows."
+            )
         self._clock.finish()
         self._refuse_empty()
         if not parts:
@@ -218,7 +270,7 @@ class _RecordReader:
             seconds = seconds - self._first_time
         return Piece(
             _scaled(seconds, time.factor),
-            None if angle is None else _scaled(columns[angle.name], angle.factor),
+            None if angle is None else _scaled(columns[angle.name], angle.factor, angle.offset),
             [columns[spec.name] for spec in self._signals],
         )
 
@@ -423,8 +475,15 @@ class _RecordReader:
             step=self._clock.step,
             rate=rate,
             block=self._block,
+            found=self._file.found,
+            outside=self._outside,
         )
 
 
-def _scaled(values: np.ndarray, factor: float) -> np.ndarray:
-    return values if factor == 1 else values * factor
+def _scaled(values: np.ndarray, factor: float, offset: float = 0.0) -> np.ndarray:
+    scaled = values if factor == 1 else values * factor
+    return scaled + offset if offset else scaled
+
+
+def _count(first: int, last: int) -> int:
+    return last - first

@@ -1,29 +1,105 @@
 """What a record is: the columns of its file, the motion it was taken on, and the samples read.
 
-- `ColumnSpec`, `RecordColumns`: columns of a file and their units
+- `ColumnSpec`, `ColumnKind`, `RecordColumns`: columns of a file and their units
 - `StatedMotion`: what the campaign says of the run
 - `Record`: point samples or block means, in SI units
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.input import FileIdentity
 from counterspin.records.amplitude import Swing
+from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.report import RecordReport
+from counterspin.units import check_unit, unit_factor
+
+if TYPE_CHECKING:
+    from counterspin.records.column_file import ColumnFile
+
+
+#: What a column holds; see `ColumnSpec`.
+ColumnKind = Literal["numbers", "stamps", "rows", "pulses"]
 
 
 @frozen
 class ColumnSpec:
-    """A column of a record file: its name and the factor that turns its unit into SI."""
+    """A column of a record file, and how its numbers become SI.
+
+    Attributes
+    ----------
+    name
+        The column.
+    factor, offset
+        The numbers are multiplied with `factor`, and `offset` (SI) is added.
+    unit, wanted
+        The unit that is stated of it (None: the file's own is taken), and the SI unit wanted;
+        without the latter nothing is compared with what the file says.
+    gravity
+        m/s^2, where g and m/s^2 are to be converted.
+    kind
+        ``numbers``; ``stamps`` in ISO 8601; ``rows``, which are counted where there is no such
+        column, `factor` being the time from one to the next; or ``pulses``: times at which the
+        spindle passed `offset`, `per_revolution` of them a revolution.
+    per_revolution
+        Of pulses; negative where they are counted against the run's sense.
+    """
 
     name: str
     factor: float = 1.0
+    offset: float = 0.0
+    unit: str | None = None
+    wanted: str = ""
+    gravity: float | None = None
+    kind: ColumnKind = "numbers"
+    per_revolution: float = 1.0
+
+    @property
+    def is_made(self) -> bool:
+        """Whether no row of the file has it."""
+        return self.kind in ("rows", "pulses")
+
+    def resolved(self, file: ColumnFile) -> ColumnSpec:
+        """Return the column with the unit that the file states, or compare that with it.
+
+        Raises
+        ------
+        RecordError
+            The file states another unit in its row of units, or none where one is needed.
+        """
+        if not self.wanted or self.kind in ("stamps", "rows"):
+            return self
+        own = file.units.get(self.name, "")
+        where = f"{file.path}: column '{self.name}'"
+        if self.unit is None:
+            if not own:
+                raise RecordError(f"{where} has no unit in the file; state it in the campaign.")
+            try:
+                factor = unit_factor(own, self.wanted, gravity=self.gravity)
+            except ValueError as error:
+                raise RecordError(f"{where} is in '{own}' by the file: {error}.") from None
+            return replace(self, factor=math.copysign(factor, self.factor), unit=own)
+        if own and file.units_row:
+            stated = check_unit(self.unit)
+            try:
+                same = math.isclose(unit_factor(own, stated, gravity=self.gravity), 1.0)
+            except ValueError:
+                same = False
+            if not same:
+                raise RecordError(
+                    f"{where} is in '{own}' by the file's row of units, but in '{self.unit}' by "
+                    "the campaign."
+                )
+        return self
 
 
 @frozen
@@ -36,17 +112,59 @@ class RecordColumns:
         Time and spindle angle (wrapped or not), or no angle.
     signals
         By accelerometer.
+    dialect
+        How the file is written, as far as that is known.
+    part
+        From where to where the record is used, s in its own time; of stamps, and of rows that are
+        counted, from the first row.
+    more
+        Files in which the record goes on.
+    pulses
+        The file that has the times of pulses; None: the record itself.
     """
 
     time: ColumnSpec
     angle: ColumnSpec | None
     signals: Mapping[str, ColumnSpec]
+    dialect: Dialect = TO_BE_FOUND
+    part: tuple[float, float] = (-math.inf, math.inf)
+    more: tuple[Path, ...] = ()
+    pulses: Path | None = None
+
+    def resolved(self, file: ColumnFile) -> RecordColumns:
+        """Return the columns with the units that the file states; see `ColumnSpec.resolved`."""
+        return replace(
+            self,
+            time=self.time.resolved(file),
+            angle=self.angle and self.angle.resolved(file),
+            signals={name: spec.resolved(file) for name, spec in self.signals.items()},
+        )
+
+    def made(self) -> RecordColumns:
+        """Return the columns as `RunFile` yields them, under names that no file has."""
+        time, angle = self.time, self.angle
+        if time.kind == "rows":
+            time = replace(time, name="(counted time)")
+        if angle is not None and angle.kind == "pulses":
+            angle = replace(angle, name="(angle between pulses)", factor=1.0)
+        return replace(self, time=time, angle=angle)
+
+    @property
+    def stamps(self) -> frozenset[str]:
+        """The columns of time stamps."""
+        return frozenset([self.time.name] if self.time.kind == "stamps" else [])
 
     @property
     def names(self) -> list[str]:
-        """The columns to be read, each once."""
+        """The columns that are read row by row, each once, those too that are made."""
         specs = [self.time, *([self.angle] if self.angle else []), *self.signals.values()]
         return list(dict.fromkeys(spec.name for spec in specs))
+
+    @property
+    def filed(self) -> list[str]:
+        """Those of them that a file has."""
+        made = [spec.name for spec in (self.time, self.angle) if spec and spec.is_made]
+        return [name for name in self.names if name not in made]
 
 
 @frozen
@@ -89,6 +207,8 @@ class Record:
         What was found.
     identity
         Which file it was read from; None of a record in memory.
+    others
+        Likewise of further files: those in which it goes on, and that of its pulses.
     """
 
     time: np.ndarray
@@ -99,3 +219,4 @@ class Record:
     start_time: float
     report: RecordReport
     identity: FileIdentity | None
+    others: Mapping[Path, FileIdentity] = field(default_factory=dict)

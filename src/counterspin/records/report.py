@@ -57,6 +57,10 @@ class RecordReport:
         Usual spacing of the samples, s; rate of the recorded angle, rad/s (None without one).
     block
         Samples that a full block holds; 1 for point samples.
+    found
+        How the file is written, where that is not plain.
+    outside
+        Rows outside the part that is used.
     """
 
     path: Path
@@ -74,10 +78,16 @@ class RecordReport:
     step: float
     rate: float | None
     block: int
+    found: str = ""
+    outside: int = 0
 
     def notes(self) -> list[str]:
         """Return one plain sentence for each thing found, for warnings and reports."""
         notes = []
+        if self.found:
+            notes.append(f"The file was read as follows: {self.found}.")
+        if self.outside:
+            notes.append(f"{self.outside} rows outside the part to be used were left out.")
         if self.repeated:
             words = f", {self.differing} of them with other values" if self.differing else ""
             notes.append(f"{self.repeated} repeated rows were dropped{words}.")

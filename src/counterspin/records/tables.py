@@ -2,7 +2,7 @@
 
 - `read_table`: all columns as they stand; `read_small_table`: with the rows' places, and the
   checksum of what was read
-- `read_numbers`: some of them as numbers
+- `read_numbers`: some of them as numbers; `read_scaled`: in SI
 - `is_workbook`: whether a file has sheets
 - `locate`, `places`: where a row, or each of them, stands in the file
 """
@@ -14,14 +14,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from counterspin.errors import RecordError
+import numpy as np
+
+from counterspin.arrays import Array
 from counterspin.input import read_file
 from counterspin.records.column_file import record_errors
+from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.excel_file import excel_table
 from counterspin.records.formats import open_columns
 from counterspin.records.isolation import isolated
 from counterspin.records.memory import MemoryTable
-from counterspin.records.pieces import Columns, joined
+from counterspin.records.pieces import Columns, column_rows
+from counterspin.records.record import ColumnSpec
 
 if TYPE_CHECKING:
     import polars as pl
@@ -74,7 +78,7 @@ def is_workbook(path: Path) -> bool:
 
 
 def read_numbers(path: Path | MemoryTable, names: Sequence[str]) -> Columns:
-    """Return columns of numbers, NaN where a cell is empty.
+    """Return columns of numbers, NaN where a cell is empty, of a file in any dialect.
 
     Raises
     ------
@@ -82,6 +86,19 @@ def read_numbers(path: Path | MemoryTable, names: Sequence[str]) -> Columns:
         The file cannot be read, lacks a column or has no rows, or a cell holds text.
     """
     return isolated(_numbers, path, list(names))
+
+
+def read_scaled(
+    path: Path | MemoryTable, columns: Sequence[ColumnSpec], dialect: Dialect = TO_BE_FOUND
+) -> list[Array]:
+    """Return columns in SI, NaN where a cell is empty; rows may be counted, and stamps timed.
+
+    Raises
+    ------
+    RecordError
+        As `read_numbers`, or the file states other units.
+    """
+    return isolated(_scaled, path, list(columns), dialect)
 
 
 def locate(path: Path | MemoryTable, row: int) -> str:
@@ -126,15 +143,21 @@ def _sheet_places(rows: int) -> list[str]:
 def _numbers(path: Path | MemoryTable, names: list[str]) -> Columns:
     with open_columns(path) as file:
         file.require(names)
-        try:
-            batches = list(file.batches(names))
-        except RecordError:
-            if not file.look_closely():
-                raise
-            batches = list(file.batches(names))
-    if not batches:
-        raise RecordError(f"{path}: the file has no rows.")
-    return joined(batches)
+        return file.whole(names)
+
+
+def _scaled(path: Path | MemoryTable, columns: list[ColumnSpec], dialect: Dialect) -> list[Array]:
+    filed = [spec.name for spec in columns if not spec.is_made]
+    with open_columns(path, dialect) as file:
+        file.require(filed)
+        file.stamps = frozenset(spec.name for spec in columns if spec.kind == "stamps")
+        read = file.whole(filed)
+        rows = np.arange(column_rows(read), dtype=float)
+        resolved = [spec.resolved(file) for spec in columns]
+        return [
+            (rows if spec.is_made else read[spec.name]) * spec.factor + spec.offset
+            for spec in resolved
+        ]
 
 
 def _locate(path: Path | MemoryTable, row: int) -> str:

@@ -27,6 +27,7 @@ _COMMON: Final = {
     "reference_temperature": "centrifuge.reference_temperature",
     "time": "records.time",
     "angle": "records.angle",
+    "dialect": "records",
     "timing_offset": "records.timing_offset",
     "own_velocity": "records.reference",
     "noise": "noise",

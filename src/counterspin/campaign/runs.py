@@ -1,0 +1,241 @@
+"""Runs with records: how each is read, which part of it, and which are left out.
+
+- `taken_runs`, `skipped_runs`: entries of ``[[runs]]`` that count, with their places; the others
+- `recording_of`: how records are read, from ``[records]``
+- `resolve_runs`: the runs
+- `refuse_unwritable`: what `simulate` has no way to write
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.campaign.checking import Path as KeyPath
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.memory.documents import patched
+from counterspin.campaign.readings import is_reading, read_temperature
+from counterspin.campaign.resolved import Campaign, Channel, Recording, Run, RunTruth
+from counterspin.campaign.settings import (
+    STAMPS,
+    AngleChannel,
+    RecordsSettings,
+    RunSettings,
+    TimeChannel,
+)
+from counterspin.campaign.truth import resolve_run_truth
+from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
+from counterspin.records.dialect import Dialect
+from counterspin.units import unit_factor
+
+#: Keys of [records] that a run has of its own.
+_OWN: Final = ("time", "angle", *Dialect.__dataclass_fields__)
+
+
+@frozen
+class RunDefaults:
+    """What the sections beside ``[[runs]]`` say of each run.
+
+    Attributes
+    ----------
+    folder
+        Of the record files.
+    records
+        The section [records], as it stands.
+    truth
+        The section [truth], as it stands; None where nothing is simulated.
+    revolutions
+        Of a run that is simulated.
+    """
+
+    folder: Path
+    records: Mapping[str, Any]
+    truth: Mapping[str, Any] | None
+    revolutions: float
+
+
+def taken_runs(runs: Sequence[Any]) -> list[tuple[int, Any]]:
+    """Return the runs that are not left out, with their places in the description."""
+    return [(place, run) for place, run in enumerate(runs) if not _is_skipped(run)]
+
+
+def skipped_runs(runs: Sequence[Any]) -> tuple[str, ...]:
+    """Return the names of the runs that are left out."""
+    return tuple(str(run.get("name", "?")) for run in runs if _is_skipped(run))
+
+
+def _is_skipped(run: Any) -> bool:
+    return isinstance(run, Mapping) and run.get("skip") is True
+
+
+def recording_of(settings: RecordsSettings | None) -> Recording:
+    """Return how records are read; None: there are none."""
+    if settings is None:
+        return Recording(Channel("", 1.0, "s"), None)
+    dialect = Dialect(**{key: getattr(settings, key) for key in Dialect.__dataclass_fields__})
+    angle = None if settings.angle is None else _angle(settings.angle)
+    return Recording(_time(settings.time), angle, dialect)
+
+
+def _time(settings: TimeChannel) -> Channel:
+    if settings.column is None:
+        step = 1.0 / settings.sampling_rate if settings.sampling_rate else math.nan
+        return Channel("", step, "s", si_unit="s", kind="rows")
+    if settings.unit == STAMPS:
+        return Channel(settings.column, 1.0, STAMPS, si_unit="s", kind="stamps")
+    factor = unit_factor(settings.unit, "s") if settings.unit else 1.0
+    return Channel(settings.column, factor, settings.unit or "", si_unit="s")
+
+
+def _angle(settings: AngleChannel) -> Channel:
+    sign = -1.0 if settings.sense == "clockwise" else 1.0
+    unit = settings.unit or ""
+    if settings.pulses:
+        return Channel(
+            settings.column,
+            unit_factor(unit, "s") if unit else 1.0,
+            unit,
+            settings.zero,
+            "s",
+            "pulses",
+            settings.per_revolution or 1.0,
+        )
+    if settings.per_revolution is not None:
+        factor = sign * unit_factor(unit, "count") * 2.0 * math.pi / settings.per_revolution
+        return Channel(settings.column, factor, unit, settings.zero)
+    factor = sign * (unit_factor(unit, "rad") if unit else 1.0)
+    return Channel(settings.column, factor, unit, settings.zero, "rad")
+
+
+def resolve_runs(
+    runs: Sequence[tuple[int, Any]], defaults: RunDefaults, problems: Problems
+) -> list[Run]:
+    """Return the runs that have records, and note every mistake in them.
+
+    Parameters
+    ----------
+    runs
+        Places in the description, and entries of ``[[runs]]``.
+    defaults
+        What holds for each.
+    problems
+        Where mistakes are noted.
+    """
+    resolved = []
+    names: dict[str, int] = {}
+    records: dict[str, int] = {}
+    for index, raw in runs:
+        path = ("runs", index)
+        if isinstance(raw, dict):
+            _once(raw.get("name"), names, (*path, "name"), problems)
+            for key, file in _files(raw):
+                _once(file, records, (*path, key), problems)
+        if is_reading(raw):
+            continue
+        settings = problems.check(RunSettings, raw, path)
+        if settings is None:
+            continue
+        warmth = problems.attempt((*path, "temperature"), read_temperature, settings.temperature)
+        duration = _duration(settings, defaults, path, problems)
+        resolved.append(
+            Run(
+                name=settings.name,
+                rate=settings.rate,
+                record=defaults.folder / settings.record,
+                attitude=settings.attitude,
+                duration=duration,
+                truth=_truth(settings, defaults, path, problems),
+                temperature=warmth,
+                time=settings.time,
+                recording=_own_recording(settings, defaults, path, problems),
+                part=_part(settings, path, problems),
+            )
+        )
+    return resolved
+
+
+def _files(raw: Mapping[str, Any]) -> list[tuple[str, Any]]:
+    """Return the files that a run names, with their keys."""
+    return [("record", raw.get("record"))]
+
+
+def _once(value: Any, seen: dict[str, int], path: KeyPath, problems: Problems) -> None:
+    index = path[1]
+    assert isinstance(index, int)
+    if isinstance(value, str) and seen.setdefault(value, index) != index:
+        problems.add(path, f'"{value}" is used by runs[{seen[value]}] already')
+
+
+def _duration(
+    settings: RunSettings, defaults: RunDefaults, path: KeyPath, problems: Problems
+) -> float | None:
+    duration: float | None = settings.duration
+    if duration is not None and settings.revolutions is not None:
+        problems.add((*path, "duration"), "revolutions is given too; keep one")
+    simulated = defaults.revolutions if defaults.truth is not None else None
+    turns = settings.revolutions or simulated
+    if duration is None and turns is not None:
+        duration = turns * 2.0 * math.pi / abs(settings.rate)
+    return duration
+
+
+def _truth(
+    settings: RunSettings, defaults: RunDefaults, path: KeyPath, problems: Problems
+) -> RunTruth | None:
+    if defaults.truth is not None:
+        own = settings.truth or {}
+        return resolve_run_truth(settings.rate, defaults.truth, own, (*path, "truth"), problems)
+    if settings.truth is not None:
+        problems.add((*path, "truth"), "needs [simulation] or [truth] beside it")
+    return None
+
+
+def _own_recording(
+    settings: RunSettings, defaults: RunDefaults, path: KeyPath, problems: Problems
+) -> Recording | None:
+    """Return how a run's record is read, where that differs from the others."""
+    if settings.records is None:
+        return None
+    path = (*path, "records")
+    for key in settings.records:
+        if key not in _OWN:
+            problems.add((*path, key), f"is not of one run; known: {', '.join(_OWN)}")
+    if "angle" in settings.records and "angle" not in defaults.records:
+        problems.add((*path, "angle"), "state an angle in [records], for all runs")
+    own = problems.check(RecordsSettings, patched(defaults.records, settings.records), path)
+    return None if own is None else recording_of(own)
+
+
+def _part(settings: RunSettings, path: KeyPath, problems: Problems) -> tuple[float, float]:
+    """Return from where to where a record is used."""
+    start = -math.inf if settings.start is None else settings.start
+    stop = math.inf if settings.stop is None else settings.stop
+    if not start < stop:
+        problems.add((*path, "stop"), "must come after start")
+    return start, stop
+
+
+def refuse_unwritable(campaign: Campaign) -> None:
+    """Raise CampaignError if records are read in a way in which none are simulated."""
+    problems = []
+    said = [key for key, value in vars(campaign.dialect).items() if value is not None]
+    problems += [f"records.{key}: simulated records are plain; leave it out" for key in said]
+    for key, channel in (("time", campaign.time), ("angle", campaign.angle)):
+        if channel is not None and channel.column and (channel.kind != "numbers"):
+            problems.append(f"records.{key}: simulated records have numbers in every row")
+        elif channel is not None and channel.column and not channel.unit:
+            problems.append(f"records.{key}.unit: is missing, to simulate records")
+    for name, accelerometer in campaign.accelerometers.items():
+        if accelerometer.channel.column and not accelerometer.channel.unit:
+            key = f"accelerometers.{name}.{accelerometer.observable}.unit"
+            problems.append(f"{key}: is missing, to simulate records")
+    if campaign.time.kind == "rows" and campaign.runs:
+        problems.append("records.time: simulated records have a column of the time")
+    for run in campaign.runs:
+        if run.recording is not None:
+            problems.append(f'run "{run.name}": all simulated records are read alike')
+    if problems:
+        raise CampaignError(str(campaign.path), problems)

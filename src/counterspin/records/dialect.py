@@ -1,0 +1,367 @@
+"""How a file of text is written: what is said of it, and what its first lines show.
+
+- `Dialect`: what a person says; None where it is to be found
+- `Layout`: where names, units and rows stand, and what parts cells and decimals
+- `is_plain`: whether a file has names in its first line and numbers below
+- `find_layout`, `plain_layout`: the layout of a file from its first lines
+- `find_rows`: the same of a sheet whose cells are parted already
+- `file_unit`: a unit as files write it
+
+LabVIEW and other recorders write lines about the measurement before the names, a row of units
+below them, semicolons or tabs between cells, and a decimal comma where that is the custom. The
+rows show what they are: of all ways to part them, the right one makes the most numbers.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
+from functools import lru_cache
+from typing import Final
+
+from counterspin.frozen import frozen
+from counterspin.units import check_unit
+
+#: What may part the cells, the usual first.
+DELIMITERS: Final = (",", ";", "\t")
+#: Lines in which the rows must begin.
+HEAD_LINES: Final = 400
+#: Rows that show whether a file is plain, and how many are wanted to tell a layout.
+_PLAIN_ROWS, _FEWEST_ROWS = 20, 3
+#: What counts as an empty cell, in lower case and without surrounding blanks.
+EMPTY_WORDS: Final = ("", "nan")
+#: Time of day, perhaps with a date before it and a zone behind, in ISO 8601.
+STAMP: Final = re.compile(
+    r"(?:\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?"
+)
+_NUMBERS: Final = {
+    mark: re.compile(rf"[+-]?(?:\d+{re.escape(mark)}?\d*|{re.escape(mark)}\d+)(?:[eE][+-]?\d+)?")
+    for mark in (".", ",")
+}
+#: A unit in brackets at the end of a name.
+_IN_BRACKETS: Final = re.compile(r".*?\s*[\[(]([^\[\]()]+)[\])]")
+#: Words that files write for units.
+_WORDS: Final = {
+    "sec": "s",
+    "second": "s",
+    "seconds": "s",
+    "msec": "ms",
+    "degree": "deg",
+    "degrees": "deg",
+    "radian": "rad",
+    "radians": "rad",
+    "revolutions": "rev",
+    "meter": "m",
+    "meters": "m",
+    "metre": "m",
+    "metres": "m",
+    "counts": "count",
+    "volt": "V",
+    "volts": "V",
+    "m/s²": "m/s^2",
+    "m/s2": "m/s^2",
+}
+
+
+@frozen
+class Dialect:
+    """How a file is written, as far as a person says it; None: to be found.
+
+    Attributes
+    ----------
+    skip_lines
+        Lines, or rows of a sheet, before the names.
+    delimiter, decimal
+        Between cells, and in numbers.
+    encoding
+        As Python names it.
+    units_row
+        Whether a row of units stands below the names.
+    sheet
+        Of an Excel file.
+    group
+        Of an HDF5 or TDMS file, or the structure of a MATLAB file; columns are named within it.
+    """
+
+    skip_lines: int | None = None
+    delimiter: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    units_row: bool | None = None
+    sheet: str | None = None
+    group: str | None = None
+
+
+#: Everything is to be found.
+TO_BE_FOUND: Final = Dialect()
+
+
+@frozen
+class Layout:
+    """Where things stand in a table of text; lines count from 1.
+
+    Attributes
+    ----------
+    header
+        Line of the names.
+    before_rows
+        Lines before the first row of numbers.
+    names
+        Of the columns, without blanks around them.
+    units
+        Of the columns, in plain signs; empty text where there is none.
+    units_row
+        Whether they stand in a row of their own.
+    delimiter, decimal
+        Between cells, and in numbers.
+    """
+
+    header: int
+    before_rows: int
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    units_row: bool
+    delimiter: str
+    decimal: str
+
+    def words(self, encoding: str) -> str:
+        """Say what is not plain; empty text of a plain file."""
+        said = []
+        if self.header > 1:
+            said.append(f"names in line {self.header}")
+        if self.units_row:
+            said.append("a row of units")
+        if self.delimiter != ",":
+            said.append(f"cells parted by {'tabs' if self.delimiter == chr(9) else 'semicolons'}")
+        if self.decimal == ",":
+            said.append("decimal commas")
+        if encoding != "utf-8":
+            said.append(encoding)
+        return ", ".join(said)
+
+
+#: A line's number, from 1, and its text without the end of line.
+Line = tuple[int, str]
+
+
+def find_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
+    """Return the layout of a file whose rows stand out; None if nothing looks like rows.
+
+    Parameters
+    ----------
+    lines
+        The first lines.
+    dialect
+        What is known.
+    """
+    best: tuple[int, Layout] | None = None
+    for delimiter in [dialect.delimiter] if dialect.delimiter else DELIMITERS:
+        parted = [(number, split(line, delimiter)) for number, line in lines]
+        for decimal in [dialect.decimal] if dialect.decimal else (".", ","):
+            found = find_rows(parted, dialect, decimal)
+            if found is None or delimiter == decimal:
+                continue
+            score, layout = found
+            if best is None or score > best[0]:
+                best = (
+                    score,
+                    Layout(
+                        layout.header,
+                        layout.before_rows,
+                        layout.names,
+                        layout.units,
+                        layout.units_row,
+                        delimiter,
+                        decimal,
+                    ),
+                )
+    return best and best[1]
+
+
+def is_plain(lines: Sequence[Line]) -> bool:
+    """Return whether names stand in the first line and numbers with points below it."""
+    written = [line for _, line in lines if line.strip() and not line.startswith("#")]
+    if len(written) < 2:
+        return False
+    delimiter = max(DELIMITERS, key=written[0].count)
+    width = len(split(written[0], delimiter))
+    rows = [split(line, delimiter) for line in written[1 : 1 + _PLAIN_ROWS]]
+    return all(len(row) <= width and _is_row(row, ".") for row in rows)
+
+
+def plain_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
+    """Return the layout if names stand in the first line that is there; None if there is none.
+
+    Parameters
+    ----------
+    lines
+        The first lines.
+    dialect
+        What is known; of the rest, the usual is taken.
+    """
+    written = [
+        (number, line)
+        for number, line in lines
+        if line.strip() and not line.startswith("#") and number > (dialect.skip_lines or 0)
+    ]
+    if not written:
+        return None
+    number, line = written[0]
+    # The delimiter is the one that the header uses most; a lone column has none.
+    delimiter = dialect.delimiter or max(DELIMITERS, key=line.count)
+    names = split(line, delimiter)
+    # Among the rows a blank line is a row of empty cells; here it stops the parser.
+    body = iter([place for place, below in lines if place > number and below.strip()])
+    cells: list[str] = []
+    if dialect.units_row:
+        units_line = next(body, number + 1)
+        cells = next((split(below, delimiter) for place, below in lines if place == units_line), [])
+    units = [file_unit(cell) or "" for cell in [*cells, *[""] * len(names)][: len(names)]]
+    units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
+    before = next(body, lines[-1][0] + 1) - 1
+    mark = dialect.decimal or "."
+    return Layout(
+        number, before, tuple(names), tuple(units), bool(dialect.units_row), delimiter, mark
+    )
+
+
+def find_rows(
+    parted: Sequence[tuple[int, list[str]]], dialect: Dialect, decimal: str
+) -> tuple[int, Layout] | None:
+    """Return how many numbers the longest stretch of rows has, and where it stands.
+
+    Parameters
+    ----------
+    parted
+        Numbers of lines and their cells.
+    dialect
+        What is known.
+    decimal
+        Mark in numbers.
+    """
+    skipped = dialect.skip_lines
+    table = [(number, cells) for number, cells in parted if any(cells)]
+    begin, end = _longest(table, decimal, after=skipped or 0)
+    if end - begin < min(_FEWEST_ROWS, max(1, len(table) - 2)):
+        return None
+    width = len(table[begin][1])
+    above = [
+        (number, cells)
+        for number, cells in table[:begin]
+        if not cells[0].startswith("#") and number > (skipped or 0)
+    ]
+    if skipped is not None:
+        above = above[:2]
+    if any(len(cells) == width and _is_row(cells, decimal) for _, cells in above):
+        return None  # a row like any other stands above: what parts the two is no row of names
+    head = _head(above, dialect, width, decimal)
+    if head is None:
+        return None
+    (header, names), below = head
+    # A delimiter at the end of every row makes an empty cell that has no name.
+    names = [*names, *[""] * (width - len(names))]
+    units = [file_unit(cell) or "" for cell in [*below, *[""] * (len(names) - len(below))]]
+    units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
+    numbers = sum(sum(_is_number(cell, decimal) for cell in cells) for _, cells in table[begin:end])
+    before = table[begin][0] - 1
+    layout = Layout(header, before, tuple(names), tuple(units), bool(below), "", decimal)
+    return numbers, layout
+
+
+def _head(
+    above: Sequence[tuple[int, list[str]]], dialect: Dialect, width: int, decimal: str
+) -> tuple[tuple[int, list[str]], list[str]] | None:
+    """Return the line of names above the rows, and the cells of units; None if it is none."""
+    if dialect.skip_lines is None:
+        above = above[-2:]  # names stand right above the rows, or above the units
+    if not above:
+        return None
+    units_row = dialect.units_row
+    if units_row is None:
+        units_row = len(above) > 1 and _are_units(above[1][1], above[0][1], width)
+    if len(above) < 1 + units_row:
+        return None
+    stated = dialect.skip_lines is not None or units_row
+    number, names = above[0] if stated else above[-1]
+    values = [cell for cell in names if _is_number(cell, decimal)]
+    damaged = 2 * len(values) >= len(names) or any(decimal in cell for cell in values)
+    too_many = any(names[width:])  # names of columns that the rows do not have
+    if damaged or too_many or sum(map(bool, names)) < max(1, width - 1):
+        return None
+    return (number, names[:width]), above[1][1] if units_row else []
+
+
+def _longest(table: Sequence[tuple[int, list[str]]], decimal: str, after: int) -> tuple[int, int]:
+    """Return from where to where the longest stretch of rows of one width goes."""
+    best, begin = (0, 0), 0
+    for place in range(len(table) + 1):
+        number, cells = table[place] if place < len(table) else (0, [])
+        comment = bool(cells) and cells[0].startswith("#")
+        fits = number > after and (comment or _is_row(cells, decimal))
+        same = place > begin and len(cells) == len(table[begin][1])
+        if fits and (comment or place == begin or same):
+            continue
+        if place - begin > best[1] - best[0]:
+            best = (begin, place)
+        begin = place if fits and not comment else place + 1
+    return best
+
+
+def split(line: str, delimiter: str) -> list[str]:
+    """Return the cells of a line, without blanks around them."""
+    cells = line.split(delimiter)
+    if '"' in line:
+        with suppress(csv.Error):  # a line that is no text
+            cells = next(csv.reader([line], delimiter=delimiter))
+    return [cell.strip() for cell in cells]
+
+
+def file_unit(text: str) -> str | None:
+    """Return a unit as a file writes it, perhaps in brackets, in plain signs; None if none."""
+    bare = text.strip().strip("[]()<>").strip()
+    return _known_unit(bare) if 0 < len(bare) <= 20 else None
+
+
+def bracketed_unit(name: str) -> str:
+    """Return the unit in brackets at the end of a column's name; empty text if there is none."""
+    match = _IN_BRACKETS.fullmatch(name)
+    return (file_unit(match[1]) or "") if match else ""
+
+
+@lru_cache(maxsize=256)
+def _known_unit(text: str) -> str | None:
+    try:
+        return check_unit(_WORDS.get(text.lower(), text))
+    except ValueError:
+        return None
+
+
+def _are_units(cells: Sequence[str], names: Sequence[str], width: int) -> bool:
+    """Return whether cells are units, and those above them names."""
+    units = [file_unit(cell) is not None for cell in cells if cell and cell != "-"]
+    named = [name for name in names if name]
+    return (
+        len(cells) <= width
+        and any(units)
+        and all(units)
+        and len(named) >= max(1, width - 1)
+        and len(names) <= width
+        and not all(file_unit(name) for name in named)
+    )
+
+
+def _is_row(cells: Iterable[str], decimal: str) -> bool:
+    """Return whether cells are numbers, times or empty, and at least one is a number."""
+    some = False
+    for cell in cells:
+        if _is_number(cell, decimal):
+            some = True
+        elif cell.lower() not in EMPTY_WORDS and not STAMP.fullmatch(cell):
+            return False
+    return some
+
+
+def _is_number(cell: str, decimal: str) -> bool:
+    return _NUMBERS[decimal].fullmatch(cell) is not None

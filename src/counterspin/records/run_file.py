@@ -1,0 +1,174 @@
+"""The files of one run as if they were one.
+
+- `RunFile`: files read one after the other, the time of rows that are counted, and the angle of
+  pulses
+- `is_derived`: whether columns have to be made that no file has
+- `pulse_angle`: the angle between pulses
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.input import FileIdentity
+from counterspin.records.column_file import ColumnFile
+from counterspin.records.pieces import Columns, column_rows
+from counterspin.records.record import RecordColumns
+
+#: How far a pulse may stand from its place, in parts of the interval.
+_OFF_PLACE = 0.2
+
+
+def is_derived(columns: RecordColumns) -> bool:
+    """Return whether a record has columns that are in no file."""
+    angle = columns.angle
+    return columns.time.kind == "rows" or (angle is not None and angle.kind == "pulses")
+
+
+class RunFile:
+    """What the reader of a record sees of its files.
+
+    Parameters
+    ----------
+    files
+        Opened, in the order of their rows.
+    columns
+        What is read of them, as `RecordColumns.made` returns it.
+    rate
+        Stated rate of the spindle, rad/s.
+    pulses
+        Times of the pulses, s in the record's own time; None where the angle is a column.
+    """
+
+    def __init__(
+        self,
+        files: Sequence[ColumnFile],
+        columns: RecordColumns,
+        rate: float,
+        pulses: Array | None = None,
+    ) -> None:
+        self._files = files
+        self._columns = columns
+        self._rate = rate
+        self._pulses = pulses
+        self._ends: list[int] = []
+        self.path: Path = files[0].path
+        self.identity: FileIdentity | None = files[0].identity
+        notes = [file.found for file in files[:1] if file.found]
+        if len(files) > 1:
+            notes.append(f"{len(files)} files, one after the other")
+        if columns.time.kind == "rows":
+            notes.append(f"the time counted, {columns.time.factor:.9g} s a row")
+        if pulses is not None:
+            notes.append(f"the angle taken between {len(pulses)} pulses")
+        self.found = ", ".join(notes)
+
+    def look_closely(self) -> bool:
+        """As of `ColumnFile`."""
+        looking = [file.look_closely() for file in self._files]  # all of them
+        return any(looking)
+
+    def locate(self, row: int) -> str:
+        """Say where a row stands: in which file, and where in it."""
+        start = 0
+        for place, file in enumerate(self._files):
+            end = self._ends[place] if place < len(self._ends) else math.inf
+            if row < end:
+                where = file.locate(row - start)
+                return where if place == 0 else f"{file.path.name}, {where}"
+            start = int(end)
+        return f"row {row + 1}"
+
+    def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
+        """Yield columns in consecutive batches, those that are made too."""
+        time, angle = self._columns.time, self._columns.angle
+        made = {time.name} if time.kind == "rows" else set()
+        if self._pulses is not None and angle is not None:
+            made |= {angle.name}
+        filed = [name for name in wanted if name not in made]
+        ends, rows = [], 0
+        for file in self._files:
+            file.first_stamp = file.first_stamp or self._files[0].first_stamp
+            for batch in file.batches(filed):
+                count = column_rows(batch)
+                if time.kind == "rows":
+                    batch[time.name] = np.arange(rows, rows + count, dtype=float)
+                if self._pulses is not None and angle is not None:
+                    seconds = batch[time.name] * time.factor
+                    batch[angle.name] = pulse_angle(
+                        self._pulses, seconds, self._rate, angle.per_revolution
+                    )
+                rows += count
+                yield batch
+            ends.append(rows)
+        self._ends = ends
+
+
+def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) -> Array:
+    """Return the angle from the first pulse, rad, between pulses by parabolas.
+
+    Where the rate changes evenly this is exact; what it does within an interval does not show.
+
+    Parameters
+    ----------
+    pulses
+        Their times, s, shape (m,).
+    time
+        s, shape (n,). Beyond the pulses by more than one interval there is no angle: NaN.
+    rate
+        Stated, rad/s, signed.
+    per_revolution
+        Pulses a revolution.
+
+    Raises
+    ------
+    ValueError
+        If there are fewer than three pulses, or one is not where the others lead to.
+    """
+    if len(pulses) < 3:
+        raise ValueError(f"{len(pulses)} pulses are too few to follow the rotation")
+    steps = np.diff(pulses)
+    if (steps <= 0).any():
+        place = int(np.flatnonzero(steps <= 0)[0]) + 2
+        raise ValueError(f"pulse {place} is not later than the one before it")
+    interval = float(np.median(steps))
+    stated = 2 * math.pi / abs(rate) / per_revolution
+    if abs(interval / stated - 1) > 0.05:
+        raise ValueError(
+            f"the pulses come every {interval:.6g} s; at the run's rate, and {per_revolution:g} a "
+            f"revolution, they should every {stated:.6g} s"
+        )
+    # A pulse that is missing leaves an interval of two.
+    turns = np.round(steps / interval)
+    off = np.abs(steps / interval - turns) > _OFF_PLACE
+    if off.any() or (turns < 1).any():
+        place = int(np.flatnonzero(off | (turns < 1))[0]) + 2
+        raise ValueError(
+            f"pulse {place} comes {steps[place - 2]:.6g} s after the one before it, others every "
+            f"{interval:.6g} s"
+        )
+    unit = math.copysign(2 * math.pi / per_revolution, rate)
+    angles = unit * np.concatenate([[0.0], np.cumsum(turns)])
+    # Of the two parabolas that pass through an interval's ends, the mean weighted by nearness.
+    left = np.clip(np.searchsorted(pulses, time, side="right") - 1, 0, len(pulses) - 2)
+    share = np.clip((time - pulses[left]) / steps[left], 0.0, 1.0)
+    before = _parabola(pulses, angles, np.clip(left, 1, len(pulses) - 2), time)
+    after = _parabola(pulses, angles, np.clip(left + 1, 1, len(pulses) - 2), time)
+    angle: Array = (1.0 - share) * before + share * after
+    beyond = (time < pulses[0] - interval) | (time > pulses[-1] + interval)
+    angle[beyond] = np.nan
+    return angle
+
+
+def _parabola(x: Array, y: Array, place: np.ndarray, at: Array) -> Array:
+    """Return the parabolas through three neighbours about `place`, at `at` (Newton's form)."""
+    x0, x1, x2 = x[place - 1], x[place], x[place + 1]
+    first = (y[place] - y[place - 1]) / (x1 - x0)
+    second = ((y[place + 1] - y[place]) / (x2 - x1) - first) / (x2 - x0)
+    result: Array = y[place - 1] + (at - x0) * (first + (at - x1) * second)
+    return result

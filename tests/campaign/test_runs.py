@@ -1,0 +1,105 @@
+"""How runs are read, which part of them, and which are left out."""
+
+import math
+
+import pytest
+from campaigns import SMALL, changed, write
+
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.simulation import simulate
+from counterspin.errors import CampaignError
+from counterspin.records.dialect import Dialect
+
+ANGLE = 'angle = { column = "angle_rad", unit = "rad" }'
+TIME = 'time = { column = "time_s", unit = "s" }'
+
+
+def campaign(folder, *pairs):
+    return read_campaign(write(folder, changed(SMALL, *pairs)))
+
+
+def problems(folder, *pairs):
+    with pytest.raises(CampaignError) as caught:
+        campaign(folder, *pairs)
+    return caught.value.problems
+
+
+@pytest.mark.parametrize(
+    ("keys", "factor", "offset"),
+    [
+        ('unit = "deg"', math.radians(1), 0.0),
+        ('unit = "deg", sense = "clockwise", zero = "north"', -math.radians(1), math.pi / 2),
+        ('unit = "rad", zero = "-30 deg"', 1.0, math.radians(-30)),
+        ('unit = "count", per_revolution = 4096', math.tau / 4096, 0.0),
+        ('unit = "count", per_revolution = 4096, sense = "clockwise"', -math.tau / 4096, 0.0),
+        ('sense = "clockwise"', -1.0, 0.0),
+    ],
+)
+def test_an_angle_is_turned_into_the_right_handed_one(tmp_path, keys, factor, offset):
+    angle = campaign(tmp_path, (ANGLE, f'angle = {{ column = "a", {keys} }}')).angle
+    assert angle.factor == pytest.approx(factor, rel=1e-15)
+    assert angle.offset == pytest.approx(offset)
+
+
+def test_a_run_may_be_read_in_its_own_way(tmp_path):
+    own = 'name = "middle"\nrecords = { decimal = ",", time = { unit = "ms" } }\nstop = "30 s"'
+    read = campaign(
+        tmp_path, (ANGLE, f'{ANGLE}\ndelimiter = ";"\nskip_lines = 4'), ('name = "middle"', own)
+    )
+    slow, middle, _ = read.runs
+    assert read.recording_of(slow).dialect == Dialect(skip_lines=4, delimiter=";")
+    assert read.recording_of(middle).dialect == Dialect(skip_lines=4, delimiter=";", decimal=",")
+    assert read.recording_of(middle).time.factor == 1e-3
+    assert middle.part == (-math.inf, 30.0)
+
+
+def test_a_run_may_be_left_out(tmp_path):
+    read = campaign(tmp_path, ('name = "middle"', 'name = "middle"\nskip = true'))
+    assert [run.name for run in read.runs] == ["slow", "fast"]
+    assert read.skipped == ("middle",)
+    everything = [
+        (f'name = "{n}"', f'name = "{n}"\nskip = true') for n in ("slow", "middle", "fast")
+    ]
+    assert problems(tmp_path, *everything) == ("runs: are all left out by skip = true",)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (TIME, "time = { unit = 's' }", "records.time: give a column, or a sampling_rate"),
+        (TIME, "time = { sampling_rate = '9 Hz', unit = 's' }", "records.time: a unit belongs to"),
+        (ANGLE, "angle = { column = 'a', unit = 'count' }", "records.angle: counts need per_rev"),
+        (ANGLE, "angle = { column = 'a', unit = 's' }", "records.angle.unit: 's' is not a unit of"),
+        (ANGLE, "angle = { column = 'a', zero = 'up' }", "records.angle.zero: 'up' is not a q"),
+        (ANGLE, "angle = { column = 'a', sense = 'left' }", "records.angle.sense: 'left' is none"),
+        (ANGLE, f"{ANGLE}\nencoding = 'utf8000'", 'records.encoding: there is no encoding "utf8'),
+        (ANGLE, f"{ANGLE}\ndelimiter = '|'", "records.delimiter: '|' is none of ',', ';' or"),
+        ('name = "slow"', 'name = "slow"\nstart = "9 s"\nstop = "8 s"', "runs[0].stop: must come"),
+        (
+            'name = "slow"',
+            'name = "slow"\nrecords = { reference = 1 }',
+            "runs[0].records.reference",
+        ),
+    ],
+)
+def test_mistakes_are_told_by_their_keys(tmp_path, old, new, words):
+    assert any(line.startswith(words) for line in problems(tmp_path, (old, new)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        (ANGLE, f"{ANGLE}\ndecimal = ','", "records.decimal: simulated records are plain"),
+        (TIME, "time = { sampling_rate = '9 Hz' }", "have a column of the time"),
+        (
+            TIME,
+            "time = { column = 't', unit = 'iso' }",
+            "records.time: simulated records have n",
+        ),
+        (ANGLE, "angle = { column = 'a' }", "records.angle.unit: is missing"),
+        ('name = "slow"', 'name = "slow"\nrecords = { decimal = "." }', "are read alike"),
+    ],
+)
+def test_what_cannot_be_simulated_is_said(tmp_path, old, new, words):
+    with pytest.raises(CampaignError, match=words):
+        simulate(campaign(tmp_path, (old, new)), tmp_path / "out")

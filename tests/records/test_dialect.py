@@ -1,0 +1,91 @@
+"""What the first lines of a file show of how it is written."""
+
+import pytest
+
+from counterspin.records.dialect import (
+    Dialect,
+    bracketed_unit,
+    file_unit,
+    find_layout,
+    is_plain,
+    plain_layout,
+)
+
+ROWS = ["0,5;1,25;-3", "1;1,5;2", "1,5;1,75;2,5e-3", "2;2;"]
+
+
+def found(lines, **known):
+    return find_layout(list(enumerate(lines, 1)), Dialect(**known))
+
+
+def test_names_units_and_rows_below_lines_about_the_measurement():
+    about = ["Test 7", "Operator;Müller;;", "", "Channel;AI1;AI2"]
+    layout = found([*about, "Time;Angle;East", "s;[deg];mm", *ROWS])
+    assert (layout.header, layout.before_rows, layout.units_row) == (5, 6, True)
+    assert (layout.delimiter, layout.decimal) == (";", ",")
+    assert layout.names == ("Time", "Angle", "East")
+    assert layout.units == ("s", "deg", "mm")
+    assert layout.words("latin-1") == (
+        "names in line 5, a row of units, cells parted by semicolons, decimal commas, latin-1"
+    )
+
+
+def test_units_in_brackets_behind_the_names():
+    layout = found(["about", "Time [ms];Angle (raw);East/(m)", *ROWS])
+    assert layout.units == ("ms", "", "m")
+    assert not layout.units_row
+
+
+@pytest.mark.parametrize("mark", [".", ","])
+def test_the_right_delimiter_makes_the_most_numbers(mark):
+    rows = [row.replace(",", mark).replace(";", "\t") for row in ROWS]
+    layout = found(["x", "a\tb\tc", *rows])
+    assert (layout.delimiter, layout.decimal) == ("\t", mark)
+    # Whole numbers do not show their mark.
+    whole = found(["x", "a,b,c", *["1,2,3"] * 4])
+    assert (whole.delimiter, whole.decimal) == (",", ".")
+
+
+def test_what_is_said_is_taken():
+    lines = ["a;b;c", "d;e;f", "s;s;s", *ROWS]
+    assert found(lines).names == ("d", "e", "f")
+    assert found(lines, skip_lines=0).names == ("a", "b", "c")
+    assert found(lines, units_row=False).names == ("s", "s", "s")
+    assert found(lines, delimiter=",") is None
+
+
+def test_a_delimiter_behind_each_row_makes_a_column_without_a_name():
+    layout = found(["x", "a;b;c", *[f"{row};" for row in ROWS]])
+    assert layout.names == ("a", "b", "c", "")
+
+
+def test_what_is_no_table_is_not_taken_for_one():
+    assert found(["a;b;c", ROWS[0], "1;oops;2", *ROWS]) is None  # rows above those below it
+    assert found(["1;2,5;oops", *ROWS]) is None
+    assert found(["only", "words", "here"]) is None
+    assert found(ROWS) is None
+
+
+def test_plain_files_are_told_by_their_first_rows():
+    def plain(*lines):
+        return is_plain(list(enumerate(lines, 1)))
+
+    assert plain("# about", "a,b", "1,2", "3,nan", "2026-03-01 12:00:00.5,7")
+    assert plain("a;b", "1;2.5")
+    assert not plain("a;b", "1;2", "2;2,5")
+    assert not plain("a,b", "s,m", "1,2")
+    assert not plain("a,b")
+
+
+def test_the_usual_layout_is_taken_where_nothing_shows_another():
+    lines = list(enumerate(["x", "a,b", "m,s", "", "q,1"], 1))
+    layout = plain_layout(lines, Dialect(skip_lines=1, units_row=True))
+    assert (layout.names, layout.units, layout.before_rows) == (("a", "b"), ("m", "s"), 4)
+    assert plain_layout(lines[:1], Dialect(skip_lines=1)) is None
+
+
+def test_units_as_files_write_them():
+    written = ["[s]", "(m/s²)", "Seconds", "°", "µs", "degrees", "counts"]
+    assert [file_unit(text) for text in written] == ["s", "m/s^2", "s", "deg", "us", "deg", "count"]
+    assert [file_unit(text) for text in ("", "raw", "East", "x" * 30)] == [None] * 4
+    assert [bracketed_unit(name) for name in ("t [ms]", "t", "t (raw)")] == ["ms", "", ""]

@@ -1,0 +1,120 @@
+"""The files of one run as one, and the angle between pulses."""
+
+import math
+
+import numpy as np
+import pytest
+from record_files import ANGLE, RATE, SIGNAL, TIME, lines, read, refusal, table, write
+
+from counterspin.errors import RecordError
+from counterspin.records.record import ColumnSpec
+from counterspin.records.run_file import pulse_angle
+
+
+def in_two(folder, cut=400):
+    text = lines(table())
+    return write(folder / "a.csv", text[:cut]), write(folder / "b.csv", [text[0], *text[cut:]])
+
+
+def test_a_record_goes_on_in_further_files(tmp_path):
+    whole = read(write(tmp_path / "whole.csv", table()))
+    first, second = in_two(tmp_path)
+    record = read(first, more=(second,))
+    np.testing.assert_array_equal(record.time, whole.time)
+    np.testing.assert_array_equal(record.signals["Qx"], whole.signals["Qx"])
+    assert record.others[second].size == second.stat().st_size
+    assert "2 files, one after the other" in record.report.notes()[0]
+
+
+def test_a_mistake_in_a_further_file_is_told_by_its_name(tmp_path):
+    first, second = in_two(tmp_path)
+    text = second.read_text().splitlines()
+    text[3] = text[3].replace(text[3].split(",")[0], "0.5")
+    write(second, text)
+    assert "b.csv, line 4: time runs backwards" in refusal(first, more=(second,))
+
+
+def test_rows_are_counted_where_there_is_no_time(tmp_path):
+    columns = table()
+    step = columns.pop(TIME)[1]
+    time = ColumnSpec("", step, kind="rows")
+    record = read(write(tmp_path / "run.csv", columns), time=time)
+    np.testing.assert_allclose(record.time, table()[TIME], atol=1e-12)
+    first, second = in_two(tmp_path)
+    np.testing.assert_array_equal(read(first, more=(second,), time=time).time, record.time)
+
+
+def test_only_a_part_of_a_record_is_used(tmp_path):
+    path = write(tmp_path / "run.csv", table())
+    record = read(path, part=(3.0, 15.0))
+    assert record.start_time == 3.0
+    assert record.time[-1] == pytest.approx(12.0)
+    assert record.report.outside == 1000 - 601
+    assert "399 rows outside the part to be used were left out." in record.report.notes()
+    assert "in the part to be used" in refusal(path, part=(30.0, 50.0))
+
+
+def test_units_are_taken_from_the_file_or_compared_with_it(tmp_path):
+    text = lines(table())
+    text.insert(1, "s,rad,m")
+    path = write(tmp_path / "run.csv", text)
+    taken = {
+        "time": ColumnSpec(TIME, wanted="s"),
+        "angle": ColumnSpec(ANGLE, -1.0, wanted="rad"),
+        "signals": {"Qx": ColumnSpec(SIGNAL, wanted="m")},
+    }
+    np.testing.assert_array_equal(read(path, -RATE, **taken).angle, -table()[ANGLE])
+    stated = ColumnSpec(TIME, 1e-3, unit="ms", wanted="s")
+    assert "is in 's' by the file's row of units, but in 'ms'" in refusal(path, time=stated)
+    plain = write(tmp_path / "plain.csv", table())
+    assert f"column '{TIME}' has no unit in the file" in refusal(plain, **taken)
+
+
+# Pulses
+
+
+def stamps(rate=-RATE, per_revolution=2, drift=1e-3, turns=20):
+    """Return times at which theta = rate (t + drift t^2 / 2) is a whole number of steps."""
+    steps = np.arange(turns * per_revolution) * 2 * math.pi / per_revolution / abs(rate)
+    return (np.sqrt(1 + 2 * drift * steps) - 1) / drift
+
+
+def test_between_pulses_an_even_change_of_rate_is_followed_exactly():
+    pulses = stamps()
+    time = np.linspace(pulses[0] - 0.5, pulses[-1] + 0.5, 997)
+    expected = -RATE * (time + 0.5e-3 * time**2)
+    exact = pulse_angle(pulses, time, -RATE, 2)
+    np.testing.assert_allclose(exact, expected, atol=1e-5)
+    inside = (time > pulses[0]) & (time < pulses[-1])
+    np.testing.assert_allclose(exact[inside], expected[inside], atol=2e-7)
+    # A pulse that was missed is a double interval; far beyond the pulses there is no angle.
+    np.testing.assert_allclose(pulse_angle(np.delete(pulses, 7), time, -RATE, 2), exact, atol=1e-5)
+    assert np.isnan(pulse_angle(pulses, pulses[-1:] + 2.5, -RATE, 2)).all()
+
+
+@pytest.mark.parametrize(
+    ("pulses", "rate", "words"),
+    [
+        (stamps()[:2], RATE, "too few"),
+        (stamps()[::-1], RATE, "not later"),
+        (stamps(), 2 * RATE, "should every 0.5 s"),
+        (np.insert(stamps(), 5, stamps()[4] + 0.4), RATE, "pulse 6 comes 0.4 s after"),
+    ],
+)
+def test_pulses_that_cannot_be_followed(pulses, rate, words):
+    with pytest.raises(ValueError, match=words):
+        pulse_angle(pulses, np.zeros(1), rate, 2)
+
+
+def test_pulses_of_another_file(tmp_path):
+    columns = table()
+    angle = columns.pop(ANGLE)
+    turns = np.arange(10) * math.tau
+    pulses = write(tmp_path / "index.csv", {TIME: np.interp(turns, angle, table()[TIME])})
+    spec = ColumnSpec(TIME, kind="pulses")
+    record = read(write(tmp_path / "run.csv", columns), angle=spec, pulses=pulses)
+    np.testing.assert_allclose(record.angle, angle[: len(record.angle)], atol=1e-4)
+    assert record.others[pulses].size == pulses.stat().st_size
+    pulses.write_text("time_s\n1\n2.5\n4\n")
+    with pytest.raises(RecordError, match=r"index.csv: column 'time_s': .* should every 2 s"):
+        read(tmp_path / "run.csv", angle=spec, pulses=pulses)
