@@ -32,6 +32,7 @@ extensions = [
     "mathml",
     "navigation",
     "reference",
+    "figures",
 ]
 
 root_doc = "index"

@@ -12,13 +12,38 @@ from counterspin import cli
 DOCS = Path(__file__).parents[1] / "docs"
 NAVIGATION = runpy.run_path(str(DOCS / "extensions" / "navigation.py"))
 FROM_CODE = runpy.run_path(str(DOCS / "extensions" / "from_code.py"))
+GALLERY = DOCS / "gallery"
+OWN_INDEX = GALLERY / "index.md"
+QUESTIONS = sorted(set(GALLERY.glob("*.md")) - {OWN_INDEX})
 INDEX = (DOCS / "index.md").read_text(encoding="utf-8")
 
 
 def test_every_page_is_in_the_menu_once():
     pages = [page for listed in NAVIGATION["sections"](INDEX).values() for page in listed]
     there = {page.stem for page in DOCS.glob("*.md")} - {"index"}
-    assert sorted(pages) == sorted(there)
+    assert sorted(pages) == sorted(there | {"gallery/index"})
+
+
+def test_every_page_of_the_gallery_is_listed_once():
+    (pages,) = NAVIGATION["sections"]((GALLERY / "index.md").read_text(encoding="utf-8")).values()
+    assert sorted(pages) == sorted(page.stem for page in GALLERY.glob("*.md") if page != OWN_INDEX)
+    assert len(pages) >= 10
+
+
+@pytest.mark.parametrize("page", QUESTIONS, ids=lambda page: page.stem)
+def test_a_page_of_the_gallery_is_run_and_its_pictures_have_words(page):
+    text = page.read_text(encoding="utf-8")
+    assert text.startswith("---\nfile_format: mystnb\n")
+    cells = re.findall(r"^```\{code-cell\} python3\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    drawing = [cell for cell in cells if re.search(r"plt\.\w+\(|\.plot\w*\(|axes\.", cell)]
+    assert drawing
+    for cell in drawing:
+        words = re.match(r"---\nmystnb:\n  image:\n    alt: >-\n((?:      .+\n)+)---\n", cell)
+        assert words, cell
+        assert len(words[1].split()) >= 10
+    for cell in cells:
+        code = re.sub(r"\A---\n.*?^---\n", "", cell, flags=re.MULTILINE | re.DOTALL)
+        compile(code, page.name, "exec")
 
 
 def test_the_menu_has_the_headings_of_the_index():
