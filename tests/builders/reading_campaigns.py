@@ -10,7 +10,7 @@ from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.conditions import RunConditions, changed
 from counterspin.physics.machine import machine_term
 from counterspin.physics.motion import Site
-from counterspin.physics.station import FRAMES, Station
+from counterspin.physics.station import FRAMES, Station, mean_products
 
 SITE = Site(9.80665, 0.8)
 TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6, "K_III": 2e-6}
@@ -77,16 +77,18 @@ def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature
     """
     count = len(test[0])
     blank = readings(test, np.zeros(count), 1.0, temperature=temperature)
-    values = []
+    actual, coefficients = [], []
     for index in range(count):
         turn = {} if not u_head else {"head.zero": rng.normal(0.0, u_head)}
         drawn = dict(machine)
         for symbol, size in turn.items():
             drawn[symbol] = drawn.get(symbol, 0.0) + size
-        actual = blank.station(index, drawn)
+        actual.append(blank.station(index, drawn))
         lever = RunConditions(float(blank.time[index]), float(blank.temperature[index]))
-        values.append(actual.indicated(SITE, changed(truth, lever, 0.0)))
-    return np.array(values) + rng.normal(0.0, sigma, count)
+        own = changed(truth, lever, 0.0)
+        coefficients.append([own.get(symbol, row.nominal) for symbol, row in TERMS.items()])
+    values = np.sum(mean_products(actual, SITE, list(TERMS)) * coefficients, axis=1)
+    return values + rng.normal(0.0, sigma, count)
 
 
 def model(terms=tuple(TRUTH), others=(), considered=(), inputs=None):

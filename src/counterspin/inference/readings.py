@@ -114,15 +114,22 @@ class Readings:
         machine
             The machine's terms that move stations, less nominal, by symbol.
         """
-        turning = {s: (size, self.acting(s)) for s, size in machine.items() if size != 0.0}
-        stations = []
-        for index, unmoved in enumerate(self.stations):
-            station = unmoved
-            for symbol, (size, acting) in turning.items():
-                if acting[index]:
-                    station = moved(station, symbol, size, self.head[index])
-            stations.append(station)
-        return mean_products(stations, self.site, _SYMBOLS)
+        return mean_products(self.stations_with(machine), self.site, _SYMBOLS)
+
+    def stations_with(self, machine: Mapping[str, float]) -> list[Station]:
+        """Return where the readings were taken, with the machine's terms as given."""
+        stations = list(self.stations)
+        for symbol, size in machine.items():
+            if size != 0.0:
+                stations = self.moved(stations, symbol, size)
+        return stations
+
+    def moved(self, stations: Sequence[Station], symbol: str, size: float) -> list[Station]:
+        """Return the readings' stations, moved already, with one more of the machine's terms."""
+        return [
+            moved(station, symbol, size, head) if acting else station
+            for station, acting, head in zip(stations, self.acting(symbol), self.head, strict=True)
+        ]
 
     @property
     def read_again(self) -> tuple[tuple[int, ...], ...]:
@@ -389,7 +396,8 @@ class _Part:
             for index, symbol in own.items()
             if not everything[index].owner and one.acting(symbol).any()
         }
-        products = one.products(machine)
+        stations = one.stations_with(machine)
+        products = mean_products(stations, one.site, _SYMBOLS)
         effective = np.tile([row.nominal for row in TERMS.values()], (one.size, 1))
         columns = np.zeros((one.size, len(everything)))
         for index, symbol in own.items():
@@ -404,16 +412,18 @@ class _Part:
             columns[:, index] = products[:, place] * lever
             effective[:, place] += at[index] * lever
 
-        def slope(ahead: Readings, behind: Readings, step: float, change: str = "") -> Array:
-            by = machine.get(change, 0.0)
-            moves = ({**machine, change: by + s} if change else machine for s in (step, -step))
-            more, less = (r.products(m) for r, m in zip((ahead, behind), moves, strict=True))
+        def slope(more: Array, less: Array, step: float) -> Array:
             found: Array = np.sum((more - less) * effective, axis=1) / (2.0 * step)
             return found
 
+        def slope_of(symbol: str, step: float) -> Array:
+            both = [*one.moved(stations, symbol, step), *one.moved(stations, symbol, -step)]
+            more, less = np.split(mean_products(both, one.site, _SYMBOLS), 2)
+            return slope(more, less, step)
+
         for index, symbol in own.items():
             if symbol in machine:
-                columns[:, index] = slope(one, one, _STEP * everything[index].limit, symbol)
+                columns[:, index] = slope_of(symbol, _STEP * everything[index].limit)
         fixed = [*columns[:, len(model.unknowns) :].T]
         for name in model.inputs or ():
             if name not in _INPUT_STEPS:
@@ -421,11 +431,11 @@ class _Part:
                 continue
             step = _INPUT_STEPS[name]
             ahead, behind = (_with_input(one, name, s, machine) for s in (step, -step))
-            fixed.append(slope(ahead, behind, step))
+            fixed.append(slope(ahead.products(machine), behind.products(machine), step))
         perfect = np.sum(products * effective, axis=1) - columns @ at
         head = np.zeros(one.size)
         if one.u_head.any():
-            head = np.abs(slope(one, one, _HEAD_STEP, "head.zero")) * one.u_head
+            head = np.abs(slope_of("head.zero", _HEAD_STEP)) * one.u_head
         return cls(
             columns[:, : len(model.unknowns)],
             np.column_stack(fixed or [np.empty((one.size, 0))]),
