@@ -7,12 +7,16 @@ the walk still matters at 1e-16. The Kalman filter computes the same factor from
 covariance and loses nothing at any ratio, zero and infinity included. Its Riccati recursion is a
 chain of associative steps (Sarkka and Garcia-Fernandez, "Temporal parallelization of Bayesian
 smoothers", IEEE Trans. Automatic Control 66 (2021) 299, Lemma 8), so a prefix scan runs it in
-O(n) whole-array operations.
+O(n) whole-array operations. Of few rows, where each such operation costs more than its numbers, row
+after row is quicker.
 
 State: position and velocity at a block's last sample. Nothing is assumed of the first state.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +24,9 @@ from numpy.typing import NDArray
 from counterspin.frozen import frozen
 
 Array = NDArray[np.float64]
+
+#: Rows up to which the filter runs row after row.
+FEW_ROWS: Final = 1000
 
 
 @frozen
@@ -85,7 +92,9 @@ class Innovations:
     step: Array
 
 
-def filter_walk(blocks: BlockSpans, white: float, walk: float) -> Innovations:
+def filter_walk(
+    blocks: BlockSpans, white: float, walk: float, few_rows: int = FEW_ROWS
+) -> Innovations:
     """Innovation variances and gains for a doubly integrated walk seen through white noise.
 
     Parameters
@@ -96,6 +105,8 @@ def filter_walk(blocks: BlockSpans, white: float, walk: float) -> Innovations:
         White variance per sample, m^2.
     walk
         Square of the random-walk coefficient, N^2, (m/s^2)^2/Hz; not both zero.
+    few_rows
+        Up to how many rows it runs row after row.
     """
     last = blocks.time + blocks.half
     before = np.concatenate(([blocks.time[0] - blocks.half[0]], last[:-1]))
@@ -111,40 +122,79 @@ def filter_walk(blocks: BlockSpans, white: float, walk: float) -> Innovations:
     if not noise[0] > 0:  # a single first sample without white noise tells its position exactly
         noise[0] = np.finfo(float).tiny ** 0.5
 
-    elements = np.stack(
+    # What the walk adds to position and velocity over the step.
+    added = (walk * step**3 / 3, walk * step**2 / 2, walk * step)
+    given = (ahead, step, noise, cross_position, cross_velocity, *added)
+    if blocks.time.size <= few_rows:
+        first = _covariance(_prefix(_elements(*(part[:2] for part in given)))[:, 1:])
+        seen = _in_turn([float(part[0]) for part in first], *(part[2:].tolist() for part in given))
+        return Innovations(seen[0], seen[1:], ahead, step)
+    p11, p12, p22 = _covariance(_prefix(_elements(*given))[:, 1:-1])
+    d, s, noise, cross_position, cross_velocity = (part[2:] for part in given[:5])
+    seen_position = p11 + d * p12
+    seen_velocity = p12 + d * p22
+    variance = seen_position + d * seen_velocity + noise
+    gain = np.stack(
+        [seen_position + s * seen_velocity + cross_position, seen_velocity + cross_velocity]
+    )
+    return Innovations(variance, gain / variance, ahead, step)
+
+
+def _elements(
+    ahead: Array,
+    step: Array,
+    noise: Array,
+    cross_position: Array,
+    cross_velocity: Array,
+    *added: Array,
+) -> Array:
+    """Return each row as a stretch of the record, (10, n): its A, C and J."""
+    return np.stack(
         [
             1 - cross_position / noise,
             step - cross_position * ahead / noise,
             -cross_velocity / noise,
             1 - cross_velocity * ahead / noise,
-            walk * step**3 / 3 - cross_position**2 / noise,
-            walk * step**2 / 2 - cross_position * cross_velocity / noise,
-            walk * step - cross_velocity**2 / noise,
+            added[0] - cross_position**2 / noise,
+            added[1] - cross_position * cross_velocity / noise,
+            added[2] - cross_velocity**2 / noise,
             1 / noise,
             ahead / noise,
             ahead**2 / noise,
         ]
     )
-    a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = _prefix(elements)[:, 1:-1]
 
-    # The state's covariance after rows 0 .. i, from nothing known: A J^-1 A' + C.
+
+def _covariance(running: Array) -> tuple[Array, Array, Array]:
+    """Return the state's covariance after each row, from nothing known: A J^-1 A' + C."""
+    a11, a12, a21, a22, c11, c12, c22, j11, j12, j22 = running
     determinant = j11 * j22 - j12**2
     i11, i12, i22 = j22 / determinant, -j12 / determinant, j11 / determinant
-    p11 = a11 * (a11 * i11 + a12 * i12) + a12 * (a11 * i12 + a12 * i22) + c11
-    p12 = a11 * (a21 * i11 + a22 * i12) + a12 * (a21 * i12 + a22 * i22) + c12
-    p22 = a21 * (a21 * i11 + a22 * i12) + a22 * (a21 * i12 + a22 * i22) + c22
-
-    d, s = ahead[2:], step[2:]
-    seen_position = p11 + d * p12
-    seen_velocity = p12 + d * p22
-    variance = seen_position + d * seen_velocity + noise[2:]
-    gain = np.stack(
-        [
-            seen_position + s * seen_velocity + cross_position[2:],
-            seen_velocity + cross_velocity[2:],
-        ]
+    return (
+        a11 * (a11 * i11 + a12 * i12) + a12 * (a11 * i12 + a12 * i22) + c11,
+        a11 * (a21 * i11 + a22 * i12) + a12 * (a21 * i12 + a22 * i22) + c12,
+        a21 * (a21 * i11 + a22 * i12) + a22 * (a21 * i12 + a22 * i22) + c22,
     )
-    return Innovations(variance, gain / variance, ahead, step)
+
+
+def _in_turn(first: Sequence[float], *rows: list[float]) -> Array:
+    """Return variance and gains of rows, (3, n), from the covariance before the first of them.
+
+    The lists are those of `_elements`. Numbers of Python: they are quicker than arrays of one.
+    """
+    p11, p12, p22 = first
+    seen = []
+    for d, s, noise, cross_position, cross_velocity, q11, q12, q22 in zip(*rows, strict=True):
+        seen_position = p11 + d * p12
+        seen_velocity = p12 + d * p22
+        variance = seen_position + d * seen_velocity + noise
+        of_position = (seen_position + s * seen_velocity + cross_position) / variance
+        of_velocity = (seen_velocity + cross_velocity) / variance
+        seen.append((variance, of_position, of_velocity))
+        p11 += s * (2.0 * p12 + s * p22) + q11 - of_position**2 * variance
+        p12 += s * p22 + q12 - of_position * of_velocity * variance
+        p22 += q22 - of_velocity**2 * variance
+    return np.array(seen).reshape(-1, 3).T
 
 
 def _prefix(elements: Array) -> Array:
