@@ -117,7 +117,7 @@ def engines(folder, *names):
 def test_surrogate_is_exact_quadrature_trial_by_trial(tmp_path):
     folder = write(tmp_path / "a", PAPER + VARYING)
     truth, made = engines(folder, "surrogate", "exact")
-    draws = truth.draw(stream(3, 0, 0), 300)
+    draws = truth.draw(stream(3, 0, 0), 100)
     for fast, slow in zip(*made, strict=True):
         a, b = (one.trials(draws, stream(3, 0, 1)) for one in (fast, slow))
         assert np.abs((a.estimate - b.estimate) / b.u).max() < 1e-5
@@ -128,7 +128,7 @@ def test_outside_its_box_a_surrogate_hands_over_to_quadrature(tmp_path):
     wide = VARYING.replace("500 ppm", "700 ppm")
     folder = write(tmp_path / "a", PAPER + wide)
     truth, made = engines(folder, "auto", "exact")
-    draws = truth.draw(stream(3, 0, 0), 200)
+    draws = truth.draw(stream(3, 0, 0), 60)
     assert (
         not made[0][0]
         .surrogates[0]
@@ -146,7 +146,7 @@ def test_sufficient_statistics_are_distributed_as_whole_records(tmp_path):
     varying = '[study.vary]\n"platform.tilt.north" = { normal = "0 ± 3 arcsec", per = "run" }\n'
     analyses = VARYING[VARYING.index("[study.analyses.exact]") :]
     folder = write(tmp_path / "a", SHORT + varying + analyses + joint)
-    n = 2000 if FULL else 150
+    n = 2000 if FULL else 80
     truth, made = engines(folder, "auto", "full")
     few, many = truth.draw(stream(3, 0, 0), n), truth.draw(stream(4, 0, 0), 20 * n)
     for fast, slow in zip(*made, strict=True):
@@ -283,13 +283,14 @@ def test_joint_fit_of_a_varying_rotation_needs_whole_records(tmp_path):
 # Who does the work
 
 
-@pytest.fixture
-def varying(tmp_path):
-    return write(tmp_path / "varying", PAPER + VARYING)
+@pytest.fixture(scope="module")
+def varying(tmp_path_factory):
+    return write(tmp_path_factory.mktemp("studies") / "varying", SHORT + VARYING)
 
 
-def prepared(folder):
-    return prepare(read_study(folder), 3)
+@pytest.fixture(scope="module")
+def engine(varying):
+    return prepare(read_study(varying), 3)
 
 
 def test_heating_that_is_considered_is_covered(tmp_path):
@@ -297,12 +298,12 @@ def test_heating_that_is_considered_is_covered(tmp_path):
     text = SHORT.replace('considered = ["K_IP"]', 'considered = ["K_IP", "K_F.heating"]')
     text = text.replace("[[runs]]", '[model.priors]\n"K_F.heating" = "0 ± 2e-6 g/g^2"\n[[runs]]', 1)
     varying = '\n[study.vary]\n"Qx.K_F.heating" = { normal = "0 ± 2e-6 g/g^2" }\n'
-    result = study(write(tmp_path / "heated", text + varying), trials=200)
+    result = study(write(tmp_path / "heated", text + varying), trials=100)
     for analysis in ("two-stage", "joint"):
         k_ii = coefficient(result, analysis, "Qx.K_II")
-        # u is all but that of the heating, twice: 200 trials know a scatter to 5 %.
+        # u is all but that of the heating, twice: 100 trials know a scatter to 7 %.
         assert k_ii.u == pytest.approx(4e-6, rel=0.05)
-        assert k_ii.sd / k_ii.u == pytest.approx(1.0, abs=0.2)
+        assert k_ii.sd / k_ii.u == pytest.approx(1.0, abs=0.28)
 
 
 def test_a_wandering_bias_is_covered_by_whole_records(tmp_path):
@@ -324,8 +325,7 @@ def test_result_is_the_same_for_any_number_of_workers(varying):
 
 
 @pytest.mark.parametrize("size", [1, 2, 64])
-def test_result_is_the_same_for_any_sharing_out(varying, size):
-    engine = prepared(varying)
+def test_result_is_the_same_for_any_sharing_out(engine, size):
     whole, parts = (study_work.Ledger(engine, 5000) for _ in range(2))
     study_work.run_batches(engine, whole)
     study_work.run_batches(engine, parts, batches_per_task=size)
@@ -354,8 +354,7 @@ def test_cluster_that_does_not_answer_is_told(varying, monkeypatch):
         study(varying, workers=Workers(cluster="tcp://127.0.0.1:9"))
 
 
-def test_worker_that_is_killed_loses_and_doubles_nothing(varying):
-    engine = prepared(varying)
+def test_worker_that_is_killed_loses_and_doubles_nothing(engine):
     whole, other = (study_work.Ledger(engine, 100_000) for _ in range(2))
     study_work.run_batches(engine, whole)
     killed = []
@@ -406,12 +405,12 @@ def test_resuming_another_study_is_refused(varying, paper, tmp_path):
         study(varying, output=StudyFolder(tmp_path / "new", resume=True))
 
 
-def test_engine_travels_in_a_pickle(varying):
+def test_engine_travels_in_a_pickle(engine):
     import pickle
 
-    engine = pickle.loads(pickle.dumps(prepared(varying)))
-    assert isinstance(engine, StudyEngine)
-    assert np.array_equal(engine.batch(1, 50).sums, prepared(varying).batch(1, 50).sums)
+    travelled = pickle.loads(pickle.dumps(engine))
+    assert isinstance(travelled, StudyEngine)
+    assert np.array_equal(travelled.batch(1, 50).sums, engine.batch(1, 50).sums)
 
 
 # The description
