@@ -253,7 +253,8 @@ class StudyTruth:
         return np.array([self.bounds(DRIFT, run), cos, sin, self.bounds(RADIUS, run)])
 
     def mean(self, owner: str, symbol: str) -> float:
-        """Return what is true of a coefficient on average."""
+        """Return what is true of a coefficient on average; a run's own has the platform's truth."""
+        owner = owner if symbol in OWN_TERMS else ""
         for quantity in self.varying:
             if (quantity.owner, quantity.symbol) == (owner, symbol):
                 return 0.5 * sum(quantity.reach)

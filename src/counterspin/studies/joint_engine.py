@@ -28,7 +28,6 @@ from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import NoiseModel
-from counterspin.physics.shared_terms import OWN_TERMS
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import RADIUS, Draws, StudyTruth, nominal, of_run
 from counterspin.studies.noise import estimate_noise
@@ -194,12 +193,7 @@ def _block(
 ) -> Block:
     """Whiten and reduce one series: unknowns, considered terms, columns of what is true."""
     factors = scale_factors([series], model, truth)
-    expected = np.array(
-        [
-            truth.mean(u.owner if u.symbol in OWN_TERMS else "", u.symbol) - u.nominal
-            for u in model.unknowns
-        ]
-    )
+    expected = np.array([truth.mean(u.owner, u.symbol) - u.nominal for u in model.unknowns])
     (prepared,) = prepare_columns([series], model, factors, expected)
     mine = {
         key: index
