@@ -13,6 +13,7 @@ import datetime
 import math
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import PurePath
 from typing import Annotated, Any, Final, Literal, Self
 
@@ -66,13 +67,33 @@ def _gravity(info: ValidationInfo) -> float | None:
     return (info.context or {}).get("gravity")
 
 
+def _parsed(unit: str, text: object, info: ValidationInfo) -> Quantity:
+    return parse(text, unit, gravity=_gravity(info))
+
+
+def _parsed_exactly(unit: str, text: object, info: ValidationInfo) -> float:
+    return exact(text, unit, gravity=_gravity(info))
+
+
+def _parsed_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
+    if text == ESTIMATE:
+        return ESTIMATE
+    size = exact(text, unit, _gravity(info))
+    if size < 0.0:
+        raise ValueError('a standard deviation is not negative; or write "estimate"')
+    return size
+
+
+# Each is a partial function whose first argument is the unit, so that a form can show it.
+
+
 def _uncertain(unit: str) -> PlainValidator:
-    return PlainValidator(lambda text, info: parse(text, unit, gravity=_gravity(info)))
+    return PlainValidator(partial(_parsed, unit))
 
 
 def read_exactly(unit: str) -> PlainValidator:
     """Return the validator of a quantity without uncertainty."""
-    return PlainValidator(lambda text, info: exact(text, unit, gravity=_gravity(info)))
+    return PlainValidator(partial(_parsed_exactly, unit))
 
 
 def positive(value: Any) -> Any:
@@ -106,15 +127,7 @@ def _rate(value: float) -> float:
 
 
 def _noise_size(unit: str) -> PlainValidator:
-    def read(text: object, info: ValidationInfo) -> float | str:
-        if text == ESTIMATE:
-            return ESTIMATE
-        size = exact(text, unit, _gravity(info))
-        if size < 0.0:
-            raise ValueError('a standard deviation is not negative; or write "estimate"')
-        return size
-
-    return PlainValidator(read)
+    return PlainValidator(partial(_parsed_noise, unit))
 
 
 def _ratio(value: object) -> float:

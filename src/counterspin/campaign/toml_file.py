@@ -1,6 +1,7 @@
 """TOML files, read with errors that say where.
 
 - `load_document`: a file's tables; `load_with_checksum`: and the checksum of what was read
+- `parse_document`: the same of what a file holds, or may come to hold
 - `unusable`: what is TOML and no value of any key
 - `flat_keys`: tables inside tables as keys with dots
 - `description_file`: the description's file of a campaign
@@ -62,18 +63,34 @@ def load_with_checksum(file: Path, advice: str) -> tuple[dict[str, Any], str]:
     """
     try:
         content = read_file(file, _TEXT_BYTES)
+    except FileNotFoundError:
+        problem = f"there is no such file; {advice}"
+    except OSError as error:
+        problem = f"cannot be read: {error.strerror}"
+    except ValueError as error:
+        problem = f"cannot be read: {error}".partition(";")[0]  # a name with NUL
+    else:
+        return parse_document(content, str(file)), f"sha256:{hashlib.sha256(content).hexdigest()}"
+    raise CampaignError(str(file), [problem])
+
+
+def parse_document(content: bytes, source: str) -> dict[str, Any]:
+    """Return the TOML document that the bytes of a file hold; `source` is what messages call it.
+
+    Raises
+    ------
+    CampaignError
+        If it is not UTF-8 or not TOML.
+    """
+    try:
         # Editors on Windows put a byte-order mark before the text; TOML knows none.
         document = tomllib.loads(content.decode("utf-8-sig"))
         faults = list(unusable(document, ""))
         if not faults:
-            return document, f"sha256:{hashlib.sha256(content).hexdigest()}"
-        raise CampaignError(str(file), faults)
-    except FileNotFoundError:
-        problem = f"there is no such file; {advice}"
+            return document
+        raise CampaignError(source, faults)
     except UnicodeDecodeError:
         problem = "is not UTF-8 text; save it as UTF-8 (the sign ± needs it; +/- serves as well)"
-    except OSError as error:
-        problem = f"cannot be read: {error.strerror}"
     except RecursionError:
         problem = "is nested too deeply"
     except tomllib.TOMLDecodeError as error:
@@ -82,9 +99,9 @@ def load_with_checksum(file: Path, advice: str) -> tuple[dict[str, Any], str]:
         what = what[:1].lower() + what[1:]
         problem = f"{where}: {what}; text such as a quantity is written in quotation marks"
     except ValueError as error:
-        # A name with NUL, or a number of thousands of digits, which Python reads no further.
+        # A number of thousands of digits, which Python reads no further.
         problem = f"cannot be read: {error}".partition(";")[0]
-    raise CampaignError(str(file), [problem])
+    raise CampaignError(source, [problem])
 
 
 def unusable(value: Any, path: str) -> Iterator[str]:
