@@ -23,14 +23,14 @@ def browser():
 
 
 @pytest.fixture
-def link(folder):
-    """Return the link of a server that runs."""
+def door_of_server(folder):
+    """Return the door of a server that runs."""
     with listening(0) as listener:
         door = Door(listener.getsockname()[1])
         server = server_of(Desk(ServedFolder(folder)), door)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
         thread.start()
-        yield door.link
+        yield door
         server.should_exit = True
         thread.join()
 
@@ -54,13 +54,19 @@ class Window:
 
 
 @pytest.fixture
-def opened(browser, link):
+def opened(browser, door_of_server):
     """Return what opens windows; nothing may go wrong in any, and no request may leave."""
-    context = browser.new_context()
+    context, door = browser.new_context(), door_of_server
     context.set_default_timeout(20_000)
     windows = []
 
-    def open_window():
+    def open_window(place=None):
+        link = door.link
+        if place is not None:
+            # As one that has come by the link before.
+            own, _, _ = link.partition("#")
+            context.add_cookies([{"name": door.cookie, "value": door.pass_word, "url": own}])
+            link = f"{own}#{place}"
         windows.append(Window(context, link))
         return windows[-1].tab
 
@@ -90,8 +96,7 @@ def test_a_calibration_survives_that_the_page_is_loaded_again(opened, folder):
     result = folder / "three" / "result.json"
     kept = json.loads(result.read_text())
     result.unlink()
-    tab = opened()
-    tab.get_by_role("link", name="three").click()
+    tab = opened("/campaign/three")
     tab.get_by_role("button", name="Calibrate").click()
     tab.get_by_role("progressbar").wait_for()
     tab.reload()
@@ -117,3 +122,39 @@ def test_without_the_key_the_page_says_what_to_do(opened):
     tab.context.clear_cookies()
     tab.reload()
     tab.get_by_text("Open the link that").wait_for()
+
+
+def test_mistakes_stand_at_their_fields_and_text_and_form_are_one(opened, folder):
+    tab = opened("/description/three")
+    radius, text = tab.get_by_label("radius"), tab.get_by_label("campaign.toml")
+    radius.fill("2.5 kg")
+    radius.press("Tab")
+    wrong = tab.locator("label", has=radius).locator(".wrong")
+    wrong.wait_for()
+    assert radius.get_attribute("aria-invalid") == "true"
+    assert 'radius = "2.5 kg"' in text.input_value()
+    text.fill(text.input_value().replace("2.5 kg", "2.75 m"))
+    wrong.wait_for(state="detached")
+    assert radius.input_value() == "2.75 m"
+    tab.get_by_role("button", name="Save").click()
+    tab.get_by_text("Saved three/campaign.toml").wait_for()
+    assert 'radius = "2.75 m"' in (folder / "three" / "campaign.toml").read_text()
+
+
+def test_of_two_windows_none_loses_an_edit(opened, folder):
+    file = folder / "three" / "campaign.toml"
+    tabs = [opened("/description/three"), opened("/description/three")]
+    for tab, radius in zip(tabs, ("3 m", "4 m"), strict=True):
+        tab.get_by_label("radius").fill(radius)
+        tab.get_by_label("radius").press("Tab")
+        tab.locator(".editor button.main:enabled").wait_for()
+    first, second = tabs
+    first.get_by_role("button", name="Save").click()
+    first.get_by_text("Saved").wait_for()
+    second.get_by_role("button", name="Save").click()
+    second.get_by_text("was changed meanwhile").wait_for()
+    assert 'radius = "3 m"' in second.get_by_label("What the file holds now").input_value()
+    assert 'radius = "3 m"' in file.read_text()
+    second.get_by_role("button", name="Replace it by mine").click()
+    second.get_by_text("Saved").wait_for()
+    assert 'radius = "4 m"' in file.read_text()

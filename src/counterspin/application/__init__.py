@@ -8,6 +8,8 @@ is done by a click is a command too, and the page says which.
 - `folder`: the files of the folder, and no others; versions, so that no edit is lost
 - `desk`: what all requests share
 - `campaigns`: the folder's campaigns and results, with their state
+- `form`, `editing`, `descriptions`: a form made of the models' keys, the text beside it, and both
+  of a campaign or a laboratory
 - `jobs`: calibrations, each in a process of its own
 - `results`: a result as the report's words and pictures
 - `commands`: what a click does, as the words of a command line

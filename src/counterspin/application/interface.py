@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
-from counterspin.application import campaigns, results
+from counterspin.application import campaigns, descriptions, results
 from counterspin.application.desk import Desk
 from counterspin.application.folder import ChangedMeanwhileError, NotThereError, OutsideError
 from counterspin.calibration.options import Method
@@ -67,6 +67,35 @@ class CampaignAsked(Named):
 _STATUS: Final = {ChangedMeanwhileError: 409, NotThereError: 404, OutsideError: 403}
 
 
+class LabAsked(Asked):
+    """The laboratory's data, for the certificate of a result."""
+
+    file: str
+    result: str
+
+
+class TextAsked(Asked):
+    """A text in the place of a file; `result`: for whose certificate, if it is the laboratory's."""
+
+    file: str
+    text: str
+    result: str | None = None
+
+
+class ChangeAsked(TextAsked):
+    """A text with another value at a key."""
+
+    path: list[str | int]
+    value: Any
+    kind: Literal["", "date"] = ""
+
+
+class SavingAsked(TextAsked):
+    """A text that is to be the file's, in place of the version that was seen."""
+
+    version: str
+
+
 @frozen
 class Answer:
     """What is answered: status, and JSON or SVG."""
@@ -84,6 +113,30 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Endpoint]] = {
     ("POST", "campaign"): (
         CampaignAsked,
         lambda desk, asked: campaigns.begin_campaign(desk, asked.name, asked.test),
+    ),
+    ("GET", "description"): (
+        Named,
+        lambda desk, asked: descriptions.description(desk, asked.name),
+    ),
+    ("GET", "lab"): (
+        LabAsked,
+        lambda desk, asked: descriptions.lab_data(desk, asked.file, asked.result),
+    ),
+    ("POST", "check"): (
+        TextAsked,
+        lambda desk, asked: descriptions.check_text(desk, asked.file, asked.text, asked.result),
+    ),
+    ("POST", "change"): (
+        ChangeAsked,
+        lambda desk, asked: descriptions.change_text(
+            desk, asked.file, asked.text, asked.result, (asked.path, asked.value, asked.kind)
+        ),
+    ),
+    ("PUT", "text"): (
+        SavingAsked,
+        lambda desk, asked: descriptions.save_text(
+            desk, asked.file, asked.text, asked.version, asked.result
+        ),
     ),
     ("GET", "result"): (Named, lambda desk, asked: results.result_page(desk, asked.name)),
     ("GET", "picture"): (

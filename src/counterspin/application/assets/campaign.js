@@ -5,6 +5,7 @@ import { get, send } from "./api.js";
 import { commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
 import { resultLines } from "./folder.js";
 import { resultPart } from "./result.js";
+import { campaignTabs } from "./tabs.js";
 
 /** @typedef {{number: number, campaign: string, output: string, command: string, state: string,
  *   progress: [number, number], error: string, seconds: number}} Job */
@@ -113,6 +114,7 @@ export async function campaignView(name) {
   /** @type {Node[]} */
   const content = [
     make("h1", {}, campaign.title),
+    campaignTabs(name, "campaign"),
     make("p", {}, stateMark(campaign.state, campaign.words), ` ${campaign.name}`),
     ...campaign.mistakes.map(warning),
     ...(campaign.missing.length

@@ -3,6 +3,8 @@
 
 import { enter } from "./api.js";
 import { campaignView } from "./campaign.js";
+import { descriptionView } from "./description.js";
+import { unsaved } from "./editor.js";
 import { folderView } from "./folder.js";
 import { make, warning } from "./dom.js";
 import { resultView } from "./result.js";
@@ -17,6 +19,7 @@ import { resultView } from "./result.js";
 const PLACES = [
   { path: /^\/$/, name: "Campaigns", address: "#/", view: folderView },
   { path: /^\/campaign\/(.*)$/, view: campaignView },
+  { path: /^\/description\/(.*)$/, view: descriptionView },
   { path: /^\/result\/(.*)$/, view: resultView },
 ];
 
@@ -49,8 +52,15 @@ async function show() {
   globalThis.counterspin.draw(main);
 }
 
+let shownAt = location.hash;
 addEventListener("hashchange", () => {
   // A link within a page is none to another place.
-  if (location.hash.startsWith("#/")) show().then(() => { main.focus(); scrollTo(0, 0); });
+  if (!location.hash.startsWith("#/")) return;
+  if (location.hash !== shownAt && unsaved() && !confirm("Leave without saving?")) {
+    history.replaceState(null, "", shownAt);
+    return;
+  }
+  shownAt = location.hash;
+  show().then(() => { main.focus(); scrollTo(0, 0); });
 });
-enter().finally(show);
+enter().finally(() => { shownAt = location.hash; return show(); });

@@ -1,0 +1,20 @@
+// @ts-check
+// The description of a campaign: form, text and mistakes.
+
+import { get } from "./api.js";
+import { campaignTabs } from "./tabs.js";
+import { make } from "./dom.js";
+import { editorOf } from "./editor.js";
+
+/**
+ * The page of a description.
+ * @param {string} name
+ */
+export async function descriptionView(name) {
+  const told = await get("description", { name });
+  const title = told.document.campaign?.title || name || "Campaign";
+  return {
+    title: `${title}, description`,
+    content: [make("h1", {}, title), campaignTabs(name, "description"), editorOf(told).element],
+  };
+}

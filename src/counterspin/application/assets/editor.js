@@ -1,0 +1,430 @@
+// @ts-check
+// A file as a form with the text beside it; the text is what counts, and both are always the same.
+
+import { Refused, send } from "./api.js";
+import { labelled, make, say, warning } from "./dom.js";
+
+/**
+ * @typedef {string | number} Part
+ * @typedef {{key: string, kind: string, required: boolean, unit?: string, choices?: any[],
+ *   fields?: Field[]}} Field
+ * @typedef {{key: string, words: string, repeat: string | null, fields: Field[],
+ *   of_readings?: Field[]}} Section
+ * @typedef {{text: string, document: any, problems: {key: string, words: string}[],
+ *   questions: string[], run_kinds: string[]}} Edited
+ */
+
+/**
+ * The path of a key as messages have it.
+ * @param {Part[]} path
+ */
+const keyPath = (path) => path.reduce((/** @type {string} */ text, part) => {
+  if (typeof part === "number") return `${text}[${part}]`;
+  const plain = /^[\p{L}\p{N}]+$/u.test(part.replaceAll("_", "").replaceAll("-", ""));
+  return `${text}${text && "."}${plain ? part : `"${part}"`}`;
+}, "");
+
+/** @param {any} value */
+const shown = (value) => {
+  if (value === undefined || value === null) return "";
+  if (Array.isArray(value) && value.every((one) => typeof one === "string")) return value.join(", ");
+  return typeof value === "object" ? JSON.stringify(value) : String(value);
+};
+
+/**
+ * What is typed, as a value; null: nothing.
+ * @param {string} text
+ * @param {string} kind
+ */
+function typed(text, kind) {
+  const trimmed = text.trim();
+  if (!trimmed) return null;
+  if (kind === "number" && Number.isFinite(Number(trimmed))) return Number(trimmed);
+  if (/^[[{]/.test(trimmed)) {
+    try {
+      return JSON.parse(trimmed);
+    } catch {
+      return trimmed;
+    }
+  }
+  return kind === "list" ? trimmed.split(",").map((one) => one.trim()).filter(Boolean) : trimmed;
+}
+
+/** @param {any} choice */
+const choiceWords = (choice) => ({ "\t": "tab", " ": "blank" })[String(choice)] ?? String(choice);
+
+export class Editor {
+  /**
+   * @param {any} told what the server says of the file
+   * @param {{result?: string, saved?: () => void}} [more]
+   */
+  constructor(told, more = {}) {
+    /** @type {string} */ this.file = told.file;
+    /** @type {string} */ this.version = told.version;
+    /** @type {Section[]} */ this.form = told.form;
+    /** @type {Edited} */ this.now = told;
+    this.more = more;
+    this.saved = told.text;
+    /** @type {Promise<void>} */ this.last = Promise.resolve();
+    this.fields = make("form", { class: "fields", onsubmit: (/** @type {Event} */ e) => e.preventDefault() });
+    this.area = make("textarea", {
+      spellcheck: false, rows: 30, value: told.text, oninput: () => this.textTyped(),
+    });
+    this.notes = make("div", { "aria-live": "polite" });
+    this.button = make("button", { type: "button", class: "main", onclick: () => this.save() }, "Save");
+    this.element = make("div", { class: "editor" },
+      make("div", {}, this.notes, this.fields),
+      make("div", { class: "file" }, labelled(`${this.file}, as it is written`, this.area),
+        make("div", { class: "row" }, this.button)));
+    this.show();
+  }
+
+  get changed() {
+    return this.now.text !== this.saved;
+  }
+
+  /**
+   * One thing after the other, so that no answer overtakes another.
+   * @param {() => Promise<void>} work
+   */
+  next(work) {
+    this.last = this.last.then(work).catch((error) => {
+      this.notes.prepend(warning(error.message));
+    });
+    return this.last;
+  }
+
+  textTyped() {
+    this.now = { ...this.now, text: this.area.value };
+    this.button.disabled = !this.changed;
+    clearTimeout(this.timer);
+    this.timer = setTimeout(() => this.next(async () => {
+      const told = await send("POST", "check", this.said());
+      if (told.text === this.area.value) this.take(told);
+    }), 250);
+  }
+
+  said() {
+    return { file: this.file, text: this.now.text, result: this.more.result };
+  }
+
+  /**
+   * @param {Part[]} path
+   * @param {any} value
+   * @param {string} [kind]
+   */
+  change(path, value, kind = "") {
+    return this.next(async () => {
+      this.take(await send("POST", "change", { ...this.said(), path, value, kind }));
+    });
+  }
+
+  /** @param {Edited} told */
+  take(told) {
+    this.now = told;
+    if (this.area.value !== told.text) this.area.value = told.text;
+    this.show();
+  }
+
+  async save() {
+    await this.last;
+    try {
+      const told = await send("PUT", "text", { ...this.said(), version: this.version });
+      this.version = told.version;
+      this.saved = told.text;
+      this.take(told);
+      say(`Saved ${this.file}.`);
+      this.more.saved?.();
+    } catch (error) {
+      if (error instanceof Refused && error.status === 409) this.conflict(error);
+      else this.notes.prepend(warning(/** @type {Error} */ (error).message));
+    }
+  }
+
+  /** @param {Refused} refused */
+  conflict(refused) {
+    const { text, version } = refused.told;
+    const theirs = make("textarea", { readonly: true, rows: 12, value: text });
+    const box = make("div", { class: "conflict" }, warning(refused.message),
+      labelled("What the file holds now", theirs),
+      make("div", { class: "row" },
+        make("button", {
+          type: "button",
+          onclick: () => {
+            this.version = version;
+            this.saved = text;
+            this.now = { ...this.now, text };
+            this.area.value = text;
+            this.textTyped();
+            box.remove();
+          },
+        }, "Take what the file holds"),
+        make("button", {
+          type: "button",
+          onclick: () => {
+            this.version = version;
+            this.saved = text;
+            box.remove();
+            this.save();
+          },
+        }, "Replace it by mine")));
+    this.notes.prepend(box);
+  }
+
+  // The form
+
+  show() {
+    const focused = /** @type {HTMLInputElement | null} */ (document.activeElement);
+    const key = focused && this.fields.contains(focused) ? focused.id : "";
+    const value = key && focused ? focused.value : "";
+    const open = new Map([...this.fields.querySelectorAll("details")].map((d) => [d.id, d.open]));
+    /** @type {Map<string, HTMLElement>} */
+    this.places = new Map();
+    this.fields.replaceChildren(...this.form.map((section) => this.section(section)));
+    this.fields.querySelectorAll("details").forEach((details) => {
+      const was = open.get(details.id);
+      if (was !== undefined) details.open = was;
+    });
+    this.showProblems();
+    this.button.disabled = !this.changed;
+    const again = key && /** @type {HTMLInputElement | null} */ (document.getElementById(key));
+    if (again) {
+      again.focus();
+      if (again.type !== "checkbox" && again.value !== value && again.tagName === "INPUT") again.value = value;
+    }
+  }
+
+  showProblems() {
+    const { problems, questions } = this.now;
+    /** @type {Node[]} */
+    const list = [];
+    for (const { key, words } of problems) {
+      let place = key;
+      while (place && !this.places?.has(place)) place = place.replace(/(\."[^"]*"|[.[][^.[]*|^[^.[]*)$/, "");
+      const field = this.places?.get(place);
+      const line = key ? `${key}: ${words}` : words;
+      if (!field) {
+        list.push(make("li", {}, line));
+        continue;
+      }
+      const id = `wrong-${key}`;
+      const control = field.querySelector("input, select, textarea");
+      control?.setAttribute("aria-invalid", "true");
+      control?.setAttribute("aria-describedby", id);
+      field.append(make("span", { class: "wrong", id }, place === key ? words : line));
+      for (let up = field.closest("details"); up; up = up.parentElement?.closest("details") ?? null) up.open = true;
+      list.push(make("li", {}, make("a", {
+        href: "#",
+        onclick: (/** @type {Event} */ event) => {
+          event.preventDefault();
+          /** @type {HTMLElement | null} */ (control)?.focus();
+        },
+      }, line)));
+    }
+    this.notes.replaceChildren(
+      problems.length ? make("div", { class: "warning" },
+        make("p", {}, problems.length === 1 ? "One mistake:" : `${problems.length} mistakes:`),
+        make("ul", {}, ...list))
+        : make("p", { class: "quiet" }, "No mistakes."),
+      ...questions.map((words) => make("p", { class: "quiet" }, words)));
+  }
+
+  /** @param {Section} section */
+  section(section) {
+    const { key, repeat } = section;
+    const value = this.now.document[key];
+    const here = value !== undefined;
+    const details = make("details", { id: `s-${key}`, open: here },
+      make("summary", {}, key.replaceAll("_", " ")),
+      section.words ? make("p", { class: "quiet" }, section.words) : null);
+    this.places?.set(key, details);
+    if (!repeat) {
+      details.append(...this.group(section.fields, [key], value ?? {}));
+    } else if (repeat === "names") {
+      for (const name of Object.keys(value ?? {})) {
+        details.append(this.entry(name, section.fields, [key, name], value[name]));
+      }
+      details.append(this.adding(key));
+    } else {
+      const entries = Array.isArray(value) ? value : [];
+      entries.forEach((entry, i) => {
+        const fields = section.of_readings && this.now.run_kinds[i] === "reading"
+          ? section.of_readings : section.fields;
+        details.append(this.entry(entry?.name ?? `${i + 1}`, fields, [key, i], entry));
+      });
+      details.append(make("button", {
+        type: "button",
+        onclick: () => this.change([key, entries.length], this.another(key, entries)),
+      }, `Add to ${key}`));
+    }
+    return details;
+  }
+
+  /**
+   * @param {string} key
+   * @param {any[]} entries
+   */
+  another(key, entries) {
+    if (key !== "runs") return {};
+    const name = `run${entries.length + 1}`;
+    const rate = entries.at(-1)?.rate;
+    return { name, ...(rate ? { rate } : {}), record: `${name}.csv` };
+  }
+
+  /**
+   * @param {string} title
+   * @param {Field[]} fields
+   * @param {Part[]} path
+   * @param {any} value
+   */
+  entry(title, fields, path, value) {
+    const box = make("details", { class: "entry", id: `s-${keyPath(path)}`, open: path[0] !== "runs" },
+      make("summary", {}, title),
+      ...this.group(fields, path, value ?? {}),
+      make("button", { type: "button", onclick: () => this.change(path, null) }, `Remove ${title}`));
+    this.places?.set(keyPath(path), box);
+    return box;
+  }
+
+  /** @param {string} key */
+  adding(key) {
+    const name = make("input", { autocomplete: "off", id: `new-${key}` });
+    return make("div", { class: "row" }, labelled("Name of another", name),
+      make("button", {
+        type: "button",
+        onclick: () => { if (name.value.trim()) this.change([key, name.value.trim()], {}); },
+      }, "Add"));
+  }
+
+  /**
+   * Those that are needed or there first, the others on demand.
+   * @param {Field[]} fields
+   * @param {Part[]} path
+   * @param {any} value
+   */
+  group(fields, path, value) {
+    const seen = fields.filter(({ key, required }) => required || value[key] !== undefined);
+    const others = fields.filter((field) => !seen.includes(field));
+    const content = [make("div", { class: "grid" },
+      ...seen.map((field) => this.field(field, [...path, field.key], value[field.key])))];
+    if (others.length) {
+      content.push(make("details", { class: "more", id: `m-${keyPath(path)}` },
+        make("summary", {}, "More keys"),
+        make("div", { class: "grid" },
+          ...others.map((field) => this.field(field, [...path, field.key], undefined)))));
+    }
+    return content;
+  }
+
+  /**
+   * @param {Field} field
+   * @param {Part[]} path
+   * @param {any} value
+   * @returns {HTMLElement}
+   */
+  field(field, path, value) {
+    const key = keyPath(path);
+    const id = `f-${key}`;
+    const name = field.key.replaceAll("_", " ");
+    /** @type {HTMLElement} */
+    let place;
+    if (field.kind === "group") {
+      place = make("fieldset", {}, make("legend", {}, name),
+        ...(value !== undefined || field.required
+          ? this.group(field.fields ?? [], path, typeof value === "object" ? value : {})
+          : this.group((field.fields ?? []).map((one) => ({ ...one, required: false })), path, {})));
+    } else if (field.kind === "table") {
+      place = this.table(name, path, value);
+    } else {
+      place = labelled(name, this.control(field, path, value, id));
+    }
+    this.places?.set(key, place);
+    return place;
+  }
+
+  /**
+   * @param {Field} field
+   * @param {Part[]} path
+   * @param {any} value
+   * @param {string} id
+   */
+  control(field, path, value, id) {
+    const { kind } = field;
+    if (kind === "flag") {
+      return make("input", {
+        id, type: "checkbox", checked: value === true,
+        onchange: (/** @type {any} */ e) => this.change(path, e.target.checked ? true : null),
+      });
+    }
+    if (kind === "choice") {
+      const select = make("select", {
+        id, onchange: (/** @type {any} */ e) => this.change(path,
+          e.target.value === "" ? null : field.choices?.[Number(e.target.value)]),
+      }, make("option", { value: "" }, ""),
+      ...(field.choices ?? []).map((choice, i) =>
+        make("option", { value: i, selected: choice === value }, choiceWords(choice))));
+      return select;
+    }
+    return make("input", {
+      id,
+      type: kind === "date" ? "date" : "text",
+      value: shown(value),
+      autocomplete: "off",
+      spellcheck: false,
+      placeholder: field.unit ? `… ${field.unit}` : null,
+      "aria-required": field.required ? "true" : null,
+      onchange: (/** @type {any} */ e) => this.change(path, typed(e.target.value, kind),
+        kind === "date" && e.target.value ? "date" : ""),
+    });
+  }
+
+  /**
+   * A table of keys that no form knows beforehand, such as priors of terms.
+   * @param {string} name
+   * @param {Part[]} path
+   * @param {any} value
+   */
+  table(name, path, value) {
+    const rows = Object.entries(typeof value === "object" && value ? value : {}).map(([key, one]) => {
+      const inner = [...path, key];
+      const place = labelled(key, make("input", {
+        id: `f-${keyPath(inner)}`, value: shown(one), autocomplete: "off", spellcheck: false,
+        onchange: (/** @type {any} */ e) => this.change(inner, typed(e.target.value, "text")),
+      }));
+      this.places?.set(keyPath(inner), place);
+      return place;
+    });
+    const key = make("input", { id: `nk-${keyPath(path)}`, autocomplete: "off" });
+    const one = make("input", { id: `nv-${keyPath(path)}`, autocomplete: "off" });
+    return make("fieldset", {}, make("legend", {}, name), ...rows,
+      make("div", { class: "row" }, labelled("Another key", key), labelled("Its value", one),
+        make("button", {
+          type: "button",
+          onclick: () => {
+            if (key.value.trim() && one.value.trim()) {
+              this.change([...path, key.value.trim()], typed(one.value, "text"));
+            }
+          },
+        }, "Add")));
+  }
+}
+
+/** The editors of a page that is left with unsaved changes. */
+let current = /** @type {Editor | null} */ (null);
+addEventListener("beforeunload", (event) => {
+  if (current?.changed && current.element.isConnected) event.preventDefault();
+});
+
+/**
+ * Make an editor that is asked about before the page is left.
+ * @param {any} told
+ * @param {{result?: string, saved?: () => void}} [more]
+ */
+export function editorOf(told, more) {
+  current = new Editor(told, more);
+  return current;
+}
+
+/** Tell whether there are changes that would be lost. */
+export const unsaved = () => Boolean(current?.changed && current.element.isConnected);
+

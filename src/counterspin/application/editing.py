@@ -1,0 +1,227 @@
+"""A file that is edited as a form and as a text, which are always the same.
+
+The text is what counts: a field that is changed changes the text, comments and order of its keys
+kept (tomlkit), and what is saved is the text.
+
+- `Edited`: a text with its document and its mistakes
+- `checked_campaign`, `checked_lab`: of a text
+- `changed`: a text with another value at a key
+"""
+
+from __future__ import annotations
+
+import copy
+import datetime
+import json
+import tomllib
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import tomlkit
+from tomlkit.exceptions import TOMLKitError
+from tomlkit.items import AoT
+
+from counterspin.application.desk import Desk
+from counterspin.application.folder import TEXT_BYTES
+from counterspin.application.form import run_kinds
+from counterspin.calibration.result import Result
+from counterspin.campaign.checking import Problems
+from counterspin.campaign.description import resolve_campaign
+from counterspin.campaign.questions import questions
+from counterspin.campaign.toml_file import parse_document
+from counterspin.certificates.lab import read_lab
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.frozen import frozen
+
+KeyPath = Sequence[str | int]
+
+#: Sections that hold tables with headings of their own; tables within others are written in line.
+_OF_TABLES: Final = ("accelerometers", "truth", "model")
+
+
+@frozen
+class Edited:
+    """A text, what it says, and what is wrong with it.
+
+    Attributes
+    ----------
+    text
+        Of the file.
+    document
+        Its tables; empty where the text is not TOML.
+    problems
+        Mistakes, each as key (empty: of the whole) and words.
+    questions
+        What may well be a slip.
+    """
+
+    text: str
+    document: dict[str, Any]
+    problems: tuple[tuple[str, str], ...] = ()
+    questions: tuple[str, ...] = ()
+
+    def shown(self) -> dict[str, Any]:
+        """Return what the page is told."""
+        return {
+            "text": self.text,
+            "document": json.loads(json.dumps(self.document, default=str)),
+            "problems": [{"key": key, "words": words} for key, words in self.problems],
+            "questions": list(self.questions),
+            "run_kinds": run_kinds(self.document),
+        }
+
+
+def checked_campaign(desk: Desk, file: Path, text: str) -> Edited:
+    """Return a campaign's text with all its mistakes.
+
+    Parameters
+    ----------
+    desk
+        What is served; files that the text names elsewhere are not read.
+    file
+        Where the text stands, or will.
+    text
+        Of a ``campaign.toml``.
+    """
+    try:
+        document = _document(text)
+        desk.require_inside(file.parent, document)
+    except CampaignError as error:
+        return Edited(text, {}, _split(error.problems))
+    problems = Problems(document)
+    campaign = resolve_campaign(document, file, problems)
+    asked = () if campaign is None else tuple(q.text for q in questions(campaign))
+    return Edited(text, document, _split(problems.lines), asked)
+
+
+def checked_lab(text: str, result: Result) -> Edited:
+    """Return the laboratory's data with all mistakes, for the certificate of a result."""
+    try:
+        document = _document(text)
+    except CampaignError as error:
+        return Edited(text, {}, _split(error.problems))
+    try:
+        read_lab(document, result)
+    except CampaignError as error:
+        return Edited(text, document, _split(error.problems))
+    return Edited(text, document)
+
+
+def _document(text: str) -> dict[str, Any]:
+    content = text.encode("utf-8", "replace")
+    if len(content) > TEXT_BYTES:
+        raise CampaignError("the text", [f"has more than {TEXT_BYTES} bytes"])
+    return parse_document(content, "the text")
+
+
+def _split(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Return mistakes as key and words; a mistake of the whole has no key."""
+    split = []
+    for problem in problems:
+        key, colon, words = problem.partition(": ")
+        is_key = bool(colon) and " " not in key.split('"')[0]
+        split.append((key, words) if is_key else ("", problem))
+    return tuple(split)
+
+
+def changed(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
+    """Return a text with another value at a key; all else stays as it is written.
+
+    Parameters
+    ----------
+    text
+        TOML.
+    path
+        Names of tables and places in lists; the place after the last adds one.
+    value
+        The new value; None takes the key, or the list's entry, out.
+    kind
+        ``date``: the value is a date as text.
+
+    Raises
+    ------
+    CounterspinError
+        If the text is no TOML, or so written that this cannot be done; the text itself can be
+        edited then.
+    """
+    if not path:
+        raise CounterspinError("no key is named")
+    if kind == "date" and value is not None:
+        try:
+            value = datetime.date.fromisoformat(value)
+        except (TypeError, ValueError) as error:
+            raise CounterspinError(f"{value!r} is no date: write 2026-03-01") from error
+    said = _document(text)
+    try:
+        wanted = _with(said, path, value)
+        document = tomlkit.parse(text)
+        _set(document, path, value)
+        made = tomlkit.dumps(document)
+        same = tomllib.loads(made) == wanted
+    except (TOMLKitError, LookupError, TypeError, ValueError, AttributeError) as error:
+        raise CounterspinError(_NOT_HERE) from error
+    if not same:
+        raise CounterspinError(_NOT_HERE)
+    return made
+
+
+_NOT_HERE: Final = (
+    "The file is written in a way that this field cannot change; change it in the text beside it."
+)
+
+
+def _with(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]:
+    """Return what the changed text must say."""
+    wanted = copy.deepcopy(document)
+    place: Any = wanted
+    for part, following in pairwise(path):
+        place = _inside(place, part, {} if isinstance(following, str) else [])
+    _put(place, path[-1], value)
+    return wanted
+
+
+def _set(document: tomlkit.TOMLDocument, path: KeyPath, value: Any) -> None:
+    """Change a document that keeps how it is written."""
+    place: Any = document
+    for depth, (part, following) in enumerate(pairwise(path)):
+        headed = depth == 0 or (depth == 1 and path[0] in _OF_TABLES)
+        empty: Any = tomlkit.aot()
+        if isinstance(following, str):
+            empty = tomlkit.table(depth == 0 and part in _OF_TABLES) if headed else None
+            empty = tomlkit.inline_table() if empty is None else empty
+        place = _inside(place, part, empty)
+    if isinstance(value, dict) and _is_headed(place, path):
+        table = tomlkit.table()
+        table.update(value)
+        table.add(tomlkit.nl())
+        value = table
+    _put(place, path[-1], value)
+
+
+def _is_headed(place: Any, path: KeyPath) -> bool:
+    """Tell whether a table that is put there gets a heading of its own."""
+    if isinstance(path[-1], int):
+        return isinstance(place, AoT)
+    return len(path) <= (2 if path[0] in _OF_TABLES else 1)
+
+
+def _inside(place: Any, part: str | int, empty: Any) -> Any:
+    """Return what stands at a key or place; where nothing does, an empty one that is put there."""
+    if isinstance(part, int):
+        if part == len(place):
+            place.append(empty)
+    elif part not in place:
+        place[part] = empty
+    return place[part]
+
+
+def _put(place: Any, last: str | int, value: Any) -> None:
+    if value is None:
+        if isinstance(last, int) or last in place:
+            del place[last]
+    elif isinstance(last, int) and last == len(place):
+        place.append(value)
+    else:
+        place[last] = value

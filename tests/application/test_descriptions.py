@@ -1,0 +1,83 @@
+"""Descriptions as form and text: mistakes at their keys, and no lost edit."""
+
+FILE = "three/campaign.toml"
+
+
+def mistakes(told):
+    return [(one["key"], one["words"]) for one in told["problems"]]
+
+
+def test_a_description_with_its_form_and_version(page, folder):
+    told = page.get("/api/description", params={"name": "three"}).json()
+    assert told["text"] == (folder / FILE).read_text()
+    assert told["document"]["runs"][0]["name"] == "slow"
+    assert told["problems"] == []
+    assert any("without an uncertainty" in words for words in told["questions"])
+    assert told["form"][0]["key"] == "campaign"
+
+
+def test_all_mistakes_are_at_their_keys(page, folder):
+    text = (folder / FILE).read_text()
+    wrong = text.replace('"2.5 m"', '"2.5 kg"').replace("latitude", "latitud")
+    wrong = wrong.replace('rate = "1 rev/s"', 'rate = "1 Hz"')
+    told = page.post("/api/check", json={"file": FILE, "text": wrong}).json()
+    assert {key for key, _ in mistakes(told)} == {
+        "site.latitude",
+        "site.latitud",
+        "centrifuge.radius",
+        "runs[2].rate",
+    }
+    assert (folder / FILE).read_text() == text
+    told = page.post("/api/check", json={"file": FILE, "text": "a = 1 2"}).json()
+    ((key, words),) = mistakes(told)
+    assert (key, told["document"]) == ("", {})
+    assert words.startswith("line 1")
+
+
+def test_a_field_changes_the_text_and_nothing_is_written_before_it_is_saved(page, folder):
+    seen = page.get("/api/description", params={"name": "three"}).json()
+    change = {"path": ["centrifuge", "radius"], "value": "3 m"}
+    told = page.post("/api/change", json={"file": FILE, "text": seen["text"]} | change).json()
+    assert told["text"] == seen["text"].replace('"2.5 m"', '"3 m"')
+    assert (folder / FILE).read_text() == seen["text"]
+    save = {"file": FILE, "text": told["text"], "version": seen["version"]}
+    saved = page.put("/api/text", json=save).json()
+    assert (folder / FILE).read_text() == told["text"]
+    # Another window, which still has the first version.
+    late = page.put("/api/text", json=save | {"text": "mine"})
+    assert late.status_code == 409
+    assert late.json()["text"] == told["text"]
+    assert late.json()["version"] == saved["version"]
+    assert (folder / FILE).read_text() == told["text"]
+
+
+def test_only_descriptions_and_the_laboratory_s_data_are_written(page, folder):
+    for file, status in (
+        ("three/slow.csv", 403),
+        ("three/other.toml", 403),
+        ("../x.toml", 403),
+        ("new/campaign.toml", 200),
+    ):
+        said = {"file": file, "text": "schema = 1\n", "version": ""}
+        assert page.put("/api/text", json=said).status_code == status
+    assert (folder / "new" / "campaign.toml").read_text() == "schema = 1\n"
+
+
+def test_a_text_that_names_files_elsewhere_reads_none_of_them(page, folder):
+    (folder.parent / "outside.csv").write_text("name,g\n1,2\n")
+    text = (folder / FILE).read_text() + '\n[readings]\nfile = "../../outside.csv"\n'
+    told = page.post("/api/check", json={"file": FILE, "text": text}).json()
+    ((key, words),) = mistakes(told)
+    assert key == "readings.file"
+    assert "not in the folder that is served" in words
+
+
+def test_the_laboratory_s_data_begin_with_the_example(page, folder):
+    query = {"file": "LAB.toml", "result": "three/result.json"}
+    told = page.get("/api/lab", params=query).json()
+    assert (told["version"], told["problems"]) == ("", [])
+    change = {"text": told["text"], "path": ["certificate", "end"], "value": "2025-01-01"}
+    wrong = page.post("/api/change", json=query | change | {"kind": "date"}).json()
+    assert mistakes(wrong) == [("certificate.end", "lies before certificate.begin")]
+    assert page.put("/api/text", json=query | {"text": told["text"], "version": ""}).is_success
+    assert (folder / "LAB.toml").read_text() == told["text"]
