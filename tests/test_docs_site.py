@@ -78,10 +78,31 @@ def test_every_command_and_option_is_told():
     assert "`--accept-misfit STR`" in page
 
 
-@pytest.mark.parametrize("page", ["commands", "api", "api-parts"])
+@pytest.mark.parametrize("page", ["commands", "api", "api-parts", "trust"])
 def test_pages_are_filled(page):
     text = (DOCS / f"{page}.md").read_text(encoding="utf-8")
-    assert len(FROM_CODE["filled"](text)) > len(text) + 2000
+    filled = FROM_CODE["filled"](text)
+    assert len(filled) > len(text) + 800
+    assert "made from the code:" not in filled
+
+
+def test_the_page_on_trust_has_the_coverage_and_names_what_exists():
+    text = (DOCS / "trust.md").read_text(encoding="utf-8")
+    assert FROM_CODE["coverage"]().count("\n| joint |") >= 10
+    assert "\n| joint | displacement | white, stated |" in FROM_CODE["filled"](text)
+    named = re.findall(r"`(tests/[\w/.]+)`", text)
+    assert len(named) > 10
+    for path in named:
+        assert (DOCS.parent / path).exists(), path
+
+
+def test_the_page_on_trust_states_the_digits_that_are_tested():
+    """Pontius, Longley and Filip: the fewest right digits of an estimate."""
+    tests = (DOCS.parent / "tests" / "published" / "test_nist_strd.py").read_text(encoding="utf-8")
+    digits = re.findall(r"digits\(result\.estimate.*> ([\d.]+)", tests)
+    text = (DOCS / "trust.md").read_text(encoding="utf-8")
+    told = re.search(r"Pontius to (\S+) digits, Longley to (\S+), Filip, .*, to (\S+) \|", text)
+    assert [float(one) for one in told.groups()] == [float(one) for one in digits]
 
 
 def test_the_extensions_read_without_sphinx():

@@ -1,8 +1,9 @@
 """The parts of the reference that the code itself says: its commands and its public names.
 
-A page has them where it says ``<!-- made from the code: commands -->``, ``... public names -->`` or
-``... parts -->``. Groups and order of the names are those of the package's docstring, and what
-their objects are made of follows from the types that these state: no name is written twice.
+A page has them where it says ``<!-- made from the code: commands -->``, ``... public names -->``,
+``... parts -->`` or ``... coverage -->``. Groups and order of the names are those of the package's
+docstring, and what their objects are made of follows from the types that these state: no name is
+written twice.
 
 - `filled`: a page with what the code says in its place
 - `groups`, `parts`: the public names, and the classes of which their objects are made
@@ -16,6 +17,7 @@ from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from itertools import pairwise
+from pathlib import Path
 from types import ModuleType
 from typing import Any
 
@@ -154,7 +156,18 @@ def parts_of_objects() -> str:
     return "\n".join(_section(f"counterspin.{room}", rooms[room]) for room in sorted(rooms))
 
 
-_MADE = {"commands": commands, "public names": public_names, "parts": parts_of_objects}
+def coverage() -> str:
+    """Return the tables of how often intervals hold, as the page on methods has them."""
+    page = (Path(__file__).parents[1] / "methods.md").read_text(encoding="utf-8")
+    return "\n".join(re.findall(r"^<!-- \w*coverage -->\n(.*?)^<!-- /", page, re.M | re.DOTALL))
+
+
+_MADE = {
+    "commands": commands,
+    "public names": public_names,
+    "parts": parts_of_objects,
+    "coverage": coverage,
+}
 
 
 def filled(page: str) -> str:
