@@ -76,8 +76,8 @@ def _unforeseen(error: Exception) -> str:
         return str(CounterspinError(f"{where}the operating system refuses: {error.strerror}"))
     what = str(CounterspinError(f"{type(error).__name__}: {error}"))
     return (
-        f"internal error ({what}). This is a fault of counterspin, not "
-        "of your files: please report it, with the output that COUNTERSPIN_DEBUG=1 gives."
+        f"internal error ({what}). This is a fault of counterspin, not of your files. Whoever "
+        "maintains your copy can mend it with the output that COUNTERSPIN_DEBUG=1 gives."
     )
 
 
