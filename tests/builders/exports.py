@@ -9,9 +9,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
+import h5py
 import numpy as np
 import polars as pl
 from campaigns import PLACE, changed, runs, write
+from nptdms import ChannelObject, TdmsWriter
+from scipy.io import savemat
+from workbooks import write_workbook
 
 from counterspin.campaign.simulation import simulate
 
@@ -97,6 +101,33 @@ def _pulses(frame: pl.DataFrame, path: Path) -> None:
     frame.drop("angle_rad").with_columns(index=pl.Series(column)).write_csv(path)
 
 
+def _excel(frame: pl.DataFrame, path: Path) -> None:
+    head = [["Test 12", None, None], [None] * 3, [*frame.columns], ["s", "rad", "m"]]
+    write_workbook(path, {"About": [["by nobody"]], "Run": [*head, *map(list, frame.rows())]})
+
+
+def _tdms(frame: pl.DataFrame, path: Path) -> None:
+    channels = [
+        ChannelObject("Measurement", name, frame[name].to_numpy(), {"unit_string": unit})
+        for name, unit in zip(frame.columns, ("s", "rad", "m"), strict=True)
+    ]
+    other = ChannelObject("Events", "time_s", np.array([1.0]))
+    with TdmsWriter(path) as file:
+        file.write_segment([*channels, other])
+
+
+def _matlab(frame: pl.DataFrame, path: Path) -> None:
+    data = {name: frame[name].to_numpy() for name in frame.columns}
+    savemat(path, {"run1": {"about": "a test", "data": data}, "comment": "text"})
+
+
+def _hdf5(frame: pl.DataFrame, path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        file["about/version"] = 3
+        for name in frame.columns:
+            file[f"run1/data/{name}"] = frame[name].to_numpy()
+
+
 @dataclass(frozen=True)
 class Export:
     write: Callable[[pl.DataFrame, Path], None]
@@ -110,6 +141,16 @@ EXPORTS = {
     "labview": Export(_labview, ending=".txt"),
     "units row": Export(_units_row, '{ column = "time_s" }', '{ column = "angle_rad" }'),
     "time stamps": Export(_stamps, '{ column = "time_s", unit = "iso" }'),
+    "excel": Export(_excel, other='sheet = "Run"', ending=".xlsx"),
+    "tdms": Export(
+        _tdms,
+        '{ column = "time_s" }',
+        '{ column = "angle_rad" }',
+        other='group = "Measurement"',
+        ending=".tdms",
+    ),
+    "matlab": Export(_matlab, other='group = "run1.data"', ending=".mat"),
+    "hdf5": Export(_hdf5, other='group = "run1/data"', ending=".h5"),
     "clockwise from north": Export(
         _clockwise,
         angle='{ column = "angle_rad", unit = "deg", sense = "clockwise", zero = "north" }',

@@ -10,6 +10,9 @@ import scipy.sparse
 from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
 from scipy.io import savemat
 
+from counterspin.records.dialect import Dialect
+from counterspin.records.record import ColumnSpec
+
 
 def test_datasets_without_any_space(tmp_path):
     with h5py.File(tmp_path / "run.h5", "w") as file:
@@ -120,3 +123,25 @@ def test_columns_of_other_kinds_are_named(tmp_path):
     columns = table()
     savemat(tmp_path / "run.mat", {**columns, SIGNAL: scipy.sparse.csc_matrix(columns[SIGNAL])})
     assert f"'{SIGNAL}' does not hold numbers" in refusal(tmp_path / "run.mat")
+
+
+def test_columns_of_a_group_or_a_structure_by_path(tmp_path):
+    columns = table()
+    with h5py.File(tmp_path / "a.h5", "w") as file:
+        file["other"] = [1.0]
+        for name, values in columns.items():
+            file[f"run/data/{name}"] = values
+    savemat(tmp_path / "five.mat", {"run": {"data": columns, "about": "x"}, "other": 1.0})
+    with h5py.File(tmp_path / "seven.mat", "w") as file:
+        file["#refs#/a"] = [1.0]
+        file["other"] = [1.0]
+        for name, values in columns.items():
+            file[f"run/data/{name}"] = values[None, :]
+    for name, mark in (("a.h5", "/"), ("five.mat", "."), ("seven.mat", ".")):
+        path, group = tmp_path / name, f"run{mark}data"
+        record = read(path, dialect=Dialect(group=group))
+        np.testing.assert_array_equal(record.signals["Qx"], columns[SIGNAL])
+        long = {"time": ColumnSpec(f"{group}{mark}{TIME}"), "angle": None}
+        long["signals"] = {"Qx": ColumnSpec(f"{group}{mark}{SIGNAL}")}
+        np.testing.assert_array_equal(read(path, **long).time, columns[TIME])
+        assert "no group 'runs' with columns" in refusal(path, dialect=Dialect(group="runs"))

@@ -4,12 +4,15 @@ import builtins
 import sys
 import zipfile
 
+import numpy as np
 import pytest
+from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
 from workbooks import write_workbook
 
 from counterspin.errors import DamagedFileError, RecordError
 from counterspin.records.excel_file import excel_table
 from counterspin.records.isolation import is_isolated
+from counterspin.records.record import ColumnSpec
 from counterspin.records.tables import places, read_table
 
 ROWS = [
@@ -78,3 +81,26 @@ def test_without_its_reader_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(RecordError, match=r"pip install 'counterspin\[excel\]', or save"):
         excel_table(path)
+
+
+def test_a_sheet_is_read_as_a_record(tmp_path):
+    """Rows above the names, units below them, an empty cell, time stamps as text."""
+    columns = table(n=400)
+    stamps = [f"2026-03-01 12:00:{t:09.6f}" for t in columns[TIME]]
+    rows = list(
+        map(list, zip(stamps, columns[ANGLE].tolist(), columns[SIGNAL].tolist(), strict=True))
+    )
+    rows[7][2] = None
+    head = [["about", None, None], [None] * 3, [TIME, ANGLE, SIGNAL], [None, "rad", "m"]]
+    path = write_workbook(tmp_path / "r.xlsx", {"Notes": [["x"]], "Run": [*head, *rows]})
+    time = ColumnSpec(TIME, kind="stamps")
+    record = read(path, time=time)
+    np.testing.assert_allclose(record.time, columns[TIME], atol=1e-6)
+    expected = np.where(np.arange(400) == 7, np.nan, columns[SIGNAL])
+    np.testing.assert_array_equal(record.signals["Qx"], expected)
+    assert record.report.found == "sheet 'Run', names in row 3, a row of units"
+    rows[200][1] = "oops"
+    write_workbook(path, {"Run": [*head, *rows]})
+    assert f"row 205: column '{ANGLE}' holds the text 'oops'" in refusal(path, time=time)
+    write_workbook(path, {"Run": [["only", "words"]] * 5})
+    assert "no rows of numbers" in refusal(path)

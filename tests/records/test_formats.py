@@ -43,7 +43,7 @@ def test_missing_file_directory_and_unknown_kind(tmp_path):
     assert "no such file" in refusal(tmp_path / "none.csv")
     (tmp_path / "folder.csv").mkdir()
     assert "directory" in refusal(tmp_path / "folder.csv")
-    assert ".parquet" in refusal(tmp_path / "run.xlsx")
+    assert ".parquet" in refusal(tmp_path / "run.docx")
 
 
 @pytest.mark.parametrize("name", ["run.csv", "run.parquet", "run.h5", "run.mat"])

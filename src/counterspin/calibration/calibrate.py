@@ -136,16 +136,17 @@ def _provenance(
     for run in observed:
         if run.record.identity is None:
             continue
-        if checksums.identity(run.run.record) != run.record.identity:
-            raise RecordError(
-                f"{run.run.record}: the file was changed while the campaign was calibrated; the "
-                "result would state the checksum of another. Wait until it is complete."
-            )
+        for file, identity in {run.run.record: run.record.identity, **run.record.others}.items():
+            if checksums.identity(file) != identity:
+                raise RecordError(
+                    f"{file}: the file was changed while the campaign was calibrated; the "
+                    "result would state the checksum of another. Wait until it is complete."
+                )
     description, checksum, how = _described(campaign)
     inputs = {description: checksum}
     in_memory = {description: how} if how else {}
     files = []
-    for file in (*(run.record for run in campaign.runs), *campaign.tables):
+    for file in (*(file for run in campaign.runs for file in run.files), *campaign.tables):
         if isinstance(record := campaign.record_at(file), Path):
             files.append(file)
         else:

@@ -156,6 +156,8 @@ def record_columns(campaign: Campaign, run: Run) -> RecordColumns:
         {name: a.channel.spec(gravity) for name, a in campaign.accelerometers.items()},
         recording.dialect,
         run.part,
+        run.continued_in,
+        run.pulses,
     )
 
 

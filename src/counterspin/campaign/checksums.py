@@ -63,7 +63,7 @@ class Checksums:
         with suppress(CampaignError, OSError, TypeError, ValueError, LookupError):
             file = description_file(where).absolute()
             runs = load_document(file)["runs"]
-            records = [file.parent / run["record"] for run in runs]
+            records = [file.parent / run["record"] for run in runs if not run.get("skip")]
             self._begin([file, *records])
             return records
         return []

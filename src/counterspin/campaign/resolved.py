@@ -239,6 +239,10 @@ class Run:
         How its record is read; None: as the campaign's others.
     part
         From where to where the record is used, s in its own time.
+    continued_in
+        Files in which the record goes on.
+    pulses
+        The file with the times of its pulses; None: they are in the record, if anywhere.
     """
 
     name: str
@@ -251,6 +255,13 @@ class Run:
     time: float | None = None
     recording: Recording | None = None
     part: tuple[float, float] = (-math.inf, math.inf)
+    continued_in: tuple[Path, ...] = ()
+    pulses: Path | None = None
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All its files, the record first."""
+        return (self.record, *self.continued_in, *([self.pulses] if self.pulses else []))
 
 
 @frozen

@@ -138,6 +138,7 @@ def resolve_runs(
         settings = problems.check(RunSettings, raw, path)
         if settings is None:
             continue
+        _check_files(settings, path, problems)
         warmth = problems.attempt((*path, "temperature"), read_temperature, settings.temperature)
         duration = _duration(settings, defaults, path, problems)
         resolved.append(
@@ -152,6 +153,8 @@ def resolve_runs(
                 time=settings.time,
                 recording=_own_recording(settings, defaults, path, problems),
                 part=_part(settings, path, problems),
+                continued_in=tuple(defaults.folder / name for name in settings.continued_in),
+                pulses=defaults.folder / settings.pulses if settings.pulses else None,
             )
         )
     return resolved
@@ -159,7 +162,17 @@ def resolve_runs(
 
 def _files(raw: Mapping[str, Any]) -> list[tuple[str, Any]]:
     """Return the files that a run names, with their keys."""
-    return [("record", raw.get("record"))]
+    more = raw.get("continued_in")
+    names = [("continued_in", name) for name in (more if isinstance(more, list) else [])]
+    return [("record", raw.get("record")), *names, ("pulses", raw.get("pulses"))]
+
+
+def _check_files(settings: RunSettings, path: KeyPath, problems: Problems) -> None:
+    ending = Path(settings.record).suffix.lower()
+    for place, name in enumerate(settings.continued_in):
+        if Path(name).suffix.lower() != ending:
+            words = f"must end in {ending}, as the record does"
+            problems.add((*path, "continued_in", place), words)
 
 
 def _once(value: Any, seen: dict[str, int], path: KeyPath, problems: Problems) -> None:
@@ -235,6 +248,8 @@ def refuse_unwritable(campaign: Campaign) -> None:
     if campaign.time.kind == "rows" and campaign.runs:
         problems.append("records.time: simulated records have a column of the time")
     for run in campaign.runs:
+        if len(run.files) > 1:
+            problems.append(f'run "{run.name}": a simulated record is one file')
         if run.recording is not None:
             problems.append(f'run "{run.name}": all simulated records are read alike')
     if problems:

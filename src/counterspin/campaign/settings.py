@@ -519,6 +519,8 @@ class RunSettings(SettingsSection):
     revolutions: PositiveRatio | None = None
     temperature: Text | None = None
     time: Annotated[float, read_exactly("s")] | None = None
+    continued_in: list[Annotated[Text, AfterValidator(_record)]] = []
+    pulses: Annotated[Text, AfterValidator(_record)] | None = None
     records: dict[str, Any] | None = None
     skip: bool = False
     start: Annotated[float, read_exactly("s")] | None = None

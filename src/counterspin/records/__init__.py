@@ -2,8 +2,8 @@
 
 - `reading`: `read_record`, from a run's file to samples or block means, checked and cleaned
 - `record`: the columns asked for, the stated motion, and the record that comes out
-- `formats`, `column_file`, `csv_file`, `parquet_file`, `array_files`, `excel_file`: the files, by
-  format
+- `formats`, `column_file`, `csv_file`, `parquet_file`, `array_files`, `excel_file`, `tdms_file`:
+  the files, by format
 - `dialect`, `stamps`: how files of text are written, and time stamps in them
 - `run_file`: the files of one run as one, with the time and the angle that no file has
 - `pieces`, `clock`, `clock_faults`, `spikes`, `reduction`, `amplitude`: the steps of reading, in

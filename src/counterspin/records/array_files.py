@@ -42,6 +42,8 @@ _MATLAB_NUMBERS = {"double", "single", "logical"} | {
 class ArrayFile(ColumnFile):
     """A file of named arrays."""
 
+    _full: dict[str, str]  # name, within its group or not -> its path
+
     @abstractmethod
     def _arrays(self, wanted: Sequence[str]) -> AbstractContextManager[Mapping[str, Any]]:
         """Open the wanted arrays; they have a dtype and a shape, and can be sliced."""
@@ -49,6 +51,37 @@ class ArrayFile(ColumnFile):
     @abstractmethod
     def _shape(self, name: str) -> tuple[int, ...] | None:
         """Return an array's shape; RecordError unless it holds numbers, in this very file."""
+
+    def _name(
+        self, paths: Sequence[str], group: str | None, *, mark: str, within: str = "/"
+    ) -> None:
+        """Name the columns within a group: the one that is asked for, or the only one there is.
+
+        Parameters
+        ----------
+        paths
+            Of all columns, their parts joined by `within`.
+        group
+            Its path, its parts joined by `mark`; None: none is asked for.
+        mark, within
+            What parts are joined by, in names and in paths.
+        """
+        if group is None:
+            groups = {path.rpartition(within)[0] for path in paths}
+            start = groups.pop() if len(groups) == 1 else ""
+        else:
+            start = group.strip(mark).replace(mark, within)
+        start = f"{start}{within}" if start else ""
+        inside = [path for path in paths if path.startswith(start)]
+        short = {path[len(start) :].replace(within, mark): path for path in inside}
+        if group is not None and not short:
+            raise RecordError(f"{self.path}: there is no group '{group}' with columns in it.")
+        self.names = list(short)
+        # The whole path does as well.
+        self._full = {path.replace(within, mark): path for path in paths} | short
+
+    def _has(self, name: str) -> bool:
+        return name in self._full
 
     def _require(self, wanted: Sequence[str]) -> None:
         lengths = {}
@@ -69,12 +102,29 @@ class ArrayFile(ColumnFile):
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         with self._arrays(wanted) as arrays:
             for name, array in arrays.items():
-                if array.dtype.kind not in "fiu":
+                if name in self.stamps and array.dtype.kind != "M":
+                    raise RecordError(
+                        f"{self.path}: '{name}' holds no time stamps that can be read here; "
+                        "export the time in seconds."
+                    )
+                if name not in self.stamps and array.dtype.kind not in "fiub":
                     raise RecordError(f"{self.path}: '{name}' does not hold numbers.")
             length = max((array.size for array in arrays.values()), default=0)
             for start in range(0, length, _BATCH_ROWS):
                 stop = min(start + _BATCH_ROWS, length)
-                yield {name: _slice(array, start, stop) for name, array in arrays.items()}
+                yield {
+                    name: self._moments(array, start, stop)
+                    if name in self.stamps
+                    else _slice(array, start, stop)
+                    for name, array in arrays.items()
+                }
+
+    def _moments(self, array: Any, start: int, stop: int) -> np.ndarray:
+        """Return stamps as seconds after the first one."""
+        import polars as pl
+
+        stamps = np.asarray(array[start:stop]).astype("datetime64[ns]").astype(np.int64)
+        return self.seconds(pl.Series(stamps))
 
     def _table(self) -> pl.DataFrame:
         """Return all arrays of the file, which must be columns of numbers, equally long."""
@@ -102,11 +152,7 @@ class Hdf5File(ArrayFile):
         if path.suffix.lower() == ".mat":
             # MATLAB's own are no columns; its structures are groups, whose fields it parts by dots.
             full = [name for name in full if not name.startswith("#")]
-        mark = "." if path.suffix.lower() == ".mat" else "/"
-        self._full = named_within(full, dialect.group, mark)
-        self.names = list(self._full)
-        if not self.names and dialect.group is not None:
-            raise RecordError(f"{path}: there is no group '{dialect.group}' with columns in it.")
+        self._name(full, dialect.group, mark="." if path.suffix.lower() == ".mat" else "/")
 
     def _shape(self, name: str) -> tuple[int, ...] | None:
         import h5py
@@ -159,8 +205,7 @@ class MatlabFile(ArrayFile):
         for name, (_, kind) in list(self._variables.items()):
             if kind == "struct":
                 self._open_structure(name)
-        self._full = named_within(list(self._variables), dialect.group, ".", within=".")
-        self.names = list(self._full)
+        self._name(list(self._variables), dialect.group, mark=".", within=".")
 
     def _open_structure(self, name: str) -> None:
         """Put the fields of a structure in its place, by their paths."""
@@ -210,33 +255,6 @@ def matlab_or_hdf5(path: Path, stream: BinaryIO, dialect: Dialect) -> ArrayFile:
     import h5py
 
     return (Hdf5File if h5py.is_hdf5(path) else MatlabFile)(path, stream, dialect)
-
-
-def named_within(
-    full: Sequence[str], group: str | None, mark: str, within: str = "/"
-) -> dict[str, str]:
-    """Return names -> paths of the columns in a group, or in the only one there is, or of all.
-
-    Parameters
-    ----------
-    full
-        Paths, their parts joined by `within`.
-    group
-        A path, its parts joined by `mark`.
-    mark, within
-        What parts are joined by, in names and in paths.
-    """
-    if group is None:
-        groups = {path.rpartition(within)[0] for path in full}
-        start = f"{groups.pop()}{within}" if len(groups) == 1 else ""
-    else:
-        start = group.strip(mark).replace(mark, within) + within
-    start = start.removeprefix(within)
-    named = {
-        path[len(start) :].replace(within, mark): path for path in full if path.startswith(start)
-    }
-    # The whole path does as well.
-    return named | {path.replace(within, mark): path for path in full if group is None}
 
 
 def _inflated_bytes(stream: BinaryIO) -> int:

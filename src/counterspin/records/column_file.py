@@ -18,6 +18,7 @@ from counterspin.input import FileIdentity
 from counterspin.records.pieces import Columns, column_rows, joined
 
 if TYPE_CHECKING:
+    import numpy as np
     import polars as pl
 
 #: A cell's values of 8 bytes may take this many times the file's size, packed as they may be: an
@@ -136,11 +137,14 @@ class ColumnFile(ABC):
 
     def require(self, wanted: Sequence[str]) -> None:
         """Raise `RecordError` unless the file has the wanted columns and they can hold numbers."""
-        missing = [name for name in wanted if name not in self.names]
+        missing = [name for name in wanted if not self._has(name)]
         if missing:
             raise RecordError(f"{self.path}: {self._missing_words(missing)}")
         with record_errors(self.path):
             self._require(wanted)
+
+    def _has(self, name: str) -> bool:
+        return name in self.names
 
     def batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         """Yield the wanted columns, which `require` has passed, in consecutive batches."""
@@ -190,6 +194,15 @@ class ColumnFile(ABC):
     def look_closely(self) -> bool:
         """Read with more patience from now on, if there is such a way that was not taken yet."""
         return False
+
+    def seconds(self, stamps: pl.Series) -> np.ndarray:
+        """Return time stamps, ns with gaps, as seconds after the first one of the file."""
+        known = stamps.drop_nulls()
+        if self.first_stamp is None and len(known):
+            self.first_stamp = int(known[0])
+        # Whole numbers first: seconds since 1970 have digits for no more than microseconds.
+        after = (stamps - (self.first_stamp or 0)).to_numpy().astype(float)
+        return after * 1e-9
 
     @abstractmethod
     def _require(self, wanted: Sequence[str]) -> None:

@@ -270,10 +270,7 @@ class CsvFile(ColumnFile):
             if frame.select(self._bad(name)).to_series().any():
                 raise RecordError(f"{self.path}: a cell is no time.")
             times = frame.select(nanoseconds(name)).to_series()
-            if self.first_stamp is None and (first := times.drop_nulls()).len():
-                self.first_stamp = int(first[0])
-            seconds = (times - (self.first_stamp or 0)).cast(pl.Float64()) * 1e-9
-            frame = frame.with_columns(seconds.alias(name))
+            frame = frame.with_columns(pl.Series(name, self.seconds(times)))
         return frame
 
     def _refuse_bad_lines(self) -> None:

@@ -1,18 +1,23 @@
 """Tables in Excel workbooks (.xlsx), read with the extra ``excel``.
 
 - `excel_table`: one sheet, its first row the names of the columns
+- `ExcelFile`: one sheet as a record, in the dialects of `dialect`
 """
 
 from __future__ import annotations
 
 import io
 import zipfile
+from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
 from counterspin.errors import DamagedFileError, RecordError
 from counterspin.input import read_file
-from counterspin.records.column_file import quoted, record_errors
+from counterspin.records.column_file import ColumnFile, quoted, record_errors
+from counterspin.records.dialect import EMPTY_WORDS, HEAD_LINES, Dialect, find_rows
+from counterspin.records.pieces import Columns
+from counterspin.records.stamps import nanoseconds
 
 if TYPE_CHECKING:
     import polars as pl
@@ -40,29 +45,12 @@ def excel_table(path: Path, sheet: str | None = None, content: bytes | None = No
         package that reads it is not installed.
     """
     with record_errors(path):
-        try:
-            import fastexcel
-            import polars as pl
-        except ModuleNotFoundError:
-            raise RecordError(
-                f"{path}: Excel files need the package fastexcel. Install it with pip install "
-                "'counterspin[excel]', or save the table as CSV."
-            ) from None
         content = read_file(path) if content is None else content
-        _require_size(path, content)
-        book = fastexcel.read_excel(content)
-        names = book.sheet_names
-        if sheet is None:
-            # A workbook may come with empty sheets.
-            full = [name for name in names if book.load_sheet(name).height > 0]
-            if len(full) != 1:
-                held = f"the sheets {quoted(full)} hold rows; name one" if full else "it has none"
-                raise RecordError(f"{path}: which sheet is the table: {held}.")
-            sheet = full[0]
-        elif sheet not in names:
-            raise RecordError(f"{path}: there is no sheet '{sheet}'; it has {quoted(names)}.")
+        book, sheet = _sheet_of(path, sheet, content)
+        import polars as pl
+
         # A type that is guessed from the first rows breaks on a column that looks whole there.
-        table = book.load_sheet(sheet, schema_sample_rows=None).to_polars()
+        table: pl.DataFrame = book.load_sheet(sheet, schema_sample_rows=None).to_polars()
         mixed = [name for name, kind in table.schema.items() if kind == pl.String()]
         if mixed:
             # Among text the reader rounds numbers to nine decimals.
@@ -71,6 +59,114 @@ def excel_table(path: Path, sheet: str | None = None, content: bytes | None = No
             exact = numbers.cast(pl.String())
             table = table.with_columns(exact[name].fill_null(table[name]) for name in mixed)
         return table
+
+
+def _sheet_of(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str]:
+    """Return the workbook and the name of the sheet that is asked for."""
+    try:
+        import fastexcel
+    except ModuleNotFoundError:
+        raise RecordError(
+            f"{path}: Excel files need the package fastexcel. Install it with pip install "
+            "'counterspin[excel]', or save the table as CSV."
+        ) from None
+    _require_size(path, content)
+    book = fastexcel.read_excel(content)
+    names = book.sheet_names
+    if sheet is None:
+        # A workbook may come with empty sheets.
+        full = [name for name in names if book.load_sheet(name).height > 0]
+        if len(full) != 1:
+            held = f"the sheets {quoted(full)} hold rows; name one" if full else "it has none"
+            raise RecordError(f"{path}: which sheet is the table: {held}.")
+        sheet = full[0]
+    elif sheet not in names:
+        raise RecordError(f"{path}: there is no sheet '{sheet}'; it has {quoted(names)}.")
+    return book, sheet
+
+
+class ExcelFile(ColumnFile):
+    """One sheet of a workbook: names, perhaps below other rows, perhaps units, then rows.
+
+    Parameters
+    ----------
+    path, stream
+        As of `ColumnFile`.
+    dialect
+        How it is written, as far as that is known.
+    """
+
+    def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect) -> None:
+        super().__init__(path, stream)
+        self._book, self._sheet = _sheet_of(path, dialect.sheet, self.content())
+        lines = HEAD_LINES + (dialect.skip_lines or 0)
+        head = self._loaded("string", 0, lines).rows()
+        parted = [
+            (number, ["" if cell is None else cell.strip() for cell in row])
+            for number, row in enumerate(head, 1)
+        ]
+        found = find_rows(parted, dialect, ".")
+        if found is None:
+            raise RecordError(
+                f"{path}: in the sheet '{self._sheet}' no rows of numbers stand below names."
+            )
+        self._layout = found[1]
+        self.names = list(self._layout.names)
+        self.units = dict(zip(self._layout.names, self._layout.units, strict=True))
+        self.units_row = self._layout.units_row
+        self.found = ", ".join(
+            [f"sheet '{self._sheet}'"] * (len(self._book.sheet_names) > 1)
+            + [f"names in row {self._layout.header}"] * (self._layout.header > 1)
+            + ["a row of units"] * self.units_row
+        )
+
+    def _loaded(self, kind: Any, skip: int, rows: int | None = None) -> pl.DataFrame:
+        sheet = self._book.load_sheet(
+            self._sheet, header_row=None, skip_rows=skip, n_rows=rows, dtypes=kind
+        )
+        frame: pl.DataFrame = sheet.to_polars()
+        return frame
+
+    def _require(self, wanted: Sequence[str]) -> None:
+        for name in wanted:
+            if self.names.count(name) > 1:
+                raise RecordError(f"{self.path}: two columns are named '{name}'.")
+
+    def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
+        import polars as pl
+
+        skip = self._layout.before_rows
+        text, numbers = self._loaded("string", skip), self._loaded("float", skip)
+        times = self._loaded("datetime", skip) if self.stamps else text
+        columns = {}
+        for name in wanted:
+            place = self.names.index(name)
+            written = text.to_series(place).alias("text").str.strip_chars()
+            empty = written.is_null() | written.str.to_lowercase().is_in(list(EMPTY_WORDS))
+            if name in self.stamps:
+                whole = times.to_series(place).cast(pl.Datetime("ns")).cast(pl.Int64())
+                parsed = written.to_frame().select(nanoseconds("text")).to_series()
+                value = parsed.fill_null(whole)
+                columns[name] = self.seconds(value)
+            else:
+                value = numbers.to_series(place)
+                columns[name] = value.to_numpy()
+            bad = (value.is_null() & ~empty).arg_true()
+            if len(bad):
+                row = int(bad[0])
+                belongs = "time in ISO 8601" if name in self.stamps else "number"
+                raise RecordError(
+                    f"{self.path}, {self.locate(row)}: column '{name}' holds the text "
+                    f"'{str(written[row])[:40]}' where a {belongs} belongs."
+                )
+        yield columns
+
+    def _table(self) -> pl.DataFrame:
+        return excel_table(self.path, self._sheet, self.content())
+
+    def locate(self, row: int) -> str:
+        """Say in which row of the sheet a data row stands."""
+        return f"row {row + self._layout.before_rows + 1}"
 
 
 def _require_size(path: Path, content: bytes) -> None:

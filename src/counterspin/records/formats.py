@@ -21,8 +21,10 @@ from counterspin.records.array_files import Hdf5File, matlab_or_hdf5
 from counterspin.records.column_file import ColumnFile, record_errors
 from counterspin.records.csv_file import CsvFile
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.records.excel_file import ExcelFile
 from counterspin.records.memory import MemoryFile, MemoryTable
 from counterspin.records.parquet_file import ParquetFile
+from counterspin.records.tdms_file import TdmsFile
 
 #: Ending of a record file, in lower case -> what opens it.
 RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFile]]] = {
@@ -34,6 +36,8 @@ RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFil
     ".h5": Hdf5File,
     ".hdf5": Hdf5File,
     ".mat": matlab_or_hdf5,
+    ".xlsx": ExcelFile,
+    ".tdms": TdmsFile,
 }
 
 

@@ -45,6 +45,7 @@ _NATIVE: Final = {
     ".h5": ("h5py",),
     ".hdf5": ("h5py",),
     ".mat": ("h5py", "scipy.io"),
+    ".tdms": ("nptdms", "polars"),  # may be absent
     ".pdf": ("pypdf",),
 }
 #: Those that start threads when they are loaded: what has them does not fork.

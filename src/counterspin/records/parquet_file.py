@@ -13,6 +13,7 @@ from counterspin.errors import RecordError
 from counterspin.records.column_file import ColumnFile, frame_columns, plain_path
 from counterspin.records.dialect import Dialect
 from counterspin.records.pieces import Columns
+from counterspin.records.stamps import nanoseconds
 
 if TYPE_CHECKING:
     import polars as pl
@@ -40,7 +41,7 @@ class ParquetFile(ColumnFile):
         import polars as pl
 
         for name in wanted:
-            if not self._schema[name].is_numeric():
+            if name not in self.stamps and not self._schema[name].is_numeric():
                 raise RecordError(
                     f"{self.path}: column '{name}' is of type {self._schema[name]}; "
                     "numbers belong there."
@@ -55,8 +56,21 @@ class ParquetFile(ColumnFile):
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
         """Yield batches of the columns as the streaming engine decodes them."""
+        numbers = self._scan().select(self._column(name) for name in wanted)
+        for frame in numbers.collect_batches(maintain_order=True):
+            columns = frame_columns(frame)
+            for name in self.stamps:
+                columns[name] = self.seconds(frame[name])
+            yield columns
+
+    def _column(self, name: str) -> pl.Expr:
         import polars as pl
 
-        numbers = self._scan().select(pl.col(wanted).cast(pl.Float64()))
-        for frame in numbers.collect_batches(maintain_order=True):
-            yield frame_columns(frame)
+        kind = self._schema[name]
+        if name not in self.stamps:
+            return pl.col(name).cast(pl.Float64())
+        if kind == pl.String():
+            return nanoseconds(name)
+        if not isinstance(kind, pl.Datetime):
+            raise RecordError(f"{self.path}: column '{name}' holds no time stamps.")
+        return pl.col(name).dt.cast_time_unit("ns").to_physical()

@@ -107,8 +107,8 @@ def _read(
         files = [stack.enter_context(open_columns(path, columns.dialect))]
         files += [stack.enter_context(open_columns(more, columns.dialect)) for more in columns.more]
         for opened in files:
-            opened.require(columns.filed)
             opened.stamps = columns.stamps
+            opened.require(columns.filed)
         columns = columns.resolved(files[0])
         file: ColumnFile | RunFile = files[0]
         if len(files) > 1 or is_derived(columns):

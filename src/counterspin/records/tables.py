@@ -149,8 +149,8 @@ def _numbers(path: Path | MemoryTable, names: list[str]) -> Columns:
 def _scaled(path: Path | MemoryTable, columns: list[ColumnSpec], dialect: Dialect) -> list[Array]:
     filed = [spec.name for spec in columns if not spec.is_made]
     with open_columns(path, dialect) as file:
-        file.require(filed)
         file.stamps = frozenset(spec.name for spec in columns if spec.kind == "stamps")
+        file.require(filed)
         read = file.whole(filed)
         rows = np.arange(column_rows(read), dtype=float)
         resolved = [spec.resolved(file) for spec in columns]

@@ -54,6 +54,14 @@ def join_campaigns(campaigns: Sequence[Campaign]) -> Campaign:
             if "truth" not in document:
                 run.pop("truth", None)
             run["name"] = _distinct(run["name"], place, [other["name"] for other in runs])
+            for key in ("continued_in", "pulses"):
+                if key in run and campaign.folder != first.folder:
+                    names = run[key]
+                    run[key] = (
+                        str(campaign.folder / names)
+                        if isinstance(names, str)
+                        else [str(campaign.folder / name) for name in names]
+                    )
             if "record" in run:
                 _place_record(run, campaign, first.folder, runs, tables)
             runs.append(run)

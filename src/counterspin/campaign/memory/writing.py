@@ -69,7 +69,31 @@ def _placed(
     if name.lower() in map(str.lower, taken):
         name = record_name(run["name"], file.suffix, taken)
     targets[folder / name] = campaign.record_at(file)
-    return run if name == run["record"] else {**run, "record": name}
+    further = _further_placed(campaign, folder, run, targets)
+    return run if name == run["record"] and not further else {**run, "record": name, **further}
+
+
+def _further_placed(
+    campaign: Campaign, folder: Path, run: Any, targets: dict[Path, Path | MemoryTable]
+) -> dict[str, Any]:
+    """Note where the other files of a run go; return the keys that name them differently there."""
+
+    def placed(name: str) -> str:
+        file = campaign.folder / name
+        inside = file.is_relative_to(campaign.folder) and ".." not in file.parts
+        taken = [target.relative_to(folder).as_posix() for target in targets]
+        there = name if inside else file.name
+        if there.lower() in map(str.lower, taken):
+            there = record_name(run["name"], file.suffix, taken)
+        targets[folder / there] = file
+        return there
+
+    now: dict[str, Any] = {}
+    if "continued_in" in run:
+        now["continued_in"] = [placed(name) for name in run["continued_in"]]
+    if "pulses" in run:
+        now["pulses"] = placed(run["pulses"])
+    return {key: names for key, names in now.items() if names != run[key]}
 
 
 def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: bool) -> None:
@@ -79,7 +103,7 @@ def _refuse_overwriting(targets: list[Path], campaign: Campaign, *, overwrite: b
             raise CounterspinError(
                 f"{target} exists; write into another folder, or give `overwrite=True`"
             )
-    files = [run.record for run in campaign.runs]
+    files = [file for run in campaign.runs for file in run.files]
     files += [reading.record for reading in campaign.readings if reading.record is not None]
     for file in files:
         record = campaign.record_at(file)

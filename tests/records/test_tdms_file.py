@@ -1,0 +1,71 @@
+"""TDMS files: groups, units, stamps, and what is wrong with them."""
+
+import builtins
+
+import numpy as np
+import pytest
+from nptdms import ChannelObject, TdmsWriter
+from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
+
+from counterspin.records.dialect import Dialect
+from counterspin.records.formats import open_columns
+from counterspin.records.isolation import is_isolated
+from counterspin.records.record import ColumnSpec
+from counterspin.records.tables import read_scaled
+
+
+def write(path, groups, properties=None):
+    with TdmsWriter(path) as file:
+        for group, columns in groups.items():
+            # In two segments, as a recorder that goes on writing makes them.
+            for part in (slice(0, 300), slice(300, None)):
+                file.write_segment(
+                    [ChannelObject(group, n, v[part], properties or {}) for n, v in columns.items()]
+                )
+    return path
+
+
+def test_channels_are_columns_of_their_group(tmp_path):
+    path = write(tmp_path / "a.tdms", {"Run": table(), "Slow": {"T": np.arange(3.0)}})
+    assert is_isolated(path)
+    record = read(path, dialect=Dialect(group="Run"))
+    np.testing.assert_array_equal(record.signals["Qx"], table()[SIGNAL])
+    columns = {"angle": ColumnSpec(f"Run/{ANGLE}"), "signals": {"Qx": ColumnSpec(f"Run/{SIGNAL}")}}
+    record = read(path, time=ColumnSpec(f"Run/{TIME}"), **columns)
+    np.testing.assert_array_equal(record.time, table()[TIME])
+    assert "there is no column" in refusal(path)
+    assert "no group 'Fast' with columns" in refusal(path, dialect=Dialect(group="Fast"))
+
+
+def test_an_index_beside_the_file_is_not_read(tmp_path):
+    path = write(tmp_path / "a.tdms", {"Run": table()})
+    (tmp_path / "a.tdms_index").write_bytes(b"not the truth")
+    np.testing.assert_array_equal(read(path).time, table()[TIME])
+
+
+def test_units_and_stamps(tmp_path):
+    stamps = np.datetime64("2026-03-01T12:00:00", "us") + np.arange(4) * np.timedelta64(20, "ms")
+    path = write(tmp_path / "a.tdms", {"Run": {"t": stamps, "x": np.arange(4.0)}})
+    (seconds,) = read_scaled(path, [ColumnSpec("t", kind="stamps")])
+    np.testing.assert_allclose(seconds, [0, 0.02, 0.04, 0.06], atol=1e-9)
+    with open_columns(write(path, {"Run": {"x": stamps}}, {"unit_string": "sec"})) as file:
+        assert file.units == {"x": "s", "Run/x": "s"}
+
+
+def test_damaged_files_and_a_missing_reader(tmp_path, monkeypatch):
+    path = write(tmp_path / "a.tdms", {"Run": table()})
+    content = path.read_bytes()
+    (tmp_path / "cut.tdms").write_bytes(content[:100])
+    assert "damaged" in refusal(tmp_path / "cut.tdms")
+    (tmp_path / "no.tdms").write_bytes(b"no TDMS" * 9)
+    assert "damaged" in refusal(tmp_path / "no.tdms")
+    real = builtins.__import__
+
+    def without(name, *rest):
+        if name == "nptdms":
+            raise ModuleNotFoundError(name)
+        return real(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(Exception, match=r"pip install 'counterspin\[tdms\]'"):
+        open_columns(path)
