@@ -25,7 +25,7 @@ _UNITS = ("unit_string", "NI_UnitDescription", "Unit", "unit")
 
 
 @frozen(eq=False)
-class _Channel:
+class _ChannelArray:
     """A channel as an array of one dimension."""
 
     channel: Any
@@ -95,7 +95,7 @@ class TdmsFile(ArrayFile):
             arrays = {}
             for name in wanted:
                 group, channel = self._places[self._full[name]]
-                arrays[name] = _Channel(file[group][channel])
+                arrays[name] = _ChannelArray(file[group][channel])
             yield arrays
 
 
