@@ -6,6 +6,7 @@
 - `formats`: every format that is read: files to begin with, how they are mutated, who reads them
 - `native`: record files of the formats that native code reads
 - `hunt`: tries cases, judges what comes of them, keeps what is found
+- `tracing`: programs stopped at system calls
 - `kills`: processes killed at each system call that has to do with an output
 """
 

@@ -10,7 +10,8 @@ from pathlib import Path
 from fuzz import ROOT
 from fuzz.formats import FORMATS
 from fuzz.hunt import hunt, work
-from fuzz.kills import kill_all, possible
+from fuzz.kills import kill_all
+from fuzz.tracing import possible
 
 
 def main() -> int:
@@ -52,11 +53,8 @@ def kill(kills: int) -> bool:
     if not possible():
         print("kills: processes cannot be traced here")
         return False
-    done, faults = kill_all(kills)
-    print(f"kills: {sum(count for _, count in done.values())}, {len(faults)} with a loss")
-    for name, (calls, count) in done.items():
-        print(f"{name:<18}{count:>5} of {calls} calls")
-    print("\n".join(faults))
+    done, faults = kill_all(kills, say=lambda words: print(words, flush=True))
+    print(f"kills: {done}, {len(faults)} with a loss")
     return bool(faults)
 
 

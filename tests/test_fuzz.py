@@ -8,12 +8,13 @@ import pytest
 from fuzz import ROOT
 from fuzz.formats import FORMATS, Format, command, formats
 from fuzz.hunt import content, hunt, judge
-from fuzz.kills import Command, Trial, kill_all, possible
+from fuzz.kills import Command, Trial, kill_all
+from fuzz.tracing import Runner, possible
 
 CASES = sorted((ROOT / "tests" / "cases").glob("*/*.case"))
 
 #: Cases of the short run: of documents, and of records, whose reader starts again after many.
-DOCUMENTS, RECORDS = 400, 6
+DOCUMENTS, RECORDS = 200, 4
 #: Formats of which a case takes long.
 SLOW = ("calibration", "study-progress")
 
@@ -123,13 +124,16 @@ def test_a_hunt_keeps_a_case_that_kills_and_goes_on_after_it(tmp_path, monkeypat
     assert bag.counts["lab found"] == 1
 
 
-@pytest.mark.skipif(not possible(), reason="processes cannot be traced here")
+needs_tracing = pytest.mark.skipif(not possible(), reason="processes cannot be traced here")
+
+
+@needs_tracing
 def test_a_command_that_is_killed_loses_nothing_and_leaves_nothing_half_done():
-    done, faults = kill_all(2, ["apply"])
+    told = []
+    done, faults = kill_all(2, ["plan-begin"], told.append)
     assert faults == []
-    calls, count = done["apply"]
-    assert calls > 3
-    assert count == 2
+    assert done == 2
+    assert [words.split()[0] for words in told] == ["plan-begin:", "plan-begin"]
 
 
 #: Writes its output in place, and spoils its input.
@@ -142,14 +146,16 @@ with open("new.json", "w") as file:
 """
 
 
-@pytest.mark.skipif(not possible(), reason="processes cannot be traced here")
+@needs_tracing
 def test_a_loss_would_be_found(tmp_path, monkeypatch):
-    monkeypatch.setattr("fuzz.kills._program", lambda _: [sys.executable, "-c", CARELESS])
+    (tmp_path / "careless.py").write_text(CARELESS)
+    monkeypatch.syspath_prepend(tmp_path)
     inputs = tmp_path / "inputs"
     inputs.mkdir()
     (inputs / "result.json").write_text("")
-    trial = Trial("careless", inputs, Command(("x",)), tmp_path)
-    assert trial.calls == 5
-    assert not trial.faults(1)
-    assert any("result.json is lost or changed" in fault for fault in trial.faults(4))
-    assert any("new.json is not whole" in fault for fault in trial.faults(5))
+    with Runner("careless") as runner:
+        trial = Trial(runner, "careless", Command((), ("result.json",)), inputs, tmp_path)
+        assert trial.calls == 5
+        assert not trial.faults(1)
+        assert any("result.json is lost or changed" in fault for fault in trial.faults(4))
+        assert any("new.json is not whole" in fault for fault in trial.faults(5))

@@ -12,6 +12,7 @@ import pytest
 
 from counterspin.cli import main
 from counterspin.errors import CounterspinError, CounterspinWarning
+from counterspin.output import write_whole
 from counterspin.studies import study as study_module
 from counterspin.studies import work
 from counterspin.studies.folder import StudyFolder
@@ -80,6 +81,30 @@ def resumed(campaign, folder):
 def assert_whole(outcome, whole):
     assert outcome[0] == whole[0]
     assert outcome[1].equals(whole[1])
+
+
+# Kills
+
+
+class KilledError(BaseException):
+    pass
+
+
+@pytest.mark.parametrize("writes", [1, 2])
+def test_a_study_killed_while_it_saves_goes_on(campaign, tmp_path, monkeypatch, whole, writes):
+    written = []
+
+    def write(path, content):
+        if len(written) == writes:
+            raise KilledError
+        written.append(path)
+        write_whole(path, content)
+
+    monkeypatch.setattr("counterspin.studies.folder.write_whole", write)
+    with pytest.raises(KilledError):
+        study(campaign, trials=TRIALS, output=StudyFolder(tmp_path / "out", keep_trials=True))
+    monkeypatch.undo()
+    assert_whole(resumed(campaign, tmp_path / "out"), whole)
 
 
 # Damage

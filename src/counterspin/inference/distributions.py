@@ -50,6 +50,8 @@ def chi_square_tail(dof: float, chi2: float) -> float:
         return 1.0 if x <= 0.0 else 0.0
     # x^a exp(-x) / gamma(a + 1), whose factors would overflow.
     away = (x - a) / a
+    if away <= -1.0:  # to all digits; a is large then
+        return 1.0
     if a >= _LARGE:
         size = math.exp(-a * (away - math.log1p(away))) / (
             math.sqrt(2.0 * math.pi * a) * math.exp(_stirling(a))

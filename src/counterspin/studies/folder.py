@@ -132,17 +132,19 @@ class StudyProgress:
     def save(self) -> None:
         """Write the copy, whole or not at all."""
         ledger = self.ledger
+        if not self._file.exists():
+            # Whatever comes to lie there from now on is known as a study's.
+            self._save_done(np.zeros_like(ledger.done))
         for batch in set(ledger.values) - self._written:
-            # Trials first: what the ledger calls done is there.
+            # Trials first: what is called done is there.
             self._part(batch).parent.mkdir(parents=True, exist_ok=True)
             self._save(self._part(batch), values=ledger.values[batch])
             self._written.add(batch)
-        self._save(
-            self._file,
-            trials=np.array(ledger.trials),
-            done=ledger.done,
-            sums=ledger.sums[ledger.done],
-        )
+        self._save_done(ledger.done)
+
+    def _save_done(self, done: Array) -> None:
+        ledger = self.ledger
+        self._save(self._file, trials=np.array(ledger.trials), done=done, sums=ledger.sums[done])
 
     def _save(self, path: Path, **arrays: Any) -> None:
         fingerprint = np.array(self._fingerprint)
