@@ -367,6 +367,18 @@ def test_pins_meet_what_the_package_asks_for(extra, pins):
         assert all(requirement.specifier.contains(version) for version in versions)
 
 
+@pytest.mark.parametrize("pins", ["bench.txt", "docs.txt"])
+def test_pins_of_one_environment_do_not_contradict_each_other(pins):
+    """They are installed on top of those of dev."""
+    line = re.compile(r"^([a-z0-9.-]+)==([^ ;]+)", re.MULTILINE)
+    dev, more = (
+        dict(line.findall((ROOT / "requirements" / name).read_text(encoding="utf-8")))
+        for name in ("dev.txt", pins)
+    )
+    assert len(dev.keys() & more.keys()) > 10
+    assert {name: more[name] for name in dev.keys() & more.keys() if more[name] != dev[name]} == {}
+
+
 TEXT = {".py", ".md", ".toml", ".txt", ".json", ".csv", ".svg", ".html", ".css", ".ts", ""}
 MACHINE_PATH = re.compile(r"(?<![\w.])/(?:home|root|Users|work)/|\b[A-Z]:\\+Users\b")
 

@@ -44,6 +44,12 @@ class Quantity:
         Its standard uncertainty (k = 1), in `unit`; 0 for a value that is taken as exact.
     unit
         SI or g-units, such as ``m``, ``rad/s`` or ``g/g^2``.
+
+    Examples
+    --------
+    >>> import counterspin as cs
+    >>> print(cs.Quantity(2.5, 1e-5, "m"))
+    2.5 ± 1e-05 m
     """
 
     value: float

@@ -289,6 +289,15 @@ def indicated(mounting: Mounting, coefficients: Mapping[str, float], force: Arra
     ------
     ValueError
         If a coefficient is not in the table.
+
+    Examples
+    --------
+    Ten g along the input axis, and K_II of 20 ug/g^2: 2000 ug too much.
+
+    >>> import numpy as np
+    >>> import counterspin as cs
+    >>> cs.indicated(cs.QX, {"K_II": 20e-6}, np.array([[10.0, 0.0, 0.0]])).round(9).tolist()
+    [10.002]
     """
     unknown = set(coefficients) - set(TERMS)
     if unknown:

@@ -131,6 +131,18 @@ def columns(
     ------
     ValueError
         If a symbol is not in the table.
+
+    Examples
+    --------
+    What a bias of 1 g does is g t^2/2, whatever the spindle does:
+
+    >>> import math
+    >>> import numpy as np
+    >>> import counterspin as cs
+    >>> site = cs.Site(gravity=9.8, latitude=math.radians(45.0))
+    >>> trajectory = cs.Trajectory(cs.Spindle(math.pi), radius=2.5, site=site)
+    >>> cs.columns(trajectory, cs.QX, ["K_F"], np.array([1.0, 10.0])).round(6).ravel().tolist()
+    [4.9, 490.0]
     """
     order = ORDERS[observable]
     rows = [term(symbol) for symbol in symbols]

@@ -59,6 +59,18 @@ class Spindle:
         Periodic fluctuations of the rate.
     start_angle
         Angle at t = 0, from east towards north, rad.
+
+    Examples
+    --------
+    A turn in two seconds, at a rate that grows by a millionth a second:
+
+    >>> import math
+    >>> import numpy as np
+    >>> import counterspin as cs
+    >>> spindle = cs.Spindle(math.pi, drift=1e-6)
+    >>> turns = spindle.angle(np.array([2.0, 20.0])) / (2.0 * math.pi)
+    >>> print(turns.round(6))
+    [ 1.000001 10.0001  ]
     """
 
     rate: float

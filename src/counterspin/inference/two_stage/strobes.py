@@ -64,6 +64,13 @@ def strobe_angle(input_axis: Array) -> float:
     ------
     NotIdentifiableError
         If the axis is not horizontal within 1 mrad.
+
+    Examples
+    --------
+    >>> import math
+    >>> import counterspin as cs
+    >>> [math.degrees(cs.strobe_angle(one.input_axis)) for one in (cs.QX, cs.QY)]
+    [90.0, 180.0]
     """
     if abs(float(input_axis[2])) > 1e-3:
         raise NotIdentifiableError(
