@@ -28,16 +28,23 @@ def sound(tmp_path_factory):
     return folder / "records"
 
 
-@pytest.fixture(scope="module", params=["given", "estimated"])
-def wrong(sound, tmp_path_factory, request):
-    """The records with a description of another radius, the noise given or not."""
-    folder = tmp_path_factory.mktemp("wrong")
+def spoilt(sound, folder, *more):
+    """Return the records with a description of another radius."""
     for record in sound.glob("*.csv"):
         (folder / record.name).write_bytes(record.read_bytes())
-    text = changed(SPECIFIED, ('radius = "2.5 m"', 'radius = "2.6 m"'))
-    if request.param == "estimated":
-        text = changed(text, ('\n[noise]\ndisplacement = "0.01 m"\n', ""))
+    text = changed(SPECIFIED, ('radius = "2.5 m"', 'radius = "2.6 m"'), *more)
     return write(folder, text).parent
+
+
+@pytest.fixture(scope="module")
+def wrong(sound, tmp_path_factory):
+    return spoilt(sound, tmp_path_factory.mktemp("wrong"))
+
+
+@pytest.fixture(scope="module")
+def wrong_of_unknown_noise(sound, tmp_path_factory):
+    stated = ('\n[noise]\ndisplacement = "0.01 m"\n', "")
+    return spoilt(sound, tmp_path_factory.mktemp("wrong"), stated)
 
 
 def calibrate(capsys, *words):
@@ -55,7 +62,9 @@ def test_the_true_radius_is_good(sound, tmp_path, capsys):
     assert all(one.conformity["K_II"].verdict == "pass" for one in found.accelerometers.values())
 
 
-def test_another_is_contradicted_everywhere(wrong, tmp_path, capsys):
+@pytest.mark.parametrize("noise", ["given", "estimated"])
+def test_another_is_contradicted_everywhere(noise, request, tmp_path, capsys):
+    wrong = request.getfixturevalue("wrong" if noise == "given" else "wrong_of_unknown_noise")
     status, out, err = calibrate(capsys, wrong, "--json", tmp_path / "r.json")
     assert status == 1
     assert "the records contradict the result: A radius of the centrifuge of " in err

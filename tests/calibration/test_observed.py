@@ -126,7 +126,7 @@ terms = ["K_F", "K_I", "K_II"]
 [simulation]
 sampling_rate = "20 Hz"
 seed = 7
-revolutions = 50
+revolutions = 30
 {truth}
 [truth.noise]
 {observable} = "{noise}"

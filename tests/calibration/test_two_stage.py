@@ -20,7 +20,7 @@ from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
 from counterspin.errors import NotIdentifiableError
 
-TRIALS = 200 if os.environ.get("COUNTERSPIN_FULL") else 12
+TRIALS = 200 if os.environ.get("COUNTERSPIN_FULL") else 8
 
 K_II = {"Qx": 2.7e-5, "Qy": -3.2e-5}
 PRIORS = (

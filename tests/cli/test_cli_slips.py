@@ -187,17 +187,17 @@ def test_a_folder_that_is_gone(recorded):
 IN_ONE_PROCESS = """
 import os, sys
 from counterspin import cli
-for name in map(os.fsdecode, (b"b\\xc3\\xa9", b"caf\\xe9")):
-    for words in (
-        ["report", "r.json", "-o", f"{name}.html"],
-        ["report", "r.json", "-o", f"{name}.pdf"],
-        ["calibrate", ".", "--json", f"{name}.json"],
-        ["report", f"{name}.json", "-o", f"{name}.md"],
-        ["init", name],
-        ["simulate", ".", "-o", f"{name}-made"],
-        ["study", ".", "--trials", "3", "-o", f"{name}-study"],
-    ):
-        assert cli.main(words) == 0, words
+name = os.fsdecode(b"b\\xc3\\xa9-caf\\xe9")
+for words in (
+    ["report", "r.json", "-o", f"{name}.html"],
+    ["report", "r.json", "-o", f"{name}.pdf"],
+    ["calibrate", ".", "--json", f"{name}.json"],
+    ["report", f"{name}.json", "-o", f"{name}.md"],
+    ["init", name],
+    ["simulate", ".", "-o", f"{name}-made"],
+    ["study", ".", "--trials", "3", "-o", f"{name}-study"],
+):
+    assert cli.main(words) == 0, words
 """
 
 

@@ -54,7 +54,7 @@ def test_prediction_is_the_joint_fit_s(case):
     setup = make_setup(**CASES[case])
     predictor = Predictor(RunInformation(setup, RATES, TURNS, (1, -1)))
     rng = np.random.default_rng(5)
-    for _ in range(4):
+    for _ in range(2):
         design = design_of(setup, rng)
         assert predictor.u(design) == pytest.approx(u_by_joint_fit(setup, design), rel=2e-4)
 

@@ -90,14 +90,14 @@ spaced = st.lists(printable, max_size=4).map(lambda words: " ".join(" ".join(wor
 
 
 @given(st.lists(st.tuples(spaced, spaced, spaced), max_size=3))
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=150)
 def test_any_cell_comes_out_as_it_is(rows):
     table = Table((Column("a|b"), Column("K_II", "right"), Column("")), tuple(rows))
     assert cells(markdown([table])) == [["a|b", "K_II", ""], *(list(map(visible, r)) for r in rows)]
 
 
 @given(spaced)
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=150)
 def test_any_paragraph_comes_out_as_it_is(text):
     assert inlines(markdown([Heading("x"), Paragraph(text)]), "paragraph") == (
         [visible(text)] if text else []

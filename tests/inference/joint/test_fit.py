@@ -31,7 +31,7 @@ from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.spindle import Spindle
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
-TRIALS = 10_000 if FULL else 250
+TRIALS = 10_000 if FULL else 150
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}
 PRIORS = {"K_F": (5.03e-3, 2e-6), "K_I": (1.00197, 5e-6)}
 WHITE = NoiseModel(0.01)
@@ -591,7 +591,7 @@ def test_freedom_is_what_chi_square_comes_to_in_each_run():
     rng = np.random.default_rng(23)
     clean = prepare_columns(three_rates(TRUTH, revolutions=2, per_revolution=6), model, SCALES)
     sd = np.array([u.prior[1] if np.isfinite(u.prior[1]) else 0.0 for u in model.unknowns])
-    trials, sums = 1500, np.zeros(3)
+    trials, sums = 700, np.zeros(3)
     for _ in range(trials):
         off = sd * rng.standard_normal(sd.size)
         drawn = []
@@ -623,7 +623,7 @@ def test_a_considered_term_within_its_uncertainty_is_no_lack_of_fit(noise):
     model = Unknowns(own, tilts)
     clean = prepare_columns(three_rates(TRUTH, revolutions=6, per_revolution=16), model, SCALES)
     rng = np.random.default_rng(31)
-    trials, alarms, p_values, naive = 600, 0, [], 0
+    trials, alarms, p_values, naive = 300, 0, [], 0
     for _ in range(trials):
         drawn = []
         for part in redrawn(clean, noise, rng):

@@ -126,8 +126,8 @@ def test_a_wander_that_is_not_there_is_dropped_or_small():
     ids=["flicker", "walk of the bias", "both in velocity", "both in force"],
 )
 def test_given_wander_is_covered(observable, noise):
-    """z of 40 trials has the rms 1; without the wander it is several times that."""
-    rng, trials = np.random.default_rng(8), 40
+    """z of the trials has the rms 1; without the wander it is several times that."""
+    rng, trials = np.random.default_rng(8), 20
     prepared = prepare_columns(campaign(observable), MODEL, {"Qx": 1.002})
     plain = NoiseModel(noise.white, noise.random_walk)
     z, blind = [], []

@@ -23,7 +23,7 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.physics.spindle import Ripple, Spindle
 
-TRIALS = 20_000 if os.environ.get("COUNTERSPIN_FULL") else 1000
+TRIALS = 20_000 if os.environ.get("COUNTERSPIN_FULL") else 400
 
 # The paper's plan and its Table 1; its Earth stands still.
 R, G, SIGMA, K_I = 2.5, 9.8, 0.01, 1.001
