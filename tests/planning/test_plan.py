@@ -348,6 +348,14 @@ def test_figures(starter, tmp_path):
     assert [path.name for path in written] == list(FIGURES)
     again = save_figures(result, tmp_path / "again")
     assert all(a.read_bytes() == b.read_bytes() for a, b in zip(written, again, strict=True))
+    assert save_figures(result, tmp_path / "again", overwrite=True) == again
+    again[0].unlink()
+    again[1].unlink()
+    again[2].write_text("mine")
+    for overwrite in (False, True):
+        with pytest.raises(CounterspinError, match="is not a figure that counterspin drew"):
+            save_figures(result, tmp_path / "again", overwrite=overwrite)
+    assert [path.name for path in (tmp_path / "again").iterdir()] == [again[2].name]
     curves = result.curves
     for curve in (curves.time, curves.rate):
         assert len(curve.x) > 5

@@ -350,6 +350,21 @@ def test_other_endings_are_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_only_an_earlier_figure_is_replaced_and_only_where_that_is_asked_for(tmp_path):
+    file, foreign = tmp_path / "figure.svg", tmp_path / "own.svg"
+    save(PICTURES, file)
+    with pytest.raises(CounterspinError, match=r"figure\.svg exists; .*overwrite=True"):
+        save(PICTURES[:1], file)
+    before = file.read_bytes()
+    save(PICTURES[:1], file, overwrite=True)
+    assert file.read_bytes() != before
+    foreign.write_text("<svg>drawn by hand</svg>")
+    for overwrite in (False, True):
+        with pytest.raises(CounterspinError, match=r"own\.svg exists and is not a figure that"):
+            save(PICTURES, foreign, overwrite=overwrite)
+    assert foreign.read_text() == "<svg>drawn by hand</svg>"
+
+
 def test_failure_leaves_nothing_behind(tmp_path, monkeypatch):
     def full(_, part, **__):
         part.write_text("half of it")

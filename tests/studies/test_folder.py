@@ -226,6 +226,14 @@ def test_files_of_somebody_else_are_not_replaced(campaign, tmp_path, name):
     assert (tmp_path / name).read_text() == "mine"
 
 
+@pytest.mark.parametrize("name", ["z.svg", "bias-platform.svg"])
+def test_a_study_is_not_gone_on_with_over_somebody_elses_figure(campaign, begun, name):
+    (begun / name).write_text("mine")
+    with pytest.raises(CounterspinError, match="is not a figure that counterspin drew"):
+        resumed(campaign, begun)
+    assert (begun / name).read_text() == "mine"
+
+
 def test_options_of_the_folder_need_one(campaign, capsys):
     for option in ("--keep-trials", "--resume"):
         assert main(["study", str(campaign), option]) == 1

@@ -25,17 +25,15 @@ def demo(
     overwrite
         Replace an earlier demonstration.
     """
-    from counterspin.output import reserve
-    from counterspin.reports.charts import file_kind, save
+    from counterspin.reports.charts import reserve_figures, save
     from counterspin.reports.text import report_console
     from counterspin.reproduction.demo import demo as run
     from counterspin.reproduction.demo_page import demonstration_plots, render_demonstration
 
     drawn = output / f"displacement.{figure}"
-    if drawn.exists():
-        reserve(drawn, lambda: file_kind(drawn), overwrite=overwrite)
+    reserve_figures([drawn], overwrite=overwrite)
     shown = run(output, overwrite=overwrite)
-    save(demonstration_plots(shown), drawn)
+    save(demonstration_plots(shown), drawn, overwrite=overwrite)
     report_console().print(render_demonstration(shown))
     say(
         "",

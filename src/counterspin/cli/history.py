@@ -44,7 +44,7 @@ def history(
     result = run(paths, term=term, serial=serial)
     with saved.written(result):
         if figure is not None:
-            save(history_plots(result), figure)
+            save(history_plots(result), figure, overwrite=saved.overwrite)
         report_console().print(render_history(result))
     if result.damaged:
         raise CounterspinError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
 from counterspin.cli.words import NOT_SAVED, OutputFile, Saved, group, say, shell_word
@@ -56,14 +55,13 @@ def plan(
         Folder for figures: u against time, against the highest rate, and its sources.
     """
     from counterspin.campaign.settings import exact
-    from counterspin.output import reserve
     from counterspin.planning.figures import FIGURES, save_figures
     from counterspin.planning.page import render_plan
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search
     from counterspin.planning.plan import refuse_other_campaign, write_campaign, write_example
     from counterspin.planning.result import PlanResult
-    from counterspin.reports.charts import file_kind
+    from counterspin.reports.charts import reserve_figures
     from counterspin.reports.progress import progress
     from counterspin.reports.text import report_console
 
@@ -74,9 +72,8 @@ def plan(
         say(f"  counterspin plan {shell_word(init)}")
         return
     saved.reserve(PlanResult.file_kind)
-    for place in () if figures is None else [figures / name for name in FIGURES]:
-        if place.exists():
-            reserve(place, partial(file_kind, place), overwrite=saved.overwrite)
+    if figures is not None:
+        reserve_figures([figures / name for name in FIGURES], overwrite=saved.overwrite)
     if output is not None:
         refuse_other_campaign(output)
     if check is not None:
@@ -105,4 +102,5 @@ def plan(
         say("", f"Wrote {written}. Record its runs, or try them:")
         say(f"  counterspin simulate {shell_word(written)} -o {shell_word(output / 'simulated')}")
     if figures is not None:
-        say("", f"Wrote {', '.join(p.name for p in save_figures(result, figures))} to {figures}.")
+        drawn = save_figures(result, figures, overwrite=saved.overwrite)
+        say("", f"Wrote {', '.join(path.name for path in drawn)} to {figures}.")

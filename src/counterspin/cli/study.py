@@ -100,7 +100,7 @@ def study(
         if output is not None:
             from counterspin.studies.page import write_figures
 
-            write_figures(result, output)
+            write_figures(result, output, overwrite=resume or saved.overwrite)
         report_console().print(render_study(result))
     if not result.complete:
         more = "" if output is None else "; the same command with --resume goes on"

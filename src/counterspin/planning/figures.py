@@ -13,7 +13,7 @@ from typing import Final
 from counterspin.output import make_folder
 from counterspin.planning.result import Curve, PlanResult
 from counterspin.reports.blocks import Plot, PlotSeries
-from counterspin.reports.charts import save
+from counterspin.reports.charts import reserve_figures, save
 from counterspin.reports.numbers import field_unit
 
 #: The files, in the order of `plan_plots`.
@@ -81,16 +81,28 @@ def plan_plots(result: PlanResult) -> tuple[Plot, Plot, Plot]:
     )
 
 
-def save_figures(result: PlanResult, folder: Path) -> tuple[Path, ...]:
+def save_figures(
+    result: PlanResult, folder: Path | str, *, overwrite: bool = False
+) -> tuple[Path, ...]:
     """Write the figures into a folder, which is made if it is not there.
+
+    Parameters
+    ----------
+    result
+        Of a plan that was searched with its curves.
+    folder
+        Where they go.
+    overwrite
+        Whether earlier figures may be replaced; no other file is.
 
     Raises
     ------
     CounterspinError
-        If they cannot be written.
+        If a file is in the way, before any is written, or they cannot be written.
     """
-    make_folder(folder)
-    paths = tuple(folder / name for name in FIGURES)
+    paths = tuple(Path(folder) / name for name in FIGURES)
+    reserve_figures(paths, overwrite=overwrite)
+    make_folder(Path(folder))
     for path, plot in zip(paths, plan_plots(result), strict=True):
-        save([plot], path)
+        save([plot], path, overwrite=overwrite)
     return paths

@@ -3,7 +3,7 @@
 The same picture gives the same text and the same file, byte for byte.
 
 - `svg`: one picture, without prolog, to stand in a page or on paper
-- `file_kind`: how its own pictures are known again
+- `file_kind`: how its own pictures are known again; `reserve_figures`: places for several
 - `save`, `check_format`: pictures below each other in a file: SVG, PNG or PDF
 
 `svg` draws no title, for whoever shows the picture sets it in words; it is the SVG's ``<title>``,
@@ -22,14 +22,15 @@ from __future__ import annotations
 import hashlib
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from html import escape
 from pathlib import Path
 from typing import Final, Literal, cast
 
 from counterspin.errors import CounterspinError
-from counterspin.output import FileKind, holds, write_whole
+from counterspin.output import FileKind, holds, reserve, write_whole
 from counterspin.reports.blocks import Picture, Plot
 from counterspin.reports.drawing import COLOURS_OF_PAPER, drawn, settings
 from counterspin.reports.typography import SYMBOL, typeset_block
@@ -65,6 +66,19 @@ def file_kind(path: Path) -> FileKind:
     return FileKind("a figure that counterspin drew", holds(_MARKS[check_format(path)]))
 
 
+def reserve_figures(paths: Iterable[Path], *, overwrite: bool = False) -> None:
+    """Refuse figures where a file would be lost, as `counterspin.output.reserve` does, before any.
+
+    Raises
+    ------
+    CounterspinError
+        If a file is in the way of one of them; their folder need not be there yet.
+    """
+    for path in paths:
+        if path.exists():
+            reserve(path, partial(file_kind, path), overwrite=overwrite)
+
+
 def check_format(path: Path) -> str:
     """Return the format that a figure's name asks for; CounterspinError if there is no such one."""
     kind = path.suffix.lower()
@@ -75,7 +89,7 @@ def check_format(path: Path) -> str:
     return kind
 
 
-def save(pictures: Sequence[Picture], path: Path) -> None:
+def save(pictures: Sequence[Picture], path: Path, *, overwrite: bool = False) -> None:
     """Write pictures below each other, with their titles, as SVG, PNG or PDF.
 
     Parameters
@@ -84,13 +98,17 @@ def save(pictures: Sequence[Picture], path: Path) -> None:
         At least one.
     path
         The file; its ending says the format.
+    overwrite
+        Whether an earlier figure may be replaced; no other file is.
 
     Raises
     ------
     CounterspinError
-        If the ending is none of these, or the file cannot be written; nothing is left behind.
+        If the ending is none of these, a file is in the way, or the file cannot be written;
+        nothing is left behind.
     """
     kind = check_format(path)
+    reserve_figures([path], overwrite=overwrite)
     printed = [cast("Picture", typeset_block(picture)) for picture in pictures]
     with settings(COLOURS_OF_PAPER):
         figure = drawn(printed, COLOURS_OF_PAPER, titled=True)

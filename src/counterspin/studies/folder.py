@@ -65,20 +65,26 @@ class StudyFolder:
         reserve(
             self.place / _RESULT, StudyResult.file_kind, overwrite=self.overwrite or self.resume
         )
-        if (self.place / _RESULT).exists() or self.resume:
+        figures = [
+            *(self.place / "z.svg", self.place / "coverage.svg"),
+            *sorted(self.place.glob("bias-*.svg")),
+        ]
+        begun = (self.place / _PROGRESS).exists()
+        if (self.place / _RESULT).exists() or self.resume or (begun and self.overwrite):
+            if any(figure.exists() for figure in figures):
+                from counterspin.reports.charts import reserve_figures
+
+                reserve_figures(figures, overwrite=True)
             return
-        if (self.place / _PROGRESS).exists():
-            if self.overwrite:
-                return
+        if begun:
             raise CounterspinError(
                 f"{self.place}: holds a study that was begun; go on with it by `resume=True`, "
                 "name another folder, or give it up by `overwrite=True`"
             )
-        for name in (_TRIALS, _PARTS, "z.svg", "coverage.svg"):
-            if (self.place / name).exists():
+        for path in (self.place / _TRIALS, self.place / _PARTS, *figures):
+            if path.exists():
                 raise CounterspinError(
-                    f"{self.place / name} exists and is not of a study; it is not replaced: name "
-                    "another folder"
+                    f"{path} exists and is not of a study; it is not replaced: name another folder"
                 )
 
     def write(self, result: StudyResult, ledger: Ledger) -> None:

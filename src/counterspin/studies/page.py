@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
-from counterspin.reports.charts import save
+from counterspin.reports.charts import reserve_figures, save
 from counterspin.reports.numbers import field_unit, format_number
 from counterspin.reports.text import Report
 from counterspin.studies.result import CoefficientResult, StudyResult
@@ -175,12 +175,32 @@ def bias_plots(result: StudyResult, driver: str) -> Iterator[Plot]:
         )
 
 
-def write_figures(result: StudyResult, folder: Path) -> None:
-    """Write all figures of a study to a folder, as SVG."""
-    save(list(z_plots(result)), folder / "z.svg")
-    save(list(coverage_plots(result)), folder / "coverage.svg")
-    for driver in dict.fromkeys(driver for _, c in _coefficients(result) for driver in c.against):
-        save(list(bias_plots(result, driver)), folder / f"bias-{driver}.svg")
+def write_figures(result: StudyResult, folder: Path | str, *, overwrite: bool = False) -> None:
+    """Write all figures of a study to a folder, as SVG.
+
+    Parameters
+    ----------
+    result
+        Of the study.
+    folder
+        Where they go; it must be there.
+    overwrite
+        Whether earlier figures may be replaced; no other file is.
+
+    Raises
+    ------
+    CounterspinError
+        If a file is in the way, before any is written, or they cannot be written.
+    """
+    drivers = dict.fromkeys(driver for _, c in _coefficients(result) for driver in c.against)
+    figures = {
+        Path(folder) / "z.svg": z_plots(result),
+        Path(folder) / "coverage.svg": coverage_plots(result),
+        **{Path(folder) / f"bias-{d}.svg": bias_plots(result, d) for d in drivers},
+    }
+    reserve_figures(figures, overwrite=overwrite)
+    for path, plots in figures.items():
+        save(list(plots), path, overwrite=overwrite)
 
 
 def _coefficients(result: StudyResult) -> list[tuple[str, CoefficientResult]]:
