@@ -108,12 +108,14 @@ def test_every_result_of_the_package_is_written_so():
     }
     assert set(files) == {
         "BatchResult",
+        "Checked",
         "Compared",
         "History",
         "PlanResult",
         "Reproduction",
         "Result",
         "StudyResult",
+        "WatchState",
     }
     for cls in files.values():
         assert not {"to_json", "write", "read", "json_schema"} & set(vars(cls))

@@ -32,6 +32,7 @@ KEPT = {
 WRITERS = {
     ("calibrate", "camp", "--json"): {"r.json"},
     ("history", "r.json", "--json"): {"history.json"},
+    ("check", "camp/slow.csv", "--campaign", "camp", "--json"): set(),
     ("compare", "r.json", "r.json", "--json"): set(),
     ("compare", "r.json", "r.json", "--report"): set(),
     ("reproduce", "--json"): set(),

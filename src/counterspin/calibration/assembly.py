@@ -34,13 +34,13 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.joint.unknowns import ROTATION
 
 #: More outliers than this part of a run's samples are worth a warning.
-_MANY_OUTLIERS: Final = 0.05
+MANY_OUTLIERS: Final = 0.05
 
 #: A record that lasts less than this part of what the campaign states is asked about.
-_COMPLETE_PART: Final = 0.9
+COMPLETE_PART: Final = 0.9
 
 #: A rate that differs by more than this part from the nominal one is another rate.
-_OTHER_RATE: Final = 1e-3
+OTHER_RATE: Final = 1e-3
 
 #: Rates are off alike if their parts differ by less than this part of them.
 _ALIKE: Final = 0.1
@@ -242,7 +242,7 @@ def _many_outliers(runs: Mapping[str, RunResult], accelerometers: int) -> list[F
     for name, run in runs.items():
         samples = run.counts["rows"] * accelerometers
         share = run.counts["outliers"] / samples
-        if share > _MANY_OUTLIERS:
+        if share > MANY_OUTLIERS:
             text = (
                 f"{name}: {run.counts['outliers']} samples of {samples} were left out as outliers; "
                 "what remains is only as good as the reason for it. Look at the record."
@@ -263,7 +263,7 @@ def _other_rates(observed: Sequence[ObservedRun]) -> list[Finding]:
         name, rate = run.run.name, run.rotation.spindle.rate
         part = rate / run.run.rate - 1.0
         parts.append(part)
-        if abs(part) > _OTHER_RATE:
+        if abs(part) > OTHER_RATE:
             text = (
                 f"{name}: the spindle turned at {rate:.6f} rad/s, not at the nominal "
                 f"{run.run.rate:.6f} rad/s; the recorded angle is what counts."
@@ -287,7 +287,7 @@ def _odd_ends(observed: Sequence[ObservedRun]) -> list[Finding]:
     for run in observed:
         name, stated = run.run.name, run.run.duration
         lasts = float(run.record.time[-1] - run.record.time[0])
-        if stated is not None and lasts < _COMPLETE_PART * stated:
+        if stated is not None and lasts < COMPLETE_PART * stated:
             text = (
                 f"{name}: the record lasts {lasts:.4g} s, the campaign states {stated:.4g} s. Is "
                 "the record complete?"

@@ -1,4 +1,8 @@
-"""The joint method: from observed runs to every coefficient that full records determine."""
+"""The joint method: from observed runs to every coefficient that full records determine.
+
+- `joint`, `JointOutcome`: all that a result says
+- `estimate_campaign`: the estimate alone
+"""
 
 from __future__ import annotations
 
@@ -93,7 +97,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         As `counterspin.inference.joint.estimation.estimate`.
     """
     model = model_of(campaign)
-    estimated, read = _estimate(campaign, observed, model)
+    estimated, read = estimate_campaign(campaign, observed, model)
     assessment = assess(
         estimated.fit.solution,
         [unknown.name for unknown in model.unknowns],
@@ -147,10 +151,10 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
     )
 
 
-def _estimate(
+def estimate_campaign(
     campaign: Campaign, observed: Sequence[ObservedRun], model: Unknowns
 ) -> tuple[Estimate, tuple[AccelerometerReadings, ...]]:
-    """Return the estimate from records and readings, and how the readings fit."""
+    """Return the estimate from records and readings, and how the readings fit; as `joint`."""
     if not campaign.readings:
         return estimate(series_of(campaign, observed), model, noise_of(campaign)), ()
     from_records = None

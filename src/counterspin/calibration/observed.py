@@ -1,6 +1,7 @@
 """What was observed: records brought together with the rotation they were taken on.
 
 - `observe`: reads every run of a campaign, identifies its rotation, takes the reference away
+- `read_run`, `observe_run`: the record of one run, and what it is observed to be
 - `ObservedRun`, `Signal`: what comes out
 """
 
@@ -103,14 +104,7 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
     first_with: dict[bytes, Run] = {}
     lengths: dict[str, float] = {}
     for run in campaign.runs:
-        swings = {
-            name: swing
-            for name, accelerometer in campaign.accelerometers.items()
-            if (swing := _swing(campaign, run, accelerometer)) is not None
-        }
-        source = campaign.record_at(run.record)
-        columns = record_columns(campaign, run)
-        record = read_record(source, columns, StatedMotion(run.rate, swings))
+        source, record = campaign.record_at(run.record), read_run(campaign, run)
         samples = _samples_digest(record)
         earlier = first_with.setdefault(samples, run)
         if earlier is not run:
@@ -122,6 +116,17 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
         # When a run was made may hang on how long those before it lasted.
         lengths[run.name] = float(record.time[-1])
         yield observe_run(campaign, run, record, conditions_of(campaign, lengths)[run.name])
+
+
+def read_run(campaign: Campaign, run: Run) -> Record:
+    """Return the record of one run; RecordError if it cannot be used, with file and line."""
+    swings = {
+        name: swing
+        for name, accelerometer in campaign.accelerometers.items()
+        if (swing := _swing(campaign, run, accelerometer)) is not None
+    }
+    columns, motion = record_columns(campaign, run), StatedMotion(run.rate, swings)
+    return read_record(campaign.record_at(run.record), columns, motion)
 
 
 def _samples_digest(record: Record) -> bytes:

@@ -3,8 +3,8 @@
 Each command has a module of its own, and imports what it uses when it runs, so that `--help`
 answers at once.
 
-- `init`, `simulate`, `calibrate`, `report`, `certificate`, `history`, `compare`, `apply`, `plan`,
-  `study`, `serve`, `demo`, `reproduce`: the commands
+- `init`, `simulate`, `calibrate`, `report`, `certificate`, `history`, `compare`, `check`, `watch`,
+  `apply`, `plan`, `study`, `serve`, `demo`, `reproduce`: the commands
 - `words`: what several of them share, and errors in the words of a command line
 """
 
@@ -24,6 +24,7 @@ from counterspin.cli import (
     apply,
     calibrate,
     certificate,
+    check,
     compare,
     demo,
     history,
@@ -34,6 +35,7 @@ from counterspin.cli import (
     serve,
     simulate,
     study,
+    watch,
 )
 from counterspin.cli.words import complain, spoken
 from counterspin.errors import CampaignError, CounterspinError, CounterspinWarning
@@ -54,6 +56,8 @@ for _command in (
     certificate.certificate,
     history.history,
     compare.compare,
+    check.check,
+    watch.watch,
     apply.apply,
     plan.plan,
     study.study,

@@ -1,0 +1,87 @@
+"""How much of a core `counterspin watch` takes beside a recorder that writes 1000 rows a second.
+
+    python benchmarks/watching.py [SECONDS]
+
+Two runs are there, the third is written by a second process, line by line in small parts, as a
+recorder does. Printed: processor time of the watch over the time it ran, start included; how far
+it was behind at its end; and its u of K_II beside that of `calibrate`.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import counterspin as cs
+
+ROWS_A_SECOND = 1000
+
+
+def campaign(folder, seconds):
+    """Return the folder of a simulated campaign whose last run lasts so many seconds."""
+    description = cs.init(folder / "made")
+    changed = cs.read_campaign(description).change(
+        simulation={"sampling_rate": f"{ROWS_A_SECOND} Hz", "revolutions": None},
+        runs={
+            "run1": {"duration": f"{seconds} s"},
+            "run2": {"duration": f"{seconds} s"},
+            "run3": {"duration": f"{seconds} s"},
+        },
+    )
+    cs.simulate(changed).write(folder / "records")
+    return folder / "records"
+
+
+def write_slowly(source, target):
+    """Append a file's lines to another at the rate of the recorder, in parts of any length."""
+    content = source.read_bytes()
+    begin = content.index(b"\n") + 1
+    a_second = (len(content) - begin) * ROWS_A_SECOND / content.count(b"\n")
+    with target.open("wb", buffering=0) as file:
+        file.write(content[:begin])
+        done, start = begin, time.monotonic()
+        while done < len(content):
+            time.sleep(0.02)
+            due = min(begin + int((time.monotonic() - start) * a_second), len(content))
+            file.write(content[done:due])
+            done = due
+    print(time.time())
+
+
+def main(seconds):
+    """Run both and print what was measured."""
+    with tempfile.TemporaryDirectory() as place:
+        folder = campaign(Path(place), seconds)
+        whole, growing = folder / "whole", max(folder.glob("run3.*"))
+        growing.rename(whole)
+        writer = subprocess.Popen(
+            [sys.executable, __file__, "--write", str(whole), str(growing)], stdout=subprocess.PIPE
+        )
+        begin = time.monotonic()
+        watch = subprocess.Popen(
+            [sys.executable, "-m", "counterspin", "watch", str(folder), "--json-lines"],
+            stdout=subprocess.PIPE,
+        )
+        states = [(time.time(), json.loads(line)) for line in watch.stdout]
+        _, status, used = os.wait4(watch.pid, 0)
+        wall = time.monotonic() - begin
+        written = float(writer.communicate()[0])
+        assert status == 0
+        result = cs.calibrate(folder).coefficient("Qx.K_II")
+        (found,) = states[-1][1]["coefficients"]
+        cpu = used.ru_utime + used.ru_stime
+        print(f"{ROWS_A_SECOND} rows/s for {seconds} s; {len(states)} states")
+        print(f"processor time {cpu:.2f} s of {wall:.1f} s: {cpu / wall:.1%} of a core")
+        print(f"last state {states[-1][0] - written:.1f} s after the last row")
+        print(f"u of K_II: watch less calibrate {found['u'] / result.u - 1.0:.1e} of u")
+        print(f"memory {used.ru_maxrss / 1024:.0f} MB")
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--write"]:
+        write_slowly(*map(Path, sys.argv[2:4]))
+    else:
+        main(int(sys.argv[1]) if len(sys.argv) > 1 else 100)

@@ -1,0 +1,43 @@
+"""`counterspin check`: one record, judged."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from counterspin.cli.words import NOT_SAVED, Saved
+from counterspin.errors import CounterspinError
+
+
+def check(
+    record: Path,
+    /,
+    *,
+    campaign: Annotated[Path, Parameter(name="--campaign")],
+    run: str | None = None,
+    saved: Saved = NOT_SAVED,
+) -> None:
+    """Judge the record of one run: clock, angle, rate, residuals, and the u that it will bring.
+
+    Parameters
+    ----------
+    record
+        The file, of a run that the campaign describes.
+    campaign
+        The campaign's folder, or its campaign.toml.
+    run
+        Which run it is, where its name does not say.
+    """
+    from counterspin.monitoring.check import check as judge
+    from counterspin.monitoring.page import render_check
+    from counterspin.monitoring.result import Checked
+    from counterspin.reports.text import report_console
+
+    saved.reserve(Checked.file_kind)
+    checked = judge(record, campaign, run=run)
+    with saved.written(checked):
+        report_console().print(render_check(checked))
+    if not checked.good:
+        raise CounterspinError("the run should not be kept as it is")

@@ -1,0 +1,11 @@
+"""Runs judged while the centrifuge turns.
+
+- `check`: one record: clock, angle, rate, residuals, and what the campaign's u will be with it
+- `watch`: the states of a campaign whose records grow
+- `following`: a text table that grows, its new rows alone read
+- `observing`: the records that are there, read again only where they have changed
+- `judging`: what a run shows, in numbers and in sentences
+- `reaching`: the fit of what is there; goals, and whether they are met
+- `result`: what both say, and its JSON
+- `page`: both as a person reads them
+"""

@@ -1,0 +1,186 @@
+"""A record judged, and a campaign while it is recorded, as a person reads them.
+
+- `render_check`, `render_watch`: as something that rich prints
+- `watch_line`: a state in a line, for what is no terminal
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from counterspin.monitoring.result import (
+    Checked,
+    GoalState,
+    ReachedCoefficient,
+    RunState,
+    WatchState,
+)
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.numbers import (
+    NOT_DETERMINED,
+    field_unit,
+    format_estimate,
+    format_number,
+    format_uncertainty,
+)
+from counterspin.reports.text import Report
+
+
+def render_check(checked: Checked) -> Report:
+    """Return the judgement of one record for the terminal."""
+    return Report(list(_check_blocks(checked)))
+
+
+def render_watch(state: WatchState) -> Report:
+    """Return a state for the terminal."""
+    return Report(list(_watch_blocks(state)))
+
+
+def watch_line(state: WatchState) -> str:
+    """Return a state in one line."""
+    runs = ", ".join(f"{run.run} {_progress(run)}" for run in state.runs)
+    found = ", ".join(f"u({c.name}) {_u(c.u, c.unit)}" for c in state.coefficients)
+    worst = [r.ratio for run in state.runs for r in run.residuals.values()]
+    residual = f"; residuals {max(worst):.2f} of noise" if worst else ""
+    goals = "; goal met" if state.met else ""
+    return f"{runs}; {found}{residual}{goals}"
+
+
+def _check_blocks(checked: Checked) -> Iterator[Block]:
+    run = checked.run
+    yield Heading(f"{run.run}: {run.record}", 1)
+    if checked.good:
+        words = "The run may be kept." if not checked.remarks else "The run may be kept; note:"
+    else:
+        words = "The run should not be kept as it is."
+    yield Paragraph(words, "answer" if checked.good else "warning")
+    for remark in checked.remarks:
+        yield Paragraph(remark, "plain" if checked.good else "warning")
+    if run.state == "read":
+        rows = tuple(_facts(run))
+        yield Table((Column("What"), Column("Found", wraps=True)), rows)
+    if checked.reached:
+        others = ", ".join(checked.others)
+        yield Heading("What it brings")
+        yield _coefficients(
+            checked, f"with {others}" if others else "by this record alone, and what is known"
+        )
+    if checked.why_not and run.state == "read":
+        yield Paragraph(f"The whole campaign cannot be forecast: {checked.why_not}.", "quiet")
+
+
+def _coefficients(checked: Checked, now: str) -> Table:
+    expected = {c.name: c for c in checked.expected}
+    rows = []
+    for c in checked.reached:
+        later = expected.get(c.name)
+        rows.append((c.name, _estimate(c), _u(later.u, later.unit) if later else "-"))
+    titles = ("Coefficient", now.capitalize(), "u of the whole campaign")
+    return Table(tuple(Column(t, wraps=True) for t in titles), tuple(rows))
+
+
+def _facts(run: RunState) -> Iterator[tuple[str, str]]:
+    hz = f"{format_number(run.sampling_rate, 5)} Hz" if run.sampling_rate else "-"
+    repeated = f", {run.repeated} repeated rows" if run.repeated else ""
+    gaps = f", {run.gaps} gaps, the longest {run.longest_gap:.3g} s" if run.gaps else ", no gaps"
+    of = f" of {run.stated_seconds:.5g} s" if run.stated_seconds else ""
+    yield "Clock", f"{run.rows} rows at {hz}, {run.seconds:.5g} s{of}{gaps}{repeated}"
+    if run.rate is None or run.u_rate is None:
+        yield "Angle", "not recorded: the nominal rate is taken"
+    else:
+        part = run.rate / run.nominal_rate - 1.0
+        yield (
+            "Rate",
+            f"{format_estimate(run.rate, run.u_rate, 'rad/s')}, nominal {run.nominal_rate:.7g} "
+            f"({part:+.1e})",
+        )
+        yield "Drift of the rate", f"{format_number(run.drift or 0.0)} 1/s"
+        yield "Ripple", _ripple(run)
+        rms = f"{format_number(run.angle_rms)} rad" if run.angle_rms else "-"
+        yield "Angle about the model", f"rms {rms}"
+    yield "Left out", f"{run.outliers} outliers, {run.empty} empty cells"
+    for name, residual in run.residuals.items():
+        stated = f", stated {format_number(residual.stated)}" if residual.stated else ""
+        p = "" if residual.p is None else f", p = {format_number(residual.p, 2)}"
+        yield (
+            f"Residuals of {name}",
+            f"rms {format_number(residual.rms)} {residual.unit}{stated}; "
+            f"{residual.ratio:.3f} of the noise{p}",
+        )
+
+
+def _ripple(run: RunState) -> str:
+    if run.ripple is None:
+        return "none seen"
+    part = run.ripple / abs(run.rate or run.nominal_rate)
+    return f"{part:.1e} of the rate, harmonic {run.harmonic}"
+
+
+def _watch_blocks(state: WatchState) -> Iterator[Block]:
+    yield Heading(state.title or "Campaign", 1)
+    for event in state.events:
+        yield Paragraph(event, "warning")
+    yield Table(
+        (
+            Column("Run"),
+            Column("Recorded", wraps=True),
+            Column("Rate, rad/s", "right"),
+            Column("Ripple", "right"),
+            Column("Residuals / noise", "right"),
+        ),
+        tuple(_row(run) for run in state.runs),
+        quiet=frozenset(i for i, run in enumerate(state.runs) if run.state == "waiting"),
+    )
+    for run in state.runs:
+        if run.state == "failed" or (run.state == "read" and run.why):
+            yield Paragraph(f"{run.run}: {run.why}", "warning")
+    if state.trouble:
+        yield Paragraph(state.trouble, "warning")
+    goals = {goal.name: goal for goal in state.goals}
+    yield Table(
+        (Column("Coefficient"), Column("So far", "right"), Column("Goal", wraps=True)),
+        tuple((c.name, _estimate(c), _goal(goals.get(c.name))) for c in state.coefficients),
+    )
+    if state.met:
+        yield Paragraph("The goal is met.", "answer")
+    if state.complete:
+        yield Paragraph("Every run is as long as the campaign states.", "answer")
+
+
+def _row(run: RunState) -> tuple[str, ...]:
+    ratio = ", ".join(f"{r.ratio:.3f}" for r in run.residuals.values())
+    rate = "" if run.rate is None else f"{run.rate:.7g}"
+    ripple = ""
+    if run.rate is not None:
+        ripple = "none seen" if run.ripple is None else f"{run.ripple / abs(run.rate):.1e}"
+    return run.run, _progress(run), rate, ripple, ratio
+
+
+def _progress(run: RunState) -> str:
+    if run.state == "waiting":
+        return f"waits: {run.why}" if run.why else "waits"
+    if run.state == "failed":
+        return f"{run.rows} rows, not usable"
+    of = f" of {run.stated_seconds:.4g}" if run.stated_seconds else ""
+    return f"{run.seconds:.4g}{of} s, {run.rows} rows"
+
+
+def _estimate(c: ReachedCoefficient) -> str:
+    unit, factor = field_unit(c.unit)
+    if c.value is None or c.u is None:
+        return NOT_DETERMINED
+    return format_estimate(c.value * factor, c.u * factor, unit)
+
+
+def _u(u: float | None, unit: str) -> str:
+    shown, factor = field_unit(unit)
+    if u is None or not math.isfinite(u):
+        return NOT_DETERMINED
+    return f"{format_uncertainty(u * factor)} {shown}"
+
+
+def _goal(goal: GoalState | None) -> str:
+    if goal is None:
+        return ""
+    return f"u {_u(goal.wanted, goal.unit)}: {'met' if goal.met else 'not yet'}"

@@ -1,0 +1,193 @@
+"""`counterspin watch`: the state of a campaign while its records grow.
+
+- `watch`: an iterator of `WatchState`
+- `Pace`: how often files are looked at, and how much of the processor is taken
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from counterspin.calibration.observed import ObservedRun
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.resolved import Campaign
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.frozen import frozen
+from counterspin.monitoring.judging import run_state
+from counterspin.monitoring.observing import Observer, record_name
+from counterspin.monitoring.reaching import (
+    Fitted,
+    fitted,
+    goal_states,
+    goals_of,
+    nothing_reached,
+    reached,
+    shown_names,
+)
+from counterspin.monitoring.result import ReachedCoefficient, RunState, WatchState
+from counterspin.workers import one_blas_thread
+
+#: A run that is as long as this part of what is stated is complete.
+_WHOLE: Final = 1.0 - 1e-3
+
+
+@frozen
+class Pace:
+    """How often files are looked at, and how much of the processor is taken.
+
+    Attributes
+    ----------
+    interval
+        Seconds between two looks.
+    share
+        Part of one core that fits may take: the longer one takes, the later the next one.
+    """
+
+    interval: float = 1.0
+    share: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not (0.0 < self.interval < 1e6 and 0.0 < self.share <= 1.0):
+            raise CampaignError(
+                "watch", ["the interval is more than 0 s, the share of a core between 0 and 1"]
+            )
+
+
+_USUAL: Final = Pace()
+
+
+def watch(
+    where: Campaign | Path | str,
+    *,
+    goals: Sequence[str] | Mapping[str, float | str] | Path = (),
+    pace: Pace = _USUAL,
+    once: bool = False,
+) -> Iterator[WatchState]:
+    """Follow the records of a campaign while they grow.
+
+    Nothing is kept beside the files: a watch that is started again has the same states from then
+    on. New rows alone are read of tables of text; other files are read whole when they change.
+
+    Parameters
+    ----------
+    where
+        The campaign's folder, its description, or a campaign already read.
+    goals
+        Such as ``K_II 1e-8 g/g^2``, or name -> u, or the file of a plan, whose ``target`` counts.
+    pace
+        How often, and how much of the processor.
+    once
+        Whether one state is enough; else the iterator ends when every run is as long as the
+        description states, and otherwise not by itself.
+
+    Yields
+    ------
+    WatchState
+        The first one at once, then whenever there is something new.
+
+    Raises
+    ------
+    CampaignError
+        If the description is wrong, has no runs with records, or a goal names no term of it.
+    """
+    campaign = where if isinstance(where, Campaign) else read_campaign(where)
+    if not campaign.runs:
+        raise CampaignError("watch", ["the campaign has no runs with a record to follow"])
+    wanted = goals_of(campaign, goals)
+    return _states(campaign, wanted, pace, once=once)
+
+
+@dataclass
+class _Clock:
+    """When the next look and the next fit are due."""
+
+    pace: Pace
+    fit_due: float = 0.0
+
+    def after_fit(self, cost: float) -> None:
+        self.fit_due = time.monotonic() + max(self.pace.interval, cost / self.pace.share)
+
+    def wait(self) -> None:
+        time.sleep(self.pace.interval)
+
+
+def _states(
+    campaign: Campaign, goals: Mapping[str, float], pace: Pace, *, once: bool
+) -> Iterator[WatchState]:
+    observer, clock = Observer(campaign, grow=True), _Clock(pace)
+    events: list[str] = []
+    due = True
+    while True:
+        changed, told = observer.look()
+        events += told
+        due |= changed
+        if due and time.monotonic() >= clock.fit_due:
+            begin = time.process_time()
+            state = _state(campaign, observer, goals, tuple(events))
+            clock.after_fit(time.process_time() - begin)
+            events, due = [], False
+            yield state
+            if once or state.complete:
+                return
+        clock.wait()
+
+
+def _state(
+    campaign: Campaign, observer: Observer, goals: Mapping[str, float], events: Sequence[str]
+) -> WatchState:
+    with one_blas_thread():
+        part, observed = observer.present()
+        fit, trouble = None, None
+        found: list[ReachedCoefficient] = []
+        if observed or campaign.readings:
+            try:
+                fit = fitted(part, observed)
+                found = reached(fit, shown_names(campaign, goals))
+            except CounterspinError as error:
+                trouble = str(error)
+        runs = _runs(campaign, observer, observed, fit)
+    if not found:
+        found = nothing_reached(campaign, shown_names(campaign, goals))
+    return WatchState(
+        title=campaign.title,
+        runs=runs,
+        coefficients=found,
+        goals=goal_states(goals, found),
+        events=list(events),
+        trouble=trouble,
+        complete=all(map(_is_complete, runs)),
+    )
+
+
+def _runs(
+    campaign: Campaign, observer: Observer, observed: Sequence[ObservedRun], fit: Fitted | None
+) -> list[RunState]:
+    there = {one.run.name: one for one in observed}
+    states = []
+    for run in campaign.runs:
+        waits, trouble, rows = observer.of(run.name)
+        if run.name in there:
+            state = run_state(campaign, there[run.name], fit.views if fit else ())
+            states.append(state.model_copy(update={"why": trouble}))
+            continue
+        states.append(
+            RunState(
+                run=run.name,
+                record=record_name(run.record, campaign.folder),
+                state="failed" if trouble else "waiting",
+                why=trouble or waits,
+                rows=rows,
+                stated_seconds=run.duration,
+                nominal_rate=run.rate,
+            )
+        )
+    return states
+
+
+def _is_complete(state: RunState) -> bool:
+    stated = state.stated_seconds
+    return state.state == "read" and stated is not None and state.seconds >= _WHOLE * stated

@@ -1,0 +1,99 @@
+"""One record, judged: what is seen of it, what is said, and the u that it brings."""
+
+import polars as pl
+import pytest
+
+import counterspin as cs
+from counterspin.cli import main
+from counterspin.errors import CampaignError, RecordError
+
+
+def changed(file, **columns):
+    frame = pl.read_csv(file)
+    frame.with_columns(**{name: make(frame[name]) for name, make in columns.items()}).write_csv(
+        file
+    )
+
+
+def test_a_good_run_is_told_so(folder):
+    checked = cs.check(folder / "slow.csv", folder)
+    run = checked.run
+    assert (checked.good, checked.remarks, checked.why_not) == (True, [], None)
+    assert (run.run, run.state, run.gaps, run.outliers) == ("slow", "read", 0, 0)
+    assert run.sampling_rate == pytest.approx(20.0)
+    assert abs(run.rate - run.nominal_rate) < 1e-3 * run.nominal_rate
+    assert 0.8 < run.residuals["Qx"].ratio < 1.2
+    assert run.residuals["Qx"].stated == 0.01
+    assert checked.others == ["middle", "fast"]
+    result = cs.calibrate(folder).coefficient("Qx.K_II")
+    (now,), (expected,) = checked.reached, checked.expected
+    assert (now.value, now.u) == (result.value, result.u)
+    assert expected.u == pytest.approx(result.u, rel=1e-3)
+
+
+def test_what_the_whole_campaign_will_know_is_known_from_the_first_run(folder):
+    result = cs.calibrate(folder).coefficient("Qx.K_II")
+    for name in ("middle", "fast"):
+        (folder / f"{name}.csv").unlink()
+    checked = cs.check(folder / "slow.csv", folder)
+    assert checked.others == []
+    assert checked.reached[0].u is None or checked.reached[0].u > 3.0 * result.u
+    assert checked.expected[0].u == pytest.approx(result.u, rel=1e-3)
+
+
+def test_other_noise_is_seen(folder):
+    changed(
+        folder / "fast.csv", east_m=lambda x: x + 0.03 * (-1.0) ** pl.arange(len(x), eager=True)
+    )
+    checked = cs.check(folder / "fast.csv", folder)
+    assert not checked.good
+    assert checked.run.residuals["Qx"].ratio > 2.0
+    assert any("as large as the stated noise" in text for text in checked.remarks)
+
+
+def test_another_rate_and_a_short_record_are_seen(folder):
+    # The clock runs 2 % fast; the last third is missing.
+    pl.read_csv(folder / "fast.csv").head(200).with_columns(pl.col("time_s") * 0.98).write_csv(
+        folder / "fast.csv"
+    )
+    checked = cs.check(folder / "fast.csv", folder)
+    text = " ".join(checked.remarks)
+    assert not checked.good
+    assert "not at the nominal" in text or "rate" in checked.run.why
+    assert checked.run.state == "failed" or "the campaign states" in text
+
+
+def test_what_cannot_be_read_is_said_of_the_run(folder):
+    (folder / "slow.csv").write_text("time_s,angle_rad,east_m\n0,0,0\n1,x,0\n")
+    checked = cs.check(folder / "slow.csv", folder)
+    assert (checked.good, checked.run.state) == (False, "failed")
+    assert "line 3" in checked.run.why
+    assert checked.reached == []
+
+
+def test_frames_and_other_files_are_judged_too(folder, tmp_path):
+    frame = pl.read_csv(folder / "slow.csv")
+    by_file = cs.check(folder / "slow.csv", folder)
+    in_memory = cs.check(frame, folder, run="slow")
+    assert in_memory.run.residuals == by_file.run.residuals
+    frame.write_csv(tmp_path / "slow.csv")
+    assert cs.check(tmp_path / "slow.csv", folder).run.rate == by_file.run.rate
+    frame.write_csv(tmp_path / "other.csv")
+    with pytest.raises(CampaignError, match="say which run this is, one of: slow, middle, fast"):
+        cs.check(tmp_path / "other.csv", folder)
+    with pytest.raises(CampaignError, match='no run is called "sloww"'):
+        cs.check(tmp_path / "other.csv", folder, run="sloww")
+    with pytest.raises(RecordError, match="no such file"):
+        cs.check(tmp_path / "nowhere.csv", folder)
+
+
+def test_the_command_says_all_of_it(folder, tmp_path, capsys):
+    words = ["check", str(folder / "slow.csv"), "--campaign", str(folder)]
+    assert main([*words, "--json", str(tmp_path / "c.json")]) == 0
+    told = capsys.readouterr().out
+    for word in ("The run may be kept", "Clock", "Ripple", "Residuals of Qx", "Qx.K_II"):
+        assert word in told
+    assert cs.Checked.read(tmp_path / "c.json") == cs.check(folder / "slow.csv", folder)
+    (folder / "slow.csv").write_text("")
+    assert main(words) == 1
+    assert "should not be kept" in capsys.readouterr().err

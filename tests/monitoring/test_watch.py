@@ -1,0 +1,156 @@
+"""A campaign while it grows: each state, what is told, and that nothing is lost."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+import counterspin as cs
+from counterspin.cli import main
+from counterspin.errors import CampaignError
+from counterspin.monitoring import result as monitoring_result
+
+FAST = cs.Pace(interval=1e-3, share=1.0)
+
+
+def steps(folder, *, parts=4, last="fast"):
+    """Take the last run away, and return its lines in parts."""
+    content = (folder / f"{last}.csv").read_bytes()
+    size = len(content) // parts
+    (folder / f"{last}.csv").unlink()
+    return [content[k * size : (k + 1) * size if k < parts - 1 else None] for k in range(parts)]
+
+
+def append(folder, content, name="fast"):
+    with (folder / f"{name}.csv").open("ab") as file:
+        file.write(content)
+
+
+def test_states_grow_with_the_records_and_end_at_the_calibration(folder):
+    parts = steps(folder)
+    states = cs.watch(folder, goals=["K_II 1 ug/g^2"], pace=FAST)
+    state = next(states)
+    assert [run.state for run in state.runs] == ["read", "read", "waiting"]
+    assert state.runs[2].why == "no file yet"
+    seen = [state]
+    for part in parts:
+        append(folder, part)
+        seen.append(next(states))
+    with pytest.raises(StopIteration):
+        next(states)
+    u = [state.coefficients[0].u for state in seen if state.coefficients[0].u]
+    assert u == sorted(u, reverse=True)
+    assert [state.complete for state in seen] == [False] * len(parts) + [True]
+    result = cs.calibrate(folder)
+    found, k_ii = seen[-1].coefficients[0], result.coefficient("Qx.K_II")
+    assert abs(found.value - k_ii.value) < 1e-9 * k_ii.u
+    assert abs(found.u - k_ii.u) < 1e-9 * k_ii.u
+    for run in seen[-1].runs:
+        assert run.rate == result.runs[run.run].rate
+        assert run.rows == result.runs[run.run].counts["rows"]
+    (goal,) = seen[-1].goals
+    assert goal.met == (goal.u <= 1e-6)
+    assert seen[-1].met
+
+
+def test_a_watch_that_is_started_anew_goes_on(folder):
+    parts = steps(folder, parts=3)
+    append(folder, parts[0])
+    first = cs.watch(folder, pace=FAST)
+    next(first)
+    append(folder, parts[1])
+    went_on = next(first)
+    first.close()
+    assert next(cs.watch(folder, pace=FAST)) == went_on
+
+
+def test_what_happens_to_files_is_told(folder):
+    (folder / "slow.csv").write_bytes((folder / "slow.csv").read_bytes()[:3000])
+    states = cs.watch(folder, pace=FAST)
+    next(states)
+    content = (folder / "middle.csv").read_bytes()
+    (folder / "middle.csv").write_bytes(content[: len(content) // 2])
+    state = next(states)
+    assert state.events == ["middle.csv has become shorter, and is read again from its start."]
+    (folder / "middle.csv").unlink()
+    state = next(states)
+    assert state.events == ["middle.csv is no longer there."]
+    assert state.runs[1].state == "waiting"
+    (folder / "middle.csv").write_bytes(content)
+    assert next(states).runs[1].state == "read"
+
+
+def test_a_record_that_cannot_be_used_stops_no_other(folder):
+    append(folder, b"words,words,words\n", "slow")
+    state = next(cs.watch(folder, pace=FAST))
+    assert [run.state for run in state.runs] == ["failed", "read", "read"]
+    assert "slow.csv" in state.runs[0].why
+    assert not state.complete
+
+
+def test_goals_are_checked(folder):
+    for goal, words in (
+        ("K_9 1e-8", '"K_9" is not estimated'),
+        ("K_II much", "goal.target.K_II"),
+        ("K_II -1", "greater than zero"),
+        ("K_II 1 m", "goal.target.K_II"),
+    ):
+        with pytest.raises(CampaignError, match=words):
+            cs.watch(folder, goals=[goal])
+    (goal,) = next(cs.watch(folder, goals={"Qx.K_II": 1e-30}, pace=FAST, once=True)).goals
+    assert (goal.met, goal.wanted, goal.unit) == (False, 1e-30, "g/g^2")
+    plan = folder / "PLAN.toml"
+    assert main(["plan", "--init", str(plan)]) == 0
+    with pytest.raises(CampaignError, match=r"goal\.target: missing"):
+        cs.watch(folder, goals=plan)
+    text = plan.read_text(encoding="utf-8").replace('minimise = ["K_II"]', "")
+    plan.write_text(text.replace("# target", "target"), encoding="utf-8")
+    (goal,) = next(cs.watch(folder, goals=plan, pace=FAST, once=True)).goals
+    assert (goal.name, goal.wanted) == ("Qx.K_II", 3e-8)
+    with pytest.raises(CampaignError, match="interval"):
+        cs.Pace(0.0)
+
+
+def test_the_command_prints_lines_where_nobody_looks(folder, capsys):
+    words = ["watch", str(folder), "--interval", "0.01", "--goal", "K_II 1 ug/g^2"]
+    assert main(words) == 0  # all runs are complete
+    (line,) = capsys.readouterr().out.splitlines()
+    assert "slow 60 of 60 s" in line
+    assert "u(Qx.K_II)" in line
+    assert line.endswith("goal met")
+    assert main([*words, "--json-lines"]) == 0
+    state = json.loads(capsys.readouterr().out)
+    assert state["complete"]
+    assert main([*words, "--once"]) == 0
+    assert "The goal is met." in capsys.readouterr().out
+
+
+def test_a_live_table_stands_where_somebody_looks(folder, capsys, monkeypatch):
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert main(["watch", str(folder), "--interval", "0.01"]) == 0
+    assert "Residuals / noise" in capsys.readouterr().out
+
+
+def test_stopping_it_is_no_fault(folder, capsys, monkeypatch):
+    steps(folder)
+
+    def stop(seconds):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("time.sleep", stop)
+    assert main(["watch", str(folder)]) == 130
+    told = capsys.readouterr()
+    assert "fast waits: no file yet" in told.out
+    assert told.err == "counterspin: stopped\n"
+
+
+def test_the_page_has_every_key():
+    page = (Path(__file__).parents[2] / "docs" / "monitoring.md").read_text(encoding="utf-8")
+    tables = dict(re.findall(r"^<!-- fields: (\w+) -->\n((?:\|.*\n)+)", page, re.MULTILINE))
+    own = vars(monitoring_result).items()
+    parts = {n: p for n, p in own if getattr(p, "__module__", "") == monitoring_result.__name__}
+    assert set(tables) == set(parts)
+    for name, rows in tables.items():
+        listed = re.findall(r"^\| `(\w+)` \|", rows, re.MULTILINE)
+        assert listed == [f.alias or key for key, f in parts[name].model_fields.items()]
