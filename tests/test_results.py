@@ -108,7 +108,7 @@ def test_every_result_of_the_package_is_written_so():
     }
     assert set(files) == {
         "BatchResult",
-        "Checked",
+        "CheckedRun",
         "Compared",
         "History",
         "PlanResult",

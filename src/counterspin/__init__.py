@@ -20,7 +20,7 @@ The commands, as functions:
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
 - `history`: a coefficient of each instrument through all its results (`History`)
 - `compare`: results of other models, methods or campaigns beside each other (`Compared`)
-- `check`: one record, judged (`Checked`); `watch`: a campaign while its records grow
+- `check`: one record, judged (`CheckedRun`); `watch`: a campaign while its records grow
   (`WatchState`), at a `Pace`
 - `reproduce`: the paper's figures beside what they should be (`Reproduction`)
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
@@ -117,7 +117,7 @@ if TYPE_CHECKING:
     from counterspin.inference.two_stage.strobes import by_nominal_rate as strobes_by_nominal_rate  # noqa: F401
     from counterspin.inference.two_stage.strobes import strobe_angle as strobe_angle
     from counterspin.monitoring.check import check as check
-    from counterspin.monitoring.result import Checked as Checked
+    from counterspin.monitoring.result import CheckedRun as CheckedRun
     from counterspin.monitoring.result import WatchState as WatchState
     from counterspin.monitoring.watch import Pace as Pace
     from counterspin.monitoring.watch import watch as watch
@@ -161,7 +161,7 @@ _OFFERED = {
     "comparisons.compare": ("compare",),
     "comparisons.result": ("Compared",),
     "monitoring.check": ("check",),
-    "monitoring.result": ("Checked", "WatchState"),
+    "monitoring.result": ("CheckedRun", "WatchState"),
     "monitoring.watch": ("Pace", "watch"),
     "correction.apply": ("ApplyOptions", "Correction", "apply"),
     "correction.apply_file": ("apply_file",),

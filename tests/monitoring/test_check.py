@@ -93,7 +93,7 @@ def test_the_command_says_all_of_it(folder, tmp_path, capsys):
     told = capsys.readouterr().out
     for word in ("The run may be kept", "Clock", "Ripple", "Residuals of Qx", "Qx.K_II"):
         assert word in told
-    assert cs.Checked.read(tmp_path / "c.json") == cs.check(folder / "slow.csv", folder)
+    assert cs.CheckedRun.read(tmp_path / "c.json") == cs.check(folder / "slow.csv", folder)
     (folder / "slow.csv").write_text("")
     assert main(words) == 1
     assert "should not be kept" in capsys.readouterr().err

@@ -32,10 +32,10 @@ def check(
     """
     from counterspin.monitoring.check import check as judge
     from counterspin.monitoring.page import render_check
-    from counterspin.monitoring.result import Checked
+    from counterspin.monitoring.result import CheckedRun
     from counterspin.reports.text import report_console
 
-    saved.reserve(Checked.file_kind)
+    saved.reserve(CheckedRun.file_kind)
     checked = judge(record, campaign, run=run)
     with saved.written(checked):
         report_console().print(render_check(checked))

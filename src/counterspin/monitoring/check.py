@@ -1,6 +1,6 @@
 """`counterspin check`: one record, judged while there is still time to make it again.
 
-- `check`: from a record and its campaign to a `Checked`
+- `check`: from a record and its campaign to a `CheckedRun`
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.monitoring.judging import remarks_of, run_state
 from counterspin.monitoring.observing import Observer, record_name
 from counterspin.monitoring.reaching import Fitted, fitted, reached, shown_names
-from counterspin.monitoring.result import Checked, ReachedCoefficient, RunState
+from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
 from counterspin.planning.forecast import forecast
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.workers import one_blas_thread
@@ -28,7 +28,7 @@ def check(
     campaign: Campaign | Path | str,
     *,
     run: str | None = None,
-) -> Checked:
+) -> CheckedRun:
     """Judge the record of one run: clock, angle, rate, residuals, and what it will bring.
 
     Parameters
@@ -42,7 +42,7 @@ def check(
 
     Returns
     -------
-    Checked
+    CheckedRun
 
     Raises
     ------
@@ -56,7 +56,7 @@ def check(
         return _checked(record, whole, run)
 
 
-def _checked(record: object, campaign: Campaign, name: str | None) -> Checked:
+def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun:
     file = Path(record).absolute() if isinstance(record, Path | str) else None
     if file is not None and not file.is_file():
         raise RecordError(f"{file}: there is no such file.")
@@ -71,7 +71,7 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> Checked:
         campaign = replace(campaign, frames={**campaign.frames, run.record: table})
     state, remarks, good, alone = _by_itself(campaign, own)
     if alone is None:
-        return Checked(
+        return CheckedRun(
             run=state,
             remarks=remarks,
             good=False,
@@ -82,7 +82,7 @@ def _checked(record: object, campaign: Campaign, name: str | None) -> Checked:
         )
     others, found = _with_the_others(campaign, own, alone)
     expected, why_not = _expected(campaign, own, alone)
-    return Checked(
+    return CheckedRun(
         run=state,
         remarks=remarks,
         good=good,

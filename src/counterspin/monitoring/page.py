@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 
 from counterspin.monitoring.result import (
-    Checked,
+    CheckedRun,
     GoalState,
     ReachedCoefficient,
     RunState,
@@ -27,7 +27,7 @@ from counterspin.reports.numbers import (
 from counterspin.reports.text import Report
 
 
-def render_check(checked: Checked) -> Report:
+def render_check(checked: CheckedRun) -> Report:
     """Return the judgement of one record for the terminal."""
     return Report(list(_check_blocks(checked)))
 
@@ -47,7 +47,7 @@ def watch_line(state: WatchState) -> str:
     return f"{runs}; {found}{residual}{goals}"
 
 
-def _check_blocks(checked: Checked) -> Iterator[Block]:
+def _check_blocks(checked: CheckedRun) -> Iterator[Block]:
     run = checked.run
     yield Heading(f"{run.run}: {run.record}", 1)
     if checked.good:
@@ -70,7 +70,7 @@ def _check_blocks(checked: Checked) -> Iterator[Block]:
         yield Paragraph(f"The whole campaign cannot be forecast: {checked.why_not}.", "quiet")
 
 
-def _coefficients(checked: Checked, now: str) -> Table:
+def _coefficients(checked: CheckedRun, now: str) -> Table:
     expected = {c.name: c for c in checked.expected}
     rows = []
     for c in checked.reached:

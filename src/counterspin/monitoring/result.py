@@ -3,7 +3,7 @@
 SI units, coefficients in g-units.
 
 - `WatchState`: a campaign whose records grow, at one moment
-- `Checked`: one record by itself, and with the rest of its campaign
+- `CheckedRun`: one record by itself, and with the rest of its campaign
 - `RunState`, `ResidualState`, `ReachedCoefficient`, `GoalState`: their parts
 """
 
@@ -156,7 +156,7 @@ class WatchState(ShownResult):
         return render_watch(self)
 
 
-class Checked(ShownResult):
+class CheckedRun(ShownResult):
     """One record, judged.
 
     Attributes
