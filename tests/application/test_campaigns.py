@@ -80,18 +80,6 @@ def test_no_record_outside_of_the_folder_is_read(page, folder, record):
     assert page.post("/api/jobs", json={"name": "three"}).status_code == 422
 
 
-def test_a_result_is_shown_with_the_report_s_words_and_pictures(page):
-    told = page.get("/api/result", params={"name": "three/result.json"}).json()
-    assert "of Qx = " in told["html"]
-    assert '<div class="still" data-place="0"></div>' in told["html"]
-    assert "<script>" not in told["html"]
-    query = {"name": "three/result.json", "place": 0}
-    picture = page.get("/api/picture", params=query)
-    assert picture.headers["content-type"] == "image/svg+xml"
-    assert picture.text.startswith("<svg")
-    assert page.get("/api/picture", params=query | {"place": 99}).status_code == 404
-
-
 @pytest.mark.parametrize(
     ("method", "path", "said", "status"),
     [

@@ -13,7 +13,11 @@ PLACE = Path("a folder") / "it's.json"
 
 SHOWN = {
     "calibrate_command": commands.calibrate_command(PLACE, PLACE, "two-stage", "it --is so"),
+    "certificate_command": commands.certificate_command(PLACE, PLACE, PLACE),
+    "compare_command": commands.compare_command([PLACE, PLACE]),
+    "history_command": commands.history_command(PLACE, "K_I"),
     "init_command": commands.init_command(PLACE, "arm"),
+    "plan_command": commands.plan_command(PLACE, PLACE),
     "report_command": commands.report_command(PLACE),
 }
 

@@ -11,7 +11,10 @@ is done by a click is a command too, and the page says which.
 - `form`, `editing`, `descriptions`: a form made of the models' keys, the text beside it, and both
   of a campaign or a laboratory
 - `jobs`: calibrations, each in a process of its own
-- `results`: a result as the report's words and pictures
+- `pages`: results, comparisons and histories as the reports' words and pictures
+- `record_plots`: records through a window of time
+- `plans`: plans whose limits are moved
+- `certification`: certificates, and files that are taken away
 - `commands`: what a click does, as the words of a command line
 - `interface`: what the page may ask, by name
 

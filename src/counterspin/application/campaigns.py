@@ -17,12 +17,14 @@ from typing import Any, Final
 from counterspin.application.commands import calibrate_command, init_command
 from counterspin.application.desk import Desk
 from counterspin.application.jobs import Job
+from counterspin.application.plans import is_plan
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result import Result
 from counterspin.campaign.starter import Test
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CampaignError, CounterspinError, RecordError
+from counterspin.physics.accelerometer import TERMS
 from counterspin.reports.numbers import format_estimate
 from counterspin.reports.typography import typeset
 
@@ -44,6 +46,8 @@ _WORDS: Final = {
 def folder_overview(desk: Desk) -> dict[str, Any]:
     """Return the folder's campaigns and those of its results that are no campaign's."""
     campaigns, others = [], []
+    plans: list[str] = []
+    labs: list[str] = []
     for folder, files in desk.folder.folders():
         name = desk.folder.name(folder)
         results = list(_results(desk, folder, files))
@@ -51,11 +55,37 @@ def folder_overview(desk: Desk) -> dict[str, Any]:
             campaigns.append(_line(desk, name, results))
         else:
             others += results
+        for file in files:
+            kind = _toml_kind(desk, folder / file)
+            if kind is not None:
+                (plans if kind == "plan" else labs).append(desk.folder.name(folder / file))
     return {
         "folder": desk.folder.root.name,
         "campaigns": campaigns,
         "results": others,
+        "plans": plans,
+        "labs": labs,
+        "terms": list(TERMS),
     }
+
+
+def _toml_kind(desk: Desk, path: Path) -> str | None:
+    """Return whether a file is a ``plan`` or the laboratory's data, ``lab``; None if neither."""
+    if path.suffix.lower() != ".toml" or path.name == DESCRIPTION_NAME:
+        return None
+    if not desk.folder.holds(path):
+        return None
+
+    def look() -> str | None:
+        try:
+            document = load_document(path)
+        except CounterspinError:
+            return None
+        if is_plan(document):
+            return "plan"
+        return "lab" if {"certificate", "laboratory"} <= document.keys() else None
+
+    return desk.remembered.get(("kind", path), [path], look)
 
 
 def _results(desk: Desk, folder: Path, files: list[str]) -> Iterator[dict[str, Any]]:

@@ -31,5 +31,25 @@ def init_command(folder: Path, test: str) -> str:
     return _typed(["init", str(folder), f"--test={test}"])
 
 
+def compare_command(results: Sequence[Path]) -> str:
+    """Return the command that compares results."""
+    return _typed(["compare", *map(str, results)])
+
+
+def history_command(folder: Path, term: str) -> str:
+    """Return the command that follows a coefficient through a folder's results."""
+    return _typed(["history", str(folder), f"--term={term}"])
+
+
+def certificate_command(result: Path, lab: Path, output: Path) -> str:
+    """Return the command that issues a result's certificate."""
+    return _typed(["certificate", str(result), str(lab), "--output", str(output)])
+
+
+def plan_command(file: Path, folder: Path | None) -> str:
+    """Return the command that plans, and writes the campaign into a folder if there is one."""
+    return _typed(["plan", str(file), *([] if folder is None else ["--output", str(folder)])])
+
+
 def _typed(words: Sequence[str]) -> str:
     return join(["counterspin", *words])

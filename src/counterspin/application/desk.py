@@ -23,14 +23,21 @@ from counterspin.input import FileIdentity
 
 T = TypeVar("T")
 
-#: So many things are remembered.
+#: So many things are usually remembered.
 _MOST: Final = 300
 
 
 class Remembered:
-    """What was made of files, which takes long, until one of them changes."""
+    """What was made of files, which takes long, until one of them changes.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    most
+        So many things are remembered.
+    """
+
+    def __init__(self, most: int = _MOST) -> None:
+        self._most = most
         self._known: OrderedDict[Any, tuple[Any, Any]] = OrderedDict()
         self._lock = threading.Lock()
 
@@ -55,7 +62,7 @@ class Remembered:
         made = make()
         with self._lock:
             self._known[key] = (stamp, made)
-            while len(self._known) > _MOST:
+            while len(self._known) > self._most:
                 self._known.popitem(last=False)
         return made
 

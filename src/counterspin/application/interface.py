@@ -11,9 +11,16 @@ import json
 from collections.abc import Callable, Mapping
 from typing import Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
-from counterspin.application import campaigns, descriptions, results
+from counterspin.application import (
+    campaigns,
+    certification,
+    descriptions,
+    pages,
+    plans,
+    record_plots,
+)
 from counterspin.application.desk import Desk
 from counterspin.application.folder import ChangedMeanwhileError, NotThereError, OutsideError
 from counterspin.calibration.options import Method
@@ -38,10 +45,57 @@ class Named(Asked):
     name: str
 
 
-class PictureAsked(Named):
-    """A picture of a result's page."""
+class PageAsked(Asked):
+    """A page of results, whose names stand one below the other."""
+
+    kind: pages.Kind
+    names: str
+    term: str = "K_II"
+
+    @property
+    def files(self) -> list[str]:
+        """The results' files."""
+        return self.names.split("\n")
+
+
+class PictureAsked(PageAsked):
+    """A picture of such a page."""
 
     place: int
+
+
+class RecordAsked(Named):
+    """The record of a run."""
+
+    run: str
+
+
+class WindowAsked(RecordAsked):
+    """A part of it, between two times."""
+
+    low: FiniteFloat
+    high: FiniteFloat
+    parts: int = 1000
+
+
+class LimitsAsked(Named):
+    """A plan whose limits are moved."""
+
+    moved: dict[str, FiniteFloat] = {}
+
+
+class PlannedAsked(LimitsAsked):
+    """The campaign of such a plan."""
+
+    folder: str
+
+
+class CertificateAsked(Asked):
+    """A certificate that is to be issued."""
+
+    result: str
+    lab: str
+    output: str
 
 
 class CalibrationAsked(Named):
@@ -98,11 +152,12 @@ class SavingAsked(TextAsked):
 
 @frozen
 class Answer:
-    """What is answered: status, and JSON or SVG."""
+    """What is answered: status, content, what it is, and under which name it is to be saved."""
 
     status: int
     content: Any
     kind: str = "application/json"
+    name: str | None = None
 
 
 Endpoint = tuple[type[Asked], Callable[[Desk, Any], Any]]
@@ -138,12 +193,44 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Endpoint]] = {
             desk, asked.file, asked.text, asked.version, asked.result
         ),
     ),
-    ("GET", "result"): (Named, lambda desk, asked: results.result_page(desk, asked.name)),
+    ("GET", "page"): (
+        PageAsked,
+        lambda desk, asked: pages.page_of(desk, asked.kind, asked.files, asked.term),
+    ),
     ("GET", "picture"): (
         PictureAsked,
         lambda desk, asked: Answer(
-            200, results.result_picture(desk, asked.name, asked.place), "image/svg+xml"
+            200,
+            pages.picture_of(desk, asked.kind, asked.files, asked.term, asked.place),
+            "image/svg+xml",
         ),
+    ),
+    ("GET", "record-about"): (
+        RecordAsked,
+        lambda desk, asked: record_plots.record_overview(desk, asked.name, asked.run),
+    ),
+    ("GET", "record"): (
+        WindowAsked,
+        lambda desk, asked: record_plots.record_window(
+            desk, asked.name, asked.run, (asked.low, asked.high), asked.parts
+        ),
+    ),
+    ("POST", "certificate"): (
+        CertificateAsked,
+        lambda desk, asked: certification.begin_certificate(
+            desk, asked.result, asked.lab, asked.output
+        ),
+    ),
+    ("GET", "file"): (Named, lambda desk, asked: _taken(desk, asked.name)),
+    ("GET", "plan"): (Named, lambda desk, asked: plans.plan_overview(desk, asked.name)),
+    ("POST", "plan"): (Named, lambda desk, asked: plans.begin_plan(desk, asked.name)),
+    ("POST", "plan-try"): (
+        LimitsAsked,
+        lambda desk, asked: plans.tried_plan(desk, asked.name, asked.moved),
+    ),
+    ("POST", "planned"): (
+        PlannedAsked,
+        lambda desk, asked: plans.begin_planned(desk, asked.name, asked.moved, asked.folder),
     ),
     ("GET", "jobs"): (Nothing, lambda desk, _: [job.shown() for job in desk.jobs.all()]),
     ("POST", "jobs"): (
@@ -154,6 +241,11 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Endpoint]] = {
     ),
     ("DELETE", "jobs"): (JobAsked, lambda desk, asked: desk.jobs.stop(asked.number).shown()),
 }
+
+
+def _taken(desk: Desk, name: str) -> Answer:
+    own, content = certification.taken_file(desk, name)
+    return Answer(200, content, "application/octet-stream", own)
 
 
 def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) -> Answer:

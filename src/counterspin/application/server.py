@@ -15,6 +15,7 @@ from contextlib import asynccontextmanager, suppress
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
+from urllib.parse import quote
 
 import uvicorn
 from starlette.applications import Starlette
@@ -94,7 +95,10 @@ def application(desk: Desk, door: Door) -> Starlette:
 
 def _response(made: Answer) -> Response:
     content = as_json(made.content) if made.kind == "application/json" else made.content
-    return Response(content, made.status, media_type=made.kind)
+    headers = {}
+    if made.name is not None:
+        headers["Content-Disposition"] = f"attachment; filename*=UTF-8''{quote(made.name, safe='')}"
+    return Response(content, made.status, headers, media_type=made.kind)
 
 
 def _page_file(name: str) -> Response:

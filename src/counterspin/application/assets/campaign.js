@@ -4,7 +4,7 @@
 import { get, send } from "./api.js";
 import { commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
 import { resultLines } from "./folder.js";
-import { resultPart } from "./result.js";
+import { pagePart } from "./result.js";
 import { campaignTabs } from "./tabs.js";
 
 /** @typedef {{number: number, campaign: string, output: string, command: string, state: string,
@@ -127,10 +127,13 @@ export async function campaignView(name) {
         make("li", { class: "card" }, ...resultLines(r))))));
   }
   if (newest && newest.state !== "damaged") {
-    const { result, part } = await resultPart(newest.name);
+    const { told, part } = await pagePart("result", [newest.name]);
     // The campaign's own title stands above.
     part.querySelector("h1")?.remove();
-    content.push(make("section", { "aria-label": "Result" }, part), commandLine(result.command));
+    content.push(make("section", { "aria-label": "Result" }, part),
+      make("p", {}, make("a", { href: `#/certificate/${encodeURIComponent(newest.name)}` },
+        "Certificate of this result")),
+      commandLine(told.command));
   }
   return { title: campaign.title, content };
 }

@@ -3,11 +3,15 @@
 
 import { enter } from "./api.js";
 import { campaignView } from "./campaign.js";
+import { certificateView } from "./certificate.js";
+import { compareView, historyView } from "./compare.js";
 import { descriptionView } from "./description.js";
 import { unsaved } from "./editor.js";
 import { folderView } from "./folder.js";
 import { make, warning } from "./dom.js";
+import { planView, plansView } from "./plan.js";
 import { resultView } from "./result.js";
+import { runsView } from "./runs.js";
 
 /**
  * A place: its address, its name in the list of places, and what is shown there.
@@ -18,6 +22,12 @@ import { resultView } from "./result.js";
 /** @type {Place[]} */
 const PLACES = [
   { path: /^\/$/, name: "Campaigns", address: "#/", view: folderView },
+  { path: /^\/plans$/, name: "Plans", address: "#/plans", view: plansView },
+  { path: /^\/compare$/, name: "Compare", address: "#/compare", view: compareView },
+  { path: /^\/history$/, name: "History", address: "#/history", view: historyView },
+  { path: /^\/plan\/(.*)$/, view: planView },
+  { path: /^\/runs\/(.*)$/, view: runsView },
+  { path: /^\/certificate\/(.*)$/, view: certificateView },
   { path: /^\/campaign\/(.*)$/, view: campaignView },
   { path: /^\/description\/(.*)$/, view: descriptionView },
   { path: /^\/result\/(.*)$/, view: resultView },

@@ -25,17 +25,19 @@ export function fetchPictures(part, picture) {
 }
 
 /**
- * The report of a result as a part of the page.
- * @param {string} name
+ * A page of blocks as a part of this page.
+ * @param {string} kind
+ * @param {string[]} names
+ * @param {string} [term]
  */
-export async function resultPart(name) {
-  const result = await get("result", { name });
+export async function pagePart(kind, names, term) {
+  const asked = { kind, names: names.join("\n"), term };
+  const told = await get("page", asked);
   const part = make("div", { class: "report" });
   // Escaped by the report's own templates.
-  part.innerHTML = result.html;
-  part.querySelectorAll("a[href^='#at-']").forEach((link) => link.removeAttribute("href"));
-  fetchPictures(part, (place) => getText("picture", { name, place }));
-  return { result, part };
+  part.innerHTML = told.html;
+  fetchPictures(part, (place) => getText("picture", { ...asked, place }));
+  return { told, part };
 }
 
 /**
@@ -43,6 +45,14 @@ export async function resultPart(name) {
  * @param {string} name
  */
 export async function resultView(name) {
-  const { result, part } = await resultPart(name);
-  return { title: result.title, content: [part, commandLine(result.command)] };
+  const { told, part } = await pagePart("result", [name]);
+  return {
+    title: told.title,
+    content: [
+      part,
+      make("p", {}, make("a", { href: `#/certificate/${encodeURIComponent(name)}` },
+        "Certificate of this result")),
+      commandLine(told.command),
+    ],
+  };
 }

@@ -4,7 +4,7 @@
 import { make } from "./dom.js";
 
 /** Its address -> what it is called. */
-const TABS = { campaign: "Result", description: "Description" };
+const TABS = { campaign: "Result", description: "Description", runs: "Records" };
 
 /**
  * Links to the places of a campaign.

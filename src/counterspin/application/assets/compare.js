@@ -1,0 +1,77 @@
+// @ts-check
+// Results beside each other, and results over the years.
+
+import { get } from "./api.js";
+import { commandLine, labelled, make, stateMark, warning } from "./dom.js";
+import { pagePart } from "./result.js";
+
+/** All results of the folder that can be read. */
+async function allResults() {
+  const folder = await get("folder");
+  const all = [...folder.campaigns.flatMap(/** @param {any} c */ (c) => c.results), ...folder.results];
+  return { folder, results: all.filter((result) => result.state !== "damaged") };
+}
+
+/**
+ * Draw a part into a place, or say why not.
+ * @param {HTMLElement} place
+ * @param {string} kind
+ * @param {string[]} names
+ * @param {string} [term]
+ */
+async function fill(place, kind, names, term) {
+  place.replaceChildren(make("p", { class: "quiet" }, "Working."));
+  try {
+    const { told, part } = await pagePart(kind, names, term);
+    part.querySelector("h1")?.remove();
+    place.replaceChildren(part, commandLine(told.command));
+    globalThis.counterspin.draw(part);
+  } catch (error) {
+    place.replaceChildren(warning(/** @type {Error} */ (error).message));
+  }
+}
+
+/** The page on which results are compared. */
+export async function compareView() {
+  const { results } = await allResults();
+  const place = make("div");
+  const boxes = results.map((result) => make("input", { type: "checkbox", value: result.name }));
+  const show = () => {
+    const chosen = boxes.filter((box) => box.checked).map((box) => box.value);
+    if (chosen.length >= 2) fill(place, "comparison", chosen);
+    else place.replaceChildren(make("p", { class: "quiet" }, "Choose two results or more."));
+  };
+  boxes.forEach((box) => box.addEventListener("change", show));
+  show();
+  return {
+    title: "Compare",
+    content: [
+      make("h1", {}, "Compare results"),
+      make("fieldset", {}, make("legend", {}, "Results; each is compared with the first"),
+        ...results.map((result, i) => make("label", { class: "choice" }, boxes[i],
+          `${result.name} `, stateMark(result.state, result.words),
+          ` ${(result.answers ?? []).map(/** @param {any} a */ (a) => `${a.name} = ${a.text}`).join("; ")}`))),
+      place,
+    ],
+  };
+}
+
+/** The page of an instrument's history. */
+export async function historyView() {
+  const { folder, results } = await allResults();
+  const place = make("div");
+  const term = make("select", {}, ...folder.terms.map(/** @param {string} symbol */ (symbol) =>
+    make("option", { value: symbol, selected: symbol === "K_II" }, symbol)));
+  const show = () => fill(place, "history", results.map(({ name }) => name), term.value);
+  term.addEventListener("change", show);
+  if (results.length) show();
+  else place.append(make("p", {}, "There is no result in this folder yet."));
+  return {
+    title: "History",
+    content: [
+      make("h1", {}, "History of instruments"),
+      make("div", { class: "row" }, labelled("Coefficient", term)),
+      place,
+    ],
+  };
+}

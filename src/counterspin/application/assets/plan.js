@@ -1,0 +1,129 @@
+// @ts-check
+// Plans: limits as sliders, and the best plan's uncertainty while they move.
+
+import { get, send } from "./api.js";
+import { commandLine, labelled, make, say, warning } from "./dom.js";
+import { campaignAddress } from "./folder.js";
+
+/** The list of plans. */
+export async function plansView() {
+  const folder = await get("folder");
+  return {
+    title: "Plans",
+    content: [
+      make("h1", {}, "Plans"),
+      folder.plans.length
+        ? make("ul", { class: "cards" }, ...folder.plans.map(/** @param {string} name */ (name) =>
+          make("li", { class: "card" }, make("h2", {},
+            make("a", { href: `#/plan/${encodeURIComponent(name)}` }, name)))))
+        : make("p", {}, "There is no plan in this folder yet."),
+      ...(folder.plans.includes("PLAN.toml") ? [] : [make("button", {
+        type: "button",
+        onclick: async () => {
+          await send("POST", "plan", { name: "PLAN.toml" });
+          location.hash = "#/plan/PLAN.toml";
+        },
+      }, "Write an example, PLAN.toml")]),
+    ],
+  };
+}
+
+/** @param {number} value */
+const short = (value) => Number(value.toPrecision(4)).toString();
+
+/** @param {number} seconds */
+const duration = (seconds) =>
+  seconds >= 7200 ? `${short(seconds / 3600)} h` : seconds >= 120 ? `${short(seconds / 60)} min` : `${short(seconds)} s`;
+
+/**
+ * The page of a plan.
+ * @param {string} name
+ */
+export async function planView(name) {
+  const plan = await get("plan", { name });
+  const answer = make("div", { class: "answers", "aria-live": "polite" });
+  const runs = make("div", { class: "scroll", role: "region", tabindex: "0", "aria-label": "Runs" });
+  const wrong = make("div");
+  /** @type {Record<string, number>} */
+  const moved = {};
+  /** @type {any} */
+  let first = null;
+  let busy = false;
+  let again = false;
+
+  /** @param {any} told */
+  const show = (told) => {
+    first ??= told;
+    answer.replaceChildren(...told.u.map(/** @type {(line: any, i: number) => Node} */ (line, i) =>
+      make("p", { class: "answer" },
+        make("strong", {}, `u of ${line.name}: ${line.text}`), " ",
+        make("span", {}, `as the plan is written: ${first.u[i].text}`
+          + ` (${short(line.u / first.u[i].u)} times)`))),
+    make("p", {}, `${told.runs.length} runs in ${duration(told.time)}`));
+    runs.replaceChildren(make("table", {},
+      make("thead", {}, make("tr", {}, ...["Run", "Rate, rad/s", "Duration", "Attitude"].map((words) =>
+        make("th", { scope: "col" }, words)))),
+      make("tbody", {}, ...told.runs.map(/** @type {(run: any, i: number) => Node} */ (run, i) =>
+        make("tr", {}, make("th", { scope: "row" }, String(i + 1)),
+          make("td", { class: "right" }, short(run.rate).replace("-", "−")),
+          make("td", { class: "right" }, duration(run.seconds)),
+          make("td", {}, run.attitude))))));
+  };
+  // One question at a time; the last place of a slider is always asked.
+  const ask = async () => {
+    if (busy) {
+      again = true;
+      return;
+    }
+    busy = true;
+    try {
+      show(await send("POST", "plan-try", { name, moved }));
+      wrong.replaceChildren();
+    } catch (error) {
+      wrong.replaceChildren(warning(/** @type {Error} */ (error).message));
+    }
+    busy = false;
+    if (again) {
+      again = false;
+      ask();
+    }
+  };
+  const sliders = plan.limits.map(/** @param {any} limit */ (limit) => {
+    const words = make("output", {}, `${short(limit.value)} ${limit.unit}`);
+    const range = make("input", {
+      type: "range", min: limit.low, max: limit.high, step: limit.whole ? 1 : "any", value: limit.value,
+      oninput: () => {
+        moved[limit.key] = Number(range.value);
+        words.textContent = `${short(Number(range.value))} ${limit.unit}`;
+        ask();
+      },
+    });
+    return make("label", {}, `${limit.words}: `, words, range);
+  });
+  const folder = make("input", { required: true, autocomplete: "off", placeholder: "planned" });
+  const written = make("div");
+  const form = make("form", {
+    class: "row",
+    onsubmit: async (/** @type {Event} */ event) => {
+      event.preventDefault();
+      written.replaceChildren(make("p", { class: "quiet" }, "Planning."));
+      try {
+        const made = await send("POST", "planned", { name, moved, folder: folder.value });
+        say(`Wrote ${made.name}/campaign.toml.`);
+        location.hash = campaignAddress(made.name);
+      } catch (error) {
+        written.replaceChildren(warning(/** @type {Error} */ (error).message));
+      }
+    },
+  }, labelled("Folder of the planned campaign", folder),
+  make("button", { class: "main" }, "Write these limits and the campaign"));
+  ask();
+  return {
+    title: plan.title,
+    content: [
+      make("h1", {}, plan.title), make("p", { class: "quiet" }, name),
+      make("div", { class: "sliders" }, ...sliders), wrong, answer, runs,
+      make("h2", {}, "Make it"), form, written, commandLine(plan.command),
+    ],
+  };
+}

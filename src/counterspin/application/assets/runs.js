@@ -1,0 +1,165 @@
+// @ts-check
+// The runs of a campaign, and their records through a window of time.
+
+import { get } from "./api.js";
+import { labelled, make, warning } from "./dom.js";
+import { campaignTabs } from "./tabs.js";
+
+const HEIGHT = 190;
+
+/**
+ * The columns of one record, one below the other; all show the same time.
+ * @param {string} name
+ * @param {string} run
+ */
+class RecordPlots {
+  /**
+   * @param {string} name
+   * @param {string} run
+   * @param {any} about
+   */
+  constructor(name, run, about) {
+    this.name = name;
+    this.run = run;
+    this.about = about;
+    this.whole = [about.first, about.last];
+    this.window = [...this.whole];
+    this.charts = /** @type {any[]} */ ([]);
+    this.asked = 0;
+    this.words = make("p", { class: "quiet", "aria-live": "polite" });
+    this.boxes = about.columns.map(/** @param {any} c */ (c) =>
+      make("div", { class: "canvas", role: "img", "aria-label": `${c.name}, ${c.unit}, over time` }));
+    this.element = make("div", {}, this.tools(), ...this.boxes, this.words);
+    new ResizeObserver(() => {
+      const width = this.element.clientWidth;
+      for (const chart of this.charts) {
+        if (width && chart.width !== width) chart.setSize({ width, height: HEIGHT });
+      }
+    }).observe(this.element);
+    globalThis.counterspin.redraws.push(() => this.charts.forEach((chart) => chart.redraw(false)));
+  }
+
+  tools() {
+    /** @type {(sign: string, words: string, act: () => void) => HTMLElement} */
+    const tool = (sign, words, act) =>
+      make("button", { type: "button", "aria-label": words, title: words, onclick: act }, sign);
+    return make("div", { class: "tools" },
+      tool("+", "Zoom in", () => this.see(0, 0.5)),
+      tool("−", "Zoom out", () => this.see(0, 2)),
+      tool("‹", "Move left", () => this.see(-0.25, 1)),
+      tool("›", "Move right", () => this.see(0.25, 1)),
+      tool("Whole", "Show the whole", () => this.show(this.whole)),
+      make("p", {}, "Drag to look closer, double-click for the whole."));
+  }
+
+  /**
+   * @param {number} shift
+   * @param {number} factor
+   */
+  see(shift, factor) {
+    const [low, high] = this.window;
+    const [first, last] = this.whole;
+    const half = Math.min(0.5 * (high - low) * factor, 0.5 * (last - first));
+    const middle = 0.5 * (low + high) + shift * (high - low);
+    const centre = Math.min(Math.max(middle, first + half), last - half);
+    this.show([centre - half, centre + half]);
+  }
+
+  /** @param {number[]} window */
+  async show(window) {
+    this.window = [...window];
+    const mine = ++this.asked;
+    const [low, high] = window;
+    let told;
+    try {
+      told = await get("record", {
+        name: this.name, run: this.run, low, high,
+        parts: Math.max(this.element.clientWidth, 300),
+      });
+    } catch (error) {
+      this.words.replaceChildren(warning(/** @type {Error} */ (error).message));
+      return;
+    }
+    // A later look has overtaken this one.
+    if (mine !== this.asked) return;
+    if (!this.charts.length) this.make();
+    this.charts.forEach((chart, i) => {
+      chart.batch(() => {
+        chart.setData([told.time, told.columns[i]], false);
+        chart.setScale("x", { min: low, max: high });
+      });
+    });
+    this.words.textContent = told.whole
+      ? "Every row is drawn."
+      : `Of ${this.about.rows.toLocaleString("en")} rows the least and the greatest are drawn.`;
+  }
+
+  make() {
+    const { axis, colour } = globalThis.counterspin;
+    this.charts = this.boxes.map((/** @type {HTMLElement} */ box, /** @type {number} */ i) => {
+      const { name, unit } = this.about.columns[i];
+      const stroke = () => colour(`--series-${(i % 6) + 1}`);
+      const chart = new globalThis.uPlot({
+        width: this.element.clientWidth,
+        height: HEIGHT,
+        legend: { show: false },
+        cursor: { y: false, sync: { key: "record" }, drag: { x: true, y: false, dist: 4, setScale: false } },
+        scales: { x: { time: false } },
+        axes: [axis("time, s", 34), axis(`${name}, ${unit}`, 70)],
+        series: [{}, { stroke, width: 1, points: { show: false } }],
+        hooks: {
+          setSelect: [(/** @type {any} */ u) => {
+            if (u.select.width < 4) return;
+            const low = u.posToVal(u.select.left, "x");
+            const high = u.posToVal(u.select.left + u.select.width, "x");
+            u.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+            this.show([low, high]);
+          }],
+        },
+      }, [[], []], box);
+      chart.over.addEventListener("dblclick", () => this.show(this.whole));
+      return chart;
+    });
+  }
+}
+
+/**
+ * The page of a campaign's runs.
+ * @param {string} name
+ */
+export async function runsView(name) {
+  const campaign = await get("campaign", { name });
+  const runs = campaign.run_list.filter(/** @param {any} run */ (run) => run.bytes);
+  const place = make("div");
+  const select = make("select", {}, ...runs.map(/** @param {any} run */ (run) =>
+    make("option", { value: run.name },
+      `${run.name}: ${Number(run.rate.toPrecision(6))} rad/s, ${run.record}`)));
+  const show = async () => {
+    place.replaceChildren(make("p", { class: "quiet" }, "Reading."));
+    try {
+      const about = await get("record-about", { name, run: select.value });
+      const plots = new RecordPlots(name, select.value, about);
+      const [start, stop] = about.used;
+      const used = start !== null || stop !== null
+        ? `; used from ${start ?? about.first} s to ${stop ?? about.last} s` : "";
+      place.replaceChildren(
+        make("p", { class: "quiet" }, `${about.rows.toLocaleString("en")} rows${used}`), plots.element);
+      await plots.show(plots.whole);
+    } catch (error) {
+      place.replaceChildren(warning(/** @type {Error} */ (error).message));
+    }
+  };
+  select.addEventListener("change", show);
+  if (runs.length) setTimeout(show);
+  const missing = campaign.missing.map(/** @param {string} file */ (file) => warning(`Not there: ${file}`));
+  return {
+    title: `${campaign.title}, records`,
+    content: [
+      make("h1", {}, campaign.title), campaignTabs(name, "runs"),
+      ...missing,
+      ...(runs.length
+        ? [make("div", { class: "row" }, labelled("Run", select)), place]
+        : [make("p", {}, "There is no record to show.")]),
+    ],
+  };
+}

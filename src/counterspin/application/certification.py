@@ -1,0 +1,57 @@
+"""Certificates from the page, and files that are taken away.
+
+- `begin_certificate`: issues one
+- `taken_file`: a file that was made, to be saved elsewhere
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.application.commands import certificate_command
+from counterspin.application.desk import Desk
+from counterspin.application.folder import OutsideError
+from counterspin.certificates.issuing import issue_certificate
+from counterspin.errors import CounterspinError
+from counterspin.input import read_file
+
+#: Endings of what may be taken away: what this program writes.
+_WRITTEN: Final = (".html", ".json", ".md", ".pdf", ".svg", ".toml", ".xml")
+
+_BYTES: Final = 200_000_000
+
+
+def begin_certificate(desk: Desk, result: str, lab: str, output: str) -> dict[str, Any]:
+    """Issue the certificate of a result; return what it is known by, and what to check.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    result, lab
+        Their files.
+    output
+        The certificate, ``.xml`` or ``.pdf``; no file is replaced.
+    """
+    files = desk.file(result), desk.file(lab), desk.folder.path(output)
+    with desk.drawing:
+        made = issue_certificate(*files)
+    return {
+        "identifier": made.identifier,
+        "accelerometers": made.accelerometers,
+        "notes": made.notes,
+        "file": output,
+        "command": certificate_command(*files),
+    }
+
+
+def taken_file(desk: Desk, name: str) -> tuple[str, bytes]:
+    """Return a file's own name and what is in it; OutsideError of what is not made here."""
+    path: Path = desk.file(name)
+    if path.suffix.lower() not in _WRITTEN:
+        raise OutsideError(f"{name}: only what counterspin writes is given away here")
+    try:
+        return path.name, read_file(path, _BYTES)
+    except OSError as error:
+        raise CounterspinError(f"{name}: cannot be read: {error.strerror}") from error

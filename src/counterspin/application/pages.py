@@ -1,0 +1,115 @@
+"""Pages of other rooms' blocks: results, comparisons, histories and plans, in words and pictures.
+
+- `page_of`: the words, with places for the pictures; `picture_of`: one of them
+- `Kind`: what there are pages of
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Literal
+
+from counterspin.application.commands import compare_command, history_command, report_command
+from counterspin.application.desk import Desk
+from counterspin.application.folder import NotThereError
+from counterspin.frozen import frozen
+from counterspin.reports.blocks import Block, Picture
+
+Kind = Literal["result", "comparison", "history"]
+
+
+@frozen(eq=False)
+class Page:
+    """A page: its title, its blocks, and the command that prints or writes the same."""
+
+    title: str
+    blocks: Sequence[Block]
+    command: str
+
+
+def _result(desk: Desk, names: Sequence[str], _: str) -> Page:
+    from counterspin.calibration.pages.full_report import document
+
+    result = desk.result(names[0])
+    command = report_command(desk.file(names[0]))
+    return Page(result.title or "Calibration", document(result), command)
+
+
+def _comparison(desk: Desk, names: Sequence[str], _: str) -> Page:
+    from counterspin.comparisons.compare import compare
+    from counterspin.comparisons.page import comparison_blocks
+
+    compared = compare(*map(desk.result, names), names=list(names))
+    files = [desk.file(name) for name in names]
+    return Page("Comparison", list(comparison_blocks(compared)), compare_command(files))
+
+
+def _history(desk: Desk, names: Sequence[str], term: str) -> Page:
+    from counterspin.histories.history import history
+    from counterspin.histories.page import history_blocks
+
+    found = history([desk.file(name) for name in names], term=term)
+    command = history_command(desk.folder.root, term)
+    return Page(f"History of {term}", list(history_blocks(found)), command)
+
+
+_MAKERS: Final[Mapping[Kind, Callable[[Desk, Sequence[str], str], Page]]] = {
+    "result": _result,
+    "comparison": _comparison,
+    "history": _history,
+}
+
+
+def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str, Any]:
+    """Return a page's title, its blocks as HTML, and its command.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    kind
+        Of what it is.
+    names
+        Files of results.
+    term
+        Of a history, its coefficient.
+    """
+    from counterspin.reports.html import part
+
+    made = _page(desk, kind, names, term)
+    files = [desk.file(name) for name in names]
+    text = desk.remembered.get(
+        ("html", kind, *files, term), files, lambda: part(made.blocks, title=made.title)
+    )
+    return {"title": made.title, "html": text, "command": made.command}
+
+
+def picture_of(desk: Desk, kind: Kind, names: Sequence[str], term: str, place: int) -> str:
+    """Return a picture of a page as SVG, by its place among them; as `page_of`.
+
+    Raises
+    ------
+    NotThereError
+        If there are fewer.
+    """
+    from counterspin.reports.charts import svg
+
+    made = _page(desk, kind, names, term)
+    pictures = [block for block in made.blocks if isinstance(block, Picture)]
+    if not 0 <= place < len(pictures):
+        raise NotThereError(f"there is no picture {place}")
+    files = [desk.file(name) for name in names]
+    with desk.drawing:
+        return desk.remembered.get(
+            ("svg", kind, *files, term, place),
+            files,
+            lambda: str(svg(pictures[place], theme="page")),
+        )
+
+
+def _page(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> Page:
+    files: list[Path] = [desk.file(name) for name in names]
+    return desk.remembered.get(
+        ("page", kind, *files, term), files, lambda: _MAKERS[kind](desk, names, term)
+    )

@@ -1,0 +1,180 @@
+"""Records as they are seen through a window of time: fluid for any number of rows.
+
+A screen has some thousand columns of pixels. Of more rows than that, each part of the window is
+shown by its least and its greatest value, so that no outlier is lost and a million rows are as
+quickly drawn as a thousand.
+
+- `record_overview`: the columns of a run's record, and where it begins and ends
+- `record_window`: the values between two times
+- `least_and_greatest`: of parts of a column
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.application.desk import Desk, Remembered
+from counterspin.application.folder import NotThereError
+from counterspin.arrays import Array
+from counterspin.calibration.observed import record_columns
+from counterspin.campaign.resolved import Campaign, Run
+from counterspin.campaign.settings import OBSERVABLES
+from counterspin.errors import CounterspinError
+from counterspin.frozen import frozen
+from counterspin.records.tables import read_scaled
+
+#: Most parts that a window is shown in.
+MOST_PARTS: Final = 4000
+
+#: Records that are kept; each may have a million rows.
+_KEPT: Final = 4
+_RECORDS: Final = Remembered(_KEPT)
+
+
+@frozen(eq=False)
+class SeenRecord:
+    """A record's columns in SI.
+
+    Attributes
+    ----------
+    time
+        s, increasing, shape (n,); rows without a time are left out.
+    names, units
+        Of the columns.
+    values
+        The columns, each of shape (n,); NaN where a cell is empty.
+    """
+
+    time: Array
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    values: tuple[Array, ...]
+
+
+def record_overview(desk: Desk, name: str, run: str) -> dict[str, Any]:
+    """Return a record's columns, rows, first and last time, and what is used of it.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    name, run
+        The campaign's folder, and the run.
+    """
+    campaign, found = _run(desk, name, run)
+    record = _record(desk, campaign, found)
+    return {
+        "columns": [
+            {"name": column, "unit": unit}
+            for column, unit in zip(record.names, record.units, strict=True)
+        ],
+        "rows": len(record.time),
+        "first": float(record.time[0]),
+        "last": float(record.time[-1]),
+        "used": [limit if math.isfinite(limit) else None for limit in found.part],
+        "file": desk.folder.name(found.record),
+    }
+
+
+def record_window(
+    desk: Desk, name: str, run: str, window: tuple[float, float], parts: int
+) -> dict[str, Any]:
+    """Return the values of a record between two times, row by row or as extremes of parts.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    name, run
+        The campaign's folder, and the run.
+    window
+        First and last time, s.
+    parts
+        Into how many parts the window is divided, such as pixels; few rows stand as they are.
+    """
+    record = _record(desk, *_run(desk, name, run))
+    low, high = np.searchsorted(record.time, window)
+    # One more on either side, so that lines leave the window.
+    first, last = max(int(low) - 1, 0), min(int(high) + 1, len(record.time))
+    parts = min(max(parts, 1), MOST_PARTS)
+    if last - first <= 2 * parts:
+        columns = [values[first:last] for values in record.values]
+        return _shown(record.time[first:last], columns, whole=True)
+    edges = np.linspace(first, last, parts + 1).astype(np.intp)
+    begins, ends = record.time[edges[:-1]], record.time[edges[1:] - 1]
+    time = np.stack([0.75 * begins + 0.25 * ends, 0.25 * begins + 0.75 * ends], axis=1).ravel()
+    columns = [least_and_greatest(values, edges).ravel() for values in record.values]
+    return _shown(time, columns, whole=False)
+
+
+def least_and_greatest(values: Array, edges: np.ndarray) -> Array:
+    """Return the least and the greatest value of each part, NaN where it has none.
+
+    Parameters
+    ----------
+    values
+        Shape (n,); NaN where there is none.
+    edges
+        Where parts begin, and where the last one ends; increasing; shape (m + 1,).
+
+    Returns
+    -------
+    array (m, 2)
+    """
+    taken, begins = values[: edges[-1]], edges[:-1]
+    least, greatest = np.fmin.reduceat(taken, begins), np.fmax.reduceat(taken, begins)
+    return np.stack([least, greatest], axis=1)
+
+
+def _shown(time: Array, columns: list[Array], *, whole: bool) -> dict[str, Any]:
+    return {
+        "time": [float(f"{t:.10g}") for t in time],
+        "columns": [[_rounded(value) for value in column] for column in columns],
+        "whole": whole,
+    }
+
+
+def _rounded(value: float) -> float | None:
+    """Return a value to what any screen shows."""
+    return float(f"{value:.7g}") if math.isfinite(value) else None
+
+
+def _run(desk: Desk, name: str, run: str) -> tuple[Campaign, Run]:
+    campaign = desk.campaign(name)
+    for found in campaign.runs:
+        if found.name == run:
+            return campaign, found
+    raise NotThereError(f"{name}: there is no run {run!r} with a record")
+
+
+def _record(desk: Desk, campaign: Campaign, run: Run) -> SeenRecord:
+    files = [campaign.path, run.record]
+    return _RECORDS.get((campaign.path, run.name), files, lambda: _read(desk, campaign, run))
+
+
+def _read(desk: Desk, campaign: Campaign, run: Run) -> SeenRecord:
+    if not desk.folder.holds(run.record):
+        raise CounterspinError(f"{run.record}: not in the folder that is served")
+    columns = record_columns(campaign, run)
+    specs, names, units = [columns.time], [], []
+    if columns.angle is not None:
+        specs.append(columns.angle)
+        names.append(columns.angle.name)
+        units.append("rad")
+    for accelerometer, spec in columns.signals.items():
+        specs.append(spec)
+        names.append(f"{accelerometer}: {spec.name}")
+        units.append(OBSERVABLES[campaign.accelerometers[accelerometer].observable])
+    dialect = campaign.recording_of(run).dialect
+    time, *values = read_scaled(run.record, specs, dialect)
+    known = np.flatnonzero(np.isfinite(time))
+    if not len(known):
+        raise CounterspinError(f"{run.record}: no row has a time")
+    if len(known) < len(time) or np.any(np.diff(time) < 0.0):
+        # What runs backwards is refused by a calibration; here it is shown in the order of time.
+        known = known[np.argsort(time[known], kind="stable")]
+        time, values = time[known], [column[known] for column in values]
+    return SeenRecord(time, tuple(names), tuple(units), tuple(values))
