@@ -19,7 +19,11 @@ with warnings.catch_warnings():
     from starlette.testclient import TestClient
 
 #: Shorter than the other tests' campaign: nobody asks here what comes out.
-SHORT = SMALL.replace("revolutions = 20", "revolutions = 6")
+SHORT = (
+    SMALL.replace("revolutions = 20", "revolutions = 6")
+    .replace("[site]", '[campaign]\ndate = "2026-01-12"\n\n[site]')
+    .replace("[accelerometers.Qx]", '[accelerometers.Qx]\nserial_number = "17"')
+)
 
 PORT = 8765
 

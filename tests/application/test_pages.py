@@ -25,9 +25,9 @@ def test_results_are_compared_and_followed(page, folder):
     told = page.get("/api/page", params={"kind": "comparison", "names": names}).json()
     assert "What changed" in told["html"]
     assert told["command"].startswith("counterspin compare ")
-    history = {"kind": "history", "names": "three/result.json", "term": "K_I"}
+    history = {"kind": "history", "names": "three/result.json", "term": "K_II"}
     told = page.get("/api/page", params=history).json()
-    assert told["title"] == "History of K_I"
+    assert told["title"] == "History of K_II"
     assert "one result, with nothing to compare it with" in told["html"]
 
 

@@ -10,6 +10,7 @@ from counterspin.application.desk import Desk
 from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import Door
 from counterspin.application.server import listening, server_of
+from counterspin.planning.plan import write_example
 
 pytestmark = needs_chromium
 
@@ -77,32 +78,62 @@ def opened(browser, door_of_server):
     context.close()
 
 
-def test_from_the_link_to_the_result(opened):
-    tab = opened()
-    tab.get_by_role("link", name="three").click()
-    assert "token" not in tab.url
-    tab.get_by_role("heading", name="Is it good?").wait_for()
-    assert tab.locator(".answer").count() == 2
-    # Pictures come as they come near; what can be zoomed is drawn from its data.
-    tab.locator("figure.zoomed canvas").first.wait_for()
-    still = tab.locator("figure:not(.zoomable)").first
-    still.scroll_into_view_if_needed()
-    still.locator("svg").wait_for()
-    tab.get_by_text("The same as a command").first.click()
-    assert "counterspin calibrate" in tab.locator("code:visible").first.inner_text()
-
-
-def test_a_calibration_survives_that_the_page_is_loaded_again(opened, folder):
+def test_from_the_link_to_the_certificate(opened, folder):
+    """As a person would: calibrate, look, let the certificate be issued."""
     result = folder / "three" / "result.json"
     kept = json.loads(result.read_text())
     result.unlink()
-    tab = opened("/campaign/three")
+    tab = opened()
+    tab.get_by_role("link", name="three").click()
+    assert "token" not in tab.url
     tab.get_by_role("button", name="Calibrate").click()
     tab.get_by_role("progressbar").wait_for()
+    # Loaded again in the middle of it, the page finds its calibration.
     tab.reload()
     tab.get_by_role("progressbar").wait_for()
     tab.get_by_role("heading", name="Is it good?").wait_for()
     assert json.loads(result.read_text()) == kept
+    assert tab.locator(".answer").count() == 2
+    # What can be zoomed is drawn from its data; other pictures come as they come near.
+    tab.locator("figure.zoomed canvas").first.wait_for()
+    still = tab.locator("figure:not(.zoomable)").first
+    still.scroll_into_view_if_needed()
+    still.locator("svg").wait_for()
+    tab.get_by_role("link", name="Certificate of this result").click()
+    tab.get_by_role("button", name="Issue").click()
+    tab.get_by_role("link", name="three/certificate.xml").wait_for()
+    tab.get_by_text("The same as a command").click()
+    shown = tab.locator("code:visible").last.inner_text()
+    assert shown.startswith("counterspin certificate ")
+    assert b"digitalCalibrationCertificate" in (folder / "three/certificate.xml").read_bytes()
+
+
+def test_a_record_is_drawn_and_a_closer_look_shows_more(opened):
+    tab = opened("/runs/three")
+    tab.locator(".canvas canvas").nth(2).wait_for()
+    tab.get_by_label("Run").select_option("fast")
+    tab.get_by_text("Every row is drawn.").wait_for()
+    drawing = "document.querySelector('.canvas canvas').toDataURL()"
+    whole = tab.evaluate(drawing)
+    with tab.expect_response(lambda answer: "/api/record?" in answer.url) as asked:
+        tab.get_by_role("button", name="Zoom in").click()
+    assert "low=1.5&high=4.5" in asked.value.url
+    tab.locator(".canvas canvas").first.wait_for()
+    tab.wait_for_timeout(100)
+    assert tab.evaluate(drawing) != whole
+
+
+def test_a_plan_answers_while_its_slider_moves(opened, folder):
+    example = write_example(folder / "PLAN.toml")
+    example.write_text(example.read_text().replace("runs = 14", "runs = 3"))
+    tab = opened("/plans")
+    tab.get_by_role("link", name="PLAN.toml").click()
+    answer = tab.locator(".answer")
+    answer.get_by_text("(1 times)").wait_for()
+    tab.get_by_label("Highest rate").fill("4")
+    # That of a slower machine is five times as large.
+    answer.get_by_text("(5.").wait_for()
+    assert tab.locator("tbody tr").count() == 3
 
 
 def test_a_phone_scrolls_in_one_direction(opened):

@@ -18,11 +18,12 @@ from typing import Any, Final
 from counterspin.application.commands import plan_command
 from counterspin.application.desk import Desk, Remembered
 from counterspin.application.editing import changed
+from counterspin.calibration.joint_parts import unit_of
 from counterspin.campaign.toml_file import load_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
+from counterspin.physics.accelerometer import TERMS
 from counterspin.planning.design import Limits
-from counterspin.planning.optimisation import Optimum
 from counterspin.planning.plan import plan, refuse_other_campaign, write_campaign, write_example
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.search import Search
@@ -165,13 +166,12 @@ def tried_plan(desk: Desk, name: str, moved: Mapping[str, float]) -> dict[str, A
     limits = _moved(search.limits, moved)
     if limits.total_time < limits.shortest:
         raise CounterspinError("No run fits into these limits: it would take longer than there is.")
-    start = None
-    if search.plan.goal.kind == "minimise":
-        start = _SEARCHES.get((file, "best"), [file], lambda: _found(search.best())).design
-    optimum = _found(search.best(limits, start))
+    optimum = search.best(limits)
+    if optimum is None:
+        raise CounterspinError("No plan within these limits reaches the target.")
     u = dict(zip(search.predictor.names, search.predictor.u(optimum.design), strict=True))
     return {
-        "u": [_line(desk, file, term, float(u[term])) for term in search.plan.goal.sizes],
+        "u": [_line(term, float(u[term])) for term in search.plan.goal.sizes],
         "time": limits.time(optimum.design),
         "efficiency": optimum.efficiency,
         "runs": [
@@ -183,23 +183,16 @@ def tried_plan(desk: Desk, name: str, moved: Mapping[str, float]) -> dict[str, A
     }
 
 
-def _found(optimum: Optimum | None) -> Optimum:
-    if optimum is None:
-        raise CounterspinError("No plan within these limits reaches the target.")
-    return optimum
-
-
-def _line(desk: Desk, file: Path, name: str, u: float) -> dict[str, Any]:
-    """Return an uncertainty as text and, for a bar, as a part of the plan's own."""
-    symbol = name.rpartition(".")[2] if name.count(".") == 1 else name
-    unit, factor = field_unit(_unit(_search(desk, file), name))
+def _line(name: str, u: float) -> dict[str, Any]:
+    """Return an uncertainty, in the unit of the result and as text."""
+    owner, _, symbol = name.partition(".")
+    unit, factor = field_unit(unit_of(symbol if symbol in TERMS else name))
     text = format_uncertainty(u * factor) if math.isfinite(u) else "not determined"
-    return {"name": name, "symbol": symbol, "u": u, "text": typeset(f"{text} {unit}")}
-
-
-def _unit(search: Search, name: str) -> str:
-    unknowns = search.predictor.information.setup.model.unknowns
-    return next(unknown.unit for unknown in unknowns if unknown.name == name)
+    return {
+        "name": f"{symbol} of {owner}" if symbol in TERMS else name,
+        "u": u,
+        "text": typeset(f"{text} {unit}"),
+    }
 
 
 def _moved(limits: Limits, moved: Mapping[str, float]) -> Limits:

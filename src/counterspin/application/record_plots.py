@@ -96,9 +96,10 @@ def record_window(
         Into how many parts the window is divided, such as pixels; few rows stand as they are.
     """
     record = _record(desk, *_run(desk, name, run))
-    low, high = np.searchsorted(record.time, window)
     # One more on either side, so that lines leave the window.
-    first, last = max(int(low) - 1, 0), min(int(high) + 1, len(record.time))
+    first = max(int(np.searchsorted(record.time, window[0])) - 1, 0)
+    last = int(np.searchsorted(record.time, window[1], side="right")) + 1
+    last = max(min(last, len(record.time)), first)
     parts = min(max(parts, 1), MOST_PARTS)
     if last - first <= 2 * parts:
         columns = [values[first:last] for values in record.values]

@@ -96,7 +96,7 @@ export class Editor {
 
   textTyped() {
     this.now = { ...this.now, text: this.area.value };
-    this.button.disabled = !this.changed;
+    this.button.disabled = !this.changed && this.version !== "";
     clearTimeout(this.timer);
     this.timer = setTimeout(() => this.next(async () => {
       const told = await send("POST", "check", this.said());
@@ -186,7 +186,7 @@ export class Editor {
       if (was !== undefined) details.open = was;
     });
     this.showProblems();
-    this.button.disabled = !this.changed;
+    this.button.disabled = !this.changed && this.version !== "";
     const again = key && /** @type {HTMLInputElement | null} */ (document.getElementById(key));
     if (again) {
       again.focus();
@@ -364,6 +364,12 @@ export class Editor {
       ...(field.choices ?? []).map((choice, i) =>
         make("option", { value: i, selected: choice === value }, choiceWords(choice))));
       return select;
+    }
+    if (kind === "text" && shown(value).length > 50) {
+      return make("textarea", {
+        id, rows: 4, class: "words", value: shown(value),
+        onchange: (/** @type {any} */ e) => this.change(path, typed(e.target.value, kind)),
+      });
     }
     return make("input", {
       id,

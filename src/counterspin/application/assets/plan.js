@@ -41,7 +41,8 @@ const duration = (seconds) =>
  */
 export async function planView(name) {
   const plan = await get("plan", { name });
-  const answer = make("div", { class: "answers", "aria-live": "polite" });
+  const answer = make("div", { class: "answers", "aria-live": "polite" },
+    make("p", {}, "Searching the best plan."));
   const runs = make("div", { class: "scroll", role: "region", tabindex: "0", "aria-label": "Runs" });
   const wrong = make("div");
   /** @type {Record<string, number>} */
@@ -89,16 +90,17 @@ export async function planView(name) {
     }
   };
   const sliders = plan.limits.map(/** @param {any} limit */ (limit) => {
-    const words = make("output", {}, `${short(limit.value)} ${limit.unit}`);
+    const id = `limit-${limit.key}`;
+    const words = make("output", { for: id }, `${short(limit.value)} ${limit.unit}`);
     const range = make("input", {
-      type: "range", min: limit.low, max: limit.high, step: limit.whole ? 1 : "any", value: limit.value,
+      id, type: "range", min: limit.low, max: limit.high, step: limit.whole ? 1 : "any", value: limit.value,
       oninput: () => {
         moved[limit.key] = Number(range.value);
         words.textContent = `${short(Number(range.value))} ${limit.unit}`;
         ask();
       },
     });
-    return make("label", {}, `${limit.words}: `, words, range);
+    return make("div", {}, make("label", { for: id }, limit.words), range, words);
   });
   const folder = make("input", { required: true, autocomplete: "off", placeholder: "planned" });
   const written = make("div");

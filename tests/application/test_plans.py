@@ -1,0 +1,77 @@
+"""Limits that are moved: the best plan within them, at once."""
+
+import tomllib
+
+import pytest
+
+from counterspin.application.plans import PLAN_KEYS
+from counterspin.planning.plan import plan, write_example
+from counterspin.planning.plan_sections import LimitsSettings
+
+
+@pytest.fixture
+def planned(page, folder):
+    file = write_example(folder / "PLAN.toml")
+    # The fewer, the sooner.
+    file.write_text(file.read_text().replace("runs = 14", "runs = 4"))
+    return page
+
+
+def tried(page, **moved):
+    answered = page.post("/api/plan-try", json={"name": "PLAN.toml", "moved": moved})
+    assert answered.is_success, answered.text
+    return answered.json()
+
+
+def test_limits_have_the_names_of_the_plan_s_file(planned):
+    assert PLAN_KEYS.keys() <= LimitsSettings.model_fields.keys()
+    assert planned.get("/api/folder").json()["plans"] == ["PLAN.toml"]
+    told = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()
+    values = {limit["key"]: limit["value"] for limit in told["limits"]}
+    assert (values["total_time"], values["settling"], values["runs"]) == (700.0, 10.0, 4)
+    assert all(limit["low"] <= limit["value"] <= limit["high"] for limit in told["limits"])
+
+
+def test_it_is_the_command_s_plan_within_the_moved_limits(planned, folder):
+    """The command searches anew, rounds rates and durations, and forecasts with real columns."""
+    told = tried(planned, total_time=1400.0, highest_rate=5.0)
+    file = folder / "PLAN.toml"
+    text = file.read_text().replace('"700 s"', '"1400 s"')
+    file.write_text(text.replace('highest_rate = "1 rev/s"', 'highest_rate = "5 rad/s"'))
+    found = plan(file).result
+    # Durations are written in steps of 0.1 s, some 1e-3 of them.
+    assert told["u"][0]["u"] == pytest.approx(
+        found.accelerometers["Qx"].coefficients["K_II"].u, rel=1e-3
+    )
+    assert told["u"][0]["name"] == "K_II of Qx"
+    assert len(told["runs"]) == len(found.runs)
+    assert told["time"] <= 1400.0 * (1.0 + 1e-9)
+
+
+def test_more_time_is_better_and_few_runs_are_few(planned):
+    u = [tried(planned, total_time=time)["u"][0]["u"] for time in (350.0, 700.0, 1400.0)]
+    assert u == sorted(u, reverse=True)
+    assert len(tried(planned, runs=2.0)["runs"]) <= 2
+    other = planned.post("/api/plan-try", json={"name": "PLAN.toml", "moved": {"colour": 1.0}})
+    assert other.status_code == 422
+
+
+def test_limits_and_the_campaign_are_written(planned, folder):
+    said = {"name": "PLAN.toml", "moved": {"total_time": 600.0}, "folder": "planned"}
+    made = planned.post("/api/planned", json=said).json()
+    assert made["command"].startswith("counterspin plan ")
+    text = (folder / "PLAN.toml").read_text()
+    assert tomllib.loads(text)["limits"]["total_time"] == "600 s"
+    assert "# records, spin-up, settling and changes of attitude" in text
+    assert (folder / "planned" / "campaign.toml").is_file()
+    again = planned.post("/api/planned", json=said)
+    assert again.status_code == 422
+    assert "exists" in again.json()["error"]
+
+
+def test_an_example_and_what_is_no_plan(page, folder):
+    assert page.post("/api/plan", json={"name": "a.toml"}).is_success
+    assert page.post("/api/plan", json={"name": "a.toml"}).status_code == 422
+    assert page.post("/api/plan", json={"name": "a.csv"}).status_code == 422
+    query = {"name": "three/campaign.toml"}
+    assert page.get("/api/plan", params=query).status_code == 422

@@ -1,0 +1,86 @@
+"""Records through a window of time: nothing is lost that a screen could show."""
+
+import numpy as np
+import pytest
+
+from counterspin.application.record_plots import MOST_PARTS, least_and_greatest
+
+RUN = {"name": "three", "run": "fast"}
+
+
+def test_extremes_of_parts_against_a_loop():
+    values = np.random.default_rng(1).normal(size=1000)
+    values[[3, 500]] = np.nan
+    values[600:700] = np.nan
+    edges = np.linspace(7, 991, 38).astype(int)
+    found = least_and_greatest(values, edges)
+    for (low, high), begin, end in zip(found, edges[:-1], edges[1:], strict=True):
+        part = values[begin:end][~np.isnan(values[begin:end])]
+        if len(part):
+            assert (low, high) == (part.min(), part.max())
+        else:
+            assert np.isnan([low, high]).all()
+
+
+@pytest.fixture
+def spiked(folder):
+    """Return the fast run's record as it is filed, with one value far out in its middle."""
+    file = folder / "three" / "fast.csv"
+    header, *rows = file.read_text().splitlines()
+    cells = rows[60].split(",")
+    cells[header.split(",").index("east_m")] = "99.5"
+    rows[60] = ",".join(cells)
+    file.write_text("\n".join([header, *rows]) + "\n")
+    return np.genfromtxt(file, delimiter=",", names=True)
+
+
+def test_a_record_says_what_it_holds(page, spiked):
+    told = page.get("/api/record-about", params=RUN).json()
+    assert told["rows"] == len(spiked)
+    assert (told["first"], told["last"]) == (spiked["time_s"][0], spiked["time_s"][-1])
+    assert told["columns"] == [
+        {"name": "angle_rad", "unit": "rad"},
+        {"name": "Qx: east_m", "unit": "m"},
+        {"name": "Qy: north_m", "unit": "m"},
+    ]
+    assert told["used"] == [None, None]
+
+
+def test_few_rows_stand_as_they_are_and_of_many_no_outlier_is_lost(page, spiked):
+    time, east = spiked["time_s"], spiked["east_m"]
+    whole = RUN | {"low": time[0], "high": time[-1]}
+    told = page.get("/api/record", params=whole | {"parts": 1000}).json()
+    assert told["whole"]
+    assert told["time"] == pytest.approx(time)
+    assert told["columns"][1] == pytest.approx(east, rel=1e-6)
+    told = page.get("/api/record", params=whole | {"parts": 10}).json()
+    assert not told["whole"]
+    assert len(told["time"]) == len(told["columns"][1]) == 20
+    assert np.all(np.diff(told["time"]) > 0.0)
+    assert max(told["columns"][1]) == 99.5
+    assert min(told["columns"][1]) == pytest.approx(east.min(), rel=1e-6)
+    # A closer look shows the rows themselves, and one more on either side.
+    near = RUN | {"low": time[58], "high": time[62], "parts": 10}
+    told = page.get("/api/record", params=near).json()
+    assert told["time"] == pytest.approx(time[57:64])
+    assert told["columns"][1][3] == 99.5
+
+
+@pytest.mark.parametrize(
+    ("query", "status"),
+    [
+        (RUN | {"run": "none", "low": 0, "high": 1}, 404),
+        (RUN | {"low": "nan", "high": 1}, 400),
+        (RUN | {"low": 5, "high": -5, "parts": -7}, 200),
+        (RUN | {"low": -1e300, "high": 1e300, "parts": 10 * MOST_PARTS}, 200),
+    ],
+)
+def test_odd_windows(page, query, status):
+    assert page.get("/api/record", params=query).status_code == status
+
+
+def test_a_record_that_cannot_be_read_says_why(page, folder):
+    (folder / "three" / "fast.csv").write_text("time_s,angle_rad,east_m,north_m\n1,2,three,4\n")
+    told = page.get("/api/record-about", params=RUN)
+    assert told.status_code == 422
+    assert told.json()["error"].startswith("three/fast.csv")
