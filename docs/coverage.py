@@ -5,16 +5,15 @@ their noise, read and fitted as a calibration does, and the errors are compared 
 uncertainties claimed.
 """
 
-import json
 import math
 import tempfile
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtr, stdtrit
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.joint_problem import model_of, noise_of, series_of
@@ -24,56 +23,41 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.inference.joint.estimation import estimate
 from counterspin.physics.accelerometer import TERMS
+from kept_table import DOCS, KeptTable, channel, frame, runs, table_of
 
-DOCS: Final = Path(__file__).parent
-PAGE: Final = DOCS / "methods.md"
-KEPT: Final = DOCS / "coverage.json"
+#: Trials of a case.
+TRIALS: Final = 300
 
-#: Trials where the noise is stated, and where it is found, which takes much longer.
-TRIALS: Final = 150
-TRIALS_WITHOUT: Final = 40
+#: Half the width of a 95 % band, in standard errors.
+BAND: Final = 1.96
 
-#: Column of the record and its unit.
-UNITS: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
+#: What makes the noise larger than the records show is in u, whether it is there or not.
+HIDDEN: Final = ("white, not stated", "white and hidden walk, not stated")
 
-TEMPLATE: Final = """
-schema = 1
-site = {{ gravity = "9.8066 m/s^2", latitude = "45.75 deg" }}
-centrifuge = {{ radius = "2.5 m" }}
 
-[records]
-time = {{ column = "time_s", unit = "s" }}
-angle = {{ column = "angle_rad", unit = "rad" }}
+@dataclass(frozen=True)
+class Case:
+    """What is recorded, with which noise, what is said of it, and how it is analysed."""
 
+    method: str
+    observable: str
+    words: str
+    true: dict[str, str]
+    stated: dict[str, str]
+
+    def description(self, seed: int) -> str:
+        """Return the campaign of one trial."""
+        symbols = ["K_F", "K_I", "K_II", "K_III"] if self.method == "joint" else ["K_F", "K_II"]
+        return f"""{frame()}
 [accelerometers.Qx]
-input_axis = "east"
-pendulous_axis = "down"
-{observable} = {{ column = "east", unit = "{unit}" }}
-
+{channel(self.observable, "east")}
 [accelerometers.Qy]
-input_axis = "north"
-pendulous_axis = "down"
-{observable} = {{ column = "north", unit = "{unit}" }}
-
-{stated}
+{channel(self.observable, "north")}
+[noise]
+{_lines(self.stated)}
 [model]
-terms = [{terms}]
-
-[[runs]]
-name = "run1"
-rate = "0.25 rev/s"
-record = "run1.csv"
-
-[[runs]]
-name = "run2"
-rate = "0.5 rev/s"
-record = "run2.csv"
-
-[[runs]]
-name = "run3"
-rate = "1 rev/s"
-record = "run3.csv"
-
+terms = [{", ".join(f'"{symbol}"' for symbol in symbols)}]
+{runs()}
 [simulation]
 sampling_rate = "8 Hz"
 revolutions = 20
@@ -91,33 +75,9 @@ K_I = "0.999 g/g"
 K_II = "-3e-5 g/g^2"
 
 [truth.noise]
-{true}
+{_lines(self.true)}
 angle = "1e-6 rad"
 """
-
-
-@dataclass(frozen=True)
-class Case:
-    """What is recorded, with which noise, what is said of it, and how it is analysed."""
-
-    method: str
-    observable: str
-    words: str
-    true: dict[str, str]
-    stated: dict[str, str]
-
-    def description(self, seed: int) -> str:
-        """Return the campaign of one trial."""
-        symbols = ["K_F", "K_I", "K_II", "K_III"] if self.method == "joint" else ["K_F", "K_II"]
-        noise = _lines(self.stated)
-        return TEMPLATE.format(
-            observable=self.observable,
-            unit=UNITS[self.observable],
-            stated=f"[noise]\n{noise}\n" if noise else "",
-            terms=", ".join(f'"{symbol}"' for symbol in symbols),
-            true=_lines(self.true),
-            seed=seed,
-        )
 
 
 def _lines(table: dict[str, str]) -> str:
@@ -126,19 +86,30 @@ def _lines(table: dict[str, str]) -> str:
 
 _WHITE: Final = {"displacement": "0.01 m", "velocity": "1e-3 m/s", "specific_force": "1e-3 m/s^2"}
 _WALK: Final = {"acceleration": "3e-5 g/Hz^0.5"}
+_NO_WALK: Final = {"acceleration": "0 g/Hz^0.5"}
+
+#: A walk that the records show in half of the trials.
+_HARDLY: Final = {"acceleration": "8e-6 g/Hz^0.5"}
 
 
 def _cases() -> Iterator[Case]:
     for observable, size in _WHITE.items():
         white = {observable: size}
         yield Case("joint", observable, "white, stated", white, white)
-        yield Case("joint", observable, "white, not stated", white, {})
         if observable == "specific_force":
-            continue  # the accelerometer's noise is that of the record there
+            # The accelerometer's noise is that of the record there.
+            yield Case("joint", observable, "white, found", white, {})
+            continue
+        found = {observable: "estimate", **_NO_WALK}
+        yield Case("joint", observable, "white, found; no walk stated", white, found)
+        yield Case("joint", observable, "white, not stated", white, {})
         both = {**white, **_WALK}
         yield Case("joint", observable, "white and walk, stated", both, both)
         yield Case("joint", observable, "white and walk, not stated", both, {})
-    white, both = {"displacement": "0.01 m"}, {"displacement": "0.01 m", **_WALK}
+    white = {"displacement": "0.01 m"}
+    both = {**white, **_WALK}
+    hidden = "white and hidden walk, not stated"
+    yield Case("joint", "displacement", hidden, {**white, **_HARDLY}, {})
     for words, true, stated in (
         ("white, stated", white, white),
         ("white and walk, stated", both, both),
@@ -152,46 +123,73 @@ CASES: Final = tuple(_cases())
 
 @dataclass(frozen=True)
 class Row:
-    """What came out, by coefficient: rms of the errors over their u; how often 95 % covers."""
+    """What came out of a case.
+
+    Attributes
+    ----------
+    method, observable, words, trials
+        Of the case; each trial has an error of each coefficient of two accelerometers.
+    z_rms, normal_rms, covered
+        By coefficient: rms of the errors over their u, rms of their normal equivalents, and how
+        often 95 % intervals cover.
+    normal_band, covered_band
+        Half the width of the 95 % bands of `normal` and `coverage`, by the scatter of the trials.
+    """
 
     method: str
     observable: str
     words: str
     trials: int
     z_rms: dict[str, float]
+    normal_rms: dict[str, float]
     covered: dict[str, float]
-
-    @property
-    def se(self) -> float:
-        """Standard error of the rms of one coefficient, were its z normal."""
-        return 1.0 / math.sqrt(2.0 * self.values)
+    normal_band: float
+    covered_band: float
 
     @property
     def values(self) -> int:
-        """Errors for each coefficient: both accelerometers have theirs."""
+        """Errors of each coefficient."""
         return 2 * self.trials
+
+    @property
+    def se(self) -> float:
+        """Standard error of the normal equivalents' rms of one coefficient."""
+        return 1.0 / math.sqrt(2.0 * self.values)
 
     @property
     def rms(self) -> float:
         """The rms of all coefficients together."""
-        return math.sqrt(sum(z * z for z in self.z_rms.values()) / len(self.z_rms))
+        return _rms_of(self.z_rms)
+
+    @property
+    def normal(self) -> float:
+        """The rms of the normal equivalents of all coefficients together."""
+        return _rms_of(self.normal_rms)
 
     @property
     def coverage(self) -> float:
         """How often 95 % intervals of all coefficients cover."""
         return sum(self.covered.values()) / len(self.covered)
 
+    @property
+    def hidden(self) -> bool:
+        """Whether u has noise that the records do not show."""
+        return self.words in HIDDEN
+
+
+def _rms_of(parts: dict[str, float]) -> float:
+    return math.sqrt(sum(part * part for part in parts.values()) / len(parts))
+
 
 def _errors(case: Case, campaign: Campaign) -> Iterator[tuple[str, float, float]]:
-    """Yield symbol, error over u, and Student's factor for 95 %, of every coefficient."""
+    """Yield symbol, error over u, and degrees of freedom, of every coefficient."""
     assert campaign.simulation is not None
     truth = campaign.simulation.truth.coefficients
     if case.method == "two-stage":
         for name, found in calibrate(campaign, method="two-stage").accelerometers.items():
             for symbol, c in found.coefficients.items():
                 if c.estimated and c.value is not None and c.u:
-                    factor = float(stdtrit(c.dof or math.inf, 0.975))
-                    yield symbol, (c.value - truth[name][symbol]) / c.u, factor
+                    yield symbol, (c.value - truth[name][symbol]) / c.u, c.dof or math.inf
         return
     observed = tuple(observe(campaign))
     found = estimate(series_of(campaign, observed), model_of(campaign), noise_of(campaign))
@@ -201,11 +199,7 @@ def _errors(case: Case, campaign: Campaign) -> Iterator[tuple[str, float, float]
             continue  # what the encoder leaves open of a run's rotation
         true = truth[unknown.owner].get(unknown.symbol, TERMS[unknown.symbol].nominal)
         error = float(solution.estimate[i]) + unknown.nominal - true
-        yield (
-            unknown.symbol,
-            error / float(solution.u[i]),
-            float(stdtrit(min(float(found.dof[i]), 1e9), 0.975)),
-        )
+        yield unknown.symbol, error / float(solution.u[i]), float(found.dof[i])
 
 
 def row_of(case: Case, trials: int) -> Row:
@@ -216,53 +210,84 @@ def row_of(case: Case, trials: int) -> Row:
             file = Path(folder) / "campaign.toml"
             file.write_text(case.description(trial), encoding="utf-8")
             simulate(file, folder)
-            for symbol, z, factor in _errors(case, read_campaign(folder)):
-                gathered.setdefault(symbol, []).append((z, factor))
-    z_rms, covered = {}, {}
-    for symbol, pairs in gathered.items():
-        z, factor = np.array(pairs).T
-        z_rms[symbol] = float(np.sqrt(np.mean(z**2)))
-        covered[symbol] = float(np.mean(np.abs(z) < factor))
-    return Row(case.method, case.observable, case.words, trials, z_rms, covered)
+            for symbol, z, dof in _errors(case, read_campaign(folder)):
+                gathered.setdefault(symbol, []).append((z, min(dof, 1e9)))
+    # Coefficient, trial, accelerometer
+    z, dof = np.moveaxis([np.reshape(pairs, (trials, 2, 2)) for pairs in gathered.values()], -1, 0)
+    normal = normal_equivalent(z, dof)
+    covered = np.abs(z) < stdtrit(dof, 0.975)
+
+    def by_symbol(parts: np.ndarray) -> dict[str, float]:
+        return dict(zip(gathered, parts.mean(axis=(1, 2)).tolist(), strict=True))
+
+    def band(parts: np.ndarray) -> float:
+        return float(BAND * parts.mean(axis=(0, 2)).std(ddof=1) / math.sqrt(trials))
+
+    return Row(
+        case.method,
+        case.observable,
+        case.words,
+        trials,
+        z_rms={symbol: math.sqrt(part) for symbol, part in by_symbol(z**2).items()},
+        normal_rms={symbol: math.sqrt(part) for symbol, part in by_symbol(normal**2).items()},
+        covered=by_symbol(covered.astype(float)),
+        normal_band=band(normal**2) / (2.0 * math.sqrt(float(np.mean(normal**2)))),
+        covered_band=band(covered.astype(float)),
+    )
+
+
+def normal_equivalent(z: np.ndarray, dof: np.ndarray) -> np.ndarray:
+    """Return normal variables that are as improbable as Student's."""
+    return np.asarray(np.sign(z) * -ndtri(stdtr(dof, -np.abs(z))))
+
+
+#: Columns, and how they are aligned.
+HEAD: Final = dict.fromkeys(["method", "record", "noise"], "---") | dict.fromkeys(
+    [
+        "trials",
+        "95 % covers",
+        "normal z rms",
+        "of K_F",
+        "of K_I",
+        "of K_II",
+        "of K_III",
+        "z rms as it is",
+        "of K_F as it is",
+    ],
+    "---:",
+)
 
 
 def render(table: Sequence[Row]) -> str:
     """Return the table as Markdown."""
-    head = ["method", "record", "noise", "z rms", "95 % covers", "z rms of K_F", "of K_II"]
-    lines = [f"| {' | '.join(head)} |", "|---|---|---|---:|---:|---:|---:|"]
-    for row in table:
-        cells = (
-            row.method,
-            row.observable.replace("_", " "),
-            row.words,
-            f"{row.rms:.3f}",
-            f"{100.0 * row.coverage:.1f} %",
-            f"{row.z_rms['K_F']:.3f}",
-            f"{row.z_rms['K_II']:.3f}",
-        )
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join(lines) + "\n"
+    return table_of(
+        HEAD,
+        [
+            (
+                row.method,
+                row.observable.replace("_", " "),
+                row.words,
+                f"{row.trials}",
+                f"{100.0 * row.coverage:.1f} ± {100.0 * row.covered_band:.1f}",
+                f"{row.normal:.3f} ± {row.normal_band:.3f}",
+                *(
+                    f"{row.normal_rms[symbol]:.2f}" if symbol in row.normal_rms else ""
+                    for symbol in ("K_F", "K_I", "K_II", "K_III")
+                ),
+                f"{row.rms:.3f}",
+                f"{row.z_rms['K_F']:.2f}",
+            )
+            for row in table
+        ],
+    )
 
 
-def insert(table: Sequence[Row], page: str) -> str:
-    """Return the page with the table in its place."""
-    before, begun, rest = page.partition("<!-- coverage -->\n")
-    _, ended, after = rest.partition("<!-- /coverage -->")
-    if not begun or not ended:
-        raise ValueError("the page has no place for the table")
-    return f"{before}{begun}{render(table)}{ended}{after}"
-
-
-def load() -> list[Row]:
-    """Return the rows that are kept."""
-    return [Row(**row) for row in json.loads(KEPT.read_text(encoding="utf-8"))]
+TABLE: Final = KeptTable("coverage", DOCS / "methods.md", Row, render)
 
 
 def main() -> None:
     """Make the table again."""
-    table = [row_of(case, TRIALS if case.stated else TRIALS_WITHOUT) for case in CASES]
-    KEPT.write_text(json.dumps([asdict(row) for row in table], indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(insert(table, PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    TABLE.keep([row_of(case, TRIALS) for case in CASES])
 
 
 if __name__ == "__main__":

@@ -6,11 +6,10 @@ description, with the default model. The same campaign without it is the measure
 linearised.
 """
 
-import json
 import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
@@ -20,10 +19,7 @@ from counterspin.calibration.result import Result
 from counterspin.campaign.simulation import simulate
 from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS, term
 from counterspin.reports.numbers import field_unit, format_number
-
-DOCS: Final = Path(__file__).parent
-PAGE: Final = DOCS / "violations.md"
-KEPT: Final = DOCS / "violations.json"
+from kept_table import DOCS, UNITS, KeptTable, channel, frame, runs, table_of
 
 #: Beyond this many standard uncertainties a shift must not go unsaid.
 SILENT_UP_TO: Final = 3.0
@@ -31,57 +27,34 @@ SILENT_UP_TO: Final = 3.0
 #: Shifts below this many standard uncertainties are not shown.
 SHOWN_FROM: Final = 0.1
 
-#: Column of the record, its unit and its noise.
-OBSERVABLES: Final = {
-    "displacement": ("m", "0.01 m"),
-    "velocity": ("m/s", "1e-3 m/s"),
-    "specific_force": ("m/s^2", "1e-4 m/s^2"),
-}
+#: Noise of a sample of what is recorded.
+NOISE: Final = {"displacement": "0.01 m", "velocity": "1e-3 m/s", "specific_force": "1e-4 m/s^2"}
 
-#: The usual campaign: three rates, level, priors of bias and scale factor, the default model.
-TEMPLATE: Final = """
-schema = 1
 
-[site]
-gravity = "9.8066 ± 1e-5 m/s^2"
-latitude = "45.75 ± 0.001 deg"
+@dataclass(frozen=True)
+class Size:
+    """How large a campaign is: samples a second, and revolutions of each run."""
 
-[centrifuge]
-radius = "2.5 ± 1e-5 m"
+    sampling_rate: float
+    revolutions: int
 
-[records]
-time = {{ column = "time_s", unit = "s" }}
-angle = {{ column = "angle_rad", unit = "rad" }}
 
+def description(observable: str, size: Size) -> str:
+    """Return the usual campaign: three rates, level, priors of bias and scale factor."""
+    place = frame("9.8066 ± 1e-5 m/s^2", "45.75 ± 0.001 deg", "2.5 ± 1e-5 m")
+    return f"""{place}
 [accelerometers.Qx]
-input_axis = "east"
-pendulous_axis = "down"
+{channel(observable, "east")}
 bias = "0.00503 ± 2e-6 g"
 scale_factor = "1.00197 ± 5e-6 g/g"
-{observable} = {{ column = "east", unit = "{unit}" }}
 
 [noise]
-{observable} = "{noise}"
-
-[[runs]]
-name = "run1"
-rate = "0.25 rev/s"
-record = "run1.csv"
-
-[[runs]]
-name = "run2"
-rate = "0.5 rev/s"
-record = "run2.csv"
-
-[[runs]]
-name = "run3"
-rate = "1 rev/s"
-record = "run3.csv"
-
+{observable} = "{NOISE[observable]}"
+{runs()}
 [simulation]
-sampling_rate = "{sampling_rate} Hz"
+sampling_rate = "{size.sampling_rate} Hz"
 seed = 2
-revolutions = {revolutions}
+revolutions = {size.revolutions}
 
 [truth.Qx]
 K_F = "0.0050312 g"
@@ -99,14 +72,6 @@ WARMING: Final = {
     f'record = "run{run}.csv"': f'record = "run{run}.csv"\ntemperature = "{kelvin} degC"'
     for run, kelvin in ((1, 22.5), (2, 23.0), (3, 23.5))
 }
-
-
-@dataclass(frozen=True)
-class Size:
-    """How large a campaign is: samples a second, and revolutions of each run."""
-
-    sampling_rate: float
-    revolutions: int
 
 
 FULL: Final = Size(50.0, 100)
@@ -285,12 +250,6 @@ def of_inputs() -> list[Violation]:
     ]
 
 
-def description(observable: str, size: Size) -> str:
-    """Return the campaign as it is described."""
-    unit, noise = OBSERVABLES[observable]
-    return TEMPLATE.format(observable=observable, unit=unit, noise=noise, **asdict(size))
-
-
 def calibrated(stated: str, world: str) -> Result:
     """Return the calibration of a world's records by what is stated."""
     with tempfile.TemporaryDirectory() as folder:
@@ -348,33 +307,21 @@ def rows(violations: Sequence[Violation], observable: str, size: Size) -> Iterat
 
 def render(table: Sequence[Row]) -> str:
     """Return the table as Markdown, one line for each violation."""
-    lines = {(row.name, row.size): f"| {row.name} | {row.size} |" for row in table}
+    lines: dict[tuple[str, str], list[str]] = {}
     for row in table:
-        lines[row.name, row.size] += f" {row.cell} |"
-    head = ["in the world", "size", *(name.replace("_", " ") for name in OBSERVABLES)]
-    return "\n".join([f"| {' | '.join(head)} |", "|---" * len(head) + "|", *lines.values()]) + "\n"
+        lines.setdefault((row.name, row.size), [row.name, row.size]).append(row.cell)
+    head = ["in the world", "size", *(name.replace("_", " ") for name in UNITS)]
+    return table_of(dict.fromkeys(head, "---"), list(lines.values()))
 
 
-def insert(table: Sequence[Row], page: str) -> str:
-    """Return the page with the table in its place."""
-    before, begun, rest = page.partition("<!-- violations -->\n")
-    _, ended, after = rest.partition("<!-- /violations -->")
-    if not begun or not ended:
-        raise ValueError("the page has no place for the table")
-    return f"{before}{begun}{render(table)}{ended}{after}"
-
-
-def load() -> list[Row]:
-    """Return the rows that are kept."""
-    return [Row(**row) for row in json.loads(KEPT.read_text(encoding="utf-8"))]
+TABLE: Final = KeptTable("violations", DOCS / "violations.md", Row, render)
 
 
 def main() -> None:
     """Make the table again."""
     everything = [*of_table(), *of_inputs()]
-    table = [row for name in OBSERVABLES for row in rows(everything, name, FULL)]
-    KEPT.write_text(json.dumps([asdict(row) for row in table], indent=1) + "\n", encoding="utf-8")
-    PAGE.write_text(insert(table, PAGE.read_text(encoding="utf-8")), encoding="utf-8")
+    table = [row for name in UNITS for row in rows(everything, name, FULL)]
+    TABLE.keep(table)
     for row in table:
         if row.silent:
             print(f"silent: {row.name} ({row.observable}): {row.most_moved} {row.largest:.2g} u")

@@ -8,6 +8,7 @@ import pytest
 
 DOCS = Path(__file__).parents[1] / "docs"
 STUDY = runpy.run_path(str(DOCS / "violations.py"))
+TABLE, UNITS = STUDY["TABLE"], STUDY["UNITS"]
 VIOLATIONS = [*STUDY["of_table"](), *STUDY["of_inputs"]()]
 
 #: The same study with fewer rows.
@@ -15,21 +16,21 @@ SMALL = STUDY["Size"](10.0, 20)
 
 
 def test_the_page_shows_what_was_found():
-    page = STUDY["PAGE"].read_text("utf-8")
-    assert STUDY["insert"](STUDY["load"](), page) == page
+    page = TABLE.page.read_text("utf-8")
+    assert TABLE.insert(TABLE.load(), page) == page
 
 
 def test_every_violation_is_in_the_table_with_every_record():
-    found = {(row.name, row.size, row.observable) for row in STUDY["load"]()}
+    found = {(row.name, row.size, row.observable) for row in TABLE.load()}
     assert found == {
         (violation.name, violation.size, observable)
         for violation in VIOLATIONS
-        for observable in STUDY["OBSERVABLES"]
+        for observable in UNITS
     }
 
 
 def test_none_of_the_table_is_silent():
-    silent = [f"{row.name} ({row.observable})" for row in STUDY["load"]() if row.silent]
+    silent = [f"{row.name} ({row.observable})" for row in TABLE.load() if row.silent]
     assert silent == []
 
 
@@ -37,7 +38,7 @@ def test_the_worst_one_is_what_the_theory_says():
     # Compliance in azimuth has the t^2 of K_II itself (physics.md): 0.1 arcsec/g is 4.85e-7 g/g^2.
     (row,) = (
         row
-        for row in STUDY["load"]()
+        for row in TABLE.load()
         if (row.name, row.observable) == ("platform.compliance.zy", "displacement")
     )
     assert row.shifts["K_II"] == pytest.approx(4.85e-7 / 7.48e-10, rel=0.02)
@@ -53,7 +54,7 @@ def clean(observable):
     ("observable", "violation"),
     [
         (observable, violation)
-        for observable in STUDY["OBSERVABLES"]
+        for observable in UNITS
         for violation in VIOLATIONS
         # What the accelerometer adds is much the same in every record.
         if observable == "displacement" or violation.symbol.startswith(("centri", "enc", "rec"))

@@ -208,7 +208,9 @@ ESTIMATED = [
 ]
 
 
-@pytest.mark.parametrize("noise", ESTIMATED, ids=["walk", "both", "nothing stated"])
+@pytest.mark.parametrize(
+    "noise", [*ESTIMATED, "[noise]\n"], ids=["walk", "both", "nothing stated", "an empty table"]
+)
 def test_noise_of_the_accelerometer_that_is_not_stated_is_that_of_the_joint_fit(tmp_path, noise):
     folder = made(tmp_path, *walking(noise))
     jointly = qx(calibrate(folder))

@@ -64,7 +64,7 @@ def request_of(
         weighted=options.weighted,
         sigma=None if options.from_residuals else _sigma(campaign),
         from_residuals=options.from_residuals,
-        random_walk=_number(campaign, "acceleration"),
+        random_walk=noise_of(campaign)[accelerometer.name].random_walk,
         timing=_number(campaign, "timing") or 0.0,
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
@@ -85,8 +85,12 @@ def _number(campaign: Campaign, component: str) -> float | None:
 
 
 def walk_is_stated(campaign: Campaign) -> bool:
-    """Return whether the accelerometers' noise is a number in [noise], zero included."""
-    return _number(campaign, "acceleration") is not None
+    """Return whether the accelerometers' own noise is known, as the joint method has it.
+
+    It is where [noise] states it, zero included; a [noise] that states no noise at all leaves
+    all of it to be found.
+    """
+    return all(request.random_walk is not None for request in noise_of(campaign).values())
 
 
 def noise_found(
