@@ -27,7 +27,13 @@ from counterspin.calibration.result_parts import (
     Residual,
     State,
 )
-from counterspin.inference.diagnostics import AGREEMENT, CHI_SQUARE_SIGNIFICANCE, SIGNIFICANCE
+from counterspin.inference.diagnostics import (
+    AGREEMENT,
+    CHI_SQUARE_SIGNIFICANCE,
+    SIGNIFICANCE,
+    agreement_of,
+    normal_equivalent,
+)
 from counterspin.inference.distributions import normal_quantile
 from counterspin.reports.numbers import format_number
 
@@ -92,7 +98,7 @@ def _judge(
             for text in sentences
         ),
         *_of_the_whole(name, accelerometer, result),
-        *from_numbers(name, accelerometer, result.inputs.gravity),
+        *from_numbers(name, accelerometer, result.inputs.gravity, len(result.accelerometers)),
     ]
     findings = ranked(below_causes(name, found, causes))
     return accelerometer.model_copy(
@@ -169,7 +175,7 @@ def _of_the_whole(
 
 
 def from_numbers(
-    name: str, accelerometer: AccelerometerResult, gravity: float
+    name: str, accelerometer: AccelerometerResult, gravity: float, accelerometers: int
 ) -> Iterator[Finding]:
     """Yield what follows from the residuals, the noise, the runs and the two-stage method.
 
@@ -179,6 +185,8 @@ def from_numbers(
         The accelerometer and its result.
     gravity
         m/s^2.
+    accelerometers
+        How many the campaign has: their runs are all compared, and one of many may be off.
     """
     known = {(finding.code, finding.subject) for finding in accelerometer.findings}
     if ("lack-of-fit", name) not in known:
@@ -188,7 +196,7 @@ def from_numbers(
     # exceeds them for that reason alone is no finding of its own.
     excess = _times_noise(accelerometer.residual) or 1.0
     excess = excess if excess > TOO_LARGE else 1.0
-    yield from _disagreeing_run(name, accelerometer.jackknife, excess)
+    yield from _disagreeing_run(name, accelerometer.jackknife, excess, accelerometers)
     if (
         accelerometer.two_stage is not None
         and (z := abs(accelerometer.two_stage.z) / excess) > AGREEMENT
@@ -290,26 +298,34 @@ def _implausible_noise(
         )
 
 
-def _disagreeing_run(name: str, lines: Sequence[Jackknife], excess: float) -> Iterator[Finding]:
+def _disagreeing_run(
+    name: str, lines: Sequence[Jackknife], excess: float, accelerometers: int
+) -> Iterator[Finding]:
+    compared = sum(1 for line in lines if line.z is not None)
     worst = _worst(lines)
     if worst is None or worst.z is None or worst.shift is None:
         return
     z = abs(worst.z) / excess
-    if z <= AGREEMENT:
+    size = normal_equivalent(z, worst.dof)
+    if size <= agreement_of(compared * accelerometers):
         return
     yield Finding(
         code="run-disagrees",
         subject=f"{name}.K_II",
         text=f"Without {worst.run} K_II moves by {worst.shift:.2g} g/g^2, {z:.1f} times "
         "what its uncertainty explains: this run disagrees with the others.",
-        size=z,
-        contradicts=z > CONTRADICTS,
+        size=size,
+        contradicts=size > CONTRADICTS,
     )
 
 
 def _worst(lines: Sequence[Jackknife]) -> Jackknife | None:
     compared = [line for line in lines if line.z is not None]
-    return max(compared, key=lambda line: abs(line.z or 0.0), default=None)
+    return max(compared, key=_rarity, default=None)
+
+
+def _rarity(line: Jackknife) -> float:
+    return normal_equivalent(line.z or 0.0, line.dof)
 
 
 # What speaks for a result
@@ -323,7 +339,7 @@ def supports(accelerometer: AccelerometerResult) -> Iterator[str]:
         noise = "the stated noise" if residual.chi2 is not None else "independent noise"
         yield f"the residuals look like {noise} (p = {format_number(p, 2)})"
     worst = _worst(accelerometer.jackknife)
-    if worst is not None and abs(worst.z or 0.0) <= AGREEMENT:
+    if worst is not None and _rarity(worst) <= AGREEMENT:
         yield "no run drives the result"
     if accelerometer.two_stage is not None and abs(accelerometer.two_stage.z) <= AGREEMENT:
         yield "the two-stage method agrees"

@@ -18,10 +18,11 @@ from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.readings import readings_fit
-from counterspin.calibration.result_parts import Comparison, Finding, Jackknife
+from counterspin.calibration.result_parts import Comparison, Finding, Jackknife, countable
 from counterspin.calibration.two_stage_request import walk_is_stated
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.joint import encoder
+from counterspin.inference.joint.runs_left_out import Shift, leave_out
 from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import OWN_TERMS
 
@@ -32,31 +33,27 @@ def jackknife(view: AccelerometerView) -> list[Jackknife]:
     runs = list(dict.fromkeys(prepared.run for prepared in fit.prepared))
     if index is None or len(runs) < 2:
         return []
-    whole = fit.solution
-    lines = []
-    for run in runs:
-        without = fit.without_run(run)
-        limit = fit.model.unknowns[index].limit
-        if without is None or float(without.u[index]) >= limit:
-            lines.append(Jackknife(run=run, value=None, shift=None, z=None))
-            continue
-        shift = float(without.estimate[index] - whole.estimate[index])
-        # The whole is the better estimate of the two, so that variances subtract (Hausman). What
-        # is considered moves both, and the shift by the difference.
-        parts = [s.covariance_noise + s.covariance_prior for s in (without, whole)]
-        spread = float(parts[0][index, index] - parts[1][index, index])
-        sensitivities = [s.sensitivity_considered[index] for s in (without, whole)]
-        moved = (sensitivities[0] - sensitivities[1]) * whole.considered_sd
-        spread = max(spread, 0.0) + float(moved @ moved)
-        lines.append(
-            Jackknife(
-                run=run,
-                value=float(without.estimate[index]),
-                shift=shift,
-                z=shift / math.sqrt(spread) if spread > 0.0 else None,
-            )
-        )
-    return lines
+    limit = fit.model.unknowns[index].limit
+    enough = [
+        run
+        for run in runs
+        if (without := fit.without_run(run)) is not None and float(without.u[index]) < limit
+    ]
+    shifts = {shift.run: shift for shift in leave_out(view.estimate, enough, index, view.name)}
+    return [_jackknife(run, shifts.get(run)) for run in runs]
+
+
+def _jackknife(run: str, found: Shift | None) -> Jackknife:
+    if found is None:
+        return Jackknife(run=run, value=None, shift=None, z=None)
+    compared = found.variance > 0.0
+    return Jackknife(
+        run=run,
+        value=found.value,
+        shift=found.shift,
+        z=found.shift / math.sqrt(found.variance) if compared else None,
+        dof=countable(found.dof) if compared else None,
+    )
 
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:

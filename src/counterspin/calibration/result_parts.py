@@ -220,12 +220,16 @@ class NoiseLine(ResultPart):
 
 
 class Jackknife(ResultPart):
-    """K_II with one run left out; `z` is its shift over the shift's standard uncertainty."""
+    """K_II with one run left out.
+
+    `z` is its shift over the shift's standard uncertainty, `dof` the degrees of freedom of that.
+    """
 
     run: str
     value: float | None
     shift: float | None
     z: float | None
+    dof: float | None = None
 
 
 class Comparison(ResultPart):

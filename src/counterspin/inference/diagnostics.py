@@ -22,13 +22,22 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from counterspin.frozen import frozen
-from counterspin.inference.distributions import chi_square_tail, log_binomial, normal_cdf
+from counterspin.inference.distributions import (
+    chi_square_tail,
+    log_binomial,
+    normal_cdf,
+    normal_quantile,
+    student_cdf,
+)
 
 Array = NDArray[np.float64]
 
 #: Two estimates agree where their difference is up to this many of its standard uncertainties; good
 #: campaigns exceed it in 0.3 %.
 AGREEMENT: Final = 3.0
+
+#: Share of good campaigns in which one of many differences is said to be too large.
+_FALSE_ALARMS: Final = 0.005
 
 #: Below this probability a departure is called one. It is shared among all tests of a fit.
 SIGNIFICANCE: Final = 0.01
@@ -216,6 +225,36 @@ def _findings(
                 "the residuals' variance: something periodic is left in them."
             )
     return tuple(found)
+
+
+def agreement_of(differences: int) -> float:
+    """Return up to how many standard uncertainties each of several differences may go.
+
+    All of them stay below in 99.5 % of good campaigns (Sidak, Journal of the American Statistical
+    Association 62 (1967) 626: at least that, however they depend on each other).
+
+    Parameters
+    ----------
+    differences
+        How many are compared in the whole campaign.
+    """
+    each = -math.expm1(math.log1p(-_FALSE_ALARMS) / max(differences, 1))
+    return max(AGREEMENT, -normal_quantile(0.5 * each))
+
+
+def normal_equivalent(z: float, dof: float | None) -> float:
+    """Return the size of a normal variable that is as rare as |z| of Student's distribution.
+
+    Parameters
+    ----------
+    z
+        A difference over its standard uncertainty.
+    dof
+        Degrees of freedom of that; None: infinite.
+    """
+    size = abs(z)
+    # Below 1e-300 there is no probability to compare any more.
+    return size if dof is None else -normal_quantile(max(student_cdf(dof, -size), 1e-300))
 
 
 def runs_test(rows: ArrayLike) -> tuple[int, float, float]:

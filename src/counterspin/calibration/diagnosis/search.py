@@ -26,7 +26,11 @@ from counterspin.calibration.joint_problem import exact_inputs, left_out_of, noi
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
 from counterspin.frozen import frozen
-from counterspin.inference.diagnostics import CHI_SQUARE_SIGNIFICANCE, SIGNIFICANCE
+from counterspin.inference.diagnostics import (
+    CHI_SQUARE_SIGNIFICANCE,
+    SIGNIFICANCE,
+    normal_equivalent,
+)
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.joint import mistakes
 from counterspin.inference.joint.alternatives import Alternative, Scores, of_priors, scores
@@ -179,9 +183,9 @@ def _is_suspicious(
         codes = {finding.code for finding in (*result.findings, *_numbers(view, result))}
         if codes & ACCOUNTABLE:
             return True
-        shifts = [line.z for line in result.jackknife]
-        shifts.append(result.two_stage.z if result.two_stage else None)
-        if any(abs(z) > _SUSPICIOUS_SHIFT for z in shifts if z is not None):
+        shifts = [normal_equivalent(line.z, line.dof) for line in result.jackknife if line.z]
+        shifts += [abs(result.two_stage.z)] if result.two_stage else []
+        if any(z > _SUSPICIOUS_SHIFT for z in shifts):
             return True
         if any(p < _SUSPICIOUS / records for p in _chances(view)):
             return True
@@ -431,4 +435,5 @@ def _numbers(view: AccelerometerView, result: AccelerometerResult | None) -> Ite
         noise=noise_lines(view),
         jackknife=jackknife(view),
     )
-    yield from from_numbers(view.name, seen, view.campaign.gravity.value)
+    campaign = view.campaign
+    yield from from_numbers(view.name, seen, campaign.gravity.value, len(campaign.accelerometers))

@@ -8,7 +8,8 @@
 - `estimation`: the joint estimate step by step
 - `outliers`, `rotation`: samples that noise does not explain; how runs without angles turned
 - `budget`, `omitted_terms`: where the uncertainty of a coefficient comes from; what is not in it
-- `kinds`: whether data of several kinds agree
+- `kinds`: whether data of several kinds agree; `runs_left_out`: what becomes of an estimate
+  without a run
 - `relaxed`, `alternatives`, `mistakes`: what is assumed taken as unknown; what else would explain
   the records; mistakes that are likely
 - `thinning`: residuals for pictures

@@ -1,0 +1,166 @@
+"""Each run left out in turn: how far a coefficient moves, and how far it may.
+
+With all runs the estimate is the better one, so that the variance of the shift is what the
+variance grows by (Hausman, Econometrica 46 (1978) 1251). Where the noise was estimated, the shift
+has Student's distribution, and noise that the records do not show is part of it, as of u itself.
+
+- `leave_out`: the shifts; `Shift`: one of them; `growth`: what more noise adds to their variance
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.least_squares import Solution
+from counterspin.inference.noise.model import NoiseModel
+from counterspin.inference.noise.unseen_noise import Unseen, lengthened
+from counterspin.inference.noise.variance_components import effective_dof_of
+
+#: Step of N^2, as a part of the second level that the records allow.
+_DERIVATIVE_STEP: Final = 1e-2
+
+
+@frozen
+class Shift:
+    """What becomes of one unknown without a run.
+
+    Attributes
+    ----------
+    run
+        The run left out.
+    value
+        The estimate without it.
+    shift
+        By how much that is more than the estimate of all runs.
+    variance
+        Of the shift; zero where the run says nothing of the unknown.
+    dof
+        Effective degrees of freedom of that variance; infinite where the noise was given.
+    """
+
+    run: str
+    value: float
+    shift: float
+    variance: float
+    dof: float
+
+
+def leave_out(estimated: Estimate, runs: Sequence[str], index: int, owner: str) -> list[Shift]:
+    """Leave each of some runs out in turn.
+
+    Parameters
+    ----------
+    estimated
+        Of all runs.
+    runs
+        Names of runs without which the unknown is determined.
+    index
+        Place of the unknown.
+    owner
+        The accelerometer whose noise moves it.
+    """
+    if not runs:
+        return []
+    fit = estimated.fit
+    whole = fit.solution
+    without = [_solution_without(fit, run) for run in runs]
+    variance = _variances(fit, runs, index)
+    inverse = np.zeros(len(runs))
+    component = estimated.components.get(owner)
+    if component is not None:
+
+        def variances(noise: NoiseModel) -> Array:
+            return _variances(fit.with_noise({owner: noise}), runs, index)
+
+        inverse = 1.0 / effective_dof_of(variances, component)
+        if component.unseen is not None:
+            step = _DERIVATIVE_STEP * float(component.unseen.levels[1])
+            walking = replace(fit.noise[owner], random_walk=math.sqrt(step))
+            slope = growth(fit, fit.with_noise({owner: walking}), runs, index) / step
+            variance, inverse = _with_unseen(component.unseen, variance, slope, inverse)
+    with np.errstate(divide="ignore"):
+        dof = 1.0 / inverse
+    return [
+        Shift(
+            run,
+            float(other.estimate[index]),
+            float(other.estimate[index] - whole.estimate[index]),
+            float(variance[k]),
+            float(dof[k]),
+        )
+        for k, (run, other) in enumerate(zip(runs, without, strict=True))
+    ]
+
+
+def _solution_without(fit: JointFit, run: str) -> Solution:
+    solution = fit.without_run(run)
+    if solution is None:
+        raise ValueError(f"nothing is left without {run}")
+    return solution
+
+
+def _variances(fit: JointFit, runs: Sequence[str], index: int) -> Array:
+    """Return the variance of each run's shift, by noise that shows and by what is considered."""
+    whole = fit.solution
+    variances = np.zeros(len(runs))
+    for k, run in enumerate(runs):
+        without = _solution_without(fit, run)
+        parts = [s.covariance_noise + s.covariance_prior for s in (without, whole)]
+        # What is considered moves both, and the shift by the difference.
+        sensitivities = [s.sensitivity_considered[index] for s in (without, whole)]
+        moved = (sensitivities[0] - sensitivities[1]) * whole.considered_sd
+        spread = float(parts[0][index, index] - parts[1][index, index])
+        variances[k] = max(spread, 0.0) + float(moved @ moved)
+    return variances
+
+
+def growth(fit: JointFit, noisier: JointFit, runs: Sequence[str], index: int) -> Array:
+    """Return what a little more noise, which nobody knows of, adds to each shift's variance.
+
+    The whole estimate is W (the estimate without the run) + the run's own part, which is
+    independent of it, with W = C I, the whole's covariance times the information without the run.
+    So the shift's covariance is V + V' - W V' - V' W', V and V' being those of whole and rest.
+    More noise adds to V and V' what it adds to the least covariance, to first order.
+
+    Parameters
+    ----------
+    fit
+        With the noise that is known.
+    noisier
+        The same fit with a little more noise.
+    runs, index
+        As for `leave_out`.
+    """
+    known = fit.solution.least_covariance
+    whole = noisier.solution.least_covariance - known
+    added = np.zeros(len(runs))
+    for k, run in enumerate(runs):
+        before, after = _solution_without(fit, run), _solution_without(noisier, run)
+        rest = after.least_covariance - before.least_covariance
+        weight = before.informed(known[index])
+        added[k] = rest[index, index] + whole[index, index] - 2.0 * float(weight @ rest[:, index])
+    return np.maximum(added, 0.0)
+
+
+def _with_unseen(
+    unseen: Unseen, variance: Array, slope: Array, inverse: Array
+) -> tuple[Array, Array]:
+    """Return variances of shifts and inverse degrees of freedom with a walk that does not show."""
+    moved = (variance > 0.0) & (slope > 0.0)
+    if not moved.any():
+        return variance, inverse
+    variance, inverse = variance.copy(), inverse.copy()
+    level, longer = lengthened(unseen, variance[moved], slope[moved])
+    wider = variance[moved] + level * slope[moved]
+    inverse[moved] = np.square(variance[moved] / wider) * inverse[moved] + 1.0 / longer
+    variance[moved] = wider
+    return variance, inverse
