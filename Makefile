@@ -25,7 +25,8 @@ PARALLEL = -n $(JOBS) --dist worksteal
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test quick lint format bench fuzz docs pictures violations coverage lock clean
+.PHONY: help setup demo test quick lint format bench fuzz docs pictures violations coverage alarms \
+  lock clean
 
 help: ## Show this list
 	@sed -n 's/^\([a-z]*\):.*## /\1|/p' Makefile | awk -F'|' '{ printf "  make %-10s %s\n", $$1, $$2 }'
@@ -65,6 +66,9 @@ violations: $(READY) ## Make the table of what violations of the model do again
 fuzz: $(READY) ## Read changed files of every format, and kill what writes; docs/bulwark.md
 	$(BIN)/python -m fuzz --documents $(DOCUMENTS) --records $(RECORDS) --kills $(KILLS) \
 	  --seed $(SEED) --only "$(ONLY)"
+
+alarms: $(READY) ## Make the table of how often good campaigns are blamed again (ten minutes)
+	$(BIN)/python docs/false_alarms.py
 
 coverage: $(READY) ## Make the table of how often intervals cover again (half an hour)
 	$(BIN)/python docs/coverage.py

@@ -23,8 +23,8 @@ def test_a_good_result():
     assert refusal(found, ["Qx"]) is None
 
 
-def run(z):
-    return [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": z}]
+def run(z, dof=None):
+    return [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": z, "dof": dof}]
 
 
 def other_method(z):
@@ -60,6 +60,12 @@ NOTHING = {"K_II": {"value": None, "u": None, "unit": "g/g^2", "estimated": Fals
         ({"jackknife": run(2.9)}, None, "good", None),
         ({"jackknife": run(-3.1)}, "run-disagrees", "reservations", 3.1),
         ({"jackknife": run(-6.1)}, "run-disagrees", "contradicted", 6.1),
+        # Of sixteen shifts one is beyond 3.2 in 2.2 % of good campaigns.
+        ({"jackknife": [*run(3.2), *(15 * run(0.0))]}, None, "good", None),
+        ({"jackknife": [*run(3.7), *(15 * run(0.0))]}, "run-disagrees", "reservations", 3.7),
+        # Student's 3.5 with five degrees of freedom is as rare as a normal 2.38, 9 as 3.63.
+        ({"jackknife": run(3.5, dof=5.0)}, None, "good", None),
+        ({"jackknife": run(9.0, dof=5.0)}, "run-disagrees", "reservations", 3.63068),
         ({"two_stage": other_method(2.9)}, None, "good", None),
         ({"two_stage": other_method(-10.0)}, "methods-disagree", "reservations", 10.0),
         ({"noise": walk(499.0)}, None, "good", None),

@@ -12,7 +12,12 @@ import math
 from collections.abc import Sequence
 
 from counterspin.calibration import two_stage
-from counterspin.calibration.findings import hidden_noise, lack_of_fit
+from counterspin.calibration.findings import (
+    CONTRADICTS,
+    equivalent_deviations,
+    hidden_noise,
+    lack_of_fit,
+)
 from counterspin.calibration.joint_parts import residual
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
@@ -21,10 +26,14 @@ from counterspin.calibration.readings import readings_fit
 from counterspin.calibration.result_parts import Comparison, Finding, Jackknife, countable
 from counterspin.calibration.two_stage_request import walk_is_stated
 from counterspin.errors import NotIdentifiableError, RecordError
+from counterspin.inference.diagnostics import FALSE_ALARMS
 from counterspin.inference.joint import encoder
+from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.joint.runs_left_out import Shift, leave_out
+from counterspin.inference.joint.slow_parts import slow_parts
 from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import OWN_TERMS
+from counterspin.reports.numbers import format_number
 
 
 def jackknife(view: AccelerometerView) -> list[Jackknife]:
@@ -64,7 +73,36 @@ def residual_findings(view: AccelerometerView) -> list[Finding]:
     tests = view.diagnostics
     if tests.findings:
         found.insert(0, lack_of_fit(view.name, tests.findings, residual(view)))
-    return found
+    return [*found, *_noise_that_differs(view)]
+
+
+def _noise_that_differs(view: AccelerometerView) -> list[Finding]:
+    """Return a finding where one run shows more of the noise that was found than the others."""
+    components = view.estimate.components.get(view.name)
+    if components is None or "random_walk" not in components.estimated:
+        return []
+    parts = slow_parts(relax(view.fit), view.name)
+    worst = min(parts, key=lambda part: part.p, default=None)
+    tests = len(parts) * len(view.campaign.accelerometers)
+    if worst is None or worst.p * tests >= FALSE_ALARMS:
+        return []
+    size = equivalent_deviations(worst.p)
+    text = (
+        "The noise of the accelerometer that was found is not the same in all runs: that of "
+        f"{worst.run} is {format_number(math.sqrt(worst.ratio), 2)} times as large as the others' "
+        f"(p = {worst.p:.2g}). A slow error of this record, or of one that it is compared with, "
+        "may have been taken for noise, and moves the coefficients by more than u says. Look at "
+        "the records."
+    )
+    return [
+        Finding(
+            code="noise-differs",
+            subject=f"{worst.run}.{view.name}",
+            text=text,
+            size=size,
+            contradicts=size > CONTRADICTS,
+        )
+    ]
 
 
 def run_fits(

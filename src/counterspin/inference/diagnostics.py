@@ -36,8 +36,8 @@ Array = NDArray[np.float64]
 #: campaigns exceed it in 0.3 %.
 AGREEMENT: Final = 3.0
 
-#: Share of good campaigns in which one of many differences is said to be too large.
-_FALSE_ALARMS: Final = 0.005
+#: Share of good campaigns in which one of many differences between runs is said to be too large.
+FALSE_ALARMS: Final = 0.005
 
 #: Below this probability a departure is called one. It is shared among all tests of a fit.
 SIGNIFICANCE: Final = 0.01
@@ -238,7 +238,7 @@ def agreement_of(differences: int) -> float:
     differences
         How many are compared in the whole campaign.
     """
-    each = -math.expm1(math.log1p(-_FALSE_ALARMS) / max(differences, 1))
+    each = -math.expm1(math.log1p(-FALSE_ALARMS) / max(differences, 1))
     return max(AGREEMENT, -normal_quantile(0.5 * each))
 
 

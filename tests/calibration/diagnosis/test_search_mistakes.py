@@ -187,6 +187,19 @@ MISTAKES = (
         estimated=True,
     ),
     Mistake(
+        "a record that is bent over its length, 20 cm at its middle",
+        "jump fast.Qx",
+        records=added("fast", EAST, lambda t: 0.2 * np.sin(np.pi * t / t[-1])),
+        estimated=True,
+    ),
+    Mistake(
+        "a slow error of 20 cm in one record that goes with t^3",
+        "noise-differs fast.Qx",
+        records=added("fast", EAST, lambda t: 0.2 * (t / t[-1]) ** 3),
+        estimated=True,
+        state="reservations",
+    ),
+    Mistake(
         "K_III of 2e-5 g/g^3 left out",
         "term-missing Qx.K_III",
         truth=((K_II, f'{K_II}\nK_III = "2e-5 g/g^3"'),),

@@ -12,5 +12,6 @@
   without a run
 - `relaxed`, `alternatives`, `mistakes`: what is assumed taken as unknown; what else would explain
   the records; mistakes that are likely
+- `slow_parts`: whether noise that was found is alike in all runs
 - `thinning`: residuals for pictures
 """

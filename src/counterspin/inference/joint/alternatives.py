@@ -11,7 +11,8 @@ For a prior the column is its own row, so that its parameter is the distance of 
 everything else says, and the test is that of the prior's misfit (Baarda's w-test).
 
 - `Alternative`: one of them; `of_priors`: those of a fit's own priors
-- `Scores`, `scores`: all of them held against a fit
+- `Scores`, `scores`: all of them held against a fit; `Beside`, `beside_fit`: their columns and
+  its residuals, for other tests
 """
 
 from __future__ import annotations
@@ -160,6 +161,50 @@ def scores(fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: b
     noise_given
         Whether the noise was given.
     """
+    held = beside_fit(fit, alternatives)
+    columns, residual = held.columns, held.residual
+    norms = np.sum(columns**2, axis=0)
+    there = norms > _LEFT * held.before
+    norms = np.where(there, norms, np.inf)
+    product = columns.T @ residual
+    gain = product**2 / norms
+    dof = max(held.dof - 1.0, 1.0)
+    rest = held.rss + float(residual @ residual)
+    scale = np.maximum(rest - gain, 0.0) / dof
+    if noise_given:
+        scale = np.maximum(scale, 1.0)
+    u = np.where(there, np.sqrt(scale / np.where(there, norms, 1.0)), np.inf)
+    size = np.sqrt(gain / np.maximum(scale, np.finfo(float).tiny))
+    return Scores(tuple(alternatives), product / norms, u, size, dof)
+
+
+@frozen
+class Beside:
+    """Columns of alternatives beside a fit, what its unknowns can follow being taken away.
+
+    Attributes
+    ----------
+    columns
+        Of m alternatives in the rows of blocks and priors, shape (rows, m).
+    residual
+        The fit's, in these rows, shape (rows,).
+    rss
+        Sum of squares of what these rows do not hold of the residuals.
+    before
+        Sums of squares of the columns before anything was taken away, shape (m,).
+    dof
+        Degrees of freedom of the fit.
+    """
+
+    columns: Array
+    residual: Array
+    rss: float
+    before: Array
+    dof: float
+
+
+def beside_fit(fit: JointFit, alternatives: Sequence[Alternative]) -> Beside:
+    """Put alternatives beside a fit; arguments as of `scores`."""
     blocks, solution, beside = _in_rows_of(fit, [a for a in alternatives if a.columns])
     data, priors = _columns(alternatives, blocks, solution, beside)
     target = np.concatenate([block.target for block in blocks])
@@ -169,20 +214,13 @@ def scores(fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: b
     held = np.divide(solution.prior_mean, solution.prior_sd, where=~known, out=np.zeros(known.size))
     residual = solution.unexplained(target[:, None], held[:, None])[:, 0]
     columns = solution.unexplained(data, priors)
-
-    norms = np.sum(columns**2, axis=0)
-    there = norms > _LEFT * (np.sum(data**2, axis=0) + np.sum(priors**2, axis=0))
-    norms = np.where(there, norms, np.inf)
-    product = columns.T @ residual
-    gain = product**2 / norms
-    dof = max(solution.dof - 1.0, 1.0)
-    rest = sum(block.rss for block in blocks) + float(residual @ residual)
-    scale = np.maximum(rest - gain, 0.0) / dof
-    if noise_given:
-        scale = np.maximum(scale, 1.0)
-    u = np.where(there, np.sqrt(scale / np.where(there, norms, 1.0)), np.inf)
-    size = np.sqrt(gain / np.maximum(scale, np.finfo(float).tiny))
-    return Scores(tuple(alternatives), product / norms, u, size, dof)
+    return Beside(
+        columns,
+        residual,
+        rss=sum(block.rss for block in blocks),
+        before=np.sum(data**2, axis=0) + np.sum(priors**2, axis=0),
+        dof=solution.dof,
+    )
 
 
 def _in_rows_of(fit: JointFit, shown: Sequence[Alternative]) -> tuple[list[Block], Solution, Array]:

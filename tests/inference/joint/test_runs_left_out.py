@@ -1,0 +1,92 @@
+"""What a run left out moves an estimate by, and how far chance moves it."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from joint_campaign import noisy, three_rates, unknowns
+
+from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.runs_left_out import growth, leave_out
+from counterspin.inference.joint.unknowns import Unknowns
+from counterspin.inference.noise.model import NoiseModel
+
+TRUTH = {"K_F": 0.005, "K_I": 1.002, "K_II": 2.7e-5}
+WHITE = 0.01
+MODEL = Unknowns(unknowns(["K_F", "K_I", "K_II"], {"K_F": (0.005, 2e-6)}))
+K_II = 2
+
+
+def fitted(seed, request, model=MODEL):
+    rng = np.random.default_rng(seed)
+    series = [noisy(one, NoiseModel(WHITE), rng) for one in three_rates(TRUTH)]
+    return estimate(series, model, {"Qx": request}, reject=False)
+
+
+def gain_of_shift(fit, run):
+    """By how much each whitened row moves the shift, by series."""
+    ends = np.cumsum([0, *(block.factor.shape[0] for block in fit.blocks)])
+    weights = np.eye(len(fit.model.unknowns))[K_II]
+    own = [part.run == run for part in fit.prepared]
+    kept = np.repeat([not left for left in own], np.diff(ends))
+    shift = -fit.solution.combine(weights).noise_rows
+    shift[kept] += fit.without_run(run).combine(weights).noise_rows
+    return [shift[low:high] for low, high in pairwise(ends)]
+
+
+@pytest.fixture(scope="module")
+def given():
+    return fitted(1, NoiseRequest(WHITE, 0.0))
+
+
+def test_the_shift_is_that_of_a_fit_without_the_run(given):
+    runs = [part.run for part in given.fit.prepared]
+    (shift,) = leave_out(given, runs[2:3], K_II, "Qx")
+    without = estimate(given.series[:2], MODEL, {"Qx": NoiseRequest(WHITE, 0.0)}, reject=False)
+    assert shift.value == pytest.approx(without.fit.solution.estimate[K_II], rel=1e-9)
+    assert shift.shift == pytest.approx(shift.value - given.fit.solution.estimate[K_II], rel=1e-9)
+    assert np.isinf(shift.dof)
+
+
+def test_its_variance_is_that_of_its_gains(given):
+    runs = [part.run for part in given.fit.prepared]
+    for shift in leave_out(given, runs, K_II, "Qx"):
+        noise = sum(float(rows @ rows) for rows in gain_of_shift(given.fit, shift.run))
+        # The prior of K_F moves both estimates, and the shift by the difference.
+        without, whole = given.fit.without_run(shift.run), given.fit.solution
+        moved = without.sensitivity_prior[K_II, 0] - whole.sensitivity_prior[K_II, 0]
+        prior = (moved * 2e-6) ** 2
+        assert shift.variance == pytest.approx(noise + prior, rel=1e-6)
+
+
+def test_more_noise_that_nobody_knows_of_adds_what_the_gains_make_of_it(given):
+    # White noise that is larger by a thousandth in the variance: every row's gain counts.
+    fit, more = given.fit, 1e-3
+    runs = [part.run for part in fit.prepared]
+    noisier = fit.with_noise({"Qx": NoiseModel(WHITE * np.sqrt(1.0 + more))})
+    for run, added in zip(runs, growth(fit, noisier, runs, K_II), strict=True):
+        noise = sum(float(rows @ rows) for rows in gain_of_shift(fit, run))
+        assert added == pytest.approx(more * noise, rel=3e-3)
+
+
+def test_an_estimated_noise_has_its_degrees_of_freedom():
+    found = fitted(2, NoiseRequest(None, 0.0), Unknowns(unknowns(["K_F", "K_I", "K_II"])))
+    runs = [part.run for part in found.fit.prepared]
+    (component,) = found.components.values()
+    for shift in leave_out(found, runs[:2], K_II, "Qx"):
+        # White noise alone: rows less unknowns, as of every estimate.
+        assert shift.dof == pytest.approx(component.degrees_of_freedom, rel=1e-3)
+
+
+def test_noise_that_does_not_show_is_in_the_variance():
+    found = fitted(3, NoiseRequest(None, None))
+    (component,) = found.components.values()
+    assert component.unseen is not None
+    runs = [part.run for part in found.fit.prepared]
+    known = replace(found, components={"Qx": replace(component, unseen=None)})
+    for wide, narrow in zip(
+        leave_out(found, runs, K_II, "Qx"), leave_out(known, runs, K_II, "Qx"), strict=True
+    ):
+        assert wide.variance > narrow.variance
+        assert wide.dof < narrow.dof
