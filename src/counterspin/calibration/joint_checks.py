@@ -13,7 +13,6 @@ from collections.abc import Sequence
 
 from counterspin.calibration import two_stage
 from counterspin.calibration.findings import (
-    CONTRADICTS,
     equivalent_deviations,
     hidden_noise,
     lack_of_fit,
@@ -86,7 +85,6 @@ def _noise_that_differs(view: AccelerometerView) -> list[Finding]:
     tests = len(parts) * len(view.campaign.accelerometers)
     if worst is None or worst.p * tests >= FALSE_ALARMS:
         return []
-    size = equivalent_deviations(worst.p)
     text = (
         "The noise of the accelerometer that was found is not the same in all runs: that of "
         f"{worst.run} is {format_number(math.sqrt(worst.ratio), 2)} times as large as the others' "
@@ -99,8 +97,7 @@ def _noise_that_differs(view: AccelerometerView) -> list[Finding]:
             code="noise-differs",
             subject=f"{worst.run}.{view.name}",
             text=text,
-            size=size,
-            contradicts=size > CONTRADICTS,
+            size=equivalent_deviations(worst.p),
         )
     ]
 

@@ -86,8 +86,8 @@ class Explanation:
             mistakes.ANGLE: self._angle,
             mistakes.CORIOLIS: self._coriolis,
             mistakes.BIAS: self._bias,
-            mistakes.JUMP: self._jump,
-            mistakes.SLOPE: self._slope,
+            mistakes.JUMP: self._step,
+            mistakes.SLOPE: self._step,
         }[self.other.kind]()
 
     def _estimate(self, unit: str) -> str:
@@ -201,27 +201,21 @@ class Explanation:
             code="run-differs", subject=self.other.owner, text=text, name=f"bias of {self._place}"
         )
 
-    def _jump(self) -> Described:
+    def _step(self) -> Described:
         (i,) = self.other.columns
         unit = OBSERVABLES[self.fit.prepared[i].series.observable]
-        text = (
-            f"The record of {self._place} jumps by {self._estimate(unit)} at about "
-            f"{self.other.at:.4g} s. Leave the run out, or record it again."
-        )
+        at = f"about {self.other.at:.4g} s"
+        if self.other.kind == mistakes.JUMP:
+            what, how = "level", f"jumps by {self._estimate(unit)} at {at}"
+        else:
+            change = format_estimate(self.value, self.u, f"{unit} a second")
+            what, how = "slope", f"drifts from {at} on: its slope changes by {change}"
         return Described(
-            code="jump", subject=self.other.owner, text=text, name=f"level of {self._place}"
+            code="jump",
+            subject=self.other.owner,
+            text=f"The record of {self._place} {how}. Leave the run out, or record it again.",
+            name=f"{what} of {self._place}",
         )
-
-    def _slope(self) -> Described:
-        (i,) = self.other.columns
-        unit = OBSERVABLES[self.fit.prepared[i].series.observable]
-        text = (
-            f"The record of {self._place} drifts from about {self.other.at:.4g} s on: its slope "
-            f"changes by {format_estimate(self.value, self.u, f'{unit} a second')}. Leave the run "
-            "out, or record it again."
-        )
-        name = f"slope of {self._place}"
-        return Described(code="jump", subject=self.other.owner, text=text, name=name)
 
 
 def _shown(value: float, u: float, unit: str) -> str:
