@@ -88,9 +88,8 @@ angle = "1e-6 rad"
 
 
 CASES: Final = (
-    Case("white, stated", 300),
+    Case("white, stated", 200),
     Case("white, stated", 100, MANY),
-    Case("white, not stated", 100, stated=False),
     Case("white and walk, not stated", 100, walk=_WALK, stated=False),
 )
 

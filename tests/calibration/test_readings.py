@@ -104,6 +104,45 @@ def test_tumble_and_arm_together_are_surer_than_each(tmp_path):
     assert abs(both["K_II"].value - TRUTH["K_II"]) < 4.0 * both["K_II"].u
 
 
+@pytest.mark.parametrize(
+    ("u", "state"),
+    # Nine degrees of freedom: Student's 9.1 is as rare as a normal 4.5.
+    [(SIGMA, "contradicted"), (None, "reservations")],
+    ids=["noise stated", "noise estimated"],
+)
+def test_a_prior_of_a_tumble_is_held_to_its_readings(tmp_path, u, state):
+    """K_F known beforehand, 8 of its u off: nothing else in the readings would tell."""
+    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
+    known = '[model.priors]\nK_F = "0.002016 ± 2e-6 g"\n'
+    result = calibrated(tmp_path, model(*LEVEL_TERMS, more=known), tumble_runs(values, u))
+    first = result.findings[0]
+    assert (first.code, first.subject) == ("prior-conflict", "A.K_F")
+    assert "A.K_F is stated as 2016.0 ± 2.0 ug; the records and all else that" in first.text
+    # 16 ug over the u of the difference, 2 ug and that of twelve readings.
+    exact = 16.0 / math.hypot(2.0, 1e6 * SIGMA / math.sqrt(12.0))
+    assert first.size == pytest.approx(exact, abs=1.0 if u else 2.5)
+    assert result.state == state
+
+
+def test_priors_of_readings_that_are_right_are_not_blamed(tmp_path):
+    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS)
+    known = '[model.priors]\nK_F = "0.002002 ± 2e-6 g"\n'
+    result = calibrated(tmp_path, model(*LEVEL_TERMS, more=known), tumble_runs(values))
+    assert result.findings == []
+
+
+def test_an_input_of_the_arm_is_held_to_its_readings(tmp_path):
+    """The scale factor known to 2e-6 tells that the radius is not what was stated."""
+    test = arm(radius=1.0002)
+    values = simulated(test, np.random.default_rng(2), SIGMA)
+    known = '[model.priors]\nK_I = "1.0005 ± 2e-6 g/g"\n'
+    result = calibrated(tmp_path, model(*TRUTH, more=known), arm_runs(test, values))
+    first = result.findings[0]
+    assert (first.code, first.subject) == ("prior-conflict", "A.K_I")
+    assert "would fit as well with another radius of the centrifuge" in first.text
+    assert result.state == "contradicted"
+
+
 def test_at_one_g_k_ii_is_not_determined(tmp_path):
     """Nothing is known of K_PP and K_OO: what is determined in place of K_II is said by name."""
     values = simulated(tumble(24), np.random.default_rng(4), SIGMA, truth=TRUTH)

@@ -128,6 +128,10 @@ class AccelerometerReadings:
     positions: tuple[Position, ...] = ()
     linear: Any = None
 
+    def relaxed(self) -> AccelerometerReadings:
+        """Return the same for a fit in which all that is considered is estimated."""
+        return replace(self, linear=self.linear.relaxed())
+
     def under(self, solution: Solution, model: Unknowns) -> AccelerometerReadings:
         """Return how the same readings fit another solution that has followed them."""
         judged = judge(self.readings, self.linear, solution, model)

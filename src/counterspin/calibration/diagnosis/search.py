@@ -106,16 +106,29 @@ def causes_of(
         What its checks found, by accelerometer.
     """
     campaign, estimated = views[0].campaign, views[0].estimate
-    if campaign.readings or not estimated.fit.prepared:
-        return ()
-    given = not estimated.components
+    read = [part for view in views for part in view.readings]
+    given = not estimated.components and all(math.isinf(part.dof) for part in read)
     now = replace(estimated, fit=relax(estimated.fit))
     priors = of_priors(now.fit)
+    if campaign.readings:
+        # What may be wrong with readings has no columns beside them; what is known beforehand has.
+        return _causes(views, now, priors, (), given) if priors else ()
     if not _is_suspicious(views, results) and (
         not priors or _least(scores(now.fit, priors, noise_given=given)) > _SUSPICIOUS
     ):
         return ()
-    others = tuple(_others(views, now))
+    return _causes(views, now, priors, tuple(_others(views, now)), given)
+
+
+def _causes(
+    views: Sequence[AccelerometerView],
+    now: Estimate,
+    priors: Sequence[Alternative],
+    others: Sequence[Alternative],
+    given: bool,
+) -> tuple[Cause, ...]:
+    """Return the causes among some alternatives, one beside the other."""
+    campaign = views[0].campaign
     causes: list[Cause] = []
     first = 0.0
     for _ in range(_CAUSES):
@@ -135,7 +148,7 @@ def causes_of(
         described = Explanation(campaign, now.fit, found.head, found.value, found.u).described()
         causes.append(_cause(described, found, views, now, after))
         now = after
-    if given:
+    if given and not campaign.readings:
         causes += [cause for view in views for cause in _noise(replace(view, estimate=now))]
     return tuple(causes)
 
@@ -242,6 +255,7 @@ class _Found:
     size: float
     rivals: tuple[Alternative, ...]
     tests: int
+    dof: float | None
 
 
 def _best(
@@ -265,7 +279,7 @@ def _best(
         place = _largest(held, _OF_PRIORS)
         if not _is_significant(held, place):
             return None
-    return _with_rivals(held, place)
+    return _with_rivals(held, place, given)
 
 
 def _largest(held: Scores, kinds: Sequence[str] = _PLAUSIBLE) -> int:
@@ -292,7 +306,7 @@ def _tests(held: Scores, place: int) -> int:
     return max(tests, 1)
 
 
-def _with_rivals(held: Scores, place: int) -> _Found:
+def _with_rivals(held: Scores, place: int, given: bool) -> _Found:
     every, best = held.alternatives, float(held.size[place]) ** 2
     least = max(best * (1.0 - _DECIDES_PART) - _DECIDES, 0.0)
     as_good = [k for k in range(len(every)) if held.size[k] ** 2 > least and _credible(held, k)]
@@ -306,6 +320,7 @@ def _with_rivals(held: Scores, place: int) -> _Found:
         float(held.size[first]),
         tuple(every[k] for k in rivals),
         _tests(held, first),
+        None if given else held.dof,
     )
 
 
@@ -393,7 +408,8 @@ def _cause(
             for other in found.rivals[:_RIVALS]
         ]
         text += f" The records would fit as well with another {' or '.join(names)}."
-    contradicts = found.size > CONTRADICTS and (moved > 1.0 or found.head.kind == "prior")
+    far = normal_equivalent(found.size, found.dof) > CONTRADICTS
+    contradicts = far and (moved > 1.0 or found.head.kind == "prior")
     return Cause(
         Finding(
             code=described.code,
@@ -406,7 +422,7 @@ def _cause(
         {
             (finding.code, finding.subject): finding.size or math.inf
             for view in views
-            for finding in _checked(replace(view, estimate=after))
+            for finding in _checked(_seen_again(view, after))
         },
     )
 
@@ -419,6 +435,13 @@ def _concerned(
         shown = {now.fit.prepared[i].accelerometer for i, c in head.columns.items() if c.any()}
         return tuple(name for name in names if name in shown)
     return (head.owner,) if head.owner in names else tuple(names)
+
+
+def _seen_again(view: AccelerometerView, after: Estimate) -> AccelerometerView:
+    """Return a view of a relaxed fit, with the readings as they fit that."""
+    fit = after.fit
+    readings = tuple(part.relaxed().under(fit.solution, fit.model) for part in view.readings)
+    return replace(view, estimate=after, readings=readings)
 
 
 def _checked(view: AccelerometerView) -> Iterator[Finding]:

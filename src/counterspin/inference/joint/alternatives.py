@@ -122,7 +122,9 @@ def of_priors(fit: JointFit) -> tuple[Alternative, ...]:
     known = [
         (place, unknown)
         for place, unknown in enumerate(fit.model.unknowns)
-        if math.isfinite(unknown.prior[1]) and not unknown.symbol.startswith("encoder.")
+        if math.isfinite(unknown.prior[1])
+        and unknown.asked
+        and not unknown.symbol.startswith("encoder.")
     ]
     single = [
         Alternative("prior", u.owner, u.symbol, priors={k: 1.0}, limit=u.limit + abs(u.prior_mean))
