@@ -28,7 +28,7 @@ from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.diagnostics import FALSE_ALARMS
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.relaxed import relax
-from counterspin.inference.joint.runs_left_out import Shift, leave_out
+from counterspin.inference.joint.runs_left_out import RunLeftOut, leave_out
 from counterspin.inference.joint.slow_parts import slow_parts
 from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import OWN_TERMS
@@ -51,7 +51,7 @@ def jackknife(view: AccelerometerView) -> list[Jackknife]:
     return [_jackknife(run, shifts.get(run)) for run in runs]
 
 
-def _jackknife(run: str, found: Shift | None) -> Jackknife:
+def _jackknife(run: str, found: RunLeftOut | None) -> Jackknife:
     if found is None:
         return Jackknife(run=run, value=None, shift=None, z=None)
     compared = found.variance > 0.0

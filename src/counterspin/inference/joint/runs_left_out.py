@@ -4,7 +4,8 @@ With all runs the estimate is the better one, so that the variance of the shift 
 variance grows by (Hausman, Econometrica 46 (1978) 1251). Where the noise was estimated, the shift
 has Student's distribution, and noise that the records do not show is part of it, as of u itself.
 
-- `leave_out`: the shifts; `Shift`: one of them; `growth`: what more noise adds to their variance
+- `leave_out`: the shifts; `RunLeftOut`: one of them
+- `growth`: what more noise adds to their variance
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ _DERIVATIVE_STEP: Final = 1e-2
 
 
 @frozen
-class Shift:
+class RunLeftOut:
     """What becomes of one unknown without a run.
 
     Attributes
@@ -54,7 +55,7 @@ class Shift:
     dof: float
 
 
-def leave_out(estimated: Estimate, runs: Sequence[str], index: int, owner: str) -> list[Shift]:
+def leave_out(estimated: Estimate, runs: Sequence[str], index: int, owner: str) -> list[RunLeftOut]:
     """Leave each of some runs out in turn.
 
     Parameters
@@ -90,7 +91,7 @@ def leave_out(estimated: Estimate, runs: Sequence[str], index: int, owner: str) 
     with np.errstate(divide="ignore"):
         dof = 1.0 / inverse
     return [
-        Shift(
+        RunLeftOut(
             run,
             float(other.estimate[index]),
             float(other.estimate[index] - whole.estimate[index]),
