@@ -56,7 +56,7 @@ bench: $(READY) $(BENCH) ## Time the main jobs; make bench FULL=--full for the s
 	$(BIN)/python benchmarks $(FULL)
 
 docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
-	$(BIN)/sphinx-build $(SPHINX) -b html -j $(JOBS) docs build/site
+	$(BIN)/sphinx-build $(SPHINX) -b html -j $$((4 * $(JOBS))) docs build/site
 	$(BIN)/sphinx-build $(SPHINX) -b doctest -q docs build/doctest
 	COUNTERSPIN_SITE=build/site $(BIN)/python -m pytest -q tests/test_docs_browser.py
 
@@ -88,7 +88,8 @@ clean: ## Remove .venv, caches and build output
 	  .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# Warnings are errors, and so is a reference that leads nowhere.
+# Warnings are errors, and so is a reference that leads nowhere. More processes than cores, above:
+# each reads some pages in a row, and those of the gallery, which take longest, are neighbours.
 SPHINX := -W -n --keep-going -d build/doctrees
 
 # --no-emit-index-url: a pin says which file by its hash, not where somebody fetched it.
