@@ -330,6 +330,10 @@ def test_changelog_begins_with_this_version():
     assert entries[0][0] == __version__
 
 
+def test_the_citation_is_of_this_version():
+    assert f"\nversion: {__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
 def test_pages_name_only_make_targets_that_exist():
     targets = set(re.findall(r"^(\w+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.M))
     assert {"demo", "test", "lint", "bench"} <= targets
