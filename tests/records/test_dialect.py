@@ -59,8 +59,13 @@ def test_a_delimiter_behind_each_row_makes_a_column_without_a_name():
     assert layout.names == ("a", "b", "c", "")
 
 
+def test_rows_may_have_remarks():
+    layout = found(["x", "Range;10;10;", "a;b;c;note", *[f"{row};ok" for row in ROWS]])
+    assert layout.names == ("a", "b", "c", "note")
+
+
 def test_what_is_no_table_is_not_taken_for_one():
-    assert found(["a;b;c", ROWS[0], "1;oops;2", *ROWS]) is None  # rows above those below it
+    assert found(["1;2,5;oops", "1;1;1", *ROWS]) is None  # rows, one of them damaged
     assert found(["1;2,5;oops", *ROWS]) is None
     assert found(["only", "words", "here"]) is None
     assert found(ROWS) is None

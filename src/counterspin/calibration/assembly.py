@@ -317,7 +317,7 @@ def _remarks(campaign: Campaign) -> list[str]:
     left_out = []
     if campaign.skipped:
         names = ", ".join(campaign.skipped)
-        left_out.append(f"Left out, as the description says (skip): {names}.")
+        left_out.append(f"Left out on request: {names}.")
     recordings = [campaign.recording_of(run) for run in campaign.runs]
     if any(recording.angle and recording.angle.kind == "pulses" for recording in recordings):
         left_out.append(

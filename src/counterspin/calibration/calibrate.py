@@ -13,7 +13,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
-from counterspin.calibration.options import Method, TwoStageOptions
+from counterspin.calibration.options import Method, TwoStageOptions, without_words
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError
@@ -33,6 +33,7 @@ def calibrate(
     method: Method = "joint",
     options: TwoStageOptions | None = None,
     accept_misfit: str | None = None,
+    without: Sequence[str] = (),
     progress: Callable[[int, int], None] | None = None,
 ) -> Result:
     """Calibrate every accelerometer of a campaign.
@@ -49,6 +50,8 @@ def calibrate(
     accept_misfit
         The reason for which the result may be certified and applied even if the records
         contradict it; it is kept in the result then.
+    without
+        Names of runs to leave out, beside those that the description leaves out.
     progress
         Called with (runs read, runs in all).
 
@@ -78,12 +81,14 @@ def calibrate(
         from counterspin.campaign.description import Campaign, read_campaign
 
         campaign = where if isinstance(where, Campaign) else read_campaign(where)
+        if without:
+            campaign = _left_out(campaign, without)
         beside.submit(_load, campaign)
         with one_blas_thread():
             observed = _observed(campaign, progress)
             from counterspin.calibration.assembly import calibration
 
-            return calibration(
+            result = calibration(
                 campaign,
                 observed,
                 method,
@@ -91,6 +96,20 @@ def calibrate(
                 lambda: _provenance(campaign, observed, checksums),
                 accept_misfit,
             )
+        if not without:
+            return result
+        words = [*result.provenance.options, *without_words(without)]
+        provenance = result.provenance.model_copy(update={"options": words})
+        return result.model_copy(update={"provenance": provenance})
+
+
+def _left_out(campaign: Campaign, without: Sequence[str]) -> Campaign:
+    """Return a campaign without runs; what it came from is still its file."""
+    from counterspin.campaign.memory.source import keep
+
+    changed = campaign.change(runs={name: {"skip": True} for name in without})
+    assert campaign.source is not None
+    return keep(replace(changed, path=campaign.path, title=campaign.title), campaign.source)
 
 
 def _load(campaign: Campaign) -> None:

@@ -2,11 +2,12 @@
 
 - `Method`: the joint fit of full records, or the paper's two stages
 - `TwoStageOptions`: how the paper's method is applied
-- `command_words`: both as the words of a command line
+- `command_words`: both as the words of a command line; `without_words`: runs that are left out
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
 from counterspin.frozen import frozen
@@ -45,6 +46,11 @@ class TwoStageOptions:
 def acceptance_words(accepted_misfit: str | None) -> list[str]:
     """Return the words by which a command line accepts a misfit, if it was accepted."""
     return [] if accepted_misfit is None else [f"--accept-misfit={accepted_misfit}"]
+
+
+def without_words(without: Sequence[str]) -> list[str]:
+    """Return the words by which a command line leaves runs out."""
+    return [f"--without={name}" for name in without]
 
 
 def command_words(method: str, options: TwoStageOptions) -> list[str]:

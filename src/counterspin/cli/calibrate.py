@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+from cyclopts import Parameter
 
 from counterspin.cli.words import NOT_SAVED, Saved, group
-from counterspin.errors import CounterspinError
+from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
@@ -94,6 +96,7 @@ def calibrate(
     estimation: Estimation = _USUAL,
     printed: Printed = _BRIEF,
     accept_misfit: str | None = None,
+    without: Annotated[list[str] | None, Parameter(consume_multiple=False)] = None,
     workforce: BatchWorkers = _ALONE,
 ) -> None:
     """Determine the accelerometers' coefficients from a campaign's records.
@@ -106,6 +109,8 @@ def calibrate(
         Further campaigns: a summary of all is printed, and a failing one stops no other.
     accept_misfit
         The reason for which the result is to be used even if the records contradict it.
+    without
+        A run to leave out; once for each.
     """
     from counterspin.calibration.calibrate import calibrate as run
     from counterspin.calibration.options import TwoStageOptions
@@ -118,6 +123,8 @@ def calibrate(
         fit_bias=estimation.fit_bias,
         from_residuals=estimation.sigma == "residuals",
     )
+    if more and without:
+        raise CampaignError("calibrate", ["--without leaves out runs of one campaign; name one"])
     if more:
         calibrate_several(
             (directory, *more), saved, estimation.method, options, accept_misfit, workforce
@@ -130,6 +137,7 @@ def calibrate(
             method=estimation.method,
             options=options,
             accept_misfit=accept_misfit,
+            without=without or (),
             progress=advance,
         )
     # Loaded last, so that reading begins as early as can be.

@@ -1,24 +1,52 @@
-"""`counterspin init`: a commented campaign to start from."""
+"""`counterspin init`: a commented campaign to start from, or one made of a recorder's files."""
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from cyclopts import Parameter
 
 from counterspin.campaign.starter import Test
 from counterspin.cli.words import say, shell_word
+from counterspin.errors import CampaignError, CounterspinError
+
+if TYPE_CHECKING:
+    from counterspin.exports.description import ExportQuestion
 
 
-def init(directory: Path, /, *, test: Test = "double-turntable") -> None:
-    """Write a commented example campaign to start from.
+def init(
+    directory: Path,
+    /,
+    *,
+    test: Test = "double-turntable",
+    from_: Annotated[list[Path] | None, Parameter(name="--from", consume_multiple=True)] = None,
+    yes: bool = False,
+    answer: Annotated[list[str] | None, Parameter(consume_multiple=False)] = None,
+) -> None:
+    """Write a commented campaign to start from: an example, or one made of your recorder's files.
 
     Parameters
     ----------
     directory
         Folder for campaign.toml; made if it is not there.
     test
-        Kind of test: records of a double turntable, readings of a multi-position tumble, or
-        readings on the arm of a centrifuge.
+        Kind of test of an example: records of a double turntable, readings of a multi-position
+        tumble, or readings on the arm of a centrifuge.
+    from_
+        Files of a recorder, one for each run: what is in them is guessed and said, what they do
+        not say is asked.
+    yes
+        Ask nothing: fail with what the files do not say.
+    answer
+        What the files do not say, as in --answer "radius=2.5 m"; once for each.
     """
+    if from_:
+        _from_files(directory, from_, answer or [], asks=not yes)
+        return
+    if yes or answer:
+        raise CampaignError("init", ["name the files of a recorder: --from FILE ..."])
     from counterspin.campaign.starter import init as run
 
     written = run(directory, test)
@@ -27,3 +55,46 @@ def init(directory: Path, /, *, test: Test = "double-turntable") -> None:
         f"  counterspin simulate {shell_word(written)} -o {shell_word(directory / 'simulated')}",
         f"  counterspin calibrate {shell_word(directory / 'simulated')}",
     )
+
+
+def _from_files(directory: Path, files: list[Path], given: list[str], *, asks: bool) -> None:
+    """Write a campaign of a recorder's files."""
+    from counterspin.exports.description import draft, write_description
+    from counterspin.reports.progress import work_progress
+
+    answers = _answers(given)
+    with work_progress("Files") as advance:
+        found = draft(files, progress=advance)
+    say("Guessed from the files:", *(f"  {statement}" for statement in found.statements))
+    if asks and sys.stdin is not None and sys.stdin.isatty():
+        for question in found.questions:
+            if question.key not in answers:
+                answers[question.key] = _asked(question)
+    written = write_description(found, answers, directory)
+    say(
+        f"Wrote {written}. Look through it, then:",
+        f"  counterspin calibrate {shell_word(directory)}",
+    )
+
+
+def _answers(given: list[str]) -> dict[str, str]:
+    answers = {}
+    for words in given:
+        key, mark, value = words.partition("=")
+        if not mark or not value.strip():
+            raise CampaignError("init", [f'answer: "{words}" is no KEY=VALUE'])
+        answers[key.strip()] = value.strip()
+    return answers
+
+
+def _asked(question: ExportQuestion) -> str:
+    """Return what a person answers."""
+    hint = " or ".join(question.choices) or f"such as {question.example}"
+    while True:
+        say(f"{question.text} ({hint})")
+        try:
+            answer = input("> ").strip()
+        except EOFError:
+            raise CounterspinError("no answer came; nothing is written") from None
+        if answer and (not question.choices or answer in question.choices):
+            return answer

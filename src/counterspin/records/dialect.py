@@ -299,7 +299,7 @@ def _longest(table: Sequence[tuple[int, list[str]]], decimal: str, after: int) -
     for place in range(len(table) + 1):
         number, cells = table[place] if place < len(table) else (0, [])
         comment = bool(cells) and cells[0].startswith("#")
-        fits = number > after and (comment or _is_row(cells, decimal))
+        fits = number > after and (comment or _has_numbers(cells, decimal))
         same = place > begin and len(cells) == len(table[begin][1])
         if fits and (comment or place == begin or same):
             continue
@@ -361,6 +361,13 @@ def _is_row(cells: Iterable[str], decimal: str) -> bool:
         elif cell.lower() not in EMPTY_WORDS and not STAMP.fullmatch(cell):
             return False
     return some
+
+
+def _has_numbers(cells: Sequence[str], decimal: str) -> bool:
+    """Return whether at least half of what is not empty are numbers: there may be remarks."""
+    written = [cell for cell in cells if cell]
+    numbers = sum(_is_number(cell, decimal) or bool(STAMP.fullmatch(cell)) for cell in written)
+    return 2 * numbers >= len(written) and any(_is_number(cell, decimal) for cell in written)
 
 
 def _is_number(cell: str, decimal: str) -> bool:

@@ -1,0 +1,7 @@
+"""From a recorder's files to a campaign's description; what cannot be known is asked.
+
+- `looking`: what is in a file: its columns with their units and numbers
+- `waves`: the wave that a revolution makes in a column
+- `guessing`: which column is what, of every file
+- `description`: what is asked, and the description with what is guessed and answered
+"""

@@ -1,0 +1,351 @@
+"""Which column of a recorder's file is what.
+
+- `guess_file`: the time, the angle and the signals of one file
+- `agreed`: what several files have in common
+- `FileGuess`, `TimeGuess`, `AngleGuess`, `SignalGuess`: what comes out
+
+Names and units tell most. Where they do not, the numbers do: time rises in even steps; an angle
+rises with it, perhaps wrapped; a signal swings once a revolution.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.errors import RecordError
+from counterspin.exports.looking import FileColumn, Look
+from counterspin.exports.waves import frequency, wave
+from counterspin.frozen import frozen
+from counterspin.records.dialect import file_unit
+from counterspin.units import unit_factor
+
+_TIME: Final = re.compile(r"(?i)(t|time|zeit|temps|elapsed|stamp|x_value|seconds)([^a-z]|stamp|$)")
+_ANGLE: Final = re.compile(r"(?i).*(angle|theta|phi|azimuth|winkel|encoder|spindle|count|kurs)")
+#: Words in names -> the axis.
+_AXES: Final = {
+    "east": re.compile(r"(?i)(.*[^a-z])?(east|ost)([^a-z]|$)"),
+    "north": re.compile(r"(?i)(.*[^a-z])?(north|nord)([^a-z]|$)"),
+    "up": re.compile(r"(?i)(.*[^a-z])?(up|height)([^a-z]|$)"),
+}
+#: Units of one revolution -> the unit's name.
+_TURNS: Final = {2.0 * np.pi: "rad", 360.0: "deg", 1.0: "rev"}
+#: What a signal may be -> its SI unit.
+_OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
+#: Relative size within which a revolution's numbers are those of a unit.
+_NEAR: Final = 0.02
+#: Steps of time are even within this part of the usual one, nearly all.
+_EVEN: Final = 0.5
+_GRAVITY: Final = 9.80665
+
+
+@frozen
+class TimeGuess:
+    """The time: its column (None: rows are counted), its unit (None: unknown) and its factor."""
+
+    column: str | None
+    unit: str | None
+    factor: float
+
+
+@frozen
+class AngleGuess:
+    """The angle.
+
+    Attributes
+    ----------
+    column, unit
+        The column, and its unit; of pulses a unit of time. None: unknown.
+    per_revolution
+        Of counts; None of others.
+    pulses
+        Whether the column has times of pulses.
+    known
+        Whether the unit is the file's own.
+    """
+
+    column: str
+    unit: str | None
+    per_revolution: float | None = None
+    pulses: bool = False
+    known: bool = False
+
+
+@frozen
+class SignalGuess:
+    """A signal: its column, observable and unit (None: unknown), axis and wave by the angle.
+
+    The wave is the signal's amplitude, in the column's unit, and its phase against the angle as
+    the encoder counts it, rad; None without an angle.
+    """
+
+    column: str
+    observable: str | None
+    unit: str | None
+    axis: str | None
+    amplitude: float
+    phase: float | None
+    known: bool = False
+
+
+@frozen
+class FileGuess:
+    """What one file has.
+
+    Attributes
+    ----------
+    look
+        The file.
+    time, angle
+        The columns; None: there seems to be none.
+    signals
+        In the order of the file.
+    rate
+        Size of the spindle's rate, rad/s; where rows are counted, rad a row. None: unknown.
+    rising
+        Whether the encoder counts up.
+    unused
+        Names of columns that seem to be none of these.
+    """
+
+    look: Look
+    time: TimeGuess | None
+    angle: AngleGuess | None
+    signals: tuple[SignalGuess, ...]
+    rate: float | None
+    rising: bool
+    unused: tuple[str, ...]
+
+
+def guess_file(look: Look) -> FileGuess:
+    """Return which column of a file is what; see the module."""
+    time_column = _time_column(look)
+    time = None
+    seconds = np.arange(max(len(column.values) for column in look.columns), dtype=float)
+    if time_column is not None:
+        unit = "iso" if time_column.stamps else _unit_of(time_column, "s")
+        factor = 1.0 if time_column.stamps or unit is None else unit_factor(unit, "s")
+        time = TimeGuess(time_column.name, unit, factor)
+        seconds = time_column.values * factor
+    rest = [column for column in look.columns if column is not time_column and not column.stamps]
+    long = [column for column in rest if len(column.values) == len(seconds)]
+    swings = {column.name: frequency(seconds, column.values) for column in long}
+    angle_column = _angle_column(long, seconds)
+    swinging = [
+        column
+        for column in long
+        if column is not angle_column and (swings[column.name] or _axis(column.name))
+    ]
+    usual = [swing for column in swinging if (swing := swings[column.name])]
+    turning = float(np.median(usual)) if usual else None  # Hz
+    angle, theta = None, None
+    rising = True
+    if angle_column is not None:
+        angle, theta = _angle(angle_column, seconds, turning)
+        rising = theta is None or float(np.nanmedian(np.diff(theta))) > 0.0
+    elif turning is not None:
+        angle, theta = _pulses(rest, seconds, turning)
+    rate = None if turning is None else 2.0 * np.pi * turning
+    if theta is not None:
+        good = np.isfinite(theta) & np.isfinite(seconds)
+        rate = abs(float(np.polyfit(seconds[good], theta[good], 1)[0]))
+    signals = tuple(_signal(column, seconds, theta, rate) for column in swinging)
+    taken = {signal.column for signal in signals}
+    taken |= {part.column for part in (time, angle) if part and part.column}
+    unused = tuple(column.name for column in look.columns if column.name not in taken)
+    return FileGuess(look, time, angle, signals, rate, rising, (*unused, *look.others))
+
+
+def agreed(guesses: Sequence[FileGuess]) -> FileGuess:
+    """Return what several files have in common, the first of them speaking for all.
+
+    What a signal is may show in how its amplitude grows with the rate.
+
+    Raises
+    ------
+    RecordError
+        If a file lacks a column of the first.
+    """
+    first = guesses[0]
+    for guess in guesses[1:]:
+        there = {column.name for column in guess.look.columns}
+        asked = [p.column for p in (first.time, first.angle, *first.signals) if p and p.column]
+        missing = [name for name in asked if name not in there]
+        if missing:
+            raise RecordError(
+                f"{guess.look.path}: has no column '{missing[0]}', which {first.look.path.name} "
+                "has. Name files of one make only."
+            )
+    signals = tuple(_grown(signal, guesses) for signal in first.signals)
+    return replace(first, signals=signals)
+
+
+def _grown(signal: SignalGuess, guesses: Sequence[FileGuess]) -> SignalGuess:
+    """Return a signal with the observable that its amplitudes at several rates show."""
+    sizes = [
+        (guess.rate, other.amplitude)
+        for guess in guesses
+        for other in guess.signals
+        if other.column == signal.column and guess.rate and other.amplitude > 0.0
+    ]
+    rates = np.log([rate for rate, _ in sizes])
+    if signal.observable is not None or len(sizes) < 2 or np.ptp(rates) < 0.2:
+        return signal
+    power = round(float(np.polyfit(rates, np.log([size for _, size in sizes]), 1)[0]))
+    names = list(_OBSERVABLES)
+    return replace(signal, observable=names[power]) if 0 <= power < len(names) else signal
+
+
+# Columns
+
+
+def _time_column(look: Look) -> FileColumn | None:
+    """Return the column of the time: by its kind, its name or its unit, or even steps."""
+    stamps = [column for column in look.columns if column.stamps]
+    if stamps:
+        return stamps[0]
+    rising = [column for column in look.columns if _is_even(column.values)]
+    named = [column for column in rising if _TIME.match(re.split(r"[/.]", column.name)[-1])]
+    united = [column for column in rising if _is(column.unit, "s")]
+    return next(iter([*named, *united]), None)
+
+
+def _is_even(values: Array) -> bool:
+    steps = np.diff(values[np.isfinite(values)])
+    if len(steps) < 8 or not (steps >= 0).all():
+        return False
+    usual = float(np.median(steps))
+    return bool(usual > 0.0 and np.mean(np.abs(steps - usual) < _EVEN * usual) > 0.9)
+
+
+def _angle_column(columns: Sequence[FileColumn], time: Array) -> FileColumn | None:
+    """Return the column of the angle: it advances evenly with time, but where it is wrapped."""
+    advancing = [column for column in columns if _advance(column.values, time) is not None]
+    named = [column for column in advancing if _ANGLE.match(column.name)]
+    united = [c for c in advancing if _is(c.unit, "rad") or _is(c.unit, "count")]
+    return next(iter([*named, *united, *advancing]), None)
+
+
+def _advance(values: Array, time: Array) -> tuple[Array, float | None] | None:
+    """Return values unwrapped, and by how much they were wrapped; None if they do not advance."""
+    good = np.isfinite(values) & np.isfinite(time)
+    if good.sum() < max(16, 0.8 * len(values)):
+        return None
+    steps = np.diff(values[good])
+    usual = float(np.median(steps))
+    scatter = float(np.median(np.abs(steps - usual)))
+    if usual == 0.0 or scatter > 0.3 * abs(usual):
+        return None
+    odd = np.abs(steps - usual) > 0.9 * abs(usual) + 10.0 * scatter
+    period = None
+    unwrapped = np.full(len(values), np.nan)
+    turns = np.zeros(len(steps))
+    if odd.any():
+        jumps = usual - steps[odd]
+        period = abs(float(np.median(jumps)))
+        if odd.mean() > 0.4 or not (np.abs(np.abs(jumps) - period) < 0.1 * period).mean() > 0.9:
+            return None
+        turns[odd] = np.round(jumps / period)
+    unwrapped[good] = values[good] + (period or 0.0) * np.concatenate([[0.0], np.cumsum(turns)])
+    return unwrapped, period
+
+
+def _angle(
+    column: FileColumn, time: Array, turning: float | None
+) -> tuple[AngleGuess, Array | None]:
+    """Return what an angle is in, and the angle in rad as the encoder counts it."""
+    found = _advance(column.values, time)
+    assert found is not None
+    unwrapped, period = found
+    if turning is not None:
+        good = np.isfinite(unwrapped) & np.isfinite(time)
+        slope = abs(float(np.polyfit(time[good], unwrapped[good], 1)[0]))
+        if period is None or abs(slope / turning / period - 1.0) > _NEAR:
+            period = slope / turning
+    unit = _unit_of(column, "rad")
+    known = _is(column.unit, "rad")
+    if unit is not None:
+        factor = unit_factor(unit, "rad")
+        # A name may say what the numbers do not.
+        if known or period is None or abs(period * factor / (2.0 * np.pi) - 1.0) < _NEAR:
+            return AngleGuess(column.name, unit, known=known), unwrapped * factor
+    if period is None:
+        return AngleGuess(column.name, None), None
+    for turn, name in _TURNS.items():
+        if abs(period / turn - 1.0) < _NEAR and not _is(column.unit, "count"):
+            return AngleGuess(column.name, name), unwrapped * 2.0 * np.pi / turn
+    counts = _whole_counts(period)
+    guess = AngleGuess(column.name, "count", counts)
+    return guess, unwrapped * 2.0 * np.pi / (counts or period)
+
+
+def _whole_counts(period: float) -> float | None:
+    """Return the counts of a revolution: a power of two or a round number near by."""
+    near = [2.0**n for n in range(8, 33)] + [
+        digit * 10.0**n for n in range(2, 9) for digit in (1.0, 1.2, 1.8, 2.0, 2.5, 3.6, 4.0, 5.0)
+    ]
+    best = min(near, key=lambda counts: abs(counts / period - 1.0))
+    return best if abs(best / period - 1.0) < 1e-3 else None
+
+
+def _pulses(
+    columns: Sequence[FileColumn], time: Array, turning: float
+) -> tuple[AngleGuess | None, Array | None]:
+    """Return the column whose few numbers are times, one a revolution, and the angle, rad."""
+    for column in columns:
+        values = column.values[np.isfinite(column.values)]
+        if 3 <= len(values) < len(time) / 4 and (np.diff(values) > 0.0).all():
+            unit = _unit_of(column, "s")
+            interval = float(np.median(np.diff(values))) * (unit_factor(unit, "s") if unit else 1.0)
+            if abs(interval * turning - 1.0) < _NEAR:
+                turns = np.arange(len(values)) * 2.0 * np.pi
+                factor = unit_factor(unit, "s") if unit else 1.0
+                theta = np.interp(time, values * factor, turns, left=np.nan, right=np.nan)
+                known = bool(column.unit)
+                return AngleGuess(column.name, unit or "s", pulses=True, known=known), theta
+    return None, None
+
+
+def _signal(
+    column: FileColumn, time: Array, theta: Array | None, rate: float | None
+) -> SignalGuess:
+    """Return what a signal is, by its unit, and its wave."""
+    observable, unit = None, None
+    for name, si in _OBSERVABLES.items():
+        unit = _unit_of(column, si)
+        if unit is not None:
+            observable = name
+            break
+    phase = None
+    amplitude = 0.0
+    if theta is not None:
+        amplitude, phase = wave(theta, column.values)
+    elif rate is not None:
+        amplitude, _ = wave(rate * time, column.values)
+    known = bool(column.unit)
+    return SignalGuess(column.name, observable, unit, _axis(column.name), amplitude, phase, known)
+
+
+def _axis(name: str) -> str | None:
+    return next((axis for axis, words in _AXES.items() if words.match(name)), None)
+
+
+def _unit_of(column: FileColumn, wanted: str) -> str | None:
+    """Return the unit of a column by the file, or else by the end of its name, `time_s`."""
+    ending = column.name.rpartition("_")[2] if "_" in column.name else ""
+    for text in (column.unit, file_unit(ending) or ""):
+        if text:
+            return text if _is(text, wanted) else None
+    return None
+
+
+def _is(unit: str, wanted: str) -> bool:
+    try:
+        return bool(unit) and unit_factor(unit, wanted, gravity=_GRAVITY) != 0.0
+    except ValueError:
+        return False

@@ -1,0 +1,89 @@
+"""Which column of a file is what."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from counterspin.errors import RecordError
+from counterspin.exports.guessing import agreed, guess_file
+from counterspin.exports.looking import FileColumn, Look
+
+TIME = np.arange(1500) * 0.02
+RATE = 1.5
+
+
+def seen(name="a.csv", **columns):
+    def column(key, values):
+        head, _, unit = key.partition("__")
+        return FileColumn(head, unit, np.asarray(values, dtype=float))
+
+    return Look(Path(name), tuple(column(k, v) for k, v in columns.items()), (), "")
+
+
+def signal(rate=RATE, size=2.5, phase=0.0):
+    return size * np.cos(rate * TIME + phase) + 1e-3 * TIME**2
+
+
+def test_numbers_tell_what_names_do_not():
+    """Columns a, b, c: a wrapped angle in degrees, a signal, the time by its unit."""
+    guess = guess_file(seen(a=np.degrees(-RATE * TIME) % 360, b=signal(), c__s=TIME))
+    assert (guess.time.column, guess.time.unit) == ("c", "s")
+    assert (guess.angle.column, guess.angle.unit, guess.angle.known) == ("a", "deg", False)
+    assert [s.column for s in guess.signals] == ["b"]
+    assert guess.signals[0].observable is None
+    assert not guess.rising
+    assert guess.rate == pytest.approx(RATE, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("turn", "unit", "counts", "wrapped"),
+    [
+        (1.0, "rev", None, False),
+        (2 * np.pi, "rad", None, True),
+        (65536.0, "count", 65536.0, True),
+        (36000.0, "count", 36000.0, False),
+        (31415.0, "count", None, False),
+    ],
+)
+def test_the_signal_shows_what_a_revolution_of_the_encoder_is(turn, unit, counts, wrapped):
+    angle = RATE * TIME / (2 * np.pi) * turn
+    guess = guess_file(seen(t=TIME, enc=angle % turn if wrapped else angle, east_m=signal()))
+    assert (guess.angle.unit, guess.angle.per_revolution) == (unit, counts)
+    assert guess.rate == pytest.approx(RATE, rel=1e-3)
+
+
+def test_a_name_that_the_numbers_contradict_is_not_believed():
+    guess = guess_file(seen(t=TIME, angle_rad=np.degrees(RATE * TIME), east_m=signal()))
+    assert guess.angle.unit == "deg"
+
+
+def test_pulses_are_times_once_a_revolution():
+    pulses = np.full(TIME.size, np.nan)
+    pulses[:7] = np.arange(7) * 2 * np.pi / RATE
+    guess = guess_file(seen(t=TIME, index=pulses, temperature=20 + 0 * TIME, east_m=signal()))
+    assert (guess.angle.column, guess.angle.pulses, guess.angle.unit) == ("index", True, "s")
+    assert guess.signals[0].phase == pytest.approx(0.0, abs=0.01)
+    assert guess.unused == ("temperature",)
+
+
+def test_without_a_time_rows_are_counted():
+    guess = guess_file(seen(angle=RATE * TIME, east_m=signal()))
+    assert guess.time is None
+    assert guess.rate == pytest.approx(RATE * 0.02)
+
+
+def test_amplitudes_at_two_rates_show_the_observable():
+    def file(power, rate):
+        return guess_file(seen(t=TIME, q=signal(rate, 2.5 * rate**power), angle_rad=rate * TIME))
+
+    for power, name in enumerate(("displacement", "velocity", "specific_force")):
+        assert agreed([file(power, 1.5), file(power, 3.0)]).signals[0].observable == name
+    assert agreed([file(1, 1.5)]).signals[0].observable is None
+
+
+def test_files_that_are_not_alike():
+    one = guess_file(seen(t=TIME, angle=RATE * TIME, east_m=signal()))
+    other = guess_file(seen("b.csv", t=TIME, angle=RATE * TIME, x=signal()))
+    with pytest.raises(RecordError, match=r"b.csv: has no column 'east_m', which a.csv has"):
+        agreed([one, other])

@@ -1,0 +1,29 @@
+"""What is in a file before anybody says what it means."""
+
+import numpy as np
+import pytest
+
+from counterspin.errors import RecordError
+from counterspin.exports.looking import look
+
+
+def test_columns_with_units_stamps_and_the_rest(tmp_path):
+    rows = [f"12:00:0{i},5;{i},25;ok;{'' if i else '7'}" for i in range(8)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["About", "t;x [mm];note;few", *rows]) + "\n")
+    seen = look(path)
+    assert [(c.name, c.unit, c.stamps) for c in seen.columns] == [
+        ("t", "", True),
+        ("x [mm]", "mm", False),
+        ("few", "", False),
+    ]
+    np.testing.assert_allclose(seen.columns[0].values, np.arange(8.0), atol=1e-9)
+    np.testing.assert_allclose(seen.columns[1].values, np.arange(8) + 0.25)
+    assert np.isfinite(seen.columns[2].values).sum() == 1
+    assert seen.others == ("note",)
+
+
+def test_a_file_without_numbers(tmp_path):
+    (tmp_path / "a.csv").write_text("a,b\nx,y\n")
+    with pytest.raises(RecordError, match="no column of the file holds numbers"):
+        look(tmp_path / "a.csv")
