@@ -41,6 +41,8 @@ class Estimation:
         Two-stage: estimate K_F with its prior, or take it as known.
     sigma
         Two-stage: the displacement noise that the campaign gives, or that of the residuals.
+    without
+        A run to leave out; once for each.
     """
 
     method: Literal["joint", "two-stage"] = "joint"
@@ -49,6 +51,7 @@ class Estimation:
     ripple: Literal["amplitude", "ratio"] = "amplitude"
     fit_bias: bool = True
     sigma: Literal["given", "residuals"] = "given"
+    without: Annotated[tuple[str, ...], Parameter(consume_multiple=False)] = ()
 
 
 @group
@@ -96,7 +99,6 @@ def calibrate(
     estimation: Estimation = _USUAL,
     printed: Printed = _BRIEF,
     accept_misfit: str | None = None,
-    without: Annotated[list[str] | None, Parameter(consume_multiple=False)] = None,
     workforce: BatchWorkers = _ALONE,
 ) -> None:
     """Determine the accelerometers' coefficients from a campaign's records.
@@ -109,8 +111,6 @@ def calibrate(
         Further campaigns: a summary of all is printed, and a failing one stops no other.
     accept_misfit
         The reason for which the result is to be used even if the records contradict it.
-    without
-        A run to leave out; once for each.
     """
     from counterspin.calibration.calibrate import calibrate as run
     from counterspin.calibration.options import TwoStageOptions
@@ -123,7 +123,7 @@ def calibrate(
         fit_bias=estimation.fit_bias,
         from_residuals=estimation.sigma == "residuals",
     )
-    if more and without:
+    if more and estimation.without:
         raise CampaignError("calibrate", ["--without leaves out runs of one campaign; name one"])
     if more:
         calibrate_several(
@@ -137,7 +137,7 @@ def calibrate(
             method=estimation.method,
             options=options,
             accept_misfit=accept_misfit,
-            without=without or (),
+            without=estimation.without,
             progress=advance,
         )
     # Loaded last, so that reading begins as early as can be.
