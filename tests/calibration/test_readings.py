@@ -1,6 +1,8 @@
 """Calibrating readings: a tumble, an arm, both together; what they say and what they cannot."""
 
 import math
+import shutil
+from hashlib import sha256
 
 import numpy as np
 import pytest
@@ -9,9 +11,10 @@ from reading_campaigns import SITE, TRUTH, arm, simulated, tumble
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.cli import main
-from counterspin.errors import CampaignError, NotIdentifiableError
+from counterspin.errors import CampaignError, NotIdentifiableError, RecordError
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import Station
+from counterspin.records.mean import mean_of_record
 
 SIGMA = 2e-6
 HEAD = """schema = 1
@@ -362,6 +365,32 @@ def test_records_on_the_arm_are_averaged(tmp_path):
         c = result.accelerometers["A"].coefficients[symbol]
         assert abs(c.value - truth) < 4.0 * c.u
     assert set(result.provenance.inputs) == {"campaign.toml", *(f"r{i}.csv" for i in range(24))}
+    for name, checksum in result.provenance.inputs.items():
+        assert checksum == "sha256:" + sha256((tmp_path / name).read_bytes()).hexdigest()
+
+    def change(path, *more):
+        read = mean_of_record(path, *more)
+        if path.name == "r3.csv":
+            path.write_bytes(path.read_bytes() + b"10.0,1.0\n")
+        return read
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("counterspin.calibration.readings.mean_of_record", change)
+        with pytest.raises(RecordError, match=r"r3\.csv: the file was changed while"):
+            calibrate(tmp_path)
+    shutil.copy(tmp_path / "r0.csv", tmp_path / "r9.csv")
+    with pytest.raises(RecordError, match=r"r9\.csv: holds the same samples as .*r0\.csv"):
+        calibrate(tmp_path)
+
+
+def test_a_mounting_with_a_dot_is_refused(tmp_path):
+    test = arm()
+    runs = arm_runs(test, simulated(test, np.random.default_rng(9), 0.0))
+    assert 'mounting = "inward"' in runs
+    text = HEAD + model(*TRUTH) + runs.replace('mounting = "inward"', 'mounting = "in.ward"')
+    (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(CampaignError, match=r'mounting: "in\.ward" has a dot'):
+        calibrate(tmp_path)
 
 
 def test_what_needs_records_says_so(tmp_path, capsys):

@@ -5,8 +5,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import replace
 from hashlib import sha256
 from importlib import import_module
@@ -17,6 +18,7 @@ from counterspin.calibration.options import Method, TwoStageOptions, without_wor
 from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError
+from counterspin.input import FileIdentity
 from counterspin.records.isolation import is_isolated, prepare
 from counterspin.records.memory import MemoryTable
 from counterspin.workers import one_blas_thread
@@ -84,6 +86,7 @@ def calibrate(
         if without:
             campaign = _left_out(campaign, without)
         beside.submit(_load, campaign)
+        averaged = _averaged_files(campaign)
         with one_blas_thread():
             observed = _observed(campaign, progress)
             from counterspin.calibration.assembly import calibration
@@ -93,7 +96,7 @@ def calibrate(
                 observed,
                 method,
                 options or TwoStageOptions(),
-                lambda: _provenance(campaign, observed, checksums),
+                lambda: _provenance(campaign, observed, averaged, checksums),
                 accept_misfit,
             )
         if not without:
@@ -148,19 +151,36 @@ def _observed(
     return tuple(observed)
 
 
+def _averaged_files(campaign: Campaign) -> dict[Path, FileIdentity]:
+    """Return the files whose means are readings, before they are read, each with its identity."""
+    files: dict[Path, FileIdentity] = {}
+    for file in {reading.record for reading in campaign.readings} - {None}:
+        if file is not None and isinstance(campaign.record_at(file), Path):
+            with suppress(OSError):  # reading says why
+                files[file] = FileIdentity.of(file)
+    return files
+
+
 def _provenance(
-    campaign: Campaign, observed: Sequence[ObservedRun], checksums: Checksums
+    campaign: Campaign,
+    observed: Sequence[ObservedRun],
+    averaged: Mapping[Path, FileIdentity],
+    checksums: Checksums,
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Return the checksums of description and records by name, and which were in memory only."""
+    read: list[tuple[Path, FileIdentity]] = []
     for run in observed:
-        if run.record.identity is None:
-            continue
-        for file, identity in {run.run.record: run.record.identity, **run.record.others}.items():
-            if checksums.identity(file) != identity:
-                raise RecordError(
-                    f"{file}: the file was changed while the campaign was calibrated; the "
-                    "result would state the checksum of another. Wait until it is complete."
-                )
+        if run.record.identity is not None:
+            read += [(run.run.record, run.record.identity), *run.record.others.items()]
+    # These are the same before and after they were read and hashed.
+    changed = [file for file, identity in averaged.items() if _identity(file) != identity]
+    read += averaged.items()
+    changed += [file for file, identity in read if checksums.identity(file) != identity]
+    if changed:
+        raise RecordError(
+            f"{changed[0]}: the file was changed while the campaign was calibrated; the result "
+            "would state the checksum of another. Wait until it is complete."
+        )
     description, checksum, how = _described(campaign)
     inputs = {description: checksum}
     in_memory = {description: how} if how else {}
@@ -176,6 +196,13 @@ def _provenance(
     # What was read with the description is known as it was then.
     inputs |= {_name(campaign, file): sha for file, sha in campaign.table_checksums.items()}
     return inputs, in_memory
+
+
+def _identity(file: Path) -> FileIdentity | None:
+    try:
+        return FileIdentity.of(file)
+    except OSError:
+        return None
 
 
 def _described(campaign: Campaign) -> tuple[str, str, str | None]:

@@ -12,7 +12,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
@@ -29,7 +29,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.campaign.reading_groups import groups_of
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import Campaign
-from counterspin.errors import CampaignError, NotIdentifiableError
+from counterspin.errors import CampaignError, NotIdentifiableError, RecordError
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail, student_cdf
@@ -250,7 +250,7 @@ def with_readings(
     _require_values(campaign)
     if estimated is None:
         _require_enough(campaign, model)
-    groups = groups_of(campaign, [_averaged(campaign, reading) for reading in campaign.readings])
+    groups = groups_of(campaign, list(_averaged(campaign)))
     return with_groups(estimated, model, groups)
 
 
@@ -340,21 +340,34 @@ def _require_values(campaign: Campaign) -> None:
         )
 
 
-def _averaged(campaign: Campaign, reading: Reading) -> Reading:
-    """Return a reading with its value: that of a record is its mean over whole revolutions."""
-    if reading.record is None:
-        return reading
-    channel = campaign.accelerometers[reading.accelerometer].force
-    assert channel is not None
+def _averaged(campaign: Campaign) -> Iterator[Reading]:
+    """Yield the readings with their values: that of a record is its mean over whole revolutions.
+
+    Raises
+    ------
+    RecordError
+        If a record cannot be used, or is the record of an earlier run too.
+    """
     g = campaign.gravity.value
-    mean = mean_of_record(
-        campaign.record_at(reading.record),
-        campaign.time.spec(g),
-        channel.spec(g),
-        reading.rate,
-        campaign.dialect,
-    )
-    return replace(reading, value=mean.value / g, u=mean.u / g)
+    first_with: dict[bytes, Reading] = {}
+    for reading in campaign.readings:
+        if reading.record is None:
+            yield reading
+            continue
+        channel = campaign.accelerometers[reading.accelerometer].force
+        assert channel is not None
+        source = campaign.record_at(reading.record)
+        mean = mean_of_record(
+            source, campaign.time.spec(g), channel.spec(g), reading.rate, campaign.dialect
+        )
+        earlier = first_with.setdefault(mean.digest, reading) if mean.digest else reading
+        if earlier.record is not None and earlier.name != reading.name:
+            raise RecordError(
+                f"{source}: holds the same samples as {campaign.record_at(earlier.record)} (runs "
+                f"{earlier.name} and {reading.name}). A record counts once: remove one of the "
+                "runs, or give its own record."
+            )
+        yield replace(reading, value=mean.value / g, u=mean.u / g)
 
 
 def block_name(group: Readings) -> str:

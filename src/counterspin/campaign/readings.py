@@ -242,6 +242,9 @@ def resolve_reading(
 
 def _check_station(settings: ReadingRunSettings, path: KeyPath, problems: Problems) -> None:
     """Note what is missing of where a reading is taken, or too much."""
+    if "." in settings.mounting:
+        # Terms of the machine have it between dots: centrifuge.radius.MOUNTING.
+        problems.add((*path, "mounting"), f'"{settings.mounting}" has a dot; leave it out')
     if settings.motion == "static" and settings.rate != 0.0:
         problems.add((*path, "rate"), "a static run does not turn; leave the rate out")
     if settings.motion != "static" and settings.rate == 0.0:

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import math
+from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
@@ -41,12 +42,16 @@ class RecordMean:
         That were used.
     revolutions
         Whole ones that were used; 0 at rest.
+    digest
+        What another record has too only if all these samples are the same; None where they do not
+        differ among themselves, as those of a meter of few digits, and so tell nothing.
     """
 
     value: float
     u: float
     samples: int
     revolutions: int
+    digest: bytes | None = None
 
 
 def mean_of_record(
@@ -106,7 +111,11 @@ def mean_of_record(
     count = stretches(turns)
     means = np.array([part.mean() for part in np.array_split(left, count)])
     return RecordMean(
-        float(fitted[0]), float(means.std(ddof=1)) / math.sqrt(count), int(y.size), turns
+        value=float(fitted[0]),
+        u=float(means.std(ddof=1)) / math.sqrt(count),
+        samples=int(y.size),
+        revolutions=turns,
+        digest=sha256(t.tobytes() + y.tobytes()).digest() if np.ptp(y) > 0.0 else None,
     )
 
 
