@@ -43,7 +43,7 @@ class RecordMean:
     revolutions
         Whole ones that were used; 0 at rest.
     digest
-        What another record has too only if all these samples are the same; None where they do not
+        What another record has too only if all its samples are the same; None where they do not
         differ among themselves, as those of a meter of few digits, and so tell nothing.
     """
 
@@ -93,6 +93,9 @@ def mean_of_record(
     if backwards.size:
         where = locate(path, int(rows[backwards[0] + 1]))
         raise RecordError(f"{path}, {where}: time does not run forward.")
+    # Of all: how much of them counts hangs on the rate that the run states.
+    differs = y.size and np.ptp(y) > 0.0
+    digest = sha256(t.tobytes() + y.tobytes()).digest() if differs else None
     turns = math.floor((t[-1] - t[0]) * abs(rate) / (2.0 * math.pi) + 1e-9) if t.size > 1 else 0
     if rate and turns < 1:
         raise RecordError(f"{path}: the record is shorter than a revolution at {rate:.4g} rad/s.")
@@ -115,7 +118,7 @@ def mean_of_record(
         u=float(means.std(ddof=1)) / math.sqrt(count),
         samples=int(y.size),
         revolutions=turns,
-        digest=sha256(t.tobytes() + y.tobytes()).digest() if np.ptp(y) > 0.0 else None,
+        digest=digest,
     )
 
 
