@@ -246,6 +246,20 @@ def test_noise_that_does_not_show_is_in_u(tmp_path):
     assert found.coefficients["K_F"].u_noise > 1.05 * none.coefficients["K_F"].u_noise
 
 
+def test_a_prior_that_the_runs_contradict_is_named(tmp_path):
+    """K_F stated 40 ug off, with 2 ug: the misfit of the runs stands below it."""
+    wrong = (PRIORS[0], changed(PRIORS[1], ("0.005 ± 2e-6 g", "0.00504 ± 2e-6 g")))
+    found = result_of(tmp_path, wrong)
+    first = qx(found).findings[0]
+    assert (first.code, first.subject, first.contradicts) == ("prior-conflict", "Qx.K_F", True)
+    assert "Qx.K_F is stated as 5040.0 ± 2.0 ug; the records and all else" in first.text
+    assert first.size > 6.0
+    assert [below.code for below in first.explains] == ["lack-of-fit"]
+    assert "lack-of-fit" not in {finding.code for finding in qx(found).findings}
+    right = qx(result_of(tmp_path / "right", PRIORS))
+    assert "prior-conflict" not in {finding.code for finding in right.findings}
+
+
 def test_noise_of_the_time_stamps_is_in_u(tmp_path):
     noise = '[noise]\ndisplacement = "0.01 m"\n'
     found = result_of(tmp_path, (noise, noise + 'timing = "1e-3 s"\n'))

@@ -7,12 +7,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
 import numpy as np
 
+from counterspin.calibration.diagnosis.words import conflict
 from counterspin.calibration.findings import CONTRADICTS, equivalent_deviations, hidden_noise
+from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.joint_problem import exact_terms, left_out_of
 from counterspin.calibration.result_parts import (
     Coefficient,
@@ -20,12 +23,14 @@ from counterspin.calibration.result_parts import (
     Finding,
 )
 from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.inference.diagnostics import agreement_of, normal_equivalent
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess, write_combination
+from counterspin.inference.two_stage.held_priors import HeldPrior, held_priors
 from counterspin.inference.two_stage.request import credible_limit
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import term
+from counterspin.physics.shared_terms import OWN_TERMS, term
 
 #: Below this probability a misfit is no accident.
 _SMALLEST_P: Final = 0.001
@@ -125,7 +130,13 @@ def findings(
         text = f"The columns of {a} and {b} are nearly collinear at these rates"
         text += f" (correlation {r:.4f})."
         gathered.append(Finding(code="collinear", subject=f"{name}.{a}", text=text, size=abs(r)))
-    gathered += _misfit(name, runs, second)
+    misfit = _misfit(name, runs, second)
+    if model == "exact":
+        wrong = list(_wrong_priors(name, second))
+        # The misfit is what a wrong prior makes, unless there is more than one mistake.
+        gathered += [wrong[0].model_copy(update={"explains": misfit}), *wrong[1:]] if wrong else []
+        misfit = [] if wrong else misfit
+    gathered += misfit
     unseen = second.solution.covariance_unseen
     if unseen is not None:
         gathered += hidden_noise(name, float(unseen[0, 0] / second.solution.u[0] ** 2))
@@ -169,6 +180,39 @@ def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding
             subject = f"{name}.{symbol}"
             unknown.append(Finding(code="term-unknown", subject=subject, text=text, size=shift / u))
     return unknown
+
+
+def _wrong_priors(name: str, second: SecondStage) -> Iterator[Finding]:
+    """Yield the prior that the runs contradict most, if one is further off than chance allows."""
+    held = held_priors(second)
+    least = float(np.min(second.dof))
+    dof = least if math.isfinite(least) else None
+
+    def size_of(prior: HeldPrior) -> float:
+        return normal_equivalent(prior.excess / prior.u, dof)
+
+    worst = max(held, key=size_of, default=None)
+    if worst is None or (size := size_of(worst)) <= agreement_of(len(held)):
+        return
+    owner = worst.run or (name if worst.symbol in OWN_TERMS else "")
+    subject = f"{owner}.{worst.symbol}" if owner else worst.symbol
+    alike = not worst.run and term(worst.symbol).per_run
+    nominal = TERMS[worst.symbol].nominal if worst.symbol in TERMS else 0.0
+    stated = worst.stated + nominal
+    own = math.sqrt(max(worst.u**2 - (0.0 if alike else worst.spread**2), 0.0)) or worst.u
+    yield Finding(
+        code="prior-conflict",
+        subject=subject,
+        text=conflict(
+            f"{subject} of all runs" if alike else subject,
+            (stated, worst.spread),
+            (stated - worst.excess, own),
+            abs(worst.excess) / worst.u,
+            unit_of(worst.symbol),
+        ),
+        size=size,
+        contradicts=size > CONTRADICTS,
+    )
 
 
 def _misfit(name: str, runs: Sequence[StrobedRun], second: SecondStage) -> list[Finding]:

@@ -1,6 +1,7 @@
 """What is said of the cause of a misfit.
 
 - `Explanation`: an alternative that explains the records; `Described`: in words
+- `conflict`: that a prior and the records do not agree
 """
 
 from __future__ import annotations
@@ -102,14 +103,8 @@ class Explanation:
         found = stated + self.value
         # The difference has the uncertainty of both.
         own = math.sqrt(max(self.u**2 - spread**2, 0.0)) or self.u
-        text = (
-            f"{name} is stated as {_shown(stated, spread, unit)}; the records and all else that is "
-            f"known say {_shown(found, own, unit)}, {abs(self.value) / self.u:.1f} standard "
-            "uncertainties of the difference away"
-        )
-        if hint := _mistaken(found, stated):
-            text += f" ({hint})"
-        return Described(code="prior-conflict", subject=name, text=f"{text}. Check it.", name=name)
+        text = conflict(name, (stated, spread), (found, own), abs(self.value) / self.u, unit)
+        return Described(code="prior-conflict", subject=name, text=text, name=name)
 
     def _priors(self) -> Described:
         symbol = self.other.symbol
@@ -216,6 +211,31 @@ class Explanation:
             text=f"The record of {self._place} {how}. Leave the run out, or record it again.",
             name=f"{what} of {self._place}",
         )
+
+
+def conflict(
+    name: str, stated: tuple[float, float], found: tuple[float, float], size: float, unit: str
+) -> str:
+    """Return what is said of a prior that the records contradict.
+
+    Parameters
+    ----------
+    name
+        Of the term.
+    stated, found
+        Value and standard uncertainty beforehand, and without it.
+    size
+        Their distance over its own standard uncertainty.
+    unit
+        Of the values.
+    """
+    text = (
+        f"{name} is stated as {_shown(*stated, unit)}; the records and all else that is known say "
+        f"{_shown(*found, unit)}, {size:.1f} standard uncertainties of the difference away"
+    )
+    if hint := _mistaken(found[0], stated[0]):
+        text += f" ({hint})"
+    return f"{text}. Check it."
 
 
 def _shown(value: float, u: float, unit: str) -> str:

@@ -4,5 +4,6 @@
 - `request`: model, priors and noise of one accelerometer
 - `first_stage`: a parabola through the strobes of one run (Eq. 16-18, 31)
 - `second_stage`: K_II from the curvatures of all runs (Eq. 19-27, 33-34)
+- `held_priors`: whether what is known beforehand agrees with the runs
 - `found_noise`: what the uncertainty of noise that was found does to K_II
 """

@@ -87,6 +87,10 @@ class SecondStage:
     considered
         The terms that were considered, in the order of the solution's considered columns: (run,
         symbol), where the run is empty for what all runs share.
+    fixed
+        d(b2)/d(considered term), m/s^2 per unit, shape (runs, q), in this order.
+    assumed
+        What is known of them, less what they ideally are, shape (q,).
     dof
         Effective degrees of freedom of each unknown's noise part (Welch-Satterthwaite over the
         runs), shape (p,); infinite where sigma is given.
@@ -107,6 +111,8 @@ class SecondStage:
     sigma: Array
     solution: least_squares.Solution
     considered: tuple[tuple[str, str], ...]
+    fixed: Array
+    assumed: Array
     dof: Array
     near_collinear: tuple[tuple[str, str, float], ...]
     misfit: Array
@@ -280,6 +286,8 @@ def second_stage(
         sigma=sigma,
         solution=solution,
         considered=tuple(names),
+        fixed=fixed,
+        assumed=np.array(means),
         dof=_effective_dof(gain, sigma, [run.parabola for run in runs]),
         near_collinear=_near_collinear(symbols, design / whitening[:, None]),
         misfit=(b2 - predicted) / sigma,
