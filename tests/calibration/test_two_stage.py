@@ -455,12 +455,15 @@ def test_strong_ripple_is_warned_of_unless_k_iii_is_known(tmp_path, terms):
 
 
 def test_runs_that_do_not_agree_are_named(tmp_path):
-    wrong = (PRIORS[0], 'bias = "0.00501 ± 1e-8 g"\nscale_factor = "1.002 g/g"')
-    (warning,) = qx(result_of(tmp_path / "a", wrong)).warnings
-    assert "do not agree with the model" in warning
-    assert "slow is farthest off" in warning
+    # An exact value is no prior that could be held to them.
+    wrong = (PRIORS[0], 'bias = "0.00501 g"\nscale_factor = "1.002 g/g"')
+    first = qx(result_of(tmp_path / "a", wrong)).findings[0]
+    assert first.code == "lack-of-fit"
+    assert "do not agree with the model" in first.text
+    assert "slow is farthest off" in first.text
     # Without weights the sum of squares is not distributed like chi-square.
-    assert qx(result_of(tmp_path / "b", wrong, weighted=False)).warnings == []
+    unweighted = qx(result_of(tmp_path / "b", wrong, weighted=False))
+    assert "lack-of-fit" not in {finding.code for finding in unweighted.findings}
 
 
 def test_strobes_in_gaps_are_counted(tmp_path):
