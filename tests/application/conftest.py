@@ -48,7 +48,7 @@ def folder(made, tmp_path):
 def desk(folder):
     desk = Desk(ServedFolder(folder))
     yield desk
-    desk.jobs.close()
+    desk.close()
 
 
 @pytest.fixture

@@ -14,11 +14,14 @@ PLACE = Path("a folder") / "it's.json"
 SHOWN = {
     "calibrate_command": commands.calibrate_command(PLACE, PLACE, "two-stage", "it --is so"),
     "certificate_command": commands.certificate_command(PLACE, PLACE, PLACE),
+    "check_command": commands.check_command(PLACE, PLACE, "run 1"),
     "compare_command": commands.compare_command([PLACE, PLACE]),
+    "export_command": commands.export_command(PLACE, [PLACE], {"radius": "2.5 ± 1e-5 m"}),
     "history_command": commands.history_command(PLACE, "K_I"),
     "init_command": commands.init_command(PLACE, "arm"),
     "plan_command": commands.plan_command(PLACE, PLACE),
     "report_command": commands.report_command(PLACE),
+    "watch_command": commands.watch_command(PLACE, "K_II 1e-8 g/g^2"),
 }
 
 

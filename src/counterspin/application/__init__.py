@@ -13,6 +13,8 @@ is done by a click is a command too, and the page says which.
 - `jobs`: calibrations, each in a process of its own
 - `pages`: results, comparisons and histories as the reports' words and pictures
 - `record_plots`: records through a window of time
+- `drafts`: exports that are dragged in, and the campaigns that they make
+- `live`, `judging`: campaigns that are followed while their records grow; runs that are judged
 - `plans`: plans whose limits are moved
 - `certification`: certificates, and files that are taken away
 - `commands`: what a click does, as the words of a command line

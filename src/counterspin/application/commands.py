@@ -6,7 +6,7 @@ command line read every one of them back.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from shlex import join
 
@@ -49,6 +49,22 @@ def certificate_command(result: Path, lab: Path, output: Path) -> str:
 def plan_command(file: Path, folder: Path | None) -> str:
     """Return the command that plans, and writes the campaign into a folder if there is one."""
     return _typed(["plan", str(file), *([] if folder is None else ["--output", str(folder)])])
+
+
+def export_command(folder: Path, files: Sequence[Path], answers: Mapping[str, str]) -> str:
+    """Return the command that makes a campaign of a recorder's files."""
+    said = [f"--answer={key}={answer}" for key, answer in answers.items()]
+    return _typed(["init", str(folder), "--from", *map(str, files), *said])
+
+
+def check_command(record: Path, campaign: Path, run: str) -> str:
+    """Return the command that judges one record."""
+    return _typed(["check", str(record), f"--campaign={campaign}", f"--run={run}"])
+
+
+def watch_command(campaign: Path, goal: str) -> str:
+    """Return the command that follows a campaign's records."""
+    return _typed(["watch", str(campaign), *([f"--goal={goal}"] if goal else [])])
 
 
 def _typed(words: Sequence[str]) -> str:

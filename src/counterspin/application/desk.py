@@ -15,6 +15,7 @@ from typing import Any, Final, TypeVar
 
 from counterspin.application.folder import NotThereError, OutsideError, ServedFolder
 from counterspin.application.jobs import Jobs
+from counterspin.application.live import LiveViews
 from counterspin.calibration.result import Result
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
@@ -79,9 +80,15 @@ class Desk:
     def __init__(self, folder: ServedFolder) -> None:
         self.folder = folder
         self.jobs = Jobs()
+        self.live = LiveViews()
         self.remembered = Remembered()
         #: Who draws holds it: Matplotlib draws one picture at a time.
         self.drawing = threading.Lock()
+
+    def close(self) -> None:
+        """End all that goes on."""
+        self.jobs.close()
+        self.live.close()
 
     def result(self, name: str) -> Result:
         """Return a result by the name of its file; RecordError if it is none."""

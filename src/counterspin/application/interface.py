@@ -1,7 +1,7 @@
 """What the page may ask, by name: each request's form, and what answers it.
 
 - `ENDPOINTS`: method and name -> what is asked and who answers
-- `answer`: one request
+- `answer`: one request; `answered`: what goes wrong is an answer, too
 - `Answer`: status and content
 """
 
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, TypeVar
 
 from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
@@ -17,6 +17,8 @@ from counterspin.application import (
     campaigns,
     certification,
     descriptions,
+    drafts,
+    judging,
     pages,
     plans,
     record_plots,
@@ -27,6 +29,8 @@ from counterspin.calibration.options import Method
 from counterspin.campaign.starter import Test
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
+
+T = TypeVar("T")
 
 
 class Asked(BaseModel):
@@ -68,6 +72,25 @@ class RecordAsked(Named):
     """The record of a run."""
 
     run: str
+
+
+class WatchAsked(Named):
+    """The state of a campaign whose records grow."""
+
+    goal: str = ""
+
+
+class DraftAsked(Asked):
+    """What files of a recorder show."""
+
+    names: list[str]
+
+
+class DraftedAsked(DraftAsked):
+    """The campaign that they make."""
+
+    folder: str
+    answers: dict[str, str] = {}
 
 
 class WindowAsked(RecordAsked):
@@ -215,6 +238,19 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Endpoint]] = {
             desk, asked.name, asked.run, (asked.low, asked.high), asked.parts
         ),
     ),
+    ("GET", "check"): (
+        RecordAsked,
+        lambda desk, asked: judging.judged(desk, asked.name, asked.run),
+    ),
+    ("GET", "watch"): (
+        WatchAsked,
+        lambda desk, asked: judging.followed(desk, asked.name, asked.goal),
+    ),
+    ("POST", "draft"): (DraftAsked, lambda desk, asked: drafts.drafted(desk, asked.names)),
+    ("POST", "drafted"): (
+        DraftedAsked,
+        lambda desk, asked: drafts.begin_drafted(desk, asked.folder, asked.names, asked.answers),
+    ),
     ("POST", "certificate"): (
         CertificateAsked,
         lambda desk, asked: certification.begin_certificate(
@@ -263,14 +299,23 @@ def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) 
     if (method, name) not in ENDPOINTS:
         return Answer(404, {"error": "There is nothing of that name."})
     asked, respond = ENDPOINTS[method, name]
-    try:
+
+    def made() -> Any:
         document = json.loads(said) if isinstance(said, bytes) else dict(said)
-        made = respond(desk, asked.model_validate(document))
+        return respond(desk, asked.model_validate(document))
+
+    told = answered(desk, made)
+    return told if isinstance(told, Answer) else Answer(200, told)
+
+
+def answered(desk: Desk, work: Callable[[], T]) -> T | Answer:
+    """Return what some work makes, or the answer that says what went wrong."""
+    try:
+        return work()
     except CounterspinError as error:
         return _refused(desk, error)
     except Exception as error:  # no traceback for a user
         return _failed(error)
-    return made if isinstance(made, Answer) else Answer(200, made)
 
 
 def _refused(desk: Desk, error: CounterspinError) -> Answer:

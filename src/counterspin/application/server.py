@@ -25,11 +25,12 @@ from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
+from counterspin.application import drafts
 from counterspin.application.campaigns import as_json
 from counterspin.application.desk import Desk
 from counterspin.application.folder import ServedFolder
-from counterspin.application.guard import SESSION, Door, Guard
-from counterspin.application.interface import Answer, answer
+from counterspin.application.guard import FILES, SESSION, Door, Guard
+from counterspin.application.interface import Answer, answer, answered
 from counterspin.errors import CounterspinError
 
 #: This machine, and no other.
@@ -73,17 +74,35 @@ def application(desk: Desk, door: Door) -> Starlette:
         name = request.path_params["name"]
         return _response(await run_in_threadpool(answer, desk, request.method, name, said))
 
+    async def files(request: Request) -> Response:
+        name = request.query_params.get("name", "")
+        begun = await run_in_threadpool(answered, desk, lambda: drafts.place_for(desk, name))
+        if isinstance(begun, Answer):
+            return _response(begun)
+        path, part = begun
+        try:
+            with part.open("wb") as file:
+                async for piece in request.stream():
+                    await run_in_threadpool(file.write, piece)
+            made = await run_in_threadpool(answered, desk, lambda: drafts.arrived(desk, path, part))
+            return _response(made if isinstance(made, Answer) else Answer(200, made))
+        except OSError as error:
+            return _response(Answer(422, {"error": f"{name}: cannot be written: {error.strerror}"}))
+        finally:
+            part.unlink(missing_ok=True)
+
     async def page(request: Request) -> Response:
         return _page_file(request.path_params.get("file", "index.html"))
 
     @asynccontextmanager
     async def lifespan(_: Starlette) -> AsyncIterator[None]:
         yield
-        await run_in_threadpool(desk.jobs.close)
+        await run_in_threadpool(desk.close)
 
     return Starlette(
         routes=[
             Route(SESSION, session, methods=["POST"]),
+            Route(FILES, files, methods=["POST"]),
             Route("/api/{name}", asked, methods=["GET", "POST", "PUT", "DELETE"]),
             Route("/", page),
             Route("/assets/{file}", page),

@@ -2,6 +2,7 @@
 // The folder: its campaigns with their state, and what to begin with.
 
 import { get, send } from "./api.js";
+import { exportsPart } from "./exports.js";
 import { labelled, make, say, stateMark, warning } from "./dom.js";
 
 /** @typedef {{name: string, state: string, words: string, title?: string,
@@ -61,9 +62,13 @@ function newCampaign() {
         wrong.replaceChildren(warning(/** @type {Error} */ (error).message));
       }
     },
-  }, labelled("Folder of the new campaign", name), labelled("Kind of test", test),
+  }, labelled("Folder of the example", name), labelled("Kind of test", test),
   make("button", {}, "Write an example"));
-  return [make("h2", {}, "Begin a campaign"), form, wrong];
+  return [
+    make("h2", {}, "Begin a campaign"),
+    make("h3", {}, "From your recorder's files"), exportsPart(),
+    make("h3", {}, "From an example"), form, wrong,
+  ];
 }
 
 /** The list of campaigns. */

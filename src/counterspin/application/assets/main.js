@@ -9,6 +9,7 @@ import { descriptionView } from "./description.js";
 import { unsaved } from "./editor.js";
 import { folderView } from "./folder.js";
 import { make, warning } from "./dom.js";
+import { liveView } from "./live.js";
 import { planView, plansView } from "./plan.js";
 import { resultView } from "./result.js";
 import { runsView } from "./runs.js";
@@ -26,6 +27,7 @@ const PLACES = [
   { path: /^\/compare$/, name: "Compare", address: "#/compare", view: compareView },
   { path: /^\/history$/, name: "History", address: "#/history", view: historyView },
   { path: /^\/plan\/(.*)$/, view: planView },
+  { path: /^\/live\/(.*)$/, view: liveView },
   { path: /^\/runs\/(.*)$/, view: runsView },
   { path: /^\/certificate\/(.*)$/, view: certificateView },
   { path: /^\/campaign\/(.*)$/, view: campaignView },

@@ -2,7 +2,7 @@
 // The runs of a campaign, and their records through a window of time.
 
 import { get } from "./api.js";
-import { labelled, make, warning } from "./dom.js";
+import { commandLine, labelled, make, warning } from "./dom.js";
 import { campaignTabs } from "./tabs.js";
 
 const HEIGHT = 190;
@@ -134,10 +134,29 @@ export async function runsView(name) {
   const select = make("select", {}, ...runs.map(/** @param {any} run */ (run) =>
     make("option", { value: run.name },
       `${run.name}: ${Number(run.rate.toPrecision(6))} rad/s, ${run.record}`)));
+  const judgement = make("div");
+  let turn = 0;
+  const check = async () => {
+    judgement.replaceChildren(make("p", { class: "quiet" }, "Checking."));
+    try {
+      const told = await get("check", { name, run: select.value });
+      const part = make("div");
+      // Escaped by the report's own templates.
+      part.innerHTML = told.html;
+      judgement.replaceChildren(part, commandLine(told.command));
+      globalThis.counterspin.draw(part);
+    } catch (error) {
+      judgement.replaceChildren(warning(/** @type {Error} */ (error).message));
+    }
+  };
   const show = async () => {
+    const mine = ++turn;
+    judgement.replaceChildren();
     place.replaceChildren(make("p", { class: "quiet" }, "Reading."));
     try {
       const about = await get("record-about", { name, run: select.value });
+      // Another run was chosen meanwhile.
+      if (mine !== turn) return;
       const plots = new RecordPlots(name, select.value, about);
       const [start, stop] = about.used;
       const used = start !== null || stop !== null
@@ -146,7 +165,7 @@ export async function runsView(name) {
         make("p", { class: "quiet" }, `${about.rows.toLocaleString("en")} rows${used}`), plots.element);
       await plots.show(plots.whole);
     } catch (error) {
-      place.replaceChildren(warning(/** @type {Error} */ (error).message));
+      if (mine === turn) place.replaceChildren(warning(/** @type {Error} */ (error).message));
     }
   };
   select.addEventListener("change", show);
@@ -158,7 +177,8 @@ export async function runsView(name) {
       make("h1", {}, campaign.title), campaignTabs(name, "runs"),
       ...missing,
       ...(runs.length
-        ? [make("div", { class: "row" }, labelled("Run", select)), place]
+        ? [make("div", { class: "row" }, labelled("Run", select),
+          make("button", { type: "button", onclick: check }, "Check this run")), judgement, place]
         : [make("p", {}, "There is no record to show.")]),
     ],
   };

@@ -4,7 +4,7 @@
 import { make } from "./dom.js";
 
 /** Its address -> what it is called. */
-const TABS = { campaign: "Result", description: "Description", runs: "Records" };
+const TABS = { campaign: "Result", description: "Description", runs: "Records", live: "Live" };
 
 /**
  * Links to the places of a campaign.

@@ -1,0 +1,106 @@
+"""Exports of a recorder that are dragged in: what is guessed of them, and the campaign they make.
+
+- `place_for`: where a file goes that is brought; `arrived`: it is all there
+- `drafted`: what its files show, and what they do not say
+- `begin_drafted`: the campaign, with what was answered
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.application.commands import export_command
+from counterspin.application.desk import Desk, Remembered
+from counterspin.application.folder import OutsideError
+from counterspin.errors import CounterspinError
+from counterspin.exports.description import Draft, draft, write_description
+from counterspin.output import make_folder
+from counterspin.records.formats import RECORD_FORMATS
+
+_DRAFTS: Final = Remembered(2)
+
+
+def place_for(desk: Desk, name: str) -> tuple[Path, Path]:
+    """Return where a file goes that is brought, and a new file beside it that takes its bytes.
+
+    Raises
+    ------
+    OutsideError
+        If the name leads out of the folder, or is not that of a record.
+    CounterspinError
+        If there is such a file, or it cannot be made.
+    """
+    path = desk.folder.path(name)
+    if path.suffix.lower() not in RECORD_FORMATS:
+        known = ", ".join(RECORD_FORMATS)
+        raise OutsideError(f"{name}: only records are taken here; they end in {known}")
+    _refuse_another(path, name)
+    make_folder(path.parent)
+    try:
+        handle, part = tempfile.mkstemp(prefix=".", suffix=path.suffix, dir=path.parent)
+    except OSError as error:
+        raise CounterspinError(f"{name}: cannot be written ({error.strerror})") from error
+    os.close(handle)
+    return path, Path(part)
+
+
+def _refuse_another(path: Path, name: str) -> None:
+    if path.exists():
+        raise CounterspinError(f"{name} exists, and is not replaced; name another folder")
+
+
+def arrived(desk: Desk, path: Path, part: Path) -> dict[str, Any]:
+    """Give a file that is all there its name; CounterspinError if another one has it by now."""
+    _refuse_another(path, desk.folder.name(path))
+    part.chmod(0o644)
+    part.rename(path)
+    return {"name": desk.folder.name(path), "bytes": path.stat().st_size}
+
+
+def _draft(desk: Desk, names: Sequence[str]) -> Draft:
+    files = [desk.file(name) for name in names]
+    return _DRAFTS.get(tuple(files), files, lambda: draft(files))
+
+
+def drafted(desk: Desk, names: Sequence[str]) -> dict[str, Any]:
+    """Return what files show, in sentences, and what has to be asked.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    names
+        The files, in the order of the runs.
+    """
+    found = _draft(desk, names)
+    return {
+        "statements": list(found.statements),
+        "questions": [vars(question) for question in found.questions],
+    }
+
+
+def begin_drafted(
+    desk: Desk, folder: str, names: Sequence[str], answers: Mapping[str, str]
+) -> dict[str, Any]:
+    """Write the campaign that files and answers make; return its name and the command.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    folder
+        Of the campaign.
+    names
+        The files, in the order of the runs.
+    answers
+        By the questions' keys.
+    """
+    place = desk.folder.path(folder)
+    said = {key: answer for key, answer in answers.items() if answer.strip()}
+    write_description(_draft(desk, names), said, place)
+    files = [desk.file(name) for name in names]
+    return {"name": desk.folder.name(place), "command": export_command(place, files, said)}

@@ -1,0 +1,61 @@
+"""Exports that are brought: guessed, asked, and a campaign of them."""
+
+import pytest
+
+from counterspin.campaign.description import read_campaign
+
+RUNS = ("slow", "middle", "fast")
+ANSWERS = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg", "radius": "2.5 m"}
+
+
+def bring(page, name, content, **more):
+    return page.post("/api/files", params={"name": name}, content=content, **more)
+
+
+@pytest.fixture
+def brought(page, folder):
+    """Return the names of three records that were brought into a new folder."""
+    contents = [(folder / "three" / f"{run}.csv").read_bytes() for run in RUNS]
+    told = [bring(page, f"new/{run}.csv", c).json() for run, c in zip(RUNS, contents, strict=True)]
+    assert [one["bytes"] for one in told] == list(map(len, contents))
+    for run, content in zip(RUNS, contents, strict=True):
+        assert (folder / "new" / f"{run}.csv").read_bytes() == content
+    return [one["name"] for one in told]
+
+
+def test_from_files_to_a_campaign(page, folder, brought):
+    told = page.post("/api/draft", json={"names": brought}).json()
+    assert any("time_s" in statement for statement in told["statements"])
+    assert {"gravity", "latitude", "radius"} <= {one["key"] for one in told["questions"]}
+    said = {"folder": "new", "names": brought}
+    unanswered = page.post("/api/drafted", json=said)
+    assert unanswered.status_code == 422
+    assert any(problem.startswith("radius: ") for problem in unanswered.json()["problems"])
+    answers = {one["key"]: one["example"] for one in told["questions"]} | ANSWERS
+    made = page.post("/api/drafted", json=said | {"answers": answers}).json()
+    assert made["command"].startswith("counterspin init ")
+    campaign = read_campaign(folder / "new")
+    rates = [run.rate for run in read_campaign(folder / "three").runs]
+    assert [run.rate for run in campaign.runs] == pytest.approx(rates, rel=1e-3)
+
+
+def test_what_is_no_record_or_would_replace_one_is_not_taken(page, folder):
+    kept = (folder / "three" / "slow.csv").read_bytes()
+    before = sorted(folder.rglob("*"))
+    for name, status in (
+        ("three/slow.csv", 422),
+        ("three/campaign.toml", 403),
+        ("three/run.py", 403),
+        ("../slow.csv", 403),
+        (".hidden.csv", 403),
+        ("", 403),
+    ):
+        assert bring(page, name, b"time_s\n1\n").status_code == status
+    assert (folder / "three" / "slow.csv").read_bytes() == kept
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_file_that_does_not_arrive_leaves_nothing(page, folder, monkeypatch):
+    monkeypatch.setattr("counterspin.application.guard.FILE_BYTES", 1000)
+    assert bring(page, "new/a.csv", (b"x" * 100 for _ in range(20))).status_code == 413
+    assert list((folder / "new").iterdir()) == []
