@@ -1,7 +1,8 @@
 """A table of readings, in place of many ``[[runs]]``: each of its rows becomes such a run.
 
 - `ReadingsSettings`: what may stand in ``[readings]``
-- `read_table`: the rows as runs, with where each stands in the file
+- `read_table`: the rows as runs, with where each stands in the file; `runs_of`: those of a table
+  that is in memory
 - `load_table`, `ReadingsTable`, `is_empty`: the table as it stands, and how its columns make runs
 """
 
@@ -9,7 +10,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
@@ -102,16 +103,45 @@ def read_table(
         return
     if settings.decimal == ",":
         frame = _with_points(frame)
+    yield from runs_of(
+        settings, frame.columns, frame.iter_rows(named=True), accelerometers, problems, places
+    )
+
+
+def runs_of(
+    settings: ReadingsSettings,
+    names: Sequence[str],
+    rows: Iterable[Mapping[str, Any]],
+    accelerometers: Mapping[str, Output | None],
+    problems: Problems,
+    places: Sequence[str] | None = None,
+) -> Iterator[tuple[dict[str, Any], KeyPath]]:
+    """Yield the rows of a table as runs, with where each stands.
+
+    Parameters
+    ----------
+    settings
+        The section.
+    names
+        Of the table's columns.
+    rows
+        Each with a cell for every column.
+    accelerometers, problems
+        As of `read_table`.
+    places
+        Where the rows stand; None: they are counted.
+    """
     before = len(problems.lines)
     table = ReadingsTable(settings, accelerometers, problems)
-    table.check(frame.columns)
+    table.check(names)
     if len(problems.lines) > before:
         return
-    for index, row in enumerate(frame.iter_rows(named=True)):
+    for index, row in enumerate(rows):
         # Rows without anything in them stand below many a table.
         if all(is_empty(cell) for cell in row.values()):
             continue
-        path: KeyPath = ("readings", f"{settings.file} {places[index]}")
+        place = f"row {index + 1}" if places is None else places[index]
+        path: KeyPath = ("readings", f"{settings.file} {place}")
         before = len(problems.lines)
         if any(isinstance(cell, str) and len(cell) > _LONGEST for cell in row.values()):
             problems.add(path, f"a cell has more than {_LONGEST} characters")

@@ -1,6 +1,7 @@
 """Records in memory: columns that a program holds, read like those of a file.
 
 - `memory_table`: a frame of any library, or a mapping of arrays -> `MemoryTable`
+- `columns_of`: the names and values of its columns, whatever they hold
 - `MemoryTable`: its columns, copied, and their checksum
 - `MemoryFile`: the same as the reader of records takes it
 """
@@ -119,7 +120,7 @@ def memory_table(name: str, frame: Any) -> MemoryTable:
     """
     columns: dict[str, np.ndarray] = {}
     others = []
-    for key, values in _columns_of(name, frame):
+    for key, values in columns_of(name, frame):
         numbers = _numbers(values)
         if numbers is None:
             others.append(key)
@@ -139,7 +140,7 @@ def memory_table(name: str, frame: Any) -> MemoryTable:
     return MemoryTable(name, columns, tuple(others))
 
 
-def _columns_of(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
+def columns_of(name: str, frame: Any) -> Iterator[tuple[str, Any]]:
     """Yield the names and values of a frame's columns."""
     if isinstance(frame, Mapping):
         yield from ((str(key), values) for key, values in frame.items())

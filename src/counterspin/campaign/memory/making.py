@@ -18,6 +18,8 @@ from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.memory.source import Source, keep
+from counterspin.campaign.readings import Output
+from counterspin.campaign.readings_table import ReadingsSettings, runs_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
@@ -27,7 +29,10 @@ from counterspin.campaign.toml_file import (
     unusable,
 )
 from counterspin.errors import CampaignError
-from counterspin.records.memory import MemoryTable, memory_table
+from counterspin.records.memory import MemoryTable, columns_of, memory_table
+
+#: What messages call a table of readings without a file.
+_IN_MEMORY: Final = "readings in memory"
 
 #: Endings of the files that records in memory are written to.
 WRITABLE: Final = (".csv", ".parquet")
@@ -37,6 +42,7 @@ def make_campaign(
     description: Mapping[str, Any] | Path | str,
     records: Mapping[str, Any] | None = None,
     *,
+    readings: Any = None,
     folder: Path | str | None = None,
 ) -> Campaign:
     """Make a campaign from a description and records, without files where there are none.
@@ -50,6 +56,9 @@ def make_campaign(
     records
         Run's name -> its record: a frame of polars or pandas, a mapping of arrays, a structured
         array, or a file. Numbers are copied.
+    readings
+        The table of ``[readings]`` as a frame, in the place of its ``file``; each of its rows
+        becomes a run, as which `Campaign.write` writes it.
     folder
         Where the files are that the description names; None: the current one, or the file's.
 
@@ -68,6 +77,10 @@ def make_campaign(
     source, where = _source(description, folder)
     document = dict(source.document)
     problems = Problems(document)
+    if readings is not None:
+        _take_readings(document, readings, problems)
+        if problems.lines:
+            raise CampaignError(source.label, problems.lines)
     if records is None:
         _name_records(document)
     tables = give_records(document, records or {}, where, problems)
@@ -125,6 +138,42 @@ def resolved_in_memory(
 def _table(source: Source, key: str) -> Mapping[str, Any]:
     value = source.document.get(key)
     return value if isinstance(value, Mapping) else {}
+
+
+def _take_readings(document: dict[str, Any], frame: Any, problems: Problems) -> None:
+    """Put the rows of a frame among a document's runs, by what its section of readings says."""
+    raw = document.pop("readings", None)
+    if not isinstance(raw, Mapping) or "file" in raw:
+        said = "names a file; leave it out" if isinstance(raw, Mapping) else "is missing"
+        problems.add(
+            ("readings",),
+            f"{said}: the table is given as a frame, and `columns` say which column is what",
+        )
+        return
+    settings = problems.check(ReadingsSettings, {**raw, "file": _IN_MEMORY}, ("readings",))
+    columns = {
+        name: values.to_list() if hasattr(values, "to_list") else list(values)
+        for name, values in columns_of(_IN_MEMORY, frame)
+    }
+    if settings is None:
+        return
+    if len({len(values) for values in columns.values()}) != 1:
+        problems.add(("readings",), "the columns of the frame differ in length, or there are none")
+        return
+    accelerometers = document.get("accelerometers")
+    tables = accelerometers if isinstance(accelerometers, Mapping) else {}
+    rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    outputs = {name: _output(table) for name, table in tables.items()}
+    made = [run for run, _ in runs_of(settings, list(columns), rows, outputs, problems)]
+    runs = document.get("runs")
+    document["runs"] = [*(runs if isinstance(runs, list) else []), *made]
+
+
+def _output(table: Any) -> Output | None:
+    """Return what an accelerometer's readings are in, as far as its unit tells."""
+    output = table.get("output") if isinstance(table, Mapping) else None
+    unit = output.get("unit") if isinstance(output, Mapping) else None
+    return Output(unit, 1.0) if isinstance(unit, str) else None
 
 
 def _name_records(document: dict[str, Any]) -> None:
