@@ -31,6 +31,7 @@ import signing_keys
 from campaigns import SMALL
 from cryptography.hazmat.primitives.asymmetric import ec
 from lxml import etree
+from nptdms import ChannelObject, TdmsWriter
 
 import certificates
 from counterspin.calibration.findings import judge_result
@@ -45,6 +46,8 @@ from counterspin.certificates.signature import read_signer, sign
 from counterspin.cli import main
 from counterspin.correction.apply import apply
 from counterspin.errors import RecordError
+from counterspin.exports.guessing import guess_file
+from counterspin.exports.looking import look
 from counterspin.histories.history import history
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.readings.stations import read_reading_plan
@@ -411,6 +414,33 @@ def record_csv(place: Path) -> Format:
     return Format(".csv", lambda rng: mutate_table(rng, rows), read_record)
 
 
+def record_export(place: Path) -> Format:
+    """Return a record as a recorder exports it: lines before the names, commas in numbers."""
+    rows = [line.split(",") for line in record_files.lines(record_files.table(n=330))]
+    commas = bytes.maketrans(b",.", b";,")
+
+    def make(rng: Random) -> bytes:
+        about = rng.choice(("", "Messung\tä\n", "a;1\n\n", "s;rad;m\n")).encode("latin-1")
+        content = about + mutate_table(rng, rows).translate(commas)
+        return mutate_bytes(rng, content) if rng.random() < 0.3 else content
+
+    def use(path: Path) -> None:
+        guess_file(look(path))
+        read_record(path)
+
+    return Format(".csv", make, use)
+
+
+def record_tdms(place: Path) -> Format:
+    """Return a record as LabVIEW writes it."""
+    channels = [ChannelObject("Run", n, v) for n, v in record_files.table(n=330).items()]
+    file = io.BytesIO()
+    with TdmsWriter(file) as writer:
+        writer.write_segment(channels)
+    whole = file.getvalue()
+    return Format(".tdms", lambda rng: mutate_bytes(rng, whole, (0, 400)), read_record)
+
+
 def read_record(path: Path) -> None:
     """Read a record as a calibration does, and as a table."""
     failed = None
@@ -505,9 +535,11 @@ FORMATS: dict[str, Entry] = {
     "certificate-signed": Entry(signed_certificate, 0.2),
     "readings-csv": Entry(readings_csv),
     "record-csv": Entry(record_csv, 0.6),
+    "record-export": Entry(record_export, 0.4),
     "certificate-pdf": Entry(certificate_pdf, 0.5, native=True),
     "readings-parquet": Entry(readings_parquet, native=True),
     "readings-excel": Entry(readings_excel, native=True),
+    "record-tdms": Entry(record_tdms, native=True),
     "record-parquet": Entry(_native(".parquet", native.parquet), 3.0, native=True),
     "record-mat5": Entry(_native(".mat", native.mat5), native=True),
     "record-mat73": Entry(_native(".mat", native.mat73), native=True),

@@ -63,6 +63,22 @@ def test_a_run_may_be_left_out(tmp_path):
     assert problems(tmp_path, *everything) == ("runs: are all left out by skip = true",)
 
 
+def test_one_file_may_have_several_runs_one_after_the_other(tmp_path):
+    def parts(first, second):
+        return [
+            ('record = "slow.csv"', f'record = "all.csv"\n{first}'),
+            ('record = "middle.csv"', f'record = "all.csv"\n{second}'),
+        ]
+
+    read = campaign(tmp_path, *parts('stop = "40 s"', 'start = "40 s"'))
+    assert [run.part for run in read.runs[:2]] == [(-math.inf, 40.0), (40.0, math.inf)]
+    for second in ('start = "39 s"', "", 'start = "x"'):
+        told = problems(tmp_path, *parts('stop = "40 s"', second))
+        assert any("is used by runs[0] already" in line or "start" in line for line in told)
+    with pytest.raises(CampaignError, match="a simulated record is of one run"):
+        simulate(read, tmp_path / "out")
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
@@ -286,6 +287,8 @@ def _odd_ends(observed: Sequence[ObservedRun]) -> list[Finding]:
     findings = []
     for run in observed:
         name, stated = run.run.name, run.run.duration
+        if any(map(math.isfinite, run.run.part)):
+            stated = None  # it is cut on purpose
         lasts = float(run.record.time[-1] - run.record.time[0])
         if stated is not None and lasts < COMPLETE_PART * stated:
             text = (

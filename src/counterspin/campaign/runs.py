@@ -24,6 +24,7 @@ from counterspin.campaign.settings import (
     RecordsSettings,
     RunSettings,
     TimeChannel,
+    exact,
 )
 from counterspin.campaign.truth import resolve_run_truth
 from counterspin.errors import CampaignError
@@ -132,7 +133,8 @@ def resolve_runs(
         if isinstance(raw, dict):
             _once(raw.get("name"), names, (*path, "name"), problems)
             for key, file in _files(raw):
-                _once(file, records, (*path, key), problems)
+                if not _is_elsewhere(raw, file, runs):
+                    _once(file, records, (*path, key), problems)
         if is_reading(raw):
             continue
         settings = problems.check(RunSettings, raw, path)
@@ -173,6 +175,29 @@ def _check_files(settings: RunSettings, path: KeyPath, problems: Problems) -> No
         if Path(name).suffix.lower() != ending:
             words = f"must end in {ending}, as the record does"
             problems.add((*path, "continued_in", place), words)
+
+
+def _is_elsewhere(raw: Mapping[str, Any], file: Any, runs: Sequence[tuple[int, Any]]) -> bool:
+    """Return whether a run uses another part of a file than every other run that names it."""
+    if "start" not in raw and "stop" not in raw:
+        return False
+    begin, end = _stated_part(raw)
+    others = [
+        _stated_part(other)
+        for _, other in runs
+        if other is not raw and isinstance(other, dict) and other.get("record") == file
+    ]
+    return all(end <= start or stop <= begin for start, stop in others)
+
+
+def _stated_part(raw: Mapping[str, Any]) -> tuple[float, float]:
+    """Return the part of its record that a run states; all of it if it states none that is one."""
+    try:
+        start = exact(raw["start"], "s") if "start" in raw else -math.inf
+        stop = exact(raw["stop"], "s") if "stop" in raw else math.inf
+    except ValueError:
+        return -math.inf, math.inf
+    return start, stop
 
 
 def _once(value: Any, seen: dict[str, int], path: KeyPath, problems: Problems) -> None:
@@ -247,7 +272,10 @@ def refuse_unwritable(campaign: Campaign) -> None:
             problems.append(f"{key}: is missing, to simulate records")
     if campaign.time.kind == "rows" and campaign.runs:
         problems.append("records.time: simulated records have a column of the time")
+    records = [run.record for run in campaign.runs]
     for run in campaign.runs:
+        if records.count(run.record) > 1:
+            problems.append(f'run "{run.name}": a simulated record is of one run')
         if len(run.files) > 1:
             problems.append(f'run "{run.name}": a simulated record is one file')
         if run.recording is not None:

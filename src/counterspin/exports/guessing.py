@@ -122,6 +122,7 @@ class FileGuess:
     unused: tuple[str, ...]
 
 
+@np.errstate(all="ignore")  # no number of a file is too odd to be looked at
 def guess_file(look: Look) -> FileGuess:
     """Return which column of a file is what; see the module."""
     time_column = _time_column(look)

@@ -18,6 +18,7 @@ from counterspin.records.column_file import ColumnFile
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.formats import open_columns
 from counterspin.records.isolation import isolated
+from counterspin.records.reading import LARGEST_VALUE
 
 #: Rows that are looked at, at most, and columns.
 _ROWS: Final = 2_000_000
@@ -111,6 +112,8 @@ def _column(file: ColumnFile, name: str) -> FileColumn | None:
             values = file.whole([name])[name][:_ROWS]
         except RecordError:
             continue
-        if np.isfinite(values).any():
-            return FileColumn(name, file.units.get(name, ""), np.array(values, dtype=float), stamps)
+        numbers = np.array(values, dtype=float)
+        numbers[~(np.abs(numbers) < LARGEST_VALUE)] = np.nan  # what no instrument measures
+        if np.isfinite(numbers).any():
+            return FileColumn(name, file.units.get(name, ""), numbers, stamps)
     return None

@@ -33,6 +33,29 @@ def recorded(tmp_path):
     return tmp_path / "a"
 
 
+def test_all_files_of_a_run_are_copied_and_joined(recorded, tmp_path):
+    """Those in which its record goes on, that of its pulses, and a record of two runs."""
+    angle = 'angle = { column = "angle_rad", unit = "rad" }'
+    more = 'continued_in = ["slow-2.csv"]\npulses = "index.csv"\nstop = "9 s"'
+    again = '[[runs]]\nname = "end"\nrate = "0.25 rev/s"\nrecord = "slow.csv"\nstart = "9 s"\n'
+    text = campaigns.changed(
+        campaigns.SMALL,
+        (angle, 'angle = { column = "i", unit = "s", pulses = true }'),
+        ('name = "slow"', f'name = "slow"\n{more}'),
+        ("[simulation]", f"{again}\n[simulation]"),
+    )
+    (recorded / "campaign.toml").write_text(text)
+    for name in ("slow-2.csv", "index.csv"):
+        (recorded / name).write_text(name)
+    campaign = read_campaign(recorded)
+    campaign.write(tmp_path / "b")
+    names = {path.name for path in (tmp_path / "b").iterdir()}
+    assert names == {path.name for path in recorded.iterdir()}
+    other = read_campaign(tmp_path / "b")
+    joined = campaign.join(other)
+    assert joined.runs[4].files == other.runs[0].files
+
+
 def test_a_folder_is_copied_as_it_is(recorded, tmp_path):
     campaign = read_campaign(recorded)
     campaign.write(tmp_path / "b")

@@ -65,6 +65,8 @@ def _placed(
     file = campaign.folder / run["record"]
     inside = file.is_relative_to(campaign.folder) and ".." not in file.parts
     name = run["record"] if inside else file.name
+    if inside and targets.get(folder / name) == file:
+        return run  # of another part of the same record
     taken = [target.relative_to(folder).as_posix() for target in targets]
     if name.lower() in map(str.lower, taken):
         name = record_name(run["name"], file.suffix, taken)
