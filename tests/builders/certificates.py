@@ -67,10 +67,10 @@ def lab_of(folder, result, text=LAB):
     return read_lab(write_lab(folder, text), result)[0]
 
 
-def document(folder, result, *, text=LAB, verdicts=None, issue=ISSUE, report=b"%PDF-1.7"):
+def document(folder, result, *, text=LAB, verdicts=None, issue=ISSUE, pages=b"%PDF-1.7"):
     """Return a certificate as bytes."""
     lab = lab_of(folder, result, text)
-    return to_bytes(certificate(result, lab, issue, verdicts or {}, report))
+    return to_bytes(certificate(result, lab, issue, verdicts or {}, pages))
 
 
 def find(document_bytes, path):

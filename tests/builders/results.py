@@ -1,6 +1,7 @@
 """Results made by hand for the tests of reports: every part filled, numbers easy to follow."""
 
 from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Correlation
 
 CONFORMITY = {
     "specification": "abs <= 5e-5 g/g^2",
@@ -112,3 +113,10 @@ def result(**changes):
             "provenance": {"version": "9.9", "inputs": {"campaign.toml": "sha256:abc"}},
         }
     )
+
+
+def two_accelerometers(given, terms, matrix):
+    """Return a result whose Qy has the numbers of its Qx, with correlations across both."""
+    both = dict.fromkeys(("Qx", "Qy"), given.accelerometers["Qx"])
+    correlation = Correlation(terms=terms, matrix=matrix)
+    return given.model_copy(update={"accelerometers": both, "correlation": correlation})

@@ -4,9 +4,9 @@ from base64 import b64decode
 
 import numpy as np
 import pytest
-from results import coefficient, result
+from results import coefficient, result, two_accelerometers
 
-from certificates import ISSUE, document, find
+from certificates import ISSUE, LAB, document, find
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Conformity
 from counterspin.certificates.administrative import Issue
@@ -100,7 +100,7 @@ def test_a_coefficient_in_si_by_hand(tmp_path):
     # u is 1.02e-10 s^2/m: its second digit is that of 1e-11.
     assert find(made, f"{real}/si:significantDigit")[0].text == "-11"
     said = find(made, f"{QUANTITY}[dcc:name/dcc:content='K_II']/dcc:description/dcc:content")[0]
-    assert "(2.70000 ± 0.00020) x 1e-5 g/g^2 (U, k = 2.0086)" in said.text
+    assert "27.0000 ± 0.0020 ug/g^2 (U, k = 2.0086)" in said.text
     gravity = find(made, "//dcc:statement/dcc:nonSIDefinition")[0].text
     assert gravity == "1 g = 9.8 m/s^2, the local gravity of the site"
 
@@ -170,10 +170,11 @@ def test_what_is_not_determined_is_left_out_and_said(tmp_path):
     )
     made = document(tmp_path, given)
     assert [e.text for e in find(made, f"{QUANTITY}/dcc:name/dcc:content")] == ["K_II"]
-    said = [e.text for e in find(made, "//dcc:statement/dcc:declaration/dcc:content")]
+    statements = find(made, "//dcc:statement/dcc:declaration/dcc:content")
+    said = [line for e in statements for line in e.text.splitlines()]
     assert "K_III of Qx: not determined by the records; no value is certified." in said
     (known,) = [line for line in said if line.startswith("K_I of Qx")]
-    assert "its prior, 1.0020000 ± 0.0000050 g/g (k = 1), was used" in known
+    assert "its prior, 1.0020000 ± 0.0000098 g/g (U, k = 1.96), was used" in known
     assert not find(made, "//si:realListXMLList")  # one coefficient has no covariance
 
 
@@ -189,8 +190,10 @@ def test_what_the_result_rests_on_is_stated(tmp_path):
     )
     assert statement.get("refId") == "item-1"
     path = "dcc:declaration/dcc:content"
-    apart, zero = (e.text for e in statement.xpath(path, namespaces=NAMESPACES))
-    assert apart.endswith("determined: K_II + K_OO = 27.0000 ± 0.0010 ug/g^2.")
+    (content,) = statement.xpath(path, namespaces=NAMESPACES)
+    apart, zero = content.text.splitlines()
+    # ± precedes U alone.
+    assert apart.endswith("determined: K_II + K_OO = 27.0000, u = 0.0010 ug/g^2.")
     # Half an arcsec is 2.424e-6 rad.
     assert zero.endswith("move K_II by 0.15 ug/g^2 (platform.tilt.north, 0.5 arcsec).")
 
@@ -214,8 +217,9 @@ def test_administrative_data_are_those_of_the_laboratory(tmp_path):
     assert find(made, f"{core}/dcc:countryCodeISO3166_1")[0].text == "DE"
     assert find(made, f"{core}/dcc:endPerformanceDate")[0].text == "2026-01-14"
     assert find(made, f"{core}/dcc:issueDate")[0].text == "2026-01-20"
-    content = find(made, "//dcc:item[@id='item']/dcc:name/dcc:content")[0]
-    assert (content.text, content.get("lang")) == ("Plattform", "de")
+    content = find(made, "//dcc:items/dcc:item/dcc:name/dcc:content")[0]
+    # In one of two languages: by PTB's rules it then states none.
+    assert (content.text, content.get("lang")) == ("Plattform", None)
     serial = "//dcc:subItems//dcc:identification[@refType='basic_serialNumber']/dcc:value"
     assert find(made, serial)[0].text == "Q-104"  # as the result has it
     signs = [e.text for e in find(made, "//dcc:respPerson/dcc:mainSigner")]
@@ -251,7 +255,7 @@ persons = [{ name = "P", role = "R" }]
 
 def test_result_and_report_are_attached(tmp_path):
     given = result()
-    made = document(tmp_path, given, report=b"%PDF-1.7 for people")
+    made = document(tmp_path, given, pages=b"%PDF-1.7 for people")
     (data,) = find(made, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
     (tmp_path / "r.json").write_bytes(b64decode(data.text))
     assert Result.read(tmp_path / "r.json") == given
@@ -263,7 +267,8 @@ def test_warnings_are_not_hidden_and_no_character_breaks_the_document(tmp_path):
     given = result(warnings=["Qx: does not fit\x00 & more"])
     given = given.model_copy(update={"warnings": ["of the campaign"]})
     made = document(tmp_path, given)
-    assert [e.text for e in find(made, "/*/dcc:comment/dcc:content")] == [
+    (comment,) = find(made, "/*/dcc:comment/dcc:content")
+    assert comment.text.splitlines() == [
         "Warning: of the campaign",
         "Warning: Qx: does not fit\ufffd & more",
     ]
@@ -298,9 +303,76 @@ def test_verdicts_in_the_words_of_the_schema(tmp_path, rule, verdict, high, word
     (statement,) = find(made, "//dcc:statement[dcc:norm='JCGM 106:2012']")
     assert find(made, f"//dcc:quantity[@id='{statement.get('refId')}']/dcc:name/dcc:content")
     lines = " ".join(statement.itertext())
-    assert f"K_II of Qx, specified as <= {high} g/g^2: {verdict}" in lines
+    said = {"conditionalPass": "conditional pass", "conditionalFail": "conditional fail"}
+    words = [said.get(w, w) for w in word] or [verdict]
+    assert f"K_II of Qx, specified as <= {high} g/g^2: {words[0]}." in lines
+    assert "Probability to conform 90.0 %" in lines
     assert ("guard band 2e-9 g/g^2" in lines) == (rule == "guarded")
     assert ("probability needed 0.95" in lines) == (rule == "probability")
+
+
+MORE = """
+procedure = "AP-17, edition 3"
+deviations = ["Two rates in place of three."]
+customer_data = ["K_I, from the maker's data sheet"]
+"""
+
+
+def test_what_the_procedure_is_and_what_the_customer_supplied(tmp_path):
+    text = LAB.replace('language = "de"', MORE).replace('"0815"', '"0815"\nstate = "as received"')
+    made = document(tmp_path, result(), text=text)
+    method = "//dcc:measurementResult[1]/dcc:usedMethods/dcc:usedMethod[1]"
+    assert [e.text for e in find(made, f"{method}/dcc:reference")] == ["AP-17, edition 3"]
+    assert not find(made, f"{method}/dcc:norm")  # IEEE Std 1293 is departed from
+    (described,) = find(made, f"{method}/dcc:description/dcc:content")
+    assert described.text.startswith("Based on IEEE Std 1293,")
+    assert described.text.endswith("Deviation: Two rates in place of three.")
+    (state,) = find(made, "//dcc:influenceCondition[dcc:status='beforeAdjustment']/dcc:data")
+    assert "".join(state.itertext()).strip() == "The item was calibrated as received."
+    (known, supplied) = (
+        find(made, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content")
+        for name in ("What was known beforehand", "Data supplied by the customer")
+    )
+    assert known[0].text == (
+        "Known beforehand, for Qx: K_I (u = 5.0e-6 g/g), supplied by the customer."
+    )
+    assert "the laboratory does not answer for them" in supplied[0].text
+
+
+def test_no_uncertainty_is_below_the_laboratory_s_capability(tmp_path):
+    # K_II: U = 2.0086 nano-g/g^2 as evaluated; K_F: 1.96 ug.
+    made = document(tmp_path, result(), text=LAB + '[cmc]\nK_II = "4 ng/g^2"\nK_F = "1 ug"\n')
+    found = read_certificate(made, "x.xml").accelerometers["Qx"]
+    k_ii, k_f = found.coefficients["K_II"], found.coefficients["K_F"]
+    assert coverage_factor(50.0) * k_ii.u == pytest.approx(4e-9, rel=1e-14)
+    assert k_ii.dof == 50.0
+    assert k_f.u == pytest.approx(1e-6, rel=1e-14)
+    # What was added is independent of K_F: the covariance stays.
+    assert found.covariance[0, 1] == pytest.approx(0.25 * 1e-6 * 1e-9, rel=1e-14)
+    said = find(made, "//dcc:statement[dcc:norm='ILAC-P14:09/2020']/dcc:declaration/dcc:content")
+    assert said[0].text.startswith("K_II of Qx: evaluated was U = 0.0020 ug/g^2; stated is")
+    assert "K_F" not in said[0].text
+    # The attached result is as it was calibrated.
+    (data,) = find(made, "//dcc:measurementMetaData//dcc:byteData/dcc:dataBase64")
+    attached = Result.model_validate_json(b64decode(data.text))
+    assert attached.accelerometers["Qx"].coefficients["K_II"].u == 1e-9
+
+
+def test_accelerometers_that_share_g_and_radius_are_correlated(tmp_path):
+    terms = ["Qx.K_F", "platform.drift.north", "Qy.K_F", "Qy.K_II"]
+    matrix = np.eye(4)
+    matrix[0, 2] = matrix[2, 0] = 0.75
+    made = document(tmp_path, two_accelerometers(result(), terms, matrix.tolist()))
+    (together,) = find(
+        made, "//dcc:measurementResult[dcc:name/dcc:content='All accelerometers together']"
+    )
+    labels = together.xpath(".//si:labelXMLList", namespaces=NAMESPACES)[0].text.split()
+    assert labels == ["Qx.K_F", "Qy.K_F", "Qy.K_II"]
+    values = together.xpath(".//si:covarianceXMLList/si:valueXMLList", namespaces=NAMESPACES)
+    found = np.array([float(value.text) for value in values]).reshape(3, 3)
+    assert found[0, 1] == pytest.approx(0.75 * (9.8 * 1e-6) ** 2, rel=1e-14)
+    assert found[0, 2] == 0.0
+    assert list(read_certificate(made, "x.xml").accelerometers) == ["Qx", "Qy"]
 
 
 def test_what_is_no_certificate_is_refused():

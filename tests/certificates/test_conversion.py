@@ -64,7 +64,10 @@ def test_covariance_follows(records):
     qx, estimates = found.accelerometers["Qx"], in_si(found, "Qx")
     symbols = list(estimates)
     matrix = np.array(
-        [[covariance(qx, estimates, one, other) for other in symbols] for one in symbols]
+        [
+            [covariance(qx.correlation, estimates, one, other) for other in symbols]
+            for one in symbols
+        ]
     )
     assert np.array_equal(matrix, matrix.T)
     assert np.linalg.eigvalsh(matrix / np.outer(*2 * [np.sqrt(np.diag(matrix))])).min() > 0.0
@@ -73,7 +76,7 @@ def test_covariance_follows(records):
     exact = found.model_copy(update={"inputs": found.inputs.model_copy(update={"u_gravity": 0.0})})
     plain = in_si(exact, "Qx")
     i, j = (qx.correlation.terms.index(s) for s in ("K_F", "K_II"))
-    together = covariance(qx, plain, "K_F", "K_II")
+    together = covariance(qx.correlation, plain, "K_F", "K_II")
     assert together == qx.correlation.matrix[max(i, j)][min(i, j)] * (
         plain["K_F"].u * plain["K_II"].u
     )

@@ -57,7 +57,7 @@ def test_the_pdf_holds_the_xml_byte_for_byte(desk, capsys):
     text = "\n".join(page.extract_text() for page in read.pages)
     for words in ("Calibration certificate", "Kalibrierlabor", "0815", "Rückgeführt auf das SI."):
         assert words in text
-    assert "(2.70000 ± 0.00020) × 10⁻⁵ g/g²" in " ".join(text.split())
+    assert "27.0000 ± 0.0020 µg/g²" in " ".join(text.split())
 
 
 def test_the_laboratory_s_specification_goes_before_the_campaign_s(desk, capsys):
@@ -80,7 +80,7 @@ def test_a_signed_certificate_is_verified_and_says_that_it_is_signed(desk, capsy
     assert find(made, "//dcc:cryptElectronicSignature")[0].text == "true"
     status, out, _ = command(capsys, "--verify", "c.xml", "--cert", cert)
     assert status == 0
-    assert "(2.70000 ± 0.00020) x 1e-5 g/g^2" in out
+    assert "27.0000 ± 0.0020 ug/g^2" in out
     assert out.endswith("The signature is valid.\n")
     (desk / "d.xml").write_bytes(made.replace(b">9.8<", b">9.9<", 1))
     status, out, err = command(capsys, "--verify", "d.xml", "--cert", cert)
@@ -99,7 +99,7 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
     assert command(capsys, "r.json", "LAB.toml", "-o", "c.pdf", *signing)[0] == 0
     status, out, _ = command(capsys, "--verify", "c.pdf", "--cert", cert)
     assert status == 0
-    assert "(2.70000 ± 0.00020) x 1e-5 g/g^2" in out
+    assert "27.0000 ± 0.0020 ug/g^2" in out
     assert "The signature is valid.\nThis is of the XML that is attached to the PDF" in out
     # What is attached counts, whatever the pages show.
     writer = pypdf.PdfWriter(clone_from="c.pdf")
@@ -131,11 +131,22 @@ def test_a_day_of_issue_before_the_end_is_told(desk, capsys, monkeypatch):
     assert "The day of issue, 2023-11-14, lies before certificate.end, 2026-01-14." in out
 
 
-def test_the_example_certifies_and_is_told_to_be_one(desk, capsys):
+def test_the_example_gives_a_draft_that_nobody_signs(desk, capsys):
     assert command(capsys, "--init", "mine.toml")[0] == 0
-    status, out, _ = command(capsys, "r.json", "mine.toml", "-o", "c.xml")
+    status, out, _ = command(capsys, "r.json", "mine.toml", "-o", "c.pdf")
     assert status == 0
-    assert "Still the example's: certificate.traceability, laboratory.name" in out
+    assert "It is a draft. Still the example's: certificate.traceability, laboratory.name" in out
+    pages = [page.extract_text() for page in pypdf.PdfReader(desk / "c.pdf").pages]
+    assert all(page.startswith("DRAFT, not a calibration certificate DRAFT-CS-") for page in pages)
+    made = certificate(desk / "r.json", desk / "mine.toml").xml
+    assert find(made, "//dcc:uniqueIdentifier")[0].text.startswith("DRAFT-CS-")
+    draft = find(made, "//dcc:statement[dcc:name/dcc:content='Draft']/dcc:declaration/dcc:content")
+    assert draft[0].text.startswith("DRAFT. ")
+    key, cert = map(str, write_pair(desk / "k", ec.generate_private_key(ec.SECP256R1())))
+    signing = ("--key", key, "--cert", cert)
+    status, _, err = command(capsys, "r.json", "mine.toml", "-o", "d.xml", *signing)
+    assert status == 2
+    assert "it still has text of the example, and nobody signs with that" in err
 
 
 CONTRADICTED = {"rms": 0.08, "unit": "m", "dof": 100.0, "chi2": 6400.0, "lack_of_fit_p": 0.0}
@@ -155,7 +166,25 @@ def test_a_contradicted_result_is_certified_for_a_reason_only(desk, capsys):
     comment = find((desk / "c.xml").read_bytes(), "/*/dcc:comment")[0]
     assert "The misfit was accepted: known play of the arm" in "".join(comment.itertext())
     text = "".join(page.extract_text() for page in pypdf.PdfReader(desk / "c.pdf").pages)
-    assert " ".join(text.split()).count("The misfit was accepted: known play of the arm") == 2
+    assert " ".join(text.split()).count("The misfit was accepted: known play of the arm") == 1
+
+
+def test_a_reason_may_be_given_with_the_certificate(desk, capsys):
+    judge_result(result(residual=CONTRADICTED)).write(desk / "r.json", overwrite=True)
+    status, _, err = command(capsys, "r.json", "LAB.toml", "-o", "c.xml", "--despite", " ")
+    assert (status, "--despite: give the reason in words" in err) == (2, True)
+    why = ("--despite", "known play of the arm")
+    assert command(capsys, "r.json", "LAB.toml", "-o", "c.xml", *why)[0] == 0
+    made = (desk / "c.xml").read_bytes()
+    name = "Misfit of the result"
+    (said,) = find(
+        made, f"//dcc:statement[dcc:name/dcc:content='{name}']/dcc:declaration/dcc:content"
+    )
+    assert said.text.startswith("The result failed its own tests. Qx: The residuals are 8")
+    assert said.text.endswith("The misfit was accepted: known play of the arm")
+    judge_result(result()).write(desk / "r.json", overwrite=True)
+    status, _, err = command(capsys, "r.json", "LAB.toml", "-o", "d.xml", *why)
+    assert (status, "do not contradict this result" in err) == (2, True)
 
 
 @pytest.mark.parametrize(

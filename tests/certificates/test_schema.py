@@ -70,7 +70,7 @@ def test_a_certificate_with_as_little_as_possible_is_valid(tmp_path):
             "provenance": given.provenance.model_copy(update={"inputs": {}}),
         }
     )
-    check_schema(document(tmp_path, given, report=None), SCHEMA, "x.xml")
+    check_schema(document(tmp_path, given, pages=None), SCHEMA, "x.xml")
 
 
 @needs_schema

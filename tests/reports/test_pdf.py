@@ -282,7 +282,7 @@ def test_file_says_what_it_is(attached):
     found = reader(Paragraph("words"), attachments=attached)
     xmp = found.xmp_metadata
     assert xmp.pdfaid_part == "3"
-    assert xmp.pdfaid_conformance == "B"
+    assert xmp.pdfaid_conformance == "A"  # and so B too
     assert xmp.dc_title == {"x-default": "Campaign"}
     assert found.metadata.title == "Campaign"
     assert found.metadata.keywords == "CS-0123456789ab"

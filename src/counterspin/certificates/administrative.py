@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from counterspin._version import __version__
 from counterspin.calibration.result import Result
-from counterspin.certificates.elements import ENGLISH, Element, dcc, text
+from counterspin.certificates.elements import ENGLISH, Element, dcc, rich, text
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer, Person
 from counterspin.frozen import frozen
 
@@ -29,11 +29,14 @@ class Issue:
         Of issue, UTC.
     signed
         Whether an electronic signature follows.
+    draft
+        Whether the laboratory's data are not its own yet, so that nothing is certified.
     """
 
     identifier: str
     date: datetime.datetime
     signed: bool = False
+    draft: bool = False
 
     def file_name(self, ending: str) -> str:
         """Return a file name made of the identifier, in which a slash would name a folder."""
@@ -58,8 +61,15 @@ def administrative_data(
 
 def software(version: str) -> Element:
     """Return this program as ``dcc:software``."""
-    name = text("name", "counterspin")
-    return dcc("software", name, dcc("release", version), dcc("type", "application"))
+    number = re.match(r"\d{1,3}(\.\d{1,3}){0,3}", version)
+    release = f"v{number[0]}" if number else f"v{version}"
+    return dcc(
+        "software",
+        text("name", "counterspin"),
+        dcc("release", release),
+        dcc("type", "application"),
+        None if release == f"v{version}" else rich("description", f"Version {version}."),
+    )
 
 
 def _core_data(lab: Lab, issue: Issue) -> Element:

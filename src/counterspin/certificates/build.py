@@ -15,7 +15,8 @@ from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
 from counterspin.certificates import wording
 from counterspin.certificates.administrative import Issue, administrative_data
-from counterspin.certificates.elements import ENGLISH, Element, attached, dcc
+from counterspin.certificates.capability import capability_lines, with_capability
+from counterspin.certificates.elements import DCC, Element, attached, dcc, rich
 from counterspin.certificates.lab import Lab
 from counterspin.certificates.measurement import measurement_results
 from counterspin.certificates.statements import Verdicts, statements
@@ -25,7 +26,7 @@ SCHEMA_VERSION: Final = "3.3.0"
 
 
 def check_certifiable(result: Result, names: Sequence[str]) -> None:
-    """Raise RecordError if a result must not be certified."""
+    """Raise RecordError if a result must not be certified; it is judged already, or is here."""
     if result.model == "as-printed":
         raise RecordError(
             "this result was computed by the paper's equations as printed, whose K_II is half of "
@@ -42,7 +43,12 @@ def check_certifiable(result: Result, names: Sequence[str]) -> None:
 
 
 def certificate(
-    result: Result, lab: Lab, issue: Issue, verdicts: Verdicts, report: bytes | None
+    result: Result,
+    lab: Lab,
+    issue: Issue,
+    verdicts: Verdicts,
+    pages: bytes | None,
+    original: Result | None = None,
 ) -> Element:
     """Return the certificate's root element.
 
@@ -56,25 +62,31 @@ def certificate(
         Identifier and date.
     verdicts
         Conformity of the certified coefficients.
-    report
-        The report as PDF, or None.
+    pages
+        The same as PDF, or None.
+    original
+        The result as its file has it, if that is another.
     """
+    stated = with_capability(result, lab)
+    raised = capability_lines(result, stated, lab)
     root = dcc(
         "digitalCalibrationCertificate",
-        administrative_data(lab, result, issue, statements(lab, result, verdicts)),
-        measurement_results(lab, result),
+        administrative_data(lab, result, issue, statements(lab, stated, issue, verdicts, raised)),
+        measurement_results(lab, stated, original or result),
         _comment(lab, result),
         None
-        if report is None
+        if pages is None
         else attached(
             "document",
             issue.file_name(".pdf"),
             "application/pdf",
-            report,
+            pages,
             "The same for people to read.",
         ),
         schemaVersion=SCHEMA_VERSION,
     )
+    _drop_unlinked(root)
+    _drop_single_languages(root)
     etree.indent(root, " ")
     return root
 
@@ -97,4 +109,23 @@ def _comment(lab: Lab, result: Result) -> Element | None:
         ]
     if not lines:
         return None
-    return dcc("comment", *(dcc("content", f"Warning: {line}", lang=ENGLISH) for line in lines))
+    return rich("comment", *(f"Warning: {wording.plainly(line)}" for line in lines))
+
+
+def _drop_unlinked(root: Element) -> None:
+    """Take away each id that nothing refers to, as PTB's rules have it."""
+    named = {name for element in root.iter() for name in element.get("refId", "").split()}
+    for element in root.iter():
+        if element.get("id") not in {None, *named}:
+            del element.attrib["id"]
+
+
+def _drop_single_languages(root: Element) -> None:
+    """Where there are two languages, let text that exists in one of them alone state none.
+
+    PTB's rules ask for text in every language that is used, or for text without one.
+    """
+    used = len(list(root.iter(f"{{{DCC}}}usedLangCodeISO639_1")))
+    for content in root.iter(f"{{{DCC}}}content"):
+        if used > 1:
+            content.attrib.pop("lang", None)

@@ -12,7 +12,7 @@ from collections.abc import Mapping
 
 from counterspin.calibration.notebook.si_estimate import SiEstimate, si_estimate
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
+from counterspin.calibration.result_parts import Coefficient, Correlation
 from counterspin.certificates import wording
 
 
@@ -44,25 +44,24 @@ def with_exact_g(coefficients: Mapping[str, Coefficient], gravity: float) -> dic
 
 
 def covariance(
-    accelerometer: AccelerometerResult, estimates: Mapping[str, SiEstimate], one: str, other: str
+    correlation: Correlation, estimates: Mapping[str, SiEstimate], one: str, other: str
 ) -> float:
     """Return the covariance of two coefficients in SI units.
 
     Parameters
     ----------
-    accelerometer
-        Whose they are; its correlations are of the g-units.
+    correlation
+        Theirs in g-units.
     estimates
-        Of `in_si`.
+        Of `in_si`, by the names that they have there.
     one, other
-        Their symbols, both among the correlation's terms.
+        Their names.
     """
     first, second = estimates[one], estimates[other]
     if one == other:
         # The correlation is 1, but perhaps not in its last digit.
         return first.u * first.u
-    assert accelerometer.correlation is not None
-    terms, matrix = accelerometer.correlation.terms, accelerometer.correlation.matrix
+    terms, matrix = correlation.terms, correlation.matrix
     # The product must not depend on the order: the matrix is symmetric to the last digit.
     places = sorted((terms.index(one), terms.index(other)))
     u = [math.hypot(estimate.u_without_g, estimate.shift_kept) for estimate in (first, second)]

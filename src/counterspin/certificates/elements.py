@@ -72,8 +72,10 @@ def text(tag: str, words: str, language: str = ENGLISH, **attributes: str | None
 
 
 def rich(tag: str, *lines: str, language: str = ENGLISH) -> Element:
-    """Return an element with paragraphs."""
-    return dcc(tag, *(dcc("content", line, lang=language) for line in lines))
+    """Return an element with paragraphs, a line each: a language has one content."""
+    if not lines:
+        return dcc(tag)
+    return dcc(tag, dcc("content", "\n".join(map(clean, lines)), lang=language))
 
 
 def attached(tag: str, name: str, media_type: str, data: bytes, description: str) -> Element:

@@ -1,36 +1,65 @@
-"""The first pages of a certificate for people: administrative data and statements, then results.
+"""A certificate for people: who, what, how, the results, and what is to be said about them.
 
-- `front_blocks`: what stands before the report (ISO/IEC 17025 7.8.2.1)
+What is an opinion, such as whether a result is good, is left to the report (ISO/IEC 17025 7.8.7).
+
+- `front_blocks`: the pages (ISO/IEC 17025 7.8.2.1)
 - `results_table`: the coefficients with their expanded uncertainties
+- `TITLE`, `title`: what it is called
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
+from typing import Final
 
 from counterspin.calibration.notebook.si_estimate import SiEstimate
 from counterspin.calibration.pages.accelerometer import rests_on
-from counterspin.calibration.pages.motions import lines_of_tests, readings_of
-from counterspin.calibration.pages.verdict import misfit_blocks
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates import wording
 from counterspin.certificates.administrative import Issue
+from counterspin.certificates.capability import capability_lines, with_capability
 from counterspin.certificates.conversion import in_si
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import factor
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
 from counterspin.certificates.statements import Verdicts
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
-from counterspin.reports.numbers import format_count, format_estimate
+from counterspin.reports.numbers import format_count, format_estimate, format_number
 from counterspin.reports.typography import typeset, typeset_block
 
-TITLE = "Calibration certificate"
+TITLE: Final = "Calibration certificate"
+
+#: Where somebody signs on paper.
+_LINE: Final = "\n_____________________________________"
+_ELECTRONIC: Final = "electronic, in the XML"
+
+
+def title(issue: Issue) -> str:
+    """Return what stands on top of every page."""
+    return f"DRAFT, not a {TITLE.lower()}" if issue.draft else TITLE
 
 
 def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> Iterator[Block]:
-    """Yield the certificate's own pages; the report of the result follows them."""
-    yield Heading(TITLE, 1)
+    """Yield the certificate's pages.
+
+    Parameters
+    ----------
+    lab
+        The laboratory's data.
+    result
+        What is certified, judged, as it was calibrated.
+    issue
+        Identifier and date.
+    verdicts
+        Conformity of the certified coefficients.
+    """
+    settings, names = lab.certificate, lab.certified(result)
+    stated = with_capability(result, lab)
+    yield Heading(title(issue), 1)
+    if issue.draft:
+        yield Paragraph(wording.DRAFT, "warning")
     yield Paragraph(
         f"{issue.identifier}. The Digital Calibration Certificate (DCC, XML) of this identifier "
         "holds the same numbers for machines.",
@@ -39,31 +68,55 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
     yield _two_columns(_administration(lab, issue))
     yield Heading("Calibrated item")
     yield _two_columns(_item(lab, result))
+    yield Heading("Method and conditions")
+    yield typeset_block(_two_columns(_circumstances(lab, result)))
+    for line in (wording.BASED_ON, *wording.deviation_lines(settings)):
+        yield Paragraph(typeset(line))
     yield Heading("Results")
-    yield from misfit_blocks(result)
-    if readings_of(result):
-        for line in lines_of_tests(result):
-            yield Paragraph(typeset(line))
-    for name in lab.certified(result):
-        coefficients = result.accelerometers[name].coefficients
-        yield typeset_block(results_table(name, coefficients, in_si(result, name)))
-        for line in wording.output_lines(result.accelerometers[name]):
-            yield Paragraph(typeset(line))
-        for line in wording.not_determined(name, result.accelerometers[name]):
-            yield Paragraph(typeset(line), "warning")
-        for line in rests_on(result.accelerometers[name]):
-            yield Paragraph(typeset(f"{name}: {line}"))
+    for line in wording.despite_lines(result, names):
+        yield Paragraph(typeset(line), "warning")
+    yield from _results(lab, result, stated)
     yield Heading("Statements")
     yield Paragraph(typeset(wording.uncertainty_statement()))
     yield Paragraph(typeset(wording.unit_statement(result.inputs.gravity)))
     yield Paragraph(lab.certificate.traceability)
     for name, by_symbol in verdicts.items():
         for symbol, judged in by_symbol.items():
-            said = f"{wording.verdict(symbol, name, judged)} {wording.decision_rule(judged)}"
+            coefficient = stated.accelerometers[name].coefficients.get(symbol)
+            word = wording.verdict(symbol, name, judged, coefficient)
+            said = f"{word} {wording.decision_rule(judged)}"
             yield Paragraph(said, "plain" if judged.verdict == "pass" else "warning")
     for remark in lab.certificate.remarks:
         yield Paragraph(remark)
     yield Paragraph(wording.scope_statement())
+
+
+def _results(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
+    """Yield the numbers, of `stated`, and what belongs to them."""
+    settings, names = lab.certificate, lab.certified(result)
+    for name in names:
+        accelerometer = stated.accelerometers[name]
+        yield typeset_block(results_table(name, accelerometer.coefficients, in_si(stated, name)))
+        for line in wording.output_lines(accelerometer):
+            yield Paragraph(typeset(line))
+        for line in wording.not_determined(name, accelerometer):
+            yield Paragraph(typeset(line), "warning")
+    yield Paragraph(
+        "The XML holds the covariances of these coefficients"
+        + (", also between accelerometers." if len(names) > 1 and stated.correlation else "."),
+        "quiet",
+    )
+    for line in capability_lines(result, stated, lab):
+        yield Paragraph(typeset(line))
+    for name in names:
+        for line in rests_on(result.accelerometers[name]):
+            yield Paragraph(typeset(wording.plainly(f"{name}: {line}")))
+        for line in wording.known_beforehand(name, result, settings):
+            yield Paragraph(typeset(line))
+        for line in result.accelerometers[name].warnings:
+            yield Paragraph(typeset(f"Warning: {wording.plainly(line)}"), "warning")
+    for line in wording.customer_lines(settings):
+        yield Paragraph(line)
 
 
 def _administration(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
@@ -78,11 +131,36 @@ def _administration(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
     yield "Calibrated", f"{' to '.join(days)}, place: {settings.place}"
     if lab.conditions.temperature is not None:
         temperature = lab.conditions.temperature
-        yield "Temperature", f"{format_estimate(temperature.value, temperature.u or None)} °C"
+        expanded = coverage_factor(None) * temperature.u
+        yield "Temperature", f"{format_estimate(temperature.value, expanded or None)} °C"
     yield "Issued", issue.date.date().isoformat()
     for place, person in enumerate(lab.persons):
         signs = ", signs" if place == 0 else ""
         yield "Responsible", f"{person.name}, {person.role}{signs}"
+    yield "Signature", _ELECTRONIC if issue.signed else _LINE
+
+
+def _circumstances(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
+    """Yield how, and where: what a reader needs to judge whether the result is for him."""
+    inputs = result.inputs
+    if lab.certificate.procedure is not None:
+        yield "Procedure", lab.certificate.procedure
+    yield "Method", wording.method_name(result)
+    yield "Test", "\n".join(wording.test_lines(result))
+    if result.runs:
+        rates = (f"{name}: {run.rate:.7g} rad/s" for name, run in result.runs.items())
+        yield "Rates", ", ".join(rates)
+    if inputs.radius:
+        yield "Radius", _with_expanded(inputs.radius, inputs.u_radius, "m")
+    yield "Local gravity", _with_expanded(inputs.gravity, inputs.u_gravity, "m/s^2")
+    latitude, u = math.degrees(inputs.latitude), math.degrees(inputs.u_latitude)
+    yield "Latitude", _with_expanded(latitude, u, "deg")
+
+
+def _with_expanded(value: float, u: float, unit: str) -> str:
+    if not u:
+        return f"{format_number(value, 9)} {unit}"
+    return f"{format_estimate(value, coverage_factor(None) * u, unit)} (U)"
 
 
 def _address(contact: Contact) -> str:
@@ -97,6 +175,8 @@ def _item(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
     yield "Item", item.name
     yield "Manufacturer, model", f"{item.manufacturer}, {item.model}"
     yield "Serial number", item.serial_number
+    if item.state is not None:
+        yield "State", f"calibrated {item.state}"
     if item.inventory_number is not None:
         yield "Inventory number", item.inventory_number
     for name in lab.certified(result):
@@ -129,7 +209,7 @@ def results_table(
         in_g, k_in_g = "-", "-"
         if (c := coefficients.get(symbol)) is not None and c.u is not None:
             k = coverage_factor(c.dof)
-            in_g, k_in_g = format_estimate(c.value, k * c.u, c.unit), factor(k)
+            in_g, k_in_g = wording.shown_in_g(c, k), factor(k)
         k = coverage_factor(estimate.dof)
         rows.append(
             (

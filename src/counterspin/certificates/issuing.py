@@ -15,15 +15,17 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from counterspin.calibration.conformity import with_conformity
-from counterspin.calibration.pages.full_report import document, identifier_of
+from counterspin.calibration.findings import judge_result
+from counterspin.calibration.pages.full_report import identifier_of
 from counterspin.calibration.pages.publishing import issue_date
 from counterspin.calibration.result import Result
 from counterspin.certificates.administrative import Issue
 from counterspin.certificates.attached import read_document
 from counterspin.certificates.build import certificate as dcc_document
 from counterspin.certificates.build import check_certifiable, to_bytes
+from counterspin.certificates.capability import with_capability
 from counterspin.certificates.conversion import with_exact_g
-from counterspin.certificates.front import TITLE, front_blocks, results_table
+from counterspin.certificates.front import TITLE, front_blocks, results_table, title
 from counterspin.certificates.lab import Lab, example_keys, read_lab
 from counterspin.certificates.reading import Certified, read_certificate
 from counterspin.certificates.schema import check_schema
@@ -37,6 +39,9 @@ from counterspin.reports.numbers import format_number
 
 #: Endings of the files that are written.
 FORMATS: Final = (".xml", ".pdf")
+
+#: Why a draft is not signed.
+_EXAMPLE: Final = "it still has text of the example, and nobody signs with that"
 
 
 @frozen(eq=False)
@@ -102,6 +107,7 @@ def certificate(
     schema: Path | None = None,
     key: Path | None = None,
     cert: Path | None = None,
+    despite: str | None = None,
 ) -> Certificate:
     """Make the certificate of a result; `Certificate.write` writes it.
 
@@ -115,11 +121,15 @@ def certificate(
         Folder or file of DCC's schema, against which the certificate is validated.
     key, cert
         Private key and its X.509 certificate, PEM: the certificate is signed.
+    despite
+        The reason for which a result that its records contradict is certified all the same; it
+        stands in the certificate.
 
     Raises
     ------
     CampaignError
-        If the laboratory's data have missing keys or mistakes.
+        If the laboratory's data have missing keys or mistakes, or those of the example are to be
+        signed.
     RecordError
         If the result cannot be read or must not be certified.
     CounterspinError
@@ -127,9 +137,19 @@ def certificate(
     """
     if (key is None) != (cert is None):
         raise CampaignError("certificate", ["`key` and `cert` are given together"])
-    found = result if isinstance(result, Result) else Result.read(result)
-    data, specifications = read_lab(lab, found)
-    names = data.certified(found)
+    if despite is not None and not despite.strip():
+        raise CampaignError("certificate", ["`despite`: give the reason in words"])
+    original = result if isinstance(result, Result) else Result.read(result)
+    data, specifications = read_lab(lab, original)
+    names = data.certified(original)
+    found = judge_result(original)
+    if despite is not None:
+        if found.state != "contradicted":
+            raise CampaignError(
+                "certificate",
+                ["`despite`: the records do not contradict this result; leave it out"],
+            )
+        found = found.model_copy(update={"accepted_misfit": despite})
     try:
         check_certifiable(found, names)
     except RecordError as error:
@@ -137,10 +157,15 @@ def certificate(
             raise
         raise RecordError(f"{result}: {error}") from error
     signer = read_signer(key, cert) if key is not None and cert is not None else None
-    issue = _issue(data, found, signed=signer is not None)
-    judged = found if specifications is None else with_conformity(found, specifications)
+    issue = _issue(data, original, signed=signer is not None)
+    if issue.draft and signer is not None:
+        raise CampaignError("the laboratory's data", [_EXAMPLE])
+    judged = with_capability(found, data)
+    if specifications is not None:
+        judged = with_conformity(judged, specifications)
     verdicts = {name: judged.accelerometers[name].conformity for name in names}
-    root = dcc_document(found, data, issue, verdicts, _report(data, judged, issue, verdicts))
+    pages = _pages(data, found, issue, verdicts)
+    root = dcc_document(found, data, issue, verdicts, pages, original)
     xml = to_bytes(root if signer is None else sign(root, signer))
     if schema is not None:
         check_schema(xml, schema, f"certificate {issue.identifier}")
@@ -149,7 +174,7 @@ def certificate(
         accelerometers=names,
         notes=[*_notes(data, found, issue), *_signer_notes(signer, issue)],
         xml=xml,
-        pages=lambda: _report(data, judged, issue, verdicts, attach=xml),
+        pages=lambda: _pages(data, found, issue, verdicts, attach=xml),
     )
 
 
@@ -161,6 +186,7 @@ def issue_certificate(
     schema: Path | None = None,
     key: Path | None = None,
     cert: Path | None = None,
+    despite: str | None = None,
 ) -> Certificate:
     """Write the certificate of a result.
 
@@ -177,6 +203,8 @@ def issue_certificate(
         Folder or file of DCC's schema, against which the certificate is validated.
     key, cert
         Private key and its X.509 certificate, PEM: the certificate is signed.
+    despite
+        As of `certificate`.
 
     Raises
     ------
@@ -188,7 +216,7 @@ def issue_certificate(
         If key or schema cannot be used, or the file cannot be written.
     """
     _check_place(output)
-    made = certificate(result_file, lab_file, schema=schema, key=key, cert=cert)
+    made = certificate(result_file, lab_file, schema=schema, key=key, cert=cert, despite=despite)
     made.write(output)
     return made
 
@@ -200,7 +228,7 @@ def _notes(lab: Lab, result: Result, issue: Issue) -> Iterator[str]:
     if (day := issue.date.date()) < lab.certificate.end:
         yield f"The day of issue, {day}, lies before certificate.end, {lab.certificate.end}."
     if keys := example_keys(lab):
-        yield f"Still the example's: {', '.join(keys)}."
+        yield f"It is a draft. Still the example's: {', '.join(keys)}."
 
 
 def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
@@ -217,19 +245,22 @@ def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
 
 def _issue(lab: Lab, result: Result, *, signed: bool) -> Issue:
     day = lab.certificate.issued
+    draft = bool(example_keys(lab))
+    identifier = lab.certificate.identifier or identifier_of(result)
     return Issue(
-        identifier=lab.certificate.identifier or identifier_of(result),
+        identifier=f"DRAFT-{identifier}" if draft else identifier,
         date=issue_date() if day is None else datetime.combine(day, time(), UTC),
         signed=signed,
+        draft=draft,
     )
 
 
-def _report(
+def _pages(
     lab: Lab, result: Result, issue: Issue, verdicts: Verdicts, *, attach: bytes | None = None
 ) -> bytes:
     from counterspin.reports.pdf import Attachment, pdf
 
-    blocks = [*front_blocks(lab, result, issue, verdicts), *_as_chapter(document(result))]
+    blocks = list(front_blocks(lab, result, issue, verdicts))
     attachments = []
     if attach is not None:
         attachments.append(
@@ -243,18 +274,12 @@ def _report(
         )
     data: bytes = pdf(
         blocks,
-        title=TITLE,
+        title=title(issue),
         identifier=issue.identifier,
         date=issue.date,
         attachments=attachments,
     )
     return data
-
-
-def _as_chapter(blocks: list[Block]) -> Iterator[Block]:
-    # The certificate has the title; the report's own becomes a chapter's.
-    for block in blocks:
-        yield Heading(block.text) if isinstance(block, Heading) and block.level == 1 else block
 
 
 # Back

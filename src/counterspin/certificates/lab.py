@@ -30,6 +30,7 @@ from counterspin.campaign.toml_file import load_document
 from counterspin.certificates.elements import clean
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import write_text
+from counterspin.physics.accelerometer import TERMS
 
 #: Where a calibration may take place, in the words of the schema.
 _PLACES: Final = ("laboratory", "customer", "laboratoryBranch", "customerBranch", "other")
@@ -61,6 +62,12 @@ def _place(value: str) -> str:
     return value
 
 
+def _state(value: str) -> str:
+    if value not in ITEM_STATES:
+        raise ValueError(f"{value!r} is not one of {', '.join(ITEM_STATES)}")
+    return value
+
+
 def _temperature(text: object) -> Quantity:
     match = _CELSIUS.fullmatch(text.strip()) if isinstance(text, str) else None
     if match is None:
@@ -70,6 +77,14 @@ def _temperature(text: object) -> Quantity:
 
 
 Words = Annotated[str, AfterValidator(_words)]
+
+#: States of an item, and what DCC calls them.
+ITEM_STATES: Final = {
+    "as received": "beforeAdjustment",
+    "after adjustment": "afterAdjustment",
+    "before repair": "beforeRepair",
+    "after repair": "afterRepair",
+}
 Country = Annotated[str, _code(r"[A-Z]{2}", "a country's two letters (ISO 3166-1), such as DE")]
 
 
@@ -84,6 +99,9 @@ class CertificateSettings(SettingsSection):
     received: datetime.date | None = None
     issued: datetime.date | None = None
     traceability: Words
+    procedure: Words | None = None
+    deviations: list[Words] = Field(default=[])
+    customer_data: list[Words] = Field(default=[])
     remarks: list[Words] = Field(default=[])
     accelerometers: list[Words] | None = None
 
@@ -116,6 +134,7 @@ class Item(SettingsSection):
     model: Words
     serial_number: Words
     inventory_number: Words | None = None
+    state: Annotated[str, AfterValidator(_state)] | None = None
 
 
 class LabAccelerometer(SettingsSection):
@@ -151,12 +170,42 @@ class Lab(SettingsSection):
     accelerometers: dict[str, LabAccelerometer] = Field(default={})
     persons: list[Person] = Field(min_length=1)
     conditions: Conditions = Conditions()
+    cmc: dict[str, str] = Field(default={})
     specification: dict[str, Any] | None = None
 
     def certified(self, result: Result) -> list[str]:
         """Return the names of the result's accelerometers that the certificate is about."""
         chosen = self.certificate.accelerometers
         return list(result.accelerometers) if chosen is None else chosen
+
+    def capability(self, symbol: str, gravity: float) -> float | None:
+        """Return the least expanded uncertainty that the laboratory may state; None: no limit.
+
+        Parameters
+        ----------
+        symbol
+            Of the coefficient.
+        gravity
+            Of the site, m/s^2.
+
+        Returns
+        -------
+        float or None
+            U for 95 %, in the coefficient's unit (g-units).
+
+        Raises
+        ------
+        ValueError
+            If the symbol is unknown, or its entry is not a positive quantity of its kind.
+        """
+        if symbol not in self.cmc:
+            return None
+        if symbol not in TERMS:
+            raise ValueError(f"no term is called so{did_you_mean(symbol, TERMS)}")
+        stated = parse(self.cmc[symbol], TERMS[symbol].unit, gravity=gravity)
+        if stated.value <= 0.0 or stated.u:
+            raise ValueError("must be one positive number, the expanded uncertainty for 95 %")
+        return stated.value
 
     def serial_number(self, name: str, result: Result) -> str | None:
         """Return an accelerometer's own serial number: as stated here, or in the result."""
@@ -200,6 +249,8 @@ def read_lab(
     lab = problems.check(Lab, empty | raw, ())
     if lab is not None:
         _check_dates(lab.certificate, problems)
+        for symbol in lab.cmc:
+            problems.attempt(("cmc", symbol), lab.capability, symbol, result.inputs.gravity)
     _check_accelerometers(raw, result, problems)
     specifications = None
     if isinstance(raw.get("specification"), dict):

@@ -6,11 +6,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from typing import Final
 
 from counterspin.calibration.notebook.si_estimate import SiEstimate
 from counterspin.calibration.pages.motions import readings_of
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult, Coefficient
+from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Correlation
 from counterspin.certificates import wording
 from counterspin.certificates.administrative import item_id, software
 from counterspin.certificates.conversion import covariance, in_si
@@ -27,34 +28,59 @@ from counterspin.certificates.elements import (
     si,
     text,
 )
-from counterspin.certificates.lab import Lab
+from counterspin.certificates.lab import ITEM_STATES, Lab
 from counterspin.certificates.statements import quantity_id
 from counterspin.inference.conformity import COVERAGE
 from counterspin.physics.shared_terms import SHARED_TERMS
 from counterspin.physics.si_units import SiUnit, si_unit, to_si
 
+#: What the measurement result across accelerometers is called.
+TOGETHER: Final = "All accelerometers together"
 
-def measurement_results(lab: Lab, result: Result) -> Element:
-    """Return ``dcc:measurementResults``, with the result file itself among the meta data."""
+
+def measurement_results(lab: Lab, result: Result, original: Result) -> Element:
+    """Return ``dcc:measurementResults``; the result file itself is among the meta data.
+
+    Parameters
+    ----------
+    lab
+        The laboratory's data.
+    result
+        What is certified, its uncertainties as they are stated.
+    original
+        What was calibrated, as its file has it.
+    """
     return dcc(
         "measurementResults",
-        dcc("usedMethods", *_methods(result)),
-        dcc("usedSoftware", software(result.provenance.version)),
-        dcc("influenceConditions", *_conditions(lab, result)),
-        dcc("measurementMetaData", _result_file(result), _input_files(result)),
+        dcc("measurementMetaData", _result_file(original), _input_files(result)),
         *(_accelerometer(lab, result, name) for name in lab.certified(result)),
+        _all_together(lab, result),
     )
+
+
+def _circumstances(lab: Lab, result: Result) -> Iterator[Element]:
+    """Yield methods, software and conditions, which each measurement result has of its own."""
+    yield dcc("usedMethods", *_methods(lab, result))
+    yield dcc("usedSoftware", software(result.provenance.version))
+    yield dcc("influenceConditions", *_conditions(lab, result))
 
 
 # Methods and conditions
 
 
-def _methods(result: Result) -> Iterator[Element]:
+def _methods(lab: Lab, result: Result) -> Iterator[Element]:
+    procedure = lab.certificate.procedure
     yield dcc(
         "usedMethod",
         text("name", wording.method_name(result)),
-        rich("description", *wording.method_lines(result)),
-        dcc("norm", "IEEE Std 1293"),
+        rich(
+            "description",
+            wording.BASED_ON,
+            *wording.method_lines(result),
+            *wording.deviation_lines(lab.certificate),
+        ),
+        # Not dcc:norm: the standard is departed from.
+        None if procedure is None else dcc("reference", procedure),
     )
     yield dcc(
         "usedMethod",
@@ -68,6 +94,13 @@ def _methods(result: Result) -> Iterator[Element]:
 
 def _conditions(lab: Lab, result: Result) -> Iterator[Element]:
     inputs = result.inputs
+    if (state := lab.item.state) is not None:
+        yield dcc(
+            "influenceCondition",
+            text("name", "State of the item"),
+            dcc("status", ITEM_STATES[state]),
+            dcc("data", rich("text", f"The item was calibrated {state}.")),
+        )
     for name, value, unit in (
         ("Local gravity", inputs.gravity, inputs.gravity_unit),
         ("Geographic latitude", inputs.latitude, inputs.latitude_unit),
@@ -181,14 +214,14 @@ def _accelerometer(lab: Lab, result: Result, name: str) -> Element:
     return dcc(
         "measurementResult",
         text("name", f"Accelerometer {name}"),
+        *_circumstances(lab, result),
         dcc(
             "results",
             _coefficients(lab, result, name, estimates),
-            _covariance(accelerometer, estimates),
+            _covariance(accelerometer.correlation, estimates),
             _in_output(accelerometer),
         ),
         _warnings(accelerometer),
-        id=f"result-{item}",
         refId=item,
     )
 
@@ -248,13 +281,31 @@ def _degrees_of_freedom(estimate: SiEstimate) -> Element:
     return dcc("measurementMetaData", data)
 
 
+def _all_together(lab: Lab, result: Result) -> Element | None:
+    """Return the covariance across accelerometers, which g, radius and platform make."""
+    names = lab.certified(result)
+    estimates = {
+        f"{name}.{symbol}": estimate
+        for name in names
+        for symbol, estimate in in_si(result, name).items()
+    }
+    if len(names) < 2 or (together := _covariance(result.correlation, estimates)) is None:
+        return None
+    return dcc(
+        "measurementResult",
+        text("name", TOGETHER),
+        *_circumstances(lab, result),
+        dcc("results", together),
+    )
+
+
 def _covariance(
-    accelerometer: AccelerometerResult, estimates: Mapping[str, SiEstimate]
+    correlation: Correlation | None, estimates: Mapping[str, SiEstimate]
 ) -> Element | None:
     """Return the covariance of the certified coefficients, where there are two or more."""
-    if accelerometer.correlation is None:
+    if correlation is None:
         return None
-    symbols = [symbol for symbol in accelerometer.correlation.terms if symbol in estimates]
+    symbols = [symbol for symbol in correlation.terms if symbol in estimates]
     if len(symbols) < 2:
         return None
     columns = [
@@ -265,7 +316,7 @@ def _covariance(
                     "covarianceXMLList",
                     si(
                         "valueXMLList",
-                        number(covariance(accelerometer, estimates, row, column)),
+                        number(covariance(correlation, estimates, row, column)),
                     ),
                     si("unitXMLList", (estimates[row].unit * estimates[column].unit).text),
                 )
@@ -314,5 +365,9 @@ def _warnings(accelerometer: AccelerometerResult) -> Element | None:
         return None
     return dcc(
         "measurementMetaData",
-        dcc("metaData", text("name", "Warnings"), rich("declaration", *accelerometer.warnings)),
+        dcc(
+            "metaData",
+            text("name", "Warnings"),
+            rich("declaration", *map(wording.plainly, accelerometer.warnings)),
+        ),
     )

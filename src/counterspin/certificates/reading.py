@@ -22,7 +22,7 @@ from counterspin.physics.si_units import from_si
 
 _RESULT: Final = "dcc:measurementResults/dcc:measurementResult"
 _GRAVITY: Final = (
-    "dcc:measurementResults/dcc:influenceConditions/dcc:influenceCondition"
+    "dcc:measurementResults//dcc:influenceConditions/dcc:influenceCondition"
     "[dcc:name/dcc:content='Local gravity']/dcc:data/dcc:quantity/si:real/si:value"
 )
 _QUANTITY: Final = "dcc:results/dcc:result/dcc:data/dcc:quantity"
@@ -77,6 +77,7 @@ def read_certificate(document: bytes, source: str) -> Certified:
             accelerometers={
                 _designation(root, part): _accelerometer(part, gravity)
                 for part in _all(root, _RESULT)
+                if part.get("refId")
             },
         )
     except (ArithmeticError, KeyError, ValueError) as error:

@@ -7,14 +7,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from counterspin.calibration.pages.accelerometer import rests_on
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Coefficient, Conformity
+from counterspin.calibration.result_parts import Conformity
 from counterspin.certificates import wording
-from counterspin.certificates.administrative import item_id
-from counterspin.certificates.elements import Element, dcc, rich, text
+from counterspin.certificates.administrative import Issue, item_id
+from counterspin.certificates.elements import ENGLISH, Element, dcc, rich, text
 from counterspin.certificates.lab import Lab
 
 Verdicts = Mapping[str, Mapping[str, Conformity]]
@@ -25,10 +25,30 @@ def quantity_id(lab: Lab, result: Result, name: str, symbol: str) -> str:
     return f"{item_id(lab, result, name)}.{symbol}"
 
 
-def statements(lab: Lab, result: Result, verdicts: Verdicts) -> list[Element]:
-    """Return every statement, in the order in which they are read."""
+def statements(
+    lab: Lab, result: Result, issue: Issue, verdicts: Verdicts, raised: Sequence[str]
+) -> list[Element]:
+    """Return every statement, in the order in which they are read.
+
+    Parameters
+    ----------
+    lab
+        The laboratory's data.
+    result
+        What is certified, judged.
+    issue
+        Of the certificate.
+    verdicts
+        Conformity of the certified coefficients.
+    raised
+        What `capability_lines` says.
+    """
     gravity = result.inputs.gravity
+    settings = lab.certificate
+    names = lab.certified(result)
     texts = [
+        *_said("Draft", *([wording.DRAFT] if issue.draft else ())),
+        *_said("Misfit of the result", *wording.despite_lines(result, names)),
         _traceability(lab),
         dcc(
             "statement",
@@ -44,6 +64,17 @@ def statements(lab: Lab, result: Result, verdicts: Verdicts) -> list[Element]:
             rich("declaration", wording.unit_statement(gravity)),
             dcc("nonSIDefinition", f"1 g = {gravity!r} m/s^2, the local gravity of the site"),
             dcc("nonSIUnit", "g"),
+        ),
+        *_said("Calibration and measurement capability", *raised, norm="ILAC-P14:09/2020"),
+        *_said(
+            "What was known beforehand",
+            *(line for name in names for line in wording.known_beforehand(name, result, settings)),
+        ),
+        *_said(
+            "Data supplied by the customer",
+            *wording.customer_lines(settings),
+            language=settings.language,
+            norm="ISO/IEC 17025:2017",
         ),
         *_missing(lab, result),
         *_assumptions(lab, result),
@@ -64,6 +95,19 @@ def statements(lab: Lab, result: Result, verdicts: Verdicts) -> list[Element]:
             )
         )
     return texts
+
+
+def _said(
+    name: str, *lines: str, norm: str | None = None, language: str = ENGLISH
+) -> Iterator[Element]:
+    """Yield a statement of some lines; nothing without any."""
+    if lines:
+        yield dcc(
+            "statement",
+            text("name", name),
+            None if norm is None else dcc("norm", norm),
+            rich("declaration", *lines, language=language),
+        )
 
 
 def _traceability(lab: Lab) -> Element:
@@ -93,7 +137,7 @@ def _assumptions(lab: Lab, result: Result) -> Iterator[Element]:
             yield dcc(
                 "statement",
                 text("name", f"What the result rests on, accelerometer {name}"),
-                rich("declaration", *lines),
+                rich("declaration", *map(wording.plainly, lines)),
                 refId=item_id(lab, result, name),
             )
 
@@ -103,35 +147,18 @@ def _conformity(lab: Lab, result: Result, verdicts: Verdicts) -> Iterator[Elemen
         for symbol, judged in by_symbol.items():
             coefficient = result.accelerometers[name].coefficients.get(symbol)
             certified = coefficient is not None and wording.is_determined(coefficient)
+            word = wording.conformity_word(judged, coefficient)
             yield dcc(
                 "statement",
                 text("name", f"Conformity, {symbol} of {name}"),
                 dcc("norm", "JCGM 106:2012"),
                 rich(
                     "declaration",
-                    wording.verdict(symbol, name, judged),
+                    wording.verdict(symbol, name, judged, coefficient),
                     wording.decision_rule(judged),
                 ),
-                _dcc_verdict(judged, coefficient),
+                None if word is None else dcc("conformity", word),
                 refId=quantity_id(lab, result, name, symbol)
                 if certified
                 else item_id(lab, result, name),
             )
-
-
-def _dcc_verdict(judged: Conformity, coefficient: Coefficient | None) -> Element | None:
-    """Return the verdict as DCC knows it.
-
-    For an undecided one it has words only beside a guard band: conditional pass inside the
-    tolerance limits, conditional fail outside (ILAC-G8:09/2019, 4.2.3).
-    """
-    if judged.verdict != "undecided":
-        return dcc("conformity", judged.verdict)
-    if judged.guard_band is None or judged.rule != "guarded":
-        return None
-    assert coefficient is not None
-    assert coefficient.value is not None
-    low, high = judged.low, judged.high
-    value = coefficient.value
-    within = (low is None or value >= low) and (high is None or value <= high)
-    return dcc("conformity", "conditionalPass" if within else "conditionalFail")

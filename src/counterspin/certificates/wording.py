@@ -1,16 +1,21 @@
 """The sentences of a certificate, the same in the XML and on its pages.
 
 - `uncertainty_statement`, `unit_statement`, `scope_statement`: for the whole certificate
-- `method_name`, `method_lines`: the method
+- `BASED_ON`, `method_name`, `method_lines`, `test_lines`, `deviation_lines`: the method
+- `known_beforehand`, `customer_lines`: what was not measured, and what the customer supplied
+- `despite_lines`: why a result that its records contradict is certified
 - `output_lines`: bias and scale factor in the unit of the readings
-- `coefficient_line`: one coefficient in g-units
+- `coefficient_line`, `shown_in_g`: one coefficient in g-units
 - `not_determined`: coefficients that are not certified
 - `is_determined`: whether a coefficient is certified
-- `decision_rule`, `verdict`: conformity
+- `conformity_word`, `decision_rule`, `verdict`: conformity
+- `plainly`: a sentence of the calibration, in which ± has another meaning
 """
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from typing import Final
 
 from counterspin.calibration.pages.basis import model_blocks
@@ -19,11 +24,22 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Conformity
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import factor
+from counterspin.certificates.lab import CertificateSettings
 from counterspin.inference.conformity import COVERAGE
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.si_units import si_unit
 from counterspin.reports.blocks import Paragraph
-from counterspin.reports.numbers import format_estimate, format_number, format_share
+from counterspin.reports.numbers import (
+    field_unit,
+    format_estimate,
+    format_number,
+    format_probability,
+    format_share,
+    format_uncertainty,
+)
+
+#: How a budget names what a prior contributes.
+_PRIOR: Final = " (prior)"
 
 _METHODS: Final = {
     "joint": "Joint weighted least squares",
@@ -38,8 +54,26 @@ _RULES: Final = {
     "fail if it does not conform with that probability, else undecided",
 }
 
-#: Digits of a probability of conformity (JCGM 106).
-_PROBABILITY_DIGITS: Final = 3
+#: A certificate whose laboratory is still that of the example.
+DRAFT: Final = (
+    "DRAFT. The laboratory's data are those of the example: this is no certificate, and certifies "
+    "nothing."
+)
+
+#: How the method stands to the standard.
+BASED_ON: Final = (
+    "Based on IEEE Std 1293, whose terms are used, and not according to it: the model is not "
+    "divided by K_I, as that of the standard is, so that its K2 is K_II/K_I."
+)
+
+#: What ISO/IEC 17025:2017, 7.8.2.2, asks for.
+CUSTOMER_DISCLAIMER: Final = (
+    "The customer supplied these data. They can affect the validity of the results, and the "
+    "laboratory does not answer for them."
+)
+
+#: Words of DCC as people write them.
+_CONDITIONAL: Final = {"conditionalPass": "conditional pass", "conditionalFail": "conditional fail"}
 
 
 def is_determined(coefficient: Coefficient) -> bool:
@@ -53,11 +87,12 @@ def is_determined(coefficient: Coefficient) -> bool:
 def uncertainty_statement() -> str:
     """Return how the expanded uncertainties are defined."""
     return (
-        "The expanded uncertainty U stated is the combined standard uncertainty multiplied by the "
-        "coverage factor k stated beside it, evaluated by the GUM (JCGM 100). k is that of "
-        "Student's t-distribution for the effective degrees of freedom (Welch-Satterthwaite), or "
-        "of the normal distribution where these are infinite, for a coverage probability of "
-        f"{format_share(COVERAGE)}. In the XML, numbers have all digits of the computation; "
+        "What stands after ± is the expanded uncertainty U: the combined standard uncertainty "
+        "multiplied by the coverage factor k stated beside it, evaluated by the GUM (JCGM 100). "
+        "k is that of Student's t-distribution for the effective degrees of freedom "
+        "(Welch-Satterthwaite), or of the normal distribution where these are infinite, for a "
+        f"coverage probability of {format_share(COVERAGE)}. In the XML, numbers have all digits of "
+        "the computation; "
         "significantDigit is the power of ten of the last digit that the uncertainty supports. "
         "The ellipsoidal region is the set of all d with d' V^-1 d <= k^2 about the estimates, V "
         "being the covariance matrix of the standard uncertainties, for the same probability of "
@@ -79,8 +114,17 @@ def unit_statement(gravity: float) -> str:
 
 
 def scope_statement() -> str:
-    """Return what the results relate to (ISO/IEC 17025 7.8.2.1 l)."""
-    return "The results relate only to the items calibrated."
+    """Return what the results relate to, and that parts may mislead (ISO/IEC 17025 7.8.2.1)."""
+    return (
+        "The results relate only to the items calibrated, in the state and under the conditions "
+        "stated. Without the laboratory's written approval this certificate may be reproduced in "
+        "full only."
+    )
+
+
+def plainly(sentence: str) -> str:
+    """Return a sentence of the calibration as a certificate says it, where ± precedes U alone."""
+    return sentence.replace(" ± ", ", u = ")
 
 
 # The method
@@ -91,17 +135,79 @@ def method_name(result: Result) -> str:
     return _METHODS.get(result.method, result.method)
 
 
+def test_lines(result: Result) -> list[str]:
+    """Return what was done with the item, a sentence for each kind of test."""
+    if readings_of(result):
+        return list(lines_of_tests(result))
+    return ["The item was carried round by a double turntable centrifuge at the rates stated."]
+
+
 def method_lines(result: Result) -> list[str]:
     """Return what was observed, how the coefficients follow, and the accelerometers' model."""
-    done = (
-        list(lines_of_tests(result))
-        if readings_of(result)
-        else ["The item was carried round by a double turntable centrifuge at the rates stated."]
-    )
     return [
-        *done,
+        *test_lines(result),
         *(block.text for block in model_blocks(result) if isinstance(block, Paragraph)),
-        "The model is not divided by K_I: IEEE Std 1293 divides by it, so that its K2 is K_II/K_I.",
+    ]
+
+
+def deviation_lines(settings: CertificateSettings) -> list[str]:
+    """Return what was done otherwise than by the procedure (ISO/IEC 17025 7.8.2.1 n)."""
+    return [f"Deviation: {deviation}" for deviation in settings.deviations]
+
+
+def customer_lines(settings: CertificateSettings) -> list[str]:
+    """Return what the customer supplied, with the disclaimer; nothing where that is nothing."""
+    return [*settings.customer_data, CUSTOMER_DISCLAIMER] if settings.customer_data else []
+
+
+def known_beforehand(name: str, result: Result, settings: CertificateSettings) -> list[str]:
+    """Return what a result of an accelerometer takes from elsewhere, by its budget.
+
+    Parameters
+    ----------
+    name
+        The accelerometer.
+    result
+        The result.
+    settings
+        Of the laboratory's file; what its `customer_data` names is marked.
+    """
+    lines = {
+        line.source.removesuffix(_PRIOR): line
+        for lines in result.accelerometers[name].budget.values()
+        for line in lines
+        if line.source.endswith(_PRIOR)
+    }
+    supplied = {word for entry in settings.customer_data for word in re.findall(r"[\w.]+", entry)}
+    said = []
+    for symbol, line in lines.items():
+        unit, scale = field_unit(line.unit)
+        size = f" (u = {format_uncertainty(line.u * scale)} {unit})" if line.u else ""
+        whose = ", supplied by the customer" if symbol.rpartition(" ")[2] in supplied else ""
+        said.append(f"Known beforehand, for {name}: {symbol}{size}{whose}.")
+    return said
+
+
+def despite_lines(result: Result, names: Sequence[str]) -> list[str]:
+    """Return of a judged result that its records contradict what failed, and why it is certified.
+
+    Parameters
+    ----------
+    result
+        With `accepted_misfit`.
+    names
+        The accelerometers that are certified.
+    """
+    if result.accepted_misfit is None:
+        return []
+    failed = [
+        plainly(f"{name}: {result.accelerometers[name].findings[0].text}")
+        for name in names
+        if result.accelerometers[name].state == "contradicted"
+    ]
+    return [
+        *(f"The result failed its own tests. {line}" for line in failed),
+        f"The misfit was accepted: {result.accepted_misfit}",
     ]
 
 
@@ -132,11 +238,18 @@ def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
     row = TERMS.get(symbol)
     words = "" if row is None else f"{row.words[:1].upper()}{row.words[1:]}"
     what = "" if row is None else f"{words} ({row.ieee} in IEEE Std 1293); "
-    shown = format_estimate(coefficient.value, k * coefficient.u, coefficient.unit)
     return (
-        f"{what}{symbol} = {shown} (U, k = {factor(k)}); stated here in "
+        f"{what}{symbol} = {shown_in_g(coefficient, k)} (U, k = {factor(k)}); stated here in "
         f"{si_unit(coefficient.unit)[0].words}."
     )
+
+
+def shown_in_g(coefficient: Coefficient, k: float) -> str:
+    """Return a coefficient that is determined with k u, in the unit in which the field reads it."""
+    assert coefficient.value is not None
+    assert coefficient.u is not None
+    unit, scale = field_unit(coefficient.unit)
+    return format_estimate(coefficient.value * scale, k * coefficient.u * scale, unit)
 
 
 def not_determined(name: str, accelerometer: AccelerometerResult) -> list[str]:
@@ -151,8 +264,10 @@ def not_determined(name: str, accelerometer: AccelerometerResult) -> list[str]:
 def _why(coefficient: Coefficient) -> str:
     if coefficient.value is None:
         return "not determined by the records"
-    known = format_estimate(coefficient.value, coefficient.u, coefficient.unit)
-    return f"not determined by the records; its prior, {known} (k = 1), was used"
+    assert coefficient.u is not None
+    k = coverage_factor(None)
+    known = f"{shown_in_g(coefficient, k)} (U, k = {factor(k)})"
+    return f"not determined by the records; its prior, {known}, was used"
 
 
 # Conformity
@@ -168,13 +283,35 @@ def decision_rule(judged: Conformity) -> str:
     return f"{text}."
 
 
-def verdict(symbol: str, name: str, judged: Conformity) -> str:
-    """Return the verdict on a coefficient."""
-    text = f"{symbol} of {name}, specified as {judged.specification}: {judged.verdict}"
+def conformity_word(judged: Conformity, coefficient: Coefficient | None) -> str | None:
+    """Return the verdict in the words of DCC; None where it has no word.
+
+    For an undecided one it has words only beside a guard band: conditional pass inside the
+    tolerance limits, conditional fail outside (ILAC-G8:09/2019, 4.2.3).
+    """
+    if judged.verdict != "undecided":
+        return judged.verdict
+    if judged.guard_band is None or judged.rule != "guarded":
+        return None
+    assert coefficient is not None
+    assert coefficient.value is not None
+    low, high = judged.low, judged.high
+    value = coefficient.value
+    within = (low is None or value >= low) and (high is None or value <= high)
+    return "conditionalPass" if within else "conditionalFail"
+
+
+def verdict(
+    symbol: str, name: str, judged: Conformity, coefficient: Coefficient | None = None
+) -> str:
+    """Return the verdict on a coefficient, in the word that the XML has for it."""
+    word = conformity_word(judged, coefficient)
+    said = _CONDITIONAL.get(word or "", word) or judged.verdict
+    text = f"{symbol} of {name}, specified as {judged.specification}: {said}"
     text += f" ({judged.reason})." if judged.reason else "."
     if judged.probability is not None:
-        text += f" Probability to conform {format_number(judged.probability, _PROBABILITY_DIGITS)}"
+        text += f" Probability to conform {format_probability(judged.probability)}"
         if judged.risk is not None:
-            text += f", that the verdict is wrong {format_number(judged.risk, _PROBABILITY_DIGITS)}"
+            text += f", that the verdict is wrong {format_probability(judged.risk)}"
         text += "."
     return text

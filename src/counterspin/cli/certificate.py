@@ -39,6 +39,7 @@ def certificate(
     signature: Signature = _UNSIGNED,
     init: Path | None = None,
     verify: Path | None = None,
+    despite: str | None = None,
 ) -> None:
     """Write the Digital Calibration Certificate of a result, or check one.
 
@@ -56,6 +57,8 @@ def certificate(
         In place of all else: write a commented example of LAB.toml to this file.
     verify
         In place of a result: a certificate, XML or PDF, to check it and print its numbers.
+    despite
+        Certify a result that its records contradict, for this reason, which the certificate states.
     """
     from counterspin.certificates.issuing import (
         certificate_blocks,
@@ -92,7 +95,13 @@ def certificate(
     if result is None or lab is None or output is None:
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
     done = issue_certificate(
-        result, lab, output, schema=schema, key=signature.key, cert=signature.cert
+        result,
+        lab,
+        output,
+        schema=schema,
+        key=signature.key,
+        cert=signature.cert,
+        despite=despite,
     )
     say(f"Wrote {output}: certificate {done.identifier} of {', '.join(done.accelerometers)}.")
     for note in done.notes:

@@ -1,4 +1,4 @@
-"""The report on paper: blocks as PDF/A-3b, set by typst, with files attached where there are any.
+"""The report on paper: blocks as PDF/A-3a and PDF/UA-1, set by typst, with files attached.
 
 Nothing but what comes with typst is used, neither fonts of the machine nor a network, so the same
 blocks give the same file, byte for byte. ``assets/report.typ`` is the layout; all words reach it
@@ -21,8 +21,9 @@ from counterspin.frozen import frozen
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, Table
 from counterspin.reports.charts import svg
 
-#: PDF/A with any file attached; its level b asks that it looks the same everywhere.
-_STANDARD: Final = "a-3b"
+#: PDF/A with any file attached: it looks the same everywhere (level b, which a contains) and its
+#: parts are tagged, so that programs can read it aloud (PDF/UA).
+_STANDARDS: Final = ["a-3a", "ua-1"]
 
 #: Stands for a character that no font has.
 _SQUARE: Final = "\N{WHITE SQUARE}"
@@ -65,7 +66,7 @@ def pdf(
     date: datetime,
     attachments: Sequence[Attachment] = (),
 ) -> bytes:
-    """Set blocks as a PDF/A-3b (ISO 19005-3).
+    """Set blocks as a PDF/A-3a (ISO 19005-3) and PDF/UA-1 (ISO 14289-1).
 
     Every page shows the title, the identifier and which page of how many it is, and the last one
     says that it ends there (ISO/IEC 17025:2017, 7.8.2.1). A letter that typst's own fonts lack
@@ -199,7 +200,7 @@ def _typst(files: dict[str, bytes], moment: datetime, own_fonts: bool) -> bytes:
         files,
         ignore_system_fonts=own_fonts,
         format="pdf",
-        pdf_standards=[_STANDARD],
+        pdf_standards=_STANDARDS,
         timestamp=moment,
     )
     return made
@@ -208,7 +209,10 @@ def _typst(files: dict[str, bytes], moment: datetime, own_fonts: bool) -> bytes:
 def _has_shape(letter: str, *, own_fonts: bool) -> bool:
     from typst import TypstError
 
-    page = f'#set text(font: "Libertinus Serif")\n#"\\u{{{ord(letter):x}}}"'
+    # PDF/UA wants a title.
+    page = (
+        f'#set document(title: "x")\n#set text(font: "Libertinus Serif")\n#"\\u{{{ord(letter):x}}}"'
+    )
     try:
         _typst({"main.typ": page.encode()}, datetime(2000, 1, 1, tzinfo=UTC), own_fonts)
     except TypstError:

@@ -1,0 +1,131 @@
+"""A laboratory's calibration and measurement capability (CMC): no smaller uncertainty is stated.
+
+- `with_capability`: a result whose uncertainties are at least those
+- `capability_lines`: where that made them larger
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Final
+
+from counterspin.calibration.notebook.si_estimate import si_estimate
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Coefficient, Correlation
+from counterspin.certificates.coverage import coverage_factor
+from counterspin.certificates.lab import Lab
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.si_units import to_si
+from counterspin.reports.numbers import field_unit, format_uncertainty
+
+#: What an accelerometer indicates in its own unit -> the coefficient of which it is made.
+_OF_OUTPUT: Final = {"bias": "K_F", "scale_factor": "K_I"}
+
+
+def with_capability(result: Result, lab: Lab) -> Result:
+    """Return the result with each expanded uncertainty at least that of the laboratory's CMC.
+
+    What is added is independent of all else (ILAC-P14:09/2020, 5.4): covariances stay, and
+    correlations become smaller. Degrees of freedom and k stay, which makes U no smaller.
+
+    Parameters
+    ----------
+    result
+        The result that is certified.
+    lab
+        With its ``[cmc]``, which `read_lab` checked.
+    """
+    if not lab.cmc:
+        return result
+    factors = {
+        f"{name}.{symbol}": _enlarged(result, lab, name, symbol)
+        for name, accelerometer in result.accelerometers.items()
+        for symbol in accelerometer.coefficients
+    }
+    accelerometers = {
+        name: accelerometer.model_copy(
+            update={
+                "coefficients": {
+                    symbol: _times(c, factors[f"{name}.{symbol}"])
+                    for symbol, c in accelerometer.coefficients.items()
+                },
+                "output": {
+                    key: _times(c, factors.get(f"{name}.{_OF_OUTPUT.get(key)}", 1.0))
+                    for key, c in accelerometer.output.items()
+                },
+                "correlation": _weaker(
+                    accelerometer.correlation,
+                    {s: factors[f"{name}.{s}"] for s in accelerometer.coefficients},
+                ),
+            }
+        )
+        for name, accelerometer in result.accelerometers.items()
+    }
+    return result.model_copy(
+        update={
+            "accelerometers": accelerometers,
+            "correlation": _weaker(result.correlation, factors),
+        }
+    )
+
+
+def capability_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
+    """Return a sentence for each coefficient whose uncertainty the CMC made larger.
+
+    Parameters
+    ----------
+    result, certified
+        Before and after `with_capability`.
+    lab
+        The laboratory's data.
+    """
+    lines = []
+    for name in lab.certified(result):
+        for symbol, c in result.accelerometers[name].coefficients.items():
+            raised = certified.accelerometers[name].coefficients[symbol]
+            if c.u and raised.u and raised.u > c.u:
+                unit, factor = field_unit(c.unit)
+                evaluated = format_uncertainty(coverage_factor(c.dof) * c.u * factor)
+                lines.append(
+                    f"{symbol} of {name}: evaluated was U = {evaluated} {unit}; stated is the "
+                    "laboratory's calibration and measurement capability, below which it states "
+                    "no uncertainty."
+                )
+    return lines
+
+
+def _enlarged(result: Result, lab: Lab, name: str, symbol: str) -> float:
+    """Return by how much u is to be multiplied, in g-units: 1 where it is large enough."""
+    c = result.accelerometers[name].coefficients[symbol]
+    least = lab.capability(symbol, result.inputs.gravity) if symbol in TERMS else None
+    if least is None or not c.u or c.value is None:
+        return 1.0
+    g = result.gravity_of(name, symbol)
+    estimate = si_estimate(c.value, c.u, c.unit, c.dof, g)
+    # In SI the uncertainty of g may count for less: there too U must not fall below.
+    lacking = max(
+        (least / coverage_factor(dof)) ** 2 - u**2
+        for u, dof in (
+            (c.u, c.dof),
+            (estimate.u / to_si(1.0, c.unit, g.value), estimate.dof),
+        )
+    )
+    return math.sqrt(1.0 + max(lacking, 0.0) / c.u**2)
+
+
+def _times(coefficient: Coefficient, factor: float) -> Coefficient:
+    if factor == 1.0 or coefficient.u is None:
+        return coefficient
+    return coefficient.model_copy(update={"u": coefficient.u * factor})
+
+
+def _weaker(correlation: Correlation | None, factors: Mapping[str, float]) -> Correlation | None:
+    if correlation is None:
+        return None
+    by = [factors.get(term, 1.0) for term in correlation.terms]
+    matrix = [
+        [r if i == j else r / (by[i] * by[j]) for j, r in enumerate(row)]
+        for i, row in enumerate(correlation.matrix)
+    ]
+    return correlation.model_copy(update={"matrix": matrix})

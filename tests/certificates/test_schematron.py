@@ -1,0 +1,70 @@
+"""A certificate keeps to PTB's rules of good practice for a DCC (their schematron, of dcclib)."""
+
+import pytest
+from results import CONFORMITY, coefficient, result, two_accelerometers
+
+from certificates import LAB, document
+from counterspin.calibration.result_parts import Conformity
+
+dcclib = pytest.importorskip("dcclib.validation", reason="PTB's dcclib is not installed")
+
+#: Said of a list whose quantities have several units, as those of a covariance matrix must.
+LIST_OF_UNITS = ("differing units", "Redundant unit")
+
+
+@pytest.fixture(scope="session")
+def rules():
+    """Return PTB's rules: as they ship them ready to run, and as they stand in dcc.sch today."""
+    from pathlib import Path
+
+    ready = dcclib.SchematronValidator.for_dcc()
+    folder = Path(dcclib.__file__).parent / "schema"
+    return [ready, dcclib.SchematronValidator.from_file(str(folder / "dcc.sch"))]
+
+
+def faults(rules, made):
+    """Return what the rules say against a certificate, their remarks aside."""
+    said = []
+    for validator in rules:
+        found = validator.validate_str(made.decode())
+        every = [*found.failed_assertions, *found.successful_reports]
+        said += [f"{one.role}: {one.text}" for one in every if one.role != "information"]
+    return [line for line in said if not any(words in line for words in LIST_OF_UNITS)]
+
+
+MORE = """
+procedure = "AP-17"
+deviations = ["Two rates in place of three."]
+customer_data = ["K_I, from the data sheet"]
+"""
+
+
+def full():
+    """Return a result of two accelerometers with everything that a certificate may state."""
+    one = result(
+        coefficients={
+            "K_F": coefficient(0.005, 1e-9, "g"),
+            "K_I": {"value": 1.002, "u": 5e-6, "unit": "g/g", "estimated": False},
+            "K_II": coefficient(-2.7e-5, 1e-9, "g/g^2", dof=3.5),
+        },
+        warnings=["Qx: hm", "Qx: again"],
+    )
+    terms = [f"{name}.{symbol}" for name in ("Qx", "Qy") for symbol in ("K_F", "K_II")]
+    matrix = [[1.0 if i == j else 0.25 for j in range(4)] for i in range(4)]
+    return two_accelerometers(one, terms, matrix)
+
+
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_ptb_s_rules_find_no_error(tmp_path, rules, language):
+    text = LAB.replace('language = "de"', f'language = "{language}"{MORE}')
+    text = text.replace('"0815"', '"0815"\nstate = "after adjustment"')
+    verdicts = {"Qx": {"K_II": Conformity.model_validate(CONFORMITY)}}
+    made = document(tmp_path, full(), text=text + '[cmc]\nK_F = "1 ug"\n', verdicts=verdicts)
+    found = faults(rules, made)
+    # Of two languages each text has one: such text states none, which is allowed and remarked on.
+    assert [line for line in found if language == "en" or "anguage attribute" not in line] == []
+
+
+def test_the_rules_do_find_something(tmp_path, rules):
+    made = document(tmp_path, result()).replace(b">v9.9<", b">9.9<")
+    assert len([line for line in faults(rules, made) if line.startswith("error")]) == 2
