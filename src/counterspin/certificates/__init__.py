@@ -6,8 +6,9 @@ records do not determine is named as such, and missing data of the laboratory is
 - `lab`: the laboratory's data, ``LAB.toml``
 - `issuing`: from a result to the file, and back
 - `build`: the document; `administrative`, `statements`, `measurement`: its parts
-- `wording`: the sentences; `front`: the same in words, before the report
+- `wording`: the sentences; `front`: the pages
 - `elements`, `coverage`: elements of DCC and D-SI, coverage factors
-- `conversion`: coefficients in SI, with what the uncertainty of g does there
+- `conversion`: coefficients in SI, with what the uncertainty of g does there; `capability`: no U is
+  below what the laboratory can do
 - `schema`, `signature`, `attached`, `reading`: validating, signing, reading back, from a PDF too
 """

@@ -11,22 +11,40 @@ from counterspin.frozen import frozen
 
 @group
 @frozen
-class Signature:
-    """What a certificate is signed with, or must have been signed with.
+class Proof:
+    """What a certificate is held to: the schema, and a signature.
 
     Parameters
     ----------
+    schema
+        Folder or file of the schema of DCC, to validate against.
     key
         Private key (PEM) to sign with, not encrypted.
     cert
         X.509 certificate (PEM): of the key, or with --verify of who must have signed.
     """
 
+    schema: Path | None = None
     key: Path | None = None
     cert: Path | None = None
 
 
-_UNSIGNED = Signature()
+@group
+@frozen
+class Grounds:
+    """Why a certificate is issued where it would not be without a reason.
+
+    Parameters
+    ----------
+    despite
+        Certify a result that its records contradict, for this reason, which the certificate states.
+    """
+
+    despite: str | None = None
+
+
+_UNPROVED = Proof()
+_NONE_NEEDED = Grounds()
 
 
 def certificate(
@@ -35,11 +53,10 @@ def certificate(
     /,
     *,
     output: OutputFile = None,
-    schema: Path | None = None,
-    signature: Signature = _UNSIGNED,
+    proof: Proof = _UNPROVED,
+    grounds: Grounds = _NONE_NEEDED,
     init: Path | None = None,
     verify: Path | None = None,
-    despite: str | None = None,
 ) -> None:
     """Write the Digital Calibration Certificate of a result, or check one.
 
@@ -51,14 +68,10 @@ def certificate(
         What the laboratory says: LAB.toml.
     output
         The certificate: .xml, or .pdf with the XML attached (PDF/A-3).
-    schema
-        Folder or file of the schema of DCC, to validate against.
     init
         In place of all else: write a commented example of LAB.toml to this file.
     verify
         In place of a result: a certificate, XML or PDF, to check it and print its numbers.
-    despite
-        Certify a result that its records contradict, for this reason, which the certificate states.
     """
     from counterspin.certificates.issuing import (
         certificate_blocks,
@@ -76,7 +89,7 @@ def certificate(
         say(f"Wrote {write_example(init)}. Fill it in; all of it is an example.")
         return
     if verify is not None:
-        checked = check_certificate(verify, schema=schema, cert=signature.cert)
+        checked = check_certificate(verify, schema=proof.schema, cert=proof.cert)
         report_console().print(Report(list(certificate_blocks(checked.certified))))
         said = {
             "none": "It is not signed.",
@@ -98,10 +111,10 @@ def certificate(
         result,
         lab,
         output,
-        schema=schema,
-        key=signature.key,
-        cert=signature.cert,
-        despite=despite,
+        schema=proof.schema,
+        key=proof.key,
+        cert=proof.cert,
+        despite=grounds.despite,
     )
     say(f"Wrote {output}: certificate {done.identifier} of {', '.join(done.accelerometers)}.")
     for note in done.notes:
