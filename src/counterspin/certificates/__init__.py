@@ -10,5 +10,6 @@ records do not determine is named as such, and missing data of the laboratory is
 - `elements`, `coverage`: elements of DCC and D-SI, coverage factors
 - `conversion`: coefficients in SI, with what the uncertainty of g does there; `capability`: no U is
   below what the laboratory can do
+- `amendment`: a certificate that another one replaces
 - `schema`, `signature`, `attached`, `reading`: validating, signing, reading back, from a PDF too
 """

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import datetime
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from counterspin._version import __version__
 from counterspin.calibration.result import Result
+from counterspin.certificates.amendment import PROCEDURE, Amended
 from counterspin.certificates.elements import ENGLISH, Element, dcc, rich, text
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer, Person
 from counterspin.frozen import frozen
@@ -31,12 +32,15 @@ class Issue:
         Whether an electronic signature follows.
     draft
         Whether the laboratory's data are not its own yet, so that nothing is certified.
+    amended
+        The certificate that this one replaces.
     """
 
     identifier: str
     date: datetime.datetime
     signed: bool = False
     draft: bool = False
+    amended: Amended | None = None
 
     def file_name(self, ending: str) -> str:
         """Return a file name made of the identifier, in which a slash would name a folder."""
@@ -87,6 +91,25 @@ def _core_data(lab: Lab, issue: Issue) -> Element:
         dcc("endPerformanceDate", settings.end.isoformat()),
         dcc("performanceLocation", settings.place),
         dcc("issueDate", issue.date.date().isoformat()),
+        *_replaced(issue.amended),
+    )
+
+
+def _replaced(amended: Amended | None) -> Iterator[Element]:
+    if amended is None:
+        return
+    yield dcc(
+        "reportAmendedSubstituted",
+        dcc("typeOfChange", "amended"),
+        dcc("replacedUniqueIdentifier", amended.identifier),
+    )
+    yield dcc(
+        "previousReport",
+        text("referral", "The certificate that this one amends and replaces"),
+        dcc("referralID", amended.identifier),
+        dcc("procedure", PROCEDURE),
+        dcc("value", amended.checksum),
+        rich("description", f"Reason: {amended.reason}"),
     )
 
 

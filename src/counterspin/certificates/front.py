@@ -19,6 +19,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates import wording
 from counterspin.certificates.administrative import Issue
+from counterspin.certificates.amendment import amendment_lines
 from counterspin.certificates.capability import capability_lines, with_capability
 from counterspin.certificates.conversion import in_si
 from counterspin.certificates.coverage import coverage_factor
@@ -65,6 +66,8 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
         "holds the same numbers for machines.",
         "quiet",
     )
+    for line in amendment_lines(issue.amended):
+        yield Paragraph(typeset(line))
     yield _two_columns(_administration(lab, issue))
     yield Heading("Calibrated item")
     yield _two_columns(_item(lab, result))

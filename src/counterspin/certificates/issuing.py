@@ -1,7 +1,7 @@
 """From a result to a certificate's file, and from the file back to its numbers.
 
 - `certificate`: check, build, sign, validate; `Certificate`: what comes out, and its files
-- `issue_certificate`: read, do that, write
+- `check_place`: whether it may be written there
 - `check_certificate`, `Checked`: validate, verify the signature, read the numbers
 - `certificate_blocks`: the numbers of a certificate as a page
 """
@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from datetime import UTC, date, datetime, time
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -20,6 +20,13 @@ from counterspin.calibration.pages.full_report import identifier_of
 from counterspin.calibration.pages.publishing import issue_date
 from counterspin.calibration.result import Result
 from counterspin.certificates.administrative import Issue
+from counterspin.certificates.amendment import (
+    Amended,
+    Amendment,
+    check_amends,
+    read_amended,
+    with_changes,
+)
 from counterspin.certificates.attached import read_document
 from counterspin.certificates.build import certificate as dcc_document
 from counterspin.certificates.build import check_certifiable, to_bytes
@@ -83,14 +90,22 @@ class Certificate:
             If there is such a file already, or it cannot be written.
         """
         path = Path(path)
-        _check_place(path)
+        check_place(path)
         data = self.pdf() if path.suffix.lower() == ".pdf" else self.xml
         write_whole(path, lambda part: part.write_bytes(data))
         return path
 
 
-def _check_place(output: Path) -> None:
-    """Refuse a name of another kind, and one of a file that is there."""
+def check_place(output: Path) -> None:
+    """Refuse a name of another kind, and one of a file that is there.
+
+    Raises
+    ------
+    CampaignError
+        If the name ends otherwise than in .xml or .pdf.
+    CounterspinError
+        If there is such a file already.
+    """
     if output.suffix.lower() not in FORMATS:
         raise CampaignError("certificate", [f"{output}: name the file .xml or .pdf"])
     if output.is_file():
@@ -108,6 +123,7 @@ def certificate(
     key: Path | None = None,
     cert: Path | None = None,
     despite: str | None = None,
+    amends: Amendment | None = None,
 ) -> Certificate:
     """Make the certificate of a result; `Certificate.write` writes it.
 
@@ -124,6 +140,8 @@ def certificate(
     despite
         The reason for which a result that its records contradict is certified all the same; it
         stands in the certificate.
+    amends
+        An issued certificate that this one replaces, and why; it says both, and what changed.
 
     Raises
     ------
@@ -157,13 +175,17 @@ def certificate(
             raise
         raise RecordError(f"{result}: {error}") from error
     signer = read_signer(key, cert) if key is not None and cert is not None else None
-    issue = _issue(data, original, signed=signer is not None)
+    amended, old = (None, b"") if amends is None else read_amended(amends)
+    issue = _issue(data, original, amended, signed=signer is not None)
     if issue.draft and signer is not None:
         raise CampaignError("the laboratory's data", [_EXAMPLE])
     judged = with_capability(found, data)
     if specifications is not None:
         judged = with_conformity(judged, specifications)
     verdicts = {name: judged.accelerometers[name].conformity for name in names}
+    if amended is not None:
+        new = to_bytes(dcc_document(found, data, issue, verdicts, None, original))
+        issue = replace(issue, amended=with_changes(amended, old, new))
     pages = _pages(data, found, issue, verdicts)
     root = dcc_document(found, data, issue, verdicts, pages, original)
     xml = to_bytes(root if signer is None else sign(root, signer))
@@ -176,49 +198,6 @@ def certificate(
         xml=xml,
         pages=lambda: _pages(data, found, issue, verdicts, attach=xml),
     )
-
-
-def issue_certificate(
-    result_file: Path,
-    lab_file: Path,
-    output: Path,
-    *,
-    schema: Path | None = None,
-    key: Path | None = None,
-    cert: Path | None = None,
-    despite: str | None = None,
-) -> Certificate:
-    """Write the certificate of a result.
-
-    Parameters
-    ----------
-    result_file
-        The result's JSON.
-    lab_file
-        ``LAB.toml``.
-    output
-        ``.xml``: the certificate; ``.pdf``: pages to read (PDF/A-3), with the same XML, byte
-        for byte, attached.
-    schema
-        Folder or file of DCC's schema, against which the certificate is validated.
-    key, cert
-        Private key and its X.509 certificate, PEM: the certificate is signed.
-    despite
-        As of `certificate`.
-
-    Raises
-    ------
-    CampaignError
-        If LAB.toml has missing keys or mistakes, or the file's name ends otherwise.
-    RecordError
-        If the result cannot be read or must not be certified.
-    CounterspinError
-        If key or schema cannot be used, or the file cannot be written.
-    """
-    _check_place(output)
-    made = certificate(result_file, lab_file, schema=schema, key=key, cert=cert, despite=despite)
-    made.write(output)
-    return made
 
 
 def _notes(lab: Lab, result: Result, issue: Issue) -> Iterator[str]:
@@ -243,15 +222,22 @@ def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
         )
 
 
-def _issue(lab: Lab, result: Result, *, signed: bool) -> Issue:
+def _issue(lab: Lab, result: Result, amended: Amended | None, *, signed: bool) -> Issue:
     day = lab.certificate.issued
     draft = bool(example_keys(lab))
-    identifier = lab.certificate.identifier or identifier_of(result)
+    unnamed = identifier_of(result) if amended is None else amended.next_identifier()
+    identifier = lab.certificate.identifier or unnamed
+    if amended is not None and identifier == amended.identifier:
+        raise CampaignError(
+            "certificate.identifier",
+            [f'"{identifier}" is that of the certificate that is amended; each has its own'],
+        )
     return Issue(
         identifier=f"DRAFT-{identifier}" if draft else identifier,
         date=issue_date() if day is None else datetime.combine(day, time(), UTC),
         signed=signed,
         draft=draft,
+        amended=amended,
     )
 
 
@@ -306,7 +292,11 @@ class Checked:
 
 
 def check_certificate(
-    path: Path, *, schema: Path | None = None, cert: Path | None = None
+    path: Path,
+    *,
+    schema: Path | None = None,
+    cert: Path | None = None,
+    amends: Path | None = None,
 ) -> Checked:
     """Read a certificate's numbers; with a schema validated, with a signer's certificate verified.
 
@@ -315,19 +305,23 @@ def check_certificate(
     path
         The XML, or the PDF that carries it.
     schema, cert
-        As in `issue_certificate`; the signer's certificate, PEM.
+        As in `certificate`; the signer's certificate, PEM.
+    amends
+        The certificate that it must replace, to the last byte of its XML.
 
     Raises
     ------
     RecordError
-        If the file cannot be read, does not conform to the schema, is not signed by the holder
-        of `cert` or was changed since.
+        If the file cannot be read, does not conform to the schema, does not replace `amends`, is
+        not signed by the holder of `cert` or was changed since.
     CounterspinError
         If schema or cert cannot be used.
     """
     data = read_document(path)
     if schema is not None:
         check_schema(data, schema, str(path))
+    if amends is not None:
+        check_amends(data, amends, str(path))
     if cert is None:
         signed = is_signed(data, str(path))
         return Checked(read_certificate(data, str(path)), "unchecked" if signed else "none")

@@ -25,6 +25,9 @@ _GRAVITY: Final = (
     "dcc:measurementResults//dcc:influenceConditions/dcc:influenceCondition"
     "[dcc:name/dcc:content='Local gravity']/dcc:data/dcc:quantity/si:real/si:value"
 )
+_REPLACED: Final = (
+    "dcc:administrativeData/dcc:coreData/dcc:reportAmendedSubstituted/dcc:replacedUniqueIdentifier"
+)
 _QUANTITY: Final = "dcc:results/dcc:result/dcc:data/dcc:quantity"
 _EXPANDED: Final = "si:measurementUncertaintyUnivariate/si:expandedMU"
 _REGION: Final = "si:measurementUncertaintyMultivariateXMLList/si:ellipsoidalRegionMUXMLList"
@@ -51,11 +54,12 @@ class CertifiedAccelerometer:
 
 @frozen
 class Certified:
-    """The numbers of a certificate; gravity in m/s^2."""
+    """The numbers of a certificate; gravity in m/s^2; `amends` identifies the one it replaces."""
 
     identifier: str
     gravity: float
     accelerometers: dict[str, CertifiedAccelerometer]
+    amends: str | None = None
 
 
 def read_certificate(document: bytes, source: str) -> Certified:
@@ -79,6 +83,7 @@ def read_certificate(document: bytes, source: str) -> Certified:
                 for part in _all(root, _RESULT)
                 if part.get("refId")
             },
+            amends=next((element.text for element in _all(root, _REPLACED)), None),
         )
     except (ArithmeticError, KeyError, ValueError) as error:
         raise RecordError(

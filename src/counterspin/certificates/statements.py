@@ -14,6 +14,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Conformity
 from counterspin.certificates import wording
 from counterspin.certificates.administrative import Issue, item_id
+from counterspin.certificates.amendment import amendment_lines
 from counterspin.certificates.elements import ENGLISH, Element, dcc, rich, text
 from counterspin.certificates.lab import Lab
 
@@ -48,6 +49,7 @@ def statements(
     names = lab.certified(result)
     texts = [
         *_said("Draft", *([wording.DRAFT] if issue.draft else ())),
+        *_said("Amendment", *amendment_lines(issue.amended), norm="ISO/IEC 17025:2017"),
         *_said("Misfit of the result", *wording.despite_lines(result, names)),
         _traceability(lab),
         dcc(

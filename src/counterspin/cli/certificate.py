@@ -38,9 +38,15 @@ class Grounds:
     ----------
     despite
         Certify a result that its records contradict, for this reason, which the certificate states.
+    amends
+        An issued certificate (XML or PDF) that the new one replaces; with --verify: that it must.
+    reason
+        Why it is replaced; the certificate states that, and what changed.
     """
 
     despite: str | None = None
+    amends: Path | None = None
+    reason: str | None = None
 
 
 _UNPROVED = Proof()
@@ -73,10 +79,12 @@ def certificate(
     verify
         In place of a result: a certificate, XML or PDF, to check it and print its numbers.
     """
+    from counterspin.certificates.amendment import Amendment
+    from counterspin.certificates.issuing import certificate as make
     from counterspin.certificates.issuing import (
         certificate_blocks,
         check_certificate,
-        issue_certificate,
+        check_place,
     )
     from counterspin.certificates.lab import write_example
     from counterspin.reports.text import Report, report_console
@@ -89,7 +97,9 @@ def certificate(
         say(f"Wrote {write_example(init)}. Fill it in; all of it is an example.")
         return
     if verify is not None:
-        checked = check_certificate(verify, schema=proof.schema, cert=proof.cert)
+        checked = check_certificate(
+            verify, schema=proof.schema, cert=proof.cert, amends=grounds.amends
+        )
         report_console().print(Report(list(certificate_blocks(checked.certified))))
         said = {
             "none": "It is not signed.",
@@ -102,20 +112,29 @@ def certificate(
                 f"The signer's certificate expired on {checked.expired}; it was valid on the day "
                 "of issue that the certificate states."
             )
+        if (old := checked.certified.amends) is not None:
+            checksum = " and its checksum is right" if grounds.amends is not None else ""
+            say(f"It amends and replaces certificate {old}{checksum}.")
         if verify.suffix.lower() == ".pdf":
             say("This is of the XML that is attached to the PDF; its pages are not signed.")
         return
     if result is None or lab is None or output is None:
         raise CampaignError("certificate", ["give RESULT, LAB.toml, and -o FILE.xml or FILE.pdf"])
-    done = issue_certificate(
+    if (grounds.amends is None) != (grounds.reason is None):
+        raise CampaignError("certificate", ["give --amends OLD.xml and --reason WHY together"])
+    check_place(output)
+    done = make(
         result,
         lab,
-        output,
         schema=proof.schema,
         key=proof.key,
         cert=proof.cert,
         despite=grounds.despite,
+        amends=None
+        if grounds.amends is None or grounds.reason is None
+        else Amendment(grounds.amends, grounds.reason),
     )
+    done.write(output)
     say(f"Wrote {output}: certificate {done.identifier} of {', '.join(done.accelerometers)}.")
     for note in done.notes:
         say(note)

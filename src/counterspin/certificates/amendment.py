@@ -1,0 +1,255 @@
+"""An issued certificate that another one replaces (ISO/IEC 17025:2017, 7.8.8).
+
+- `Amendment`: which one is to be replaced, and why
+- `read_amended`, `Amended`: what the new certificate says of it
+- `changes`: what is otherwise in the new one
+- `amendment_lines`: the sentences
+- `check_amends`: whether a certificate replaces the very document that a file holds
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.certificates.attached import read_document
+from counterspin.certificates.coverage import coverage_factor
+from counterspin.certificates.elements import NAMESPACES, Element
+from counterspin.certificates.reading import Certified, read_certificate
+from counterspin.certificates.schema import parse
+from counterspin.errors import CampaignError, RecordError
+from counterspin.frozen import frozen
+from counterspin.reports.numbers import field_unit, format_estimate
+
+#: How the hash of a replaced certificate is made, as the new one states it.
+PROCEDURE: Final = "SHA-256"
+
+_ADMINISTRATIVE: Final = "/dcc:digitalCalibrationCertificate/dcc:administrativeData"
+
+#: What is compared as a whole, by what it is called.
+_PARTS: Final = {
+    "calibrated item": f"{_ADMINISTRATIVE}/dcc:items",
+    "laboratory": f"{_ADMINISTRATIVE}/dcc:calibrationLaboratory/dcc:contact",
+    "accreditation": f"{_ADMINISTRATIVE}/dcc:calibrationLaboratory/dcc:calibrationLaboratoryCode",
+    "responsible persons": f"{_ADMINISTRATIVE}/dcc:respPersons",
+    "customer": f"{_ADMINISTRATIVE}/dcc:customer",
+    "date of receipt": f"{_ADMINISTRATIVE}/dcc:coreData/dcc:receiptDate",
+    "dates of the calibration": f"{_ADMINISTRATIVE}/dcc:coreData/*[contains(name(), 'eDate')]"
+    "[contains(name(), 'Performance')]",
+    "place of the calibration": f"{_ADMINISTRATIVE}/dcc:coreData/dcc:performanceLocation",
+    "method": "//dcc:measurementResult[1]/dcc:usedMethods",
+    "conditions": "//dcc:measurementResult[1]/dcc:influenceConditions",
+    "input files": "//dcc:metaData[dcc:name/dcc:content='Input files and their checksums']",
+}
+
+
+@frozen
+class Amendment:
+    """Which certificate is to be replaced.
+
+    Attributes
+    ----------
+    path
+        The issued certificate, XML or PDF.
+    reason
+        Why, in words.
+    """
+
+    path: Path
+    reason: str
+
+
+@frozen
+class Amended:
+    """A certificate that a new one replaces.
+
+    Attributes
+    ----------
+    identifier
+        Of the one replaced.
+    checksum
+        SHA-256 of its XML, hexadecimal.
+    reason
+        Why it is replaced.
+    changes
+        What is otherwise in the new one, in sentences.
+    """
+
+    identifier: str
+    checksum: str
+    reason: str
+    changes: tuple[str, ...] = ()
+
+    def next_identifier(self) -> str:
+        """Return an identifier for the new one, where the laboratory gives none."""
+        numbered = re.fullmatch(r"(.*)-A(\d+)", self.identifier)
+        if numbered is None:
+            return f"{self.identifier}-A1"
+        return f"{numbered[1]}-A{int(numbered[2]) + 1}"
+
+
+def read_amended(amendment: Amendment) -> tuple[Amended, bytes]:
+    """Return what is to be said of a certificate that is replaced, and its XML.
+
+    Raises
+    ------
+    CampaignError
+        If no reason is given.
+    RecordError
+        If the file is no certificate of counterspin, or a draft.
+    """
+    if not amendment.reason.strip():
+        raise CampaignError("certificate", ["`reason`: say in words why a certificate is replaced"])
+    data = read_document(amendment.path)
+    found = read_certificate(data, str(amendment.path))
+    if found.identifier.startswith("DRAFT-"):
+        raise RecordError(
+            f"{amendment.path}: is a draft, which was never issued; nothing amends it"
+        )
+    checksum = hashlib.sha256(data).hexdigest()
+    return Amended(found.identifier, checksum, " ".join(amendment.reason.split())), data
+
+
+def with_changes(amended: Amended, old: bytes, new: bytes) -> Amended:
+    """Return it with what is otherwise in the new certificate's XML."""
+    return replace(amended, changes=tuple(changes(old, new)))
+
+
+def changes(old: bytes, new: bytes) -> list[str]:
+    """Return in sentences what differs between two certificates, numbers first.
+
+    Parameters
+    ----------
+    old, new
+        Their XML.
+    """
+    before, after = (read_certificate(data, "the certificate") for data in (old, new))
+    return [
+        *_numbers(before, after),
+        *_words(parse(old, "the certificate"), parse(new, "the certificate")),
+    ] or ["Nothing but identifier and date of issue."]
+
+
+def amendment_lines(amended: Amended | None) -> list[str]:
+    """Return what a certificate says of the one that it replaces; nothing if there is none."""
+    if amended is None:
+        return []
+    return [
+        f"This certificate amends and replaces certificate {amended.identifier} "
+        f"(SHA-256 of its XML: {amended.checksum}).",
+        f"Reason: {amended.reason}",
+        *(f"Changed: {change}" for change in amended.changes),
+    ]
+
+
+def check_amends(new: bytes, old: Path, source: str) -> str:
+    """Return the identifier of the certificate that another replaces.
+
+    Parameters
+    ----------
+    new
+        XML of the one that replaces.
+    old
+        The file of the one replaced, XML or PDF.
+    source
+        What the new one is called in messages.
+
+    Raises
+    ------
+    RecordError
+        If it replaces none, or not this document.
+    """
+    previous = _found(
+        parse(new, source), f"{_ADMINISTRATIVE}/dcc:coreData/dcc:previousReport/dcc:value"
+    )
+    data = read_document(old)
+    if not previous:
+        raise RecordError(f"{source}: amends no certificate")
+    if previous[0].text != hashlib.sha256(data).hexdigest():
+        raise RecordError(f"{source}: does not amend {old}, or {old} was changed since")
+    return read_certificate(data, str(old)).identifier
+
+
+def _numbers(before: Certified, after: Certified) -> Iterator[str]:
+    for name in dict.fromkeys([*before.accelerometers, *after.accelerometers]):
+        sides = [
+            side.accelerometers[name].coefficients if name in side.accelerometers else {}
+            for side in (before, after)
+        ]
+        for symbol in dict.fromkeys([*sides[0], *sides[1]]):
+            was, is_ = (_shown(side.get(symbol)) for side in sides)
+            if sides[0].get(symbol) != sides[1].get(symbol):
+                yield f"{symbol} of {name}: it was {was}, and is {is_}."
+
+
+def _shown(coefficient: Any) -> str:
+    if coefficient is None:
+        return "not certified"
+    unit, factor = field_unit(coefficient.unit)
+    u = coverage_factor(coefficient.dof) * (coefficient.u or 0.0)
+    return format_estimate(coefficient.value * factor, u * factor, unit)
+
+
+def _words(before: Element, after: Element) -> Iterator[str]:
+    for part, path in _PARTS.items():
+        was, is_ = (_text(root, path) for root in (before, after))
+        if was != is_:
+            yield f"{part}, {_difference(was.split(), is_.split())}."
+    was_said, is_said = (_statements(root) for root in (before, after))
+    for name in dict.fromkeys([*was_said, *is_said]):
+        if was_said.get(name) != is_said.get(name):
+            how = (
+                "is new"
+                if name not in was_said
+                else "is gone"
+                if name not in is_said
+                else "reads otherwise"
+            )
+            yield f'the statement "{name}" {how}.'
+
+
+def _statements(root: Element) -> dict[str, str]:
+    found = _found(root, f"{_ADMINISTRATIVE}/dcc:statements/dcc:statement")
+    said: dict[str, str] = {}
+    for statement in found:
+        name = " ".join(statement[0].itertext()).strip()
+        if name != "Amendment":
+            said[name] = said.get(name, "") + _joined(statement)
+    return said
+
+
+def _text(root: Element, path: str) -> str:
+    return "; ".join(_joined(element) for element in _found(root, path))
+
+
+def _joined(element: Element) -> str:
+    return " ".join(" ".join(element.itertext()).split())
+
+
+#: Characters of a changed text that are repeated.
+_SHOWN: Final = 120
+
+
+def _difference(was: list[str], is_: list[str]) -> str:
+    """Return what stands in the place of what, without the words that both begin and end with."""
+    same = 0
+    while same < min(len(was), len(is_)) and was[same] == is_[same]:
+        same += 1
+    was, is_ = was[same:], is_[same:]
+    while was and is_ and was[-1] == is_[-1]:
+        was, is_ = was[:-1], is_[:-1]
+    return f"from {_short(' '.join(was))} to {_short(' '.join(is_))}"
+
+
+def _short(words: str) -> str:
+    if not words:
+        return "nothing"
+    return f'"{words}"' if len(words) <= _SHOWN else f'"{words[:_SHOWN]}..."'
+
+
+def _found(root: Element, path: str) -> list[Any]:
+    return list(root.xpath(path, namespaces=NAMESPACES))

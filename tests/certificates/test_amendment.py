@@ -1,0 +1,104 @@
+"""A certificate that replaces another names it, in the schema's own elements, and what changed."""
+
+import hashlib
+
+import pytest
+from results import coefficient, result
+
+from certificates import LAB, find, write_lab
+from counterspin import cli
+from counterspin.certificates.amendment import Amended, Amendment, changes
+from counterspin.certificates.issuing import certificate, check_certificate
+from counterspin.certificates.reading import read_certificate
+from counterspin.errors import CampaignError, RecordError
+
+CORE = "//dcc:coreData"
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")
+    result().write("r.json")
+    write_lab(tmp_path)
+    assert cli.main(["certificate", "r.json", "LAB.toml", "-o", "old.xml"]) == 0
+    return tmp_path
+
+
+def test_from_a_result_to_an_amended_certificate_and_back(desk, capsys):
+    old = (desk / "old.xml").read_bytes()
+    write_lab(desk, LAB.replace('"0815"', '"0816"'))
+    why = ("--amends", "old.xml", "--reason", "The serial number was misread.")
+    assert cli.main(["certificate", "r.json", "LAB.toml", "-o", "new.xml", *why]) == 0
+    new = (desk / "new.xml").read_bytes()
+    name, digest = read_certificate(old, "").identifier, hashlib.sha256(old).hexdigest()
+    assert read_certificate(new, "").identifier == f"{name}-A1"
+    replaced = f"{CORE}/dcc:reportAmendedSubstituted"
+    assert [e.text for e in find(new, f"{replaced}/*")] == ["amended", name]
+    previous = f"{CORE}/dcc:previousReport"
+    assert [e.text for e in find(new, f"{previous}/*")[1:4]] == [name, "SHA-256", digest]
+    said = find(new, "//dcc:statement[dcc:name/dcc:content='Amendment']//dcc:content")[-1].text
+    _, reason, changed = said.splitlines()
+    assert reason == "Reason: The serial number was misread."
+    assert changed == 'Changed: calibrated item, from "0815" to "0816".'
+    # Read back, and held to the one that it replaces.
+    capsys.readouterr()
+    assert cli.main(["certificate", "--verify", "new.xml", "--amends", "old.xml"]) == 0
+    assert f"It amends and replaces certificate {name} and its checksum" in capsys.readouterr().out
+    (desk / "old.xml").write_bytes(old.replace(b"0815", b"0814"))
+    assert cli.main(["certificate", "--verify", "new.xml", "--amends", "old.xml"]) == 1
+    assert "does not amend old.xml, or old.xml was changed" in capsys.readouterr().err
+    # And once more.
+    again = certificate("r.json", "LAB.toml", amends=Amendment(desk / "new.xml", "No code."))
+    assert again.identifier == f"{name}-A2"
+
+
+def test_changed_numbers_are_told_and_nothing_else(desk):
+    other = result(
+        coefficients={
+            "K_F": coefficient(0.005, 1e-6, "g") | {"estimated": False},
+            "K_II": coefficient(2.71e-5, 1e-9, "g/g^2", dof=50.0),
+        },
+        correlation=None,
+    )
+    made = [certificate(given, "LAB.toml").xml for given in (result(), other)]
+    told = changes(*made)
+    assert told[:2] == [
+        "K_F of Qx: it was 5000.0 ± 2.0 ug, and is not certified.",
+        "K_II of Qx: it was 27.0000 ± 0.0020 ug/g^2, and is 27.1000 ± 0.0020 ug/g^2.",
+    ]
+    assert told[2:] == ['the statement "Not determined, accelerometer Qx" is new.']
+    assert changes(made[0], made[0]) == ["Nothing but identifier and date of issue."]
+
+
+def test_statements_that_come_and_go_are_told(desk):
+    old = certificate(result(), "LAB.toml").xml
+    write_lab(desk, LAB.replace('remarks = ["Bemerkung."]', 'customer_data = ["K_I"]'))
+    assert changes(old, certificate(result(), "LAB.toml").xml) == [
+        'the statement "What was known beforehand" reads otherwise.',
+        'the statement "Remarks" is gone.',
+        'the statement "Data supplied by the customer" is new.',
+    ]
+
+
+def test_what_cannot_be_amended_is_refused(desk, capsys):
+    with pytest.raises(CampaignError, match="say in words why"):
+        certificate("r.json", "LAB.toml", amends=Amendment(desk / "old.xml", " "))
+    write_lab(desk, LAB.replace('language = "de"', 'identifier = "7"'))
+    certificate("r.json", "LAB.toml").write("seven.xml")
+    with pytest.raises(CampaignError, match='"7" is that of the certificate that is amended'):
+        certificate("r.json", "LAB.toml", amends=Amendment(desk / "seven.xml", "why"))
+    with pytest.raises(RecordError, match="amends no certificate"):
+        check_certificate(desk / "seven.xml", amends=desk / "old.xml")
+    assert cli.main(["certificate", "--init", "mine.toml"]) == 0
+    certificate("r.json", "mine.toml").write("draft.xml")
+    with pytest.raises(RecordError, match="is a draft, which was never issued"):
+        certificate("r.json", "LAB.toml", amends=Amendment(desk / "draft.xml", "why"))
+    words = ["certificate", "r.json", "LAB.toml", "-o", "x.xml", "--amends", "old.xml"]
+    assert cli.main(words) == 2
+    assert "give --amends OLD.xml and --reason WHY together" in capsys.readouterr().err
+
+
+def test_identifiers_count_on():
+    assert Amended("CS-1", "", "").next_identifier() == "CS-1-A1"
+    assert Amended("CS-1-A9", "", "").next_identifier() == "CS-1-A10"
