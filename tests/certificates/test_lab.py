@@ -45,6 +45,11 @@ def test_every_gap_is_told_at_once_by_its_key(tmp_path):
         ('language = "de"', 'place = "lab"', "certificate.place: 'lab' is not one of the places"),
         ('language = "de"', "issued = 2026-01-13", "certificate.issued: lies before"),
         ('language = "de"', "received = 2026-01-13", "certificate.received: lies after"),
+        (
+            'language = "de"',
+            'ledger = "../l"',
+            "certificate.ledger: must be a file beside this one",
+        ),
         ('language = "de"', "accelerometers = []", "certificate.accelerometers: must have"),
         ('language = "de"', 'accelerometers = ["Qy"]', 'accelerometers[0]: the result has no "Qy"'),
         ("degC", "K", 'conditions.temperature: must be a temperature, such as "20.0 ± 0.3 degC"'),

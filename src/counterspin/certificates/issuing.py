@@ -1,7 +1,7 @@
 """From a result to a certificate's file, and from the file back to its numbers.
 
 - `certificate`: check, build, sign, validate; `Certificate`: what comes out, and its files
-- `check_place`: whether it may be written there
+- `issue_certificate`: make one and write it; `check_place`: whether it may be written there
 - `check_certificate`, `Checked`: validate, verify the signature, read the numbers
 - `certificate_blocks`: the numbers of a certificate as a page
 """
@@ -32,8 +32,10 @@ from counterspin.certificates.build import certificate as dcc_document
 from counterspin.certificates.build import check_certifiable, to_bytes
 from counterspin.certificates.capability import with_capability
 from counterspin.certificates.conversion import with_exact_g
+from counterspin.certificates.entering import enter_certificate
 from counterspin.certificates.front import TITLE, front_blocks, results_table, title
 from counterspin.certificates.lab import Lab, example_keys, read_lab
+from counterspin.certificates.ledger import checksum_of, verify_ledger
 from counterspin.certificates.reading import Certified, read_certificate
 from counterspin.certificates.schema import check_schema
 from counterspin.certificates.signature import Signer, is_signed, read_signer, sign, verify
@@ -67,6 +69,14 @@ class Certificate:
         The certificate (DCC), signed if a key was given.
     pages
         Makes the PDF.
+    ledger
+        Where the laboratory enters it once it is written; None: nowhere.
+    entry
+        What is entered there: the certificate's identifier and checksum, what it amends.
+    signed_by, reason
+        Who answers for it, and why it was issued.
+    result
+        The file of the result; None if it came from none.
     """
 
     identifier: str
@@ -74,25 +84,51 @@ class Certificate:
     notes: list[str]
     xml: bytes = field(repr=False)
     pages: Callable[[], bytes] = field(repr=False)
+    ledger: Path | None = None
+    entry: Mapping[str, str] = field(default_factory=dict, repr=False)
+    signed_by: str = ""
+    reason: str = ""
+    result: Path | None = None
+    draft: bool = False
 
     def pdf(self) -> bytes:
         """Return pages to read (PDF/A-3), with the XML attached byte for byte."""
         return self.pages()
 
-    def write(self, path: Path | str) -> Path:
+    def write(self, path: Path | str, *, ledger: Path | None = None) -> Path:
         """Write the certificate, as XML or PDF by the ending of the name; return the path.
+
+        Parameters
+        ----------
+        path
+            The file.
+        ledger
+            The ledger in which it is entered, in place of the laboratory's. A draft is entered in
+            none.
 
         Raises
         ------
         CampaignError
             If the name ends otherwise.
         CounterspinError
-            If there is such a file already, or it cannot be written.
+            If there is such a file already, or it cannot be written; or the ledger cannot, or was
+            altered: then nothing is written.
         """
-        path = Path(path)
+        path, kept = Path(path), None if self.draft else ledger or self.ledger
         check_place(path)
+        if kept is not None and kept.exists():
+            verify_ledger(kept)
         data = self.pdf() if path.suffix.lower() == ".pdf" else self.xml
         write_whole(path, lambda part: part.write_bytes(data))
+        if kept is not None:
+            of = {"file": path.name, **self.entry, "file_sha256": checksum_of(data)}
+            try:
+                enter_certificate(
+                    kept, of, self.result, who=self.signed_by, why=self.reason, date=issue_date()
+                )
+            except CounterspinError:
+                path.unlink()
+                raise
         return path
 
 
@@ -196,8 +232,37 @@ def certificate(
         accelerometers=names,
         notes=[*_notes(data, found, issue), *_signer_notes(signer, issue)],
         xml=xml,
+        ledger=_ledger(data, lab),
+        entry={"identifier": issue.identifier, "sha256": checksum_of(xml)}
+        | ({} if amended is None else {"amends": amended.identifier}),
+        signed_by=data.persons[0].name,
+        reason=_reason(issue.amended, found),
+        result=None if isinstance(result, Result) else Path(result),
+        draft=issue.draft,
         pages=lambda: _pages(data, found, issue, verdicts, attach=xml),
     )
+
+
+def issue_certificate(result: Path, lab: Path, output: Path) -> Certificate:
+    """Make the certificate of a result and write it; raises as `certificate` and its `write`."""
+    check_place(output)
+    made = certificate(result, lab)
+    made.write(output)
+    return made
+
+
+def _ledger(data: Lab, lab: Mapping[str, Any] | Path | str) -> Path | None:
+    if data.certificate.ledger is None:
+        return None
+    folder = Path() if isinstance(lab, Mapping) else Path(lab).parent
+    return folder / data.certificate.ledger
+
+
+def _reason(amended: Amended | None, result: Result) -> str:
+    reason = "issued" if amended is None else amended.reason
+    if result.accepted_misfit is None:
+        return reason
+    return f"{reason}; the misfit was accepted: {result.accepted_misfit}"
 
 
 def _notes(lab: Lab, result: Result, issue: Issue) -> Iterator[str]:

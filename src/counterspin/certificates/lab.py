@@ -99,6 +99,7 @@ class CertificateSettings(SettingsSection):
     received: datetime.date | None = None
     issued: datetime.date | None = None
     traceability: Words
+    ledger: Words | None = None
     procedure: Words | None = None
     deviations: list[Words] = Field(default=[])
     customer_data: list[Words] = Field(default=[])
@@ -248,7 +249,7 @@ def read_lab(
     empty |= {key: {} for key in ("certificate", "laboratory", "customer", "item")}
     lab = problems.check(Lab, empty | raw, ())
     if lab is not None:
-        _check_dates(lab.certificate, problems)
+        _check_settings(lab.certificate, problems)
         for symbol in lab.cmc:
             problems.attempt(("cmc", symbol), lab.capability, symbol, result.inputs.gravity)
     _check_accelerometers(raw, result, problems)
@@ -265,11 +266,14 @@ def read_lab(
     return lab, specifications
 
 
-def _check_dates(settings: CertificateSettings, problems: Problems) -> None:
+def _check_settings(settings: CertificateSettings, problems: Problems) -> None:
     if settings.end < settings.begin:
         problems.add(("certificate", "end"), "lies before certificate.begin")
     if settings.received is not None and settings.received > settings.begin:
         problems.add(("certificate", "received"), "lies after certificate.begin")
+    place = Path(settings.ledger or ".")
+    if place.is_absolute() or ".." in place.parts:
+        problems.add(("certificate", "ledger"), "must be a file beside this one, or below")
     if settings.issued is not None and settings.issued < settings.end:
         problems.add(("certificate", "issued"), "lies before certificate.end")
 

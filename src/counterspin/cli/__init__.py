@@ -3,8 +3,8 @@
 Each command has a module of its own, and imports what it uses when it runs, so that `--help`
 answers at once.
 
-- `init`, `simulate`, `calibrate`, `report`, `certificate`, `history`, `compare`, `check`, `watch`,
-  `apply`, `plan`, `study`, `serve`, `demo`, `reproduce`: the commands
+- `init`, `simulate`, `calibrate`, `report`, `certificate`, `ledger`, `history`, `compare`, `check`,
+  `watch`, `apply`, `plan`, `study`, `serve`, `demo`, `reproduce`: the commands
 - `words`: what several of them share, and errors in the words of a command line
 """
 
@@ -29,6 +29,7 @@ from counterspin.cli import (
     demo,
     history,
     init,
+    ledger,
     plan,
     report,
     reproduce,
@@ -54,6 +55,7 @@ for _command in (
     calibrate.calibrate,
     report.report,
     certificate.certificate,
+    ledger.ledger,
     history.history,
     compare.compare,
     check.check,

@@ -32,7 +32,7 @@ class Proof:
 @group
 @frozen
 class Grounds:
-    """Why a certificate is issued where it would not be without a reason.
+    """Why a certificate is issued where it would not be without a reason, and where that is kept.
 
     Parameters
     ----------
@@ -42,11 +42,14 @@ class Grounds:
         An issued certificate (XML or PDF) that the new one replaces; with --verify: that it must.
     reason
         Why it is replaced; the certificate states that, and what changed.
+    ledger
+        Enter the certificate there, in place of what LAB.toml says.
     """
 
     despite: str | None = None
     amends: Path | None = None
     reason: str | None = None
+    ledger: Path | None = None
 
 
 _UNPROVED = Proof()
@@ -134,7 +137,7 @@ def certificate(
         if grounds.amends is None or grounds.reason is None
         else Amendment(grounds.amends, grounds.reason),
     )
-    done.write(output)
+    done.write(output, ledger=grounds.ledger)
     say(f"Wrote {output}: certificate {done.identifier} of {', '.join(done.accelerometers)}.")
     for note in done.notes:
         say(note)

@@ -1,0 +1,252 @@
+"""The ledger of an instrument: what was found, certified and amended, one line each, only added to.
+
+Each line is one entry as JSON, and holds the SHA-256 of the entry before and its own. So whoever
+changes, removes or moves an entry must write all later ones anew; a note of the last one's hash,
+kept elsewhere, shows even that. A line counts once its end is on the disk.
+
+- `Entry`: one line; `append`: add one
+- `verify_ledger`, `Verified`: whether nothing was altered since, and where first if it was
+- `checksum_of`: SHA-256 of a file
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.errors import CounterspinError, RecordError
+from counterspin.frozen import frozen
+from counterspin.input import DOCUMENT_BYTES, read_file
+
+#: What the first entry says of the one before.
+_BEGINNING: Final = "0" * 64
+
+#: Keys of an entry, in the order in which they are written; `hash` is last.
+_KEYS: Final = ("number", "previous", "when", "who", "what", "why", "of", "hash")
+
+#: What an entry may be of.
+KINDS: Final = ("result", "certificate", "amendment")
+
+
+@frozen
+class Entry:
+    """One entry.
+
+    Attributes
+    ----------
+    number
+        From 1 on.
+    when
+        ISO 8601, UTC.
+    who, why
+        In words.
+    what
+        One of `KINDS`.
+    of
+        Names, identifiers and checksums.
+    digest
+        SHA-256 of all this and of the entry before, hexadecimal.
+    """
+
+    number: int
+    when: str
+    who: str
+    what: str
+    why: str
+    of: Mapping[str, str]
+    digest: str
+
+
+@frozen
+class Verified:
+    """A ledger whose entries were not altered.
+
+    Attributes
+    ----------
+    entries
+        All of them, oldest first.
+    unfinished
+        What stands after the last of them: the beginning of an entry whose writer was interrupted.
+    """
+
+    entries: tuple[Entry, ...]
+    unfinished: bytes = b""
+
+    @property
+    def head(self) -> str:
+        """Hash of the last entry, which stands for all of them."""
+        return self.entries[-1].digest if self.entries else _BEGINNING
+
+
+def verify_ledger(path: Path) -> Verified:
+    """Read a ledger and check it, to the last byte.
+
+    Raises
+    ------
+    RecordError
+        If it cannot be read, or was altered; the first entry that was is named.
+    """
+    try:
+        return _verified(read_file(path), str(path))
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+
+
+def append(path: Path, what: str, of: Mapping[str, str], *, who: str, why: str, when: str) -> Entry:
+    """Add an entry; several processes may do so at once, and each waits for the others.
+
+    What an interrupted writer left behind is no entry; it is taken away, and the new entry keeps it
+    in `of`, as ``unfinished``.
+
+    Parameters
+    ----------
+    path
+        The ledger; it is made where there is none.
+    what, of, who, why, when
+        As of `Entry`.
+
+    Raises
+    ------
+    RecordError
+        If the ledger was altered: it is not continued.
+    CounterspinError
+        If it cannot be written.
+    """
+    try:
+        with _locked(path) as file:
+            return _appended(file, path, (what, of, who, why, when))
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise CounterspinError(f"{path}: the ledger cannot be written ({reason})") from error
+
+
+def checksum_of(data: bytes) -> str:
+    """Return the SHA-256 of some bytes, hexadecimal."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def _appended(file: int, path: Path, said: tuple[str, Mapping[str, str], str, str, str]) -> Entry:
+    what, of, who, why, when = said
+    size = os.fstat(file).st_size
+    if size > DOCUMENT_BYTES:
+        raise RecordError(f"{path}: has more than {DOCUMENT_BYTES} bytes; begin another ledger")
+    whole = b""
+    while part := os.read(file, size + 1):
+        whole += part
+    before = _verified(whole, str(path))
+    if before.unfinished:
+        os.ftruncate(file, size - len(before.unfinished))
+        of = {**of, "unfinished": before.unfinished.decode("utf-8", "replace")}
+    content = {
+        "number": len(before.entries) + 1,
+        "previous": before.head,
+        "when": when,
+        "who": who,
+        "what": what,
+        "why": why,
+        "of": dict(of),
+    }
+    content["hash"] = _hash(content)
+    line = _line(content)
+    written = 0
+    while written < len(line):
+        written += os.write(file, line[written:])
+    os.fsync(file)
+    return _entry(content)
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[int]:
+    """Open a ledger for adding; whoever has it keeps others waiting, and lets go when it dies."""
+    made = not path.exists()
+    flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
+    file = os.open(path, flags, 0o666)
+    try:
+        if sys.platform == "win32":
+            import msvcrt
+
+            msvcrt.locking(file, msvcrt.LK_LOCK, 1)
+        else:
+            import fcntl
+
+            fcntl.flock(file, fcntl.LOCK_EX)
+        yield file
+        if made and hasattr(os, "O_DIRECTORY"):
+            folder = os.open(path.resolve().parent, os.O_RDONLY)
+            os.fsync(folder)
+            os.close(folder)
+    finally:
+        os.close(file)
+
+
+# Lines
+
+
+def _verified(whole: bytes, source: str) -> Verified:
+    *lines, unfinished = whole.split(b"\n")
+    entries: list[Entry] = []
+    previous = _BEGINNING
+    for number, line in enumerate(lines, 1):
+        content = _content(line)
+        wrong, which = None, number
+        if content is None or _line(content) != line + b"\n":
+            wrong = "is not as it was written"
+        elif content["hash"] != _hash(content):
+            wrong = "was altered: its hash does not fit it"
+        elif content["number"] != number:
+            wrong = f"calls itself entry {content['number']}: entries are missing or were moved"
+        elif content["previous"] != previous:
+            # The one that follows says so.
+            wrong, which = "was altered after it was written, or taken out", number - 1
+        if wrong is not None or content is None:
+            what = f"entry {which}" if which else "the beginning"
+            raise RecordError(f"{source}: {what} {wrong}; nothing from there on is to be relied on")
+        entries.append(_entry(content))
+        previous = content["hash"]
+    return Verified(tuple(entries), unfinished)
+
+
+def _content(line: bytes) -> dict[str, Any] | None:
+    """Return what an entry says; None if it is none."""
+    try:
+        content = json.loads(line)
+    except (ValueError, RecursionError):
+        return None
+    if not isinstance(content, dict) or tuple(content) != _KEYS:
+        return None
+    number, of, *words = (content[key] for key in ("number", "of", *_KEYS[1:6], "hash"))
+    if type(number) is not int or not isinstance(of, dict):
+        return None
+    if not all(isinstance(word, str) for word in (*words, *of.values())):
+        return None
+    return content
+
+
+def _line(content: Mapping[str, Any]) -> bytes:
+    return (_text(content) + "\n").encode("utf-8", "surrogatepass")
+
+
+def _text(content: Mapping[str, Any]) -> str:
+    return json.dumps(content, ensure_ascii=True, separators=(",", ":"))
+
+
+def _hash(content: Mapping[str, Any]) -> str:
+    return checksum_of(_text({k: v for k, v in content.items() if k != "hash"}).encode())
+
+
+def _entry(content: Mapping[str, Any]) -> Entry:
+    return Entry(
+        number=content["number"],
+        when=content["when"],
+        who=content["who"],
+        what=content["what"],
+        why=content["why"],
+        of=content["of"],
+        digest=content["hash"],
+    )

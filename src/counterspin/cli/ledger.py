@@ -1,0 +1,58 @@
+"""`counterspin ledger`: what was found, certified and amended of an instrument."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Literal
+
+from counterspin.cli.words import say
+from counterspin.errors import CampaignError
+
+
+def ledger(
+    action: Literal["verify", "add"],
+    ledger: Path,
+    results: tuple[Path, ...] = (),
+    /,
+    *,
+    who: str | None = None,
+    why: str | None = None,
+) -> None:
+    """Check that no entry of an instrument's ledger was altered, or add results to it.
+
+    Parameters
+    ----------
+    action
+        verify: check every entry and list them; add: enter results.
+    ledger
+        The ledger, a file to which entries are only added.
+    results
+        With add: result files.
+    who
+        With add: who enters them.
+    why
+        With add: why, in words.
+    """
+    from counterspin.calibration.pages.publishing import issue_date
+    from counterspin.certificates.entering import enter_result, ledger_blocks
+    from counterspin.certificates.ledger import verify_ledger
+    from counterspin.errors import RecordError
+    from counterspin.reports.text import Report, report_console
+
+    if action == "add":
+        if not results or not who or not why:
+            raise CampaignError("ledger", ["give RESULT.json, --who NAME and --why REASON"])
+        for file in results:
+            entered = enter_result(ledger, file, who=who, why=why, date=issue_date())
+            say(f"{ledger}: entry {entered.number} is result {file}, hash {entered.digest}.")
+        return
+    if results or who or why:
+        raise CampaignError("ledger", ["with verify, give the ledger alone"])
+    verified = verify_ledger(ledger)
+    report_console().print(Report(list(ledger_blocks(verified))))
+    if verified.unfinished:
+        raise RecordError(
+            f"{ledger}: after entry {len(verified.entries)} stands an unfinished line of "
+            f"{len(verified.unfinished)} bytes, as an interrupted writer leaves behind, or one "
+            "whose end was altered; those before it are as they were written, and the next keeps it"
+        )

@@ -1,0 +1,83 @@
+"""Results, certificates and amendments come into the ledger, with their checksums and reasons."""
+
+import hashlib
+
+import pytest
+from results import result
+
+from certificates import LAB, write_lab
+from counterspin import cli
+from counterspin.certificates.ledger import verify_ledger
+
+KEPT = LAB.replace('language = "de"', 'ledger = "ledger.jsonl"')
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "160")
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")  # 2027-01-15
+    result().write("r.json")
+    write_lab(tmp_path, KEPT)
+    return tmp_path
+
+
+def run(*words):
+    return cli.main(["certificate", *words])
+
+
+def digest(path):
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_a_result_its_certificate_and_the_amendment(desk, capsys):
+    assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
+    why = ("--amends", "a.xml", "--reason", "The customer has moved.")
+    assert run("r.json", "LAB.toml", "-o", "b.pdf", *why) == 0
+    found = verify_ledger(desk / "ledger.jsonl").entries
+    assert [entry.what for entry in found] == ["result", "certificate", "amendment"]
+    assert found[0].of == {"file": "r.json", "sha256": digest(desk / "r.json")}
+    assert found[1].of["sha256"] == found[1].of["file_sha256"] == digest(desk / "a.xml")
+    assert found[1].of["result"] == digest(desk / "r.json")
+    assert found[2].of["file_sha256"] == digest(desk / "b.pdf")
+    assert found[2].of["amends"] == found[1].of["identifier"]
+    assert (found[2].why, found[2].who) == ("The customer has moved.", "A. Erste")
+    assert found[1].when == "2027-01-15T08:00:00Z"
+    capsys.readouterr()
+    assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 0
+    assert found[2].digest in capsys.readouterr().out
+    more = ("--who", "B. Zweite", "--why", "once more")
+    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *more]) == 0
+    assert verify_ledger(desk / "ledger.jsonl").entries[3].who == "B. Zweite"
+
+
+def test_what_cannot_be_entered_is_not_issued(desk, capsys):
+    assert run("r.json", "LAB.toml", "-o", "a.xml") == 0
+    ledger = desk / "ledger.jsonl"
+    ledger.write_bytes(ledger.read_bytes().replace(b"r.json", b"s.json"))
+    assert run("r.json", "LAB.toml", "-o", "b.xml") == 1
+    assert "entry 1 was altered" in capsys.readouterr().err
+    assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 1
+    assert run("r.json", "LAB.toml", "-o", "b.xml", "--ledger", "no/ledger.jsonl") == 1
+    assert not (desk / "b.xml").exists()
+
+
+def test_a_draft_is_not_entered(desk):
+    assert run("--init", "mine.toml") == 0
+    assert run("r.json", "mine.toml", "-o", "draft.xml", "--ledger", "other.jsonl") == 0
+    assert not (desk / "other.jsonl").exists()
+
+
+def test_wrong_words_and_an_unfinished_line_are_told(desk, capsys):
+    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json"]) == 2
+    assert cli.main(["ledger", "verify", "ledger.jsonl", "r.json"]) == 2
+    assert "give the ledger alone" in capsys.readouterr().err
+    more = ("--who", "B", "--why", "w")
+    assert cli.main(["ledger", "add", "ledger.jsonl", "none.json", *more]) == 1
+    assert not (desk / "ledger.jsonl").exists()
+    assert cli.main(["ledger", "add", "ledger.jsonl", "r.json", *more]) == 0
+    with (desk / "ledger.jsonl").open("ab") as file:
+        file.write(b'{"number"')
+    capsys.readouterr()
+    assert cli.main(["ledger", "verify", "ledger.jsonl"]) == 1
+    assert "after entry 1 stands an unfinished line of 9 bytes" in capsys.readouterr().err

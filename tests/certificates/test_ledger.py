@@ -1,0 +1,121 @@
+"""A ledger tells of every byte that was altered, and loses no entry."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+
+from counterspin.certificates.ledger import append, verify_ledger
+from counterspin.errors import CounterspinError, RecordError
+
+WHEN = "2026-03-01T00:00:00Z"
+
+
+def entered(path, count, first=1):
+    return [
+        append(path, "result", {"file": f"r{n}.json"}, who="A. Erste", why="yearly ü", when=WHEN)
+        for n in range(first, first + count)
+    ]
+
+
+def altered(path):
+    """Return which entry a ledger's error names."""
+    with pytest.raises(RecordError) as caught:
+        verify_ledger(path)
+    return str(caught.value).removeprefix(f"{path}: ")
+
+
+def test_entries_read_back_and_each_holds_the_hash_of_the_one_before(tmp_path):
+    path = tmp_path / "ledger.jsonl"
+    given = entered(path, 3)
+    found = verify_ledger(path)
+    assert (list(found.entries), found.unfinished) == (given, b"")
+    lines = [json.loads(line) for line in path.read_bytes().splitlines()]
+    assert [line["number"] for line in lines] == [1, 2, 3]
+    assert lines[0]["previous"] == "0" * 64
+    assert [line["previous"] for line in lines[1:]] == [line["hash"] for line in lines[:-1]]
+    assert found.head == lines[-1]["hash"]
+
+
+def test_any_altered_byte_is_found_and_the_entry_named(tmp_path):
+    path = tmp_path / "ledger.jsonl"
+    entered(path, 3)
+    whole = path.read_bytes()
+    ends = [i for i, byte in enumerate(whole) if byte == ord("\n")]
+    for place in range(len(whole)):
+        for bit in (0x01, 0x80):
+            changed = bytearray(whole)
+            changed[place] ^= bit
+            path.write_bytes(changed)
+            number = sum(end < place for end in ends) + 1
+            if place == ends[-1]:
+                # Without its end a line is one that nobody finished.
+                assert verify_ledger(path).unfinished
+            else:
+                assert altered(path).startswith(f"entry {number} ")
+
+
+def test_entries_that_are_gone_moved_or_made_anew_are_found(tmp_path):
+    path = tmp_path / "ledger.jsonl"
+    entered(path, 4)
+    first, second, third, fourth = path.read_bytes().splitlines(keepends=True)
+    path.write_bytes(first + third + fourth)
+    assert altered(path).startswith("entry 2 calls itself entry 3: entries are missing")
+    path.write_bytes(first + third + second + fourth)
+    assert altered(path).startswith("entry 2 calls itself entry 3")
+    # One written anew, with a hash that fits it: the next one tells.
+    other = tmp_path / "other.jsonl"
+    entered(other, 1)
+    append(other, "result", {"file": "made up"}, who="B", why="", when=WHEN)
+    path.write_bytes(first + other.read_bytes().splitlines(keepends=True)[1] + third + fourth)
+    assert altered(path).startswith("entry 2 was altered after it was written")
+    path.write_bytes(second)
+    assert altered(path).startswith("entry 1 calls itself entry 2")
+
+
+def test_an_altered_ledger_is_not_continued(tmp_path):
+    path = tmp_path / "ledger.jsonl"
+    entered(path, 2)
+    path.write_bytes(changed := path.read_bytes().replace(b"r1.json", b"r7.json"))
+    with pytest.raises(RecordError, match="entry 1 was altered"):
+        entered(path, 1)
+    assert path.read_bytes() == changed
+
+
+def test_what_an_interrupted_writer_left_is_named_and_kept(tmp_path):
+    path = tmp_path / "ledger.jsonl"
+    given = entered(path, 2)
+    whole = path.read_bytes()
+    start = whole.index(b"\n") + 1
+    for cut in range(start, len(whole)):
+        path.write_bytes(whole[:cut])
+        found = verify_ledger(path)
+        assert found.entries == (given[0],)
+        assert found.unfinished == whole[start:cut]
+    (new,) = entered(path, 1, first=9)
+    assert (new.number, new.of["unfinished"].encode()) == (2, whole[start:-1])
+    assert verify_ledger(path).entries == (given[0], new)
+
+
+def test_writers_at_once_lose_nothing(tmp_path):
+    path = tmp_path / "ledger.jsonl"
+    program = (
+        "import sys; from pathlib import Path; from counterspin.certificates.ledger import append\n"
+        "for n in range(10):\n"
+        f"    append(Path(sys.argv[1]), 'result', {{'file': sys.argv[2] + str(n)}}, who='a', "
+        f"why='b', when='{WHEN}')\n"
+    )
+    writers = [subprocess.Popen([sys.executable, "-c", program, str(path), name]) for name in "abc"]
+    assert [writer.wait() for writer in writers] == [0, 0, 0]
+    names = [entry.of["file"] for entry in verify_ledger(path).entries]
+    assert sorted(names) == sorted(f"{name}{n}" for name in "abc" for n in range(10))
+    for name in "abc":  # of each writer in its order
+        assert [n for n in names if n[0] == name] == [f"{name}{n}" for n in range(10)]
+
+
+def test_a_place_that_cannot_be_written_is_told(tmp_path):
+    with pytest.raises(CounterspinError, match="the ledger cannot be written"):
+        entered(tmp_path / "no" / "ledger.jsonl", 1)
+    with pytest.raises(RecordError, match="cannot be read"):
+        verify_ledger(tmp_path / "none.jsonl")
