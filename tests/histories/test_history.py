@@ -336,11 +336,13 @@ def test_a_date_with_a_zone_is_brought_to_utc(tmp_path):
 
 def test_control_plot_shows_results_mean_and_drift(tmp_path):
     found = history([series(tmp_path, [2.70e-5 + 1e-7 * i for i in range(5)])])
-    mean, upper, lower, drift, results = control_plot(found, only(found)).series
-    # Three standard uncertainties of a result less the mean of five, of which it is one.
-    limit = 3e6 * U * math.sqrt(1 - 1 / 5)
-    assert upper.y == pytest.approx([27.2 + limit] * 5)
-    assert lower.y == pytest.approx([27.2 - limit] * 5)
+    mean, centre, *limits, drift, results = control_plot(found, only(found)).series
+    assert centre.y == pytest.approx((27.2, 27.2))
+    # Each change is 0.1: two and three times 0.1/1.1284 from the centre.
+    away = [2.0, -2.0, 3.0, -3.0]
+    assert [one.y[0] for one in limits] == pytest.approx(
+        [27.2 - a * 0.1 / 1.128379 for a in away], rel=1e-6
+    )
     assert results.kind == "points"
     assert results.y == pytest.approx([27.0, 27.1, 27.2, 27.3, 27.4])
     assert results.high[0] - results.low[0] == pytest.approx(2 * 1.959963984540054 * U * 1e6)
@@ -350,6 +352,91 @@ def test_control_plot_shows_results_mean_and_drift(tmp_path):
     assert drift.y == pytest.approx((27.0, 27.4), abs=1e-3)
     assert drift.stands_out
     assert any(isinstance(block, Plot) for block in history_blocks(found))
+
+
+def test_of_two_results_the_limits_are_those_of_their_uncertainties(tmp_path):
+    found = history([series(tmp_path, [2.70e-5, 2.71e-5])])
+    _, upper, lower, _ = control_plot(found, only(found)).series
+    # Three standard uncertainties of a result less the mean of two, of which it is one.
+    limit = 3e6 * U * math.sqrt(1 - 1 / 2)
+    assert upper.y == pytest.approx([27.05 + limit] * 2)
+    assert lower.y == pytest.approx([27.05 - limit] * 2)
+
+
+def with_limits(document, low=-2.9e-5, high=2.75e-5, laboratory=None):
+    """Return a result with a specification, and the laboratory that it comes from."""
+    document["accelerometers"]["Qx"]["conformity"] = {
+        "K_II": {
+            "specification": "as agreed",
+            "low": low,
+            "high": high,
+            "unit": "g/g^2",
+            "rule": "simple",
+            "guard_band": 0.0,
+            "verdict": "pass",
+            "probability": 1.0,
+            "risk": 0.0,
+        }
+    }
+    if laboratory is not None:
+        document["details"]["laboratory"] = laboratory
+    return document
+
+
+def test_a_drift_to_the_limit_sets_the_due_date(tmp_path):
+    documents = {
+        f"r{i}": with_limits(result(2.70e-5 + 5e-8 * i, date, u=1e-8))
+        for i, date in enumerate(DATES)
+    }
+    found = history([stored(tmp_path, **documents)])
+    instrument = only(found)
+    assert (instrument.specification.high, instrument.verdict) == (2.75e-5, "drifts")
+    # 27.2 in March 2026, at 0.05 a year: six years less what is uncertain.
+    assert instrument.due.date.startswith("2031")
+    longer = only(history([tmp_path], reliability=0.999)).due.date
+    assert longer < instrument.due.date
+    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
+    assert f"Due on {instrument.due.date}: until then it is in specification with 95.0 %" in told
+    lines = [one.label for one in control_plot(found, instrument).series]
+    assert lines.count("specification") == 1
+    with pytest.raises(CampaignError, match="does not lie between"):
+        history([tmp_path], reliability=0.4)
+
+
+def test_without_a_specification_or_with_a_jump_there_is_no_due_date(tmp_path):
+    assert "no result has a spec" in only(history([series(tmp_path / "a", [2.7e-5])])).due.reason
+    jump = {
+        f"r{i}": with_limits(result(2.70e-5 + shift * U, date))
+        for i, (shift, date) in enumerate(zip([0, 0, 0, 0, 8], DATES, strict=True))
+    }
+    found = history([stored(tmp_path / "b", **jump)])
+    assert "do not agree with a line" in only(found).due.reason
+
+
+def test_laboratories_are_compared(tmp_path):
+    values = [("A", 2.70e-5), ("B", 2.72e-5), ("A", 2.70e-5), ("B", 2.74e-5)]
+    documents = {
+        f"r{i}": with_limits(result(value, DATES[i]), laboratory=name)
+        for i, (name, value) in enumerate(values)
+    }
+    found = history([stored(tmp_path, **documents)])
+    (pair,) = only(found).laboratories
+    assert (pair.first, pair.second) == ("A", "B")
+    assert pair.difference == pytest.approx(3e-7)
+    # Each mean has u over the root of two: U of the difference is 1.96 u (ISO 13528:2015, 9.7).
+    assert pair.e_n == pytest.approx(3e-7 / (1.959964 * U), rel=1e-6)
+    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
+    assert "B less A: 0.3 ug/g^2, E_n = 3.06: they do not agree." in told
+
+
+def test_what_is_beyond_the_limits_is_named(tmp_path):
+    dates = [f"{year}-03-01" for year in range(2000, 2021)]
+    shifts = [0, 1] * 8 + [30] + [0, 1] * 2
+    found = history([series(tmp_path, [2.7e-5 + 1e-8 * s for s in shifts], dates)])
+    (beyond,) = only(found).control.beyond
+    assert beyond.endswith("r16.json")
+    told = " ".join(getattr(block, "text", "") for block in history_blocks(found))
+    assert f"Out of control: {beyond} is beyond the action limits;" in told
 
 
 def test_figure_has_a_chart_for_each_instrument_and_repeats_itself(tmp_path):

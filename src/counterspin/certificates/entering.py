@@ -12,7 +12,13 @@ from datetime import datetime
 from pathlib import Path
 
 from counterspin.calibration.result import Result
-from counterspin.certificates.ledger import Entry, Verified, append, checksum_of, verify_ledger
+from counterspin.certificates.ledger import (
+    Entry,
+    VerifiedLedger,
+    append,
+    checksum_of,
+    verify_ledger,
+)
 from counterspin.errors import RecordError
 from counterspin.input import read_file
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
@@ -81,7 +87,7 @@ def enter_certificate(
     return append(ledger, what, of, who=who, why=why, when=_moment(date))
 
 
-def ledger_blocks(verified: Verified) -> Iterator[Block]:
+def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
     """Yield the entries of a ledger, and the hash that stands for all of them."""
     yield Heading("Ledger", 1)
     yield Table(

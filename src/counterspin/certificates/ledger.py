@@ -5,7 +5,7 @@ changes, removes or moves an entry must write all later ones anew; a note of the
 kept elsewhere, shows even that. A line counts once its end is on the disk.
 
 - `Entry`: one line; `append`: add one
-- `verify_ledger`, `Verified`: whether nothing was altered since, and where first if it was
+- `verify_ledger`, `VerifiedLedger`: whether nothing was altered since, and where first if it was
 - `checksum_of`: SHA-256 of a file
 """
 
@@ -64,7 +64,7 @@ class Entry:
 
 
 @frozen
-class Verified:
+class VerifiedLedger:
     """A ledger whose entries were not altered.
 
     Attributes
@@ -84,7 +84,7 @@ class Verified:
         return self.entries[-1].digest if self.entries else _BEGINNING
 
 
-def verify_ledger(path: Path) -> Verified:
+def verify_ledger(path: Path) -> VerifiedLedger:
     """Read a ledger and check it, to the last byte.
 
     Raises
@@ -188,7 +188,7 @@ def _locked(path: Path) -> Iterator[int]:
 # Lines
 
 
-def _verified(whole: bytes, source: str) -> Verified:
+def _verified(whole: bytes, source: str) -> VerifiedLedger:
     *lines, unfinished = whole.split(b"\n")
     entries: list[Entry] = []
     previous = _BEGINNING
@@ -209,7 +209,7 @@ def _verified(whole: bytes, source: str) -> Verified:
             raise RecordError(f"{source}: {what} {wrong}; nothing from there on is to be relied on")
         entries.append(_entry(content))
         previous = content["hash"]
-    return Verified(tuple(entries), unfinished)
+    return VerifiedLedger(tuple(entries), unfinished)
 
 
 def _content(line: bytes) -> dict[str, Any] | None:

@@ -12,6 +12,7 @@ def history(
     *paths: Path,
     term: str = "K_II",
     serial: str | None = None,
+    reliability: float = 0.95,
     saved: Saved = NOT_SAVED,
     figure: Path | None = None,
 ) -> None:
@@ -25,6 +26,8 @@ def history(
         The coefficient.
     serial
         Only the instrument with this serial number.
+    reliability
+        Probability with which it is to be in specification until it is due again.
     figure
         Draw a control chart of one instrument: .svg, .png or .pdf.
     """
@@ -41,7 +44,7 @@ def history(
         check_format(figure)
         reserve(figure, lambda: file_kind(figure), overwrite=saved.overwrite)
     saved.reserve(History.file_kind)
-    result = run(paths, term=term, serial=serial)
+    result = run(paths, term=term, serial=serial, reliability=reliability)
     with saved.written(result):
         if figure is not None:
             save(history_plots(result), figure, overwrite=saved.overwrite)

@@ -3,6 +3,8 @@
 - `history`: from result files to a coefficient's history
 - `files`: which files are results, whose they are and when
 - `consistency`: whether repeated measurements agree, and whether what they measure drifts
+- `control`: limits from the results themselves; `due`: when the instrument is due again
+- `shared`: what results have in common, and the covariances that follow
 - `result`: the history and its JSON
 - `page`: a history as a person reads it, with its control chart
 """

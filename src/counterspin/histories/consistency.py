@@ -1,7 +1,7 @@
 """Whether repeated measurements of one quantity agree, and whether it drifts.
 
-The measurements are taken as independent, with the standard uncertainties that they state;
-these are not scaled.
+The measurements have the standard uncertainties that they state, which are not scaled, and are
+independent unless their covariance is given.
 
 - `weighted_mean`, `Mean`: their mean, and the chi-square test that they agree with it
 - `drift`, `Drift`: a straight line through them over time
@@ -103,13 +103,16 @@ class Drift:
         return self.value + self.slope * since, np.hypot(self.u_value, self.u * since)
 
 
-def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike) -> Mean:
+def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike, covariance: Array | None = None) -> Mean:
     """Return the mean with weights 1/u^2 and whether the measurements agree with it.
 
     Parameters
     ----------
     values, u
         Measurements and their standard uncertainties, shape (n,), n >= 1, u > 0.
+    covariance
+        Of the measurements, shape (n, n), where they are not independent: the mean is then that of
+        generalised least squares.
 
     Returns
     -------
@@ -121,6 +124,8 @@ def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike) -> Mean:
         If an uncertainty is not positive, or the shapes do not fit.
     """
     measured, sigma = np.asarray(values, np.float64), np.asarray(u, np.float64)
+    if covariance is not None:
+        return _correlated_mean(measured, covariance)
     constant = fit(np.ones((measured.size, 1)), measured, sigma)
     return Mean(
         value=float(constant.estimate[0]),
@@ -131,14 +136,19 @@ def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike) -> Mean:
     )
 
 
-def drift(time: npt.ArrayLike, values: npt.ArrayLike, u: npt.ArrayLike) -> Drift | None:
+def drift(
+    time: npt.ArrayLike,
+    values: npt.ArrayLike,
+    u: npt.ArrayLike,
+    covariance: Array | None = None,
+) -> Drift | None:
     """Fit a straight line by weighted least squares.
 
     Parameters
     ----------
     time
         Of the measurements, shape (n,), in any unit and order.
-    values, u
+    values, u, covariance
         As for `weighted_mean`.
 
     Returns
@@ -155,8 +165,15 @@ def drift(time: npt.ArrayLike, values: npt.ArrayLike, u: npt.ArrayLike) -> Drift
     if np.ptp(when) == 0.0:
         return None
     # About the weighted mean time value and slope are uncorrelated.
-    middle = float(np.average(when, weights=sigma**-2.0))
-    line = fit(np.stack([np.ones(when.size), when - middle], axis=1), values, sigma)
+    measured = np.asarray(values, np.float64)
+    if covariance is None:
+        middle = float(np.average(when, weights=sigma**-2.0))
+        line = fit(np.stack([np.ones(when.size), when - middle], axis=1), measured, sigma)
+    else:
+        whitened = _whitened(np.stack([np.ones(when.size), when, measured], axis=1), covariance)
+        ones, times, observed = whitened.T
+        middle = float(ones @ times / (ones @ ones))
+        line = fit(np.stack([ones, times - middle * ones], axis=1), observed, 1.0)
     (value, slope), (u_value, u_slope) = line.estimate, line.u
     return Drift(
         slope=float(slope),
@@ -170,7 +187,9 @@ def drift(time: npt.ArrayLike, values: npt.ArrayLike, u: npt.ArrayLike) -> Drift
 
 
 def en_score(
-    first: tuple[float, float, float | None], second: tuple[float, float, float | None]
+    first: tuple[float, float, float | None],
+    second: tuple[float, float, float | None],
+    covariance: float = 0.0,
 ) -> float:
     """Return the E_n score of a second measurement against a first (ISO 13528:2015, 9.7).
 
@@ -179,6 +198,8 @@ def en_score(
     first, second
         Value, standard uncertainty and degrees of freedom (None is infinite) of each; the expanded
         uncertainties are those of 95 % coverage.
+    covariance
+        Of the two: what they share cancels in the difference.
 
     Returns
     -------
@@ -186,8 +207,31 @@ def en_score(
         Difference over the root of the sum of squared expanded uncertainties; up to 1 in size the
         two agree.
     """
-    expanded = math.hypot(*(expanded_uncertainty(u, dof) for _, u, dof in (first, second)))
-    return (second[0] - first[0]) / expanded
+    one, other = (expanded_uncertainty(u, dof) for _, u, dof in (first, second))
+    common = 2.0 * covariance * (one / first[1]) * (other / second[1])
+    return (second[0] - first[0]) / math.sqrt(one**2 + other**2 - common)
+
+
+def _correlated_mean(values: Array, covariance: Array) -> Mean:
+    whitened = _whitened(np.stack([np.ones(values.size), values], axis=1), covariance)
+    constant = fit(whitened[:, :1], whitened[:, 1], 1.0)
+    mean, u = float(constant.estimate[0]), float(constant.u[0])
+    difference = values - mean
+    z = np.full(values.size, np.nan)
+    # Of generalised least squares too, the covariance of a measurement with the mean is u^2.
+    left = np.diag(covariance) - u**2
+    apart = left > 1e-12 * np.diag(covariance)
+    if values.size > 1:
+        z[apart] = difference[apart] / np.sqrt(left[apart])
+    return Mean(mean, u, _agreement(constant), difference, z)
+
+
+def _whitened(columns: Array, covariance: Array) -> Array:
+    """Return columns in units in which the measurements are independent, of variance one."""
+    from scipy.linalg import cholesky, solve_triangular
+
+    whitened: Array = solve_triangular(cholesky(covariance, lower=True), columns, lower=True)
+    return whitened
 
 
 def _against_the_others(values: Array, u: Array) -> Array:

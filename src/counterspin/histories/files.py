@@ -16,9 +16,11 @@ from typing import Any, Final, Literal
 
 from counterspin.calibration.findings import judge_result, refusal
 from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Conformity
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.histories.result import UnusedResult
+from counterspin.histories.shared import shared_sources
 from counterspin.input import read_file
 
 #: Keys of every result, whatever its schema; other JSON files in a folder are not results.
@@ -51,6 +53,12 @@ class DatedResult:
         m/s^2.
     records
         Checksums of the record files that it rests on.
+    shared
+        As of `counterspin.histories.shared.shared_sources`.
+    limits
+        Specification: lower and upper limit, and its words; None without one.
+    laboratory
+        As the campaign states it.
     """
 
     serial_number: str
@@ -65,6 +73,9 @@ class DatedResult:
     dof: float | None
     gravity: float
     records: frozenset[str]
+    shared: dict[tuple[str, str], float] = field(default_factory=dict)
+    limits: tuple[float | None, float | None, str] | None = None
+    laboratory: str | None = None
 
 
 @dataclass
@@ -220,7 +231,14 @@ def _record(
             for input_file, checksum in result.provenance.inputs.items()
             if not input_file.endswith(".toml") and checksum.startswith("sha256:")
         ),
+        shared=shared_sources(result, name, term),
+        limits=_limits(accelerometer.conformity.get(term)),
+        laboratory=result.details.get("laboratory"),
     )
+
+
+def _limits(stated: Conformity | None) -> tuple[float | None, float | None, str] | None:
+    return None if stated is None else (stated.low, stated.high, stated.specification)
 
 
 def _wrong(result: Result, name: str) -> str | None:

@@ -9,23 +9,34 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
+from itertools import combinations
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
+from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import did_you_mean
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.histories.consistency import Agreement, Drift, Mean, drift, en_score, weighted_mean
+from counterspin.histories.control import WARNING, individuals
+from counterspin.histories.due import LONGEST, next_due
 from counterspin.histories.files import Collected, DatedResult, collect
 from counterspin.histories.result import (
+    ControlLimits,
+    Due,
     History,
     InstrumentHistory,
+    LaboratoryPair,
     Point,
     Scatter,
+    SpecificationLimits,
     Trend,
     UnusedResult,
     Verdict,
 )
+from counterspin.histories.shared import in_common
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import SHARED_TERMS
@@ -34,7 +45,11 @@ _YEAR: Final = timedelta(days=365.25)
 
 
 def history(
-    paths: Sequence[Path | str | Result], *, term: str = "K_II", serial: str | None = None
+    paths: Sequence[Path | str | Result],
+    *,
+    term: str = "K_II",
+    serial: str | None = None,
+    reliability: float = 0.95,
 ) -> History:
     """Collect the results of each instrument, oldest first.
 
@@ -47,6 +62,8 @@ def history(
     serial
         Serial number of the instrument, as its accelerometers or its campaigns state it; None
         takes all.
+    reliability
+        Probability with which it is to be in specification until it is due again.
 
     Returns
     -------
@@ -60,6 +77,8 @@ def history(
     CounterspinError
         If no result can be used; the reasons are given.
     """
+    if not 0.5 < reliability < 1.0:
+        raise CampaignError("`reliability`", [f"{reliability} does not lie between 0.5 and 1"])
     if term not in TERMS:
         raise CampaignError("`term`", [_unknown(term)])
     collected = collect([p if isinstance(p, Result) else Path(p) for p in paths], term)
@@ -82,7 +101,7 @@ def history(
         gravity=gravity,
         converted=any(record.gravity != gravity for record in collected.records),
         instruments=[
-            _instrument([_in_units_of(gravity, record, term) for record in records])
+            _instrument([_in_units_of(gravity, r, term) for r in records], reliability)
             for _, records in sorted(by_serial.items())
         ],
         left_out=collected.left_out,
@@ -160,28 +179,127 @@ def _in_units_of(gravity: float, record: DatedResult, term: str) -> DatedResult:
     A coefficient of n factors is in g/g^n, and so inversely as g^(n - 1).
     """
     factor = (record.gravity / gravity) ** (1 - len(TERMS[term].factors))
-    return replace(record, value=record.value * factor, u=record.u * factor, gravity=gravity)
+    limits = record.limits
+    if limits is not None:
+        low, high = (None if end is None else end * factor for end in limits[:2])
+        limits = (low, high, limits[2])
+    return replace(
+        record,
+        value=record.value * factor,
+        u=record.u * factor,
+        gravity=gravity,
+        shared={key: moved * factor for key, moved in record.shared.items()},
+        limits=limits,
+    )
 
 
-def _instrument(records: Sequence[DatedResult]) -> InstrumentHistory:
+def _instrument(records: Sequence[DatedResult], reliability: float) -> InstrumentHistory:
     values, u = [record.value for record in records], [record.u for record in records]
-    mean = weighted_mean(values, u)
+    common = in_common(u, [record.shared for record in records])
+    covariance = None if common is None else common.covariance
+    mean = weighted_mean(values, u, covariance)
     start = records[0].date
-    line = drift([(record.date - start) / _YEAR for record in records], values, u)
+    line = drift([(record.date - start) / _YEAR for record in records], values, u, covariance)
+    verdict = _verdict(mean, line)
     return InstrumentHistory(
         serial_number=records[0].serial_number,
         # One that is stated in both ways is the accelerometer's own.
         stated_by=min(record.stated_by for record in records),
-        points=[_point(i, records, mean) for i in range(len(records))],
+        points=[_point(i, records, mean, covariance) for i in range(len(records))],
         mean=mean.value,
         u_mean=mean.u,
         scatter=_scatter(mean.agreement),
         drift=None if line is None else _trend(line, start),
-        verdict=_verdict(mean, line),
+        verdict=verdict,
+        shared=[] if common is None else list(common.names),
+        correlation=None if common is None else common.largest,
+        control=_control(records),
+        specification=_specification(records),
+        due=_due(records, line, verdict, reliability),
+        laboratories=_laboratories(records, covariance),
     )
 
 
-def _point(index: int, records: Sequence[DatedResult], mean: Mean) -> Point:
+def _control(records: Sequence[DatedResult]) -> ControlLimits | None:
+    chart = individuals([record.value for record in records])
+    if chart is None:
+        return None
+    (action_low, action_high), (low, high) = chart.limits(), chart.limits(WARNING)
+    return ControlLimits(
+        centre=chart.centre,
+        warning_low=low,
+        warning_high=high,
+        action_low=action_low,
+        action_high=action_high,
+        mean_range=chart.mean_range,
+        range_limit=chart.range_limit,
+        beyond=[records[place].file for place in chart.beyond],
+        leaps=[records[place].file for place in chart.leaps],
+    )
+
+
+def _specification(records: Sequence[DatedResult]) -> SpecificationLimits | None:
+    """Return that of the latest result that has one."""
+    for record in reversed(records):
+        if record.limits is not None:
+            low, high, words = record.limits
+            return SpecificationLimits(low=low, high=high, words=words)
+    return None
+
+
+def _due(
+    records: Sequence[DatedResult], line: Drift | None, verdict: Verdict, reliability: float
+) -> Due:
+    limits = _specification(records)
+    if limits is None:
+        reason = "no result has a specification"
+    elif line is None:
+        reason = "results of two dates are needed"
+    elif verdict in {"differ", "disagree"}:
+        reason = "the results do not agree with a line that could be carried on"
+    else:
+        ends = (limits.low, limits.high)
+        date = next_due(line, records[0].date, records[-1].date, ends, reliability)
+        if date is not None:
+            return Due(date=date.date().isoformat(), reliability=reliability)
+        reason = f"it stays in specification for {LONGEST:g} years by the line: set a limit"
+    return Due(date=None, reliability=reliability, reason=reason)
+
+
+def _laboratories(records: Sequence[DatedResult], covariance: Array | None) -> list[LaboratoryPair]:
+    """Compare the weighted means of laboratories, each with each."""
+    u = np.array([record.u for record in records])
+    whole = np.diag(u**2) if covariance is None else covariance
+    values = np.array([record.value for record in records])
+    found: dict[str, tuple[Array, float | None]] = {}
+    for name in dict.fromkeys(record.laboratory for record in records):
+        if name is None:
+            continue
+        own = [i for i, record in enumerate(records) if record.laboratory == name]
+        weights = np.zeros(len(records))
+        weights[own] = np.linalg.solve(whole[np.ix_(own, own)], np.ones(len(own)))
+        dofs = [dof for i in own if (dof := records[i].dof) is not None]
+        found[name] = weights / weights.sum(), min(dofs, default=None)
+    pairs = []
+    for (first, (one, dof)), (second, (other, other_dof)) in combinations(found.items(), 2):
+        means = [
+            (float(w @ values), float(np.sqrt(w @ whole @ w)), d)
+            for w, d in ((one, dof), (other, other_dof))
+        ]
+        pairs.append(
+            LaboratoryPair(
+                first=first,
+                second=second,
+                difference=means[1][0] - means[0][0],
+                e_n=en_score(means[0], means[1], float(one @ whole @ other)),
+            )
+        )
+    return pairs
+
+
+def _point(
+    index: int, records: Sequence[DatedResult], mean: Mean, covariance: Array | None
+) -> Point:
     record = records[index]
     alone, z = len(records) == 1, float(mean.z[index])
     before = records[index - 1] if index else None
@@ -197,7 +315,12 @@ def _point(index: int, records: Sequence[DatedResult], mean: Mean) -> Point:
         z=z if math.isfinite(z) else None,
         e_n=None
         if before is None
-        else en_score((before.value, before.u, before.dof), (record.value, record.u, record.dof)),
+        else en_score(
+            (before.value, before.u, before.dof),
+            (record.value, record.u, record.dof),
+            0.0 if covariance is None else float(covariance[index - 1, index]),
+        ),
+        laboratory=record.laboratory,
     )
 
 

@@ -1,5 +1,6 @@
 """A history as a page: a sentence, a table and a control chart for each instrument.
 
+- `judgements`: what follows from limits, in sentences
 - `render_history`: as something that rich prints; `history_blocks`: the same as blocks
 - `control_plot`: one instrument's control chart; `history_plots`: those of all
 """
@@ -18,6 +19,7 @@ from counterspin.reports.numbers import (
     field_unit,
     format_estimate,
     format_number,
+    format_probability,
     round_to_uncertainty,
 )
 from counterspin.reports.text import Report
@@ -41,13 +43,14 @@ def history_blocks(history: History) -> Iterator[Block]:
         good = instrument.verdict in {"single", "constant"}
         yield Paragraph(verdict_in_words(history, instrument), "answer" if good else "warning")
         yield _table(history, instrument)
+        for line in judgements(history, instrument):
+            yield Paragraph(line)
         if len(instrument.points) > 1:
             yield control_plot(history, instrument)
     yield Paragraph(
         "± is one standard uncertainty (k = 1). z: difference from the weighted mean over its "
         "standard uncertainty. E_n: change since the result before, over the expanded uncertainty "
-        "(95 %) of the change; up to 1 in size the two agree (ISO 13528). Results are taken as "
-        "independent.",
+        "(95 %) of the change; up to 1 in size the two agree (ISO 13528).",
         "quiet",
     )
     if history.converted:
@@ -97,6 +100,69 @@ def verdict_in_words(history: History, instrument: InstrumentHistory) -> str:
     )
 
 
+def judgements(history: History, instrument: InstrumentHistory) -> Iterator[str]:
+    """Yield what follows from limits, from what is shared, and between laboratories."""
+    unit, factor = field_unit(history.unit)
+
+    def shown(low: float, high: float) -> str:
+        return f"{low * factor:.6g} to {high * factor:.6g} {unit}"
+
+    if (chart := instrument.control) is not None:
+        out = [
+            *(f"{file} is beyond the action limits" for file in chart.beyond),
+            *(f"{file} leaps from the one before" for file in chart.leaps),
+        ]
+        yield (
+            f"Individuals chart: centre {chart.centre * factor:.6g} {unit}, action limits "
+            f"{shown(chart.action_low, chart.action_high)}, warning limits "
+            f"{shown(chart.warning_low, chart.warning_high)}, from the mean moving range. "
+            + (f"Out of control: {'; '.join(out)}." if out else "In control.")
+        )
+    if instrument.correlation is not None:
+        yield (
+            f"The results share {', '.join(instrument.shared)} (correlation up to "
+            f"{instrument.correlation:.2f}), and are combined with these correlations."
+        )
+    if (due := instrument.due) is not None:
+        reliability = format_probability(due.reliability)
+        if due.date is not None:
+            yield (
+                f"Due on {due.date}: until then it is in specification with {reliability}, by the "
+                "line through its results (control chart method of ILAC-G24:2022)."
+            )
+        elif instrument.specification is not None:
+            yield f"No due date at {reliability}: {due.reason}."
+    for pair in instrument.laboratories:
+        agree = "agree" if abs(pair.e_n) <= 1.0 else "do not agree"
+        difference = format_number(pair.difference * factor, 2)
+        yield (
+            f"{pair.second} less {pair.first}: {difference} {unit}, E_n = {pair.e_n:.2f}: they "
+            f"{agree}."
+        )
+
+
+def _limit_lines(
+    instrument: InstrumentHistory, ends: tuple[float, float], factor: float
+) -> Iterator[PlotSeries]:
+    """Yield control and specification limits; each kind has one entry in the legend."""
+    lines: list[tuple[str, tuple[float | None, ...], int]] = []
+    if (chart := instrument.control) is not None:
+        lines += [
+            ("centre (mean of the results)", (chart.centre,), 4),
+            ("warning limits", (chart.warning_low, chart.warning_high), 5),
+            ("action limits, moving range", (chart.action_low, chart.action_high), 1),
+        ]
+    if (limits := instrument.specification) is not None:
+        lines.append(("specification", (limits.low, limits.high), 6))
+    for words, levels, colour in lines:
+        label = words
+        for level in levels:
+            if level is not None:
+                y = (level * factor,) * 2
+                yield PlotSeries(label, ends, y, colour=colour, stands_out=words == "specification")
+                label = ""
+
+
 def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
     """Return the results with their 95 % intervals over time, mean, control limits and drift."""
     unit, factor = field_unit(history.unit)
@@ -114,7 +180,8 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
             high=(mean + u, mean + u),
         )
     ]
-    if len(x) > 1:
+    series += _limit_lines(instrument, ends, factor)
+    if len(x) > 1 and instrument.control is None:
         # The standard uncertainty of a result less the mean, of which it is a part.
         away = [
             _LIMIT * math.sqrt(max(point.u**2 - instrument.u_mean**2, 0.0)) * factor

@@ -4,6 +4,7 @@ Values are in the unit of the term, in g-units of one gravity, which is stated.
 
 - `History`: all of it
 - `InstrumentHistory`, `Point`, `Scatter`, `Trend`: one instrument's results and their analysis
+- `ControlLimits`, `SpecificationLimits`, `Due`, `LaboratoryPair`: limits, interval, comparison
 - `UnusedResult`: what could not be used, and why
 """
 
@@ -41,6 +42,8 @@ class Point(ResultPart):
         result alone.
     e_n
         E_n score against the result before; None for the first.
+    laboratory
+        Of the campaign; None where it states none.
     """
 
     date: str
@@ -53,6 +56,7 @@ class Point(ResultPart):
     difference: float | None
     z: float | None
     e_n: float | None
+    laboratory: str | None = None
 
 
 class Scatter(ResultPart):
@@ -90,6 +94,69 @@ class Trend(ResultPart):
     scatter: Scatter
 
 
+class ControlLimits(ResultPart):
+    """Individuals and moving range, from the results alone (NIST/SEMATECH e-Handbook, 6.3.2.2).
+
+    Attributes
+    ----------
+    centre
+        Mean of the results, not weighted.
+    warning_low, warning_high, action_low, action_high
+        At two and at three standard deviations, these from the mean moving range.
+    mean_range, range_limit
+        Mean moving range, and its upper action limit.
+    beyond
+        Files of the results beyond the action limits.
+    leaps
+        Files of the results that differ from the one before by more than `range_limit`.
+    """
+
+    centre: float
+    warning_low: float
+    warning_high: float
+    action_low: float
+    action_high: float
+    mean_range: float
+    range_limit: float
+    beyond: list[str]
+    leaps: list[str]
+
+
+class SpecificationLimits(ResultPart):
+    """The specification of the latest result that has one, its limits in the term's unit."""
+
+    low: float | None
+    high: float | None
+    words: str
+
+
+class Due(ResultPart):
+    """When the instrument is due again.
+
+    Attributes
+    ----------
+    date
+        Last day on which it is in specification with `reliability`, by the line; None: see reason.
+    reliability
+        Probability.
+    reason
+        Why there is no date.
+    """
+
+    date: str | None
+    reliability: float
+    reason: str | None = None
+
+
+class LaboratoryPair(ResultPart):
+    """Two laboratories: the second's weighted mean less the first's, and its E_n (ISO 13528)."""
+
+    first: str
+    second: str
+    difference: float
+    e_n: float
+
+
 class InstrumentHistory(ResultPart):
     """One instrument's results, oldest first.
 
@@ -109,6 +176,18 @@ class InstrumentHistory(ResultPart):
         ``single``: one result; ``constant``: they agree and do not drift; ``drifts``: they agree
         with a line that is not level; ``differ``: two dates differ, by drift or by a jump;
         ``disagree``: they scatter by more than their uncertainties.
+    shared
+        What results have in common, such as ``centrifuge.radius``.
+    correlation
+        The largest of two results that follows; None: they are independent.
+    control
+        Limits from the results alone; None for fewer than three.
+    specification
+        None where no result has one.
+    due
+        When it is due again, or why nothing can be said; None in files of earlier versions.
+    laboratories
+        Each pair of those that the results name.
     """
 
     serial_number: str
@@ -119,6 +198,12 @@ class InstrumentHistory(ResultPart):
     scatter: Scatter
     drift: Trend | None
     verdict: Verdict
+    shared: list[str] = []
+    correlation: float | None = None
+    control: ControlLimits | None = None
+    specification: SpecificationLimits | None = None
+    due: Due | None = None
+    laboratories: list[LaboratoryPair] = []
 
 
 class UnusedResult(ResultPart):

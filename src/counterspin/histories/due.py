@@ -1,0 +1,89 @@
+"""When an instrument is due again: how long it stays in specification with a stated reliability.
+
+- `next_due`: the date, or why there is none
+- `probability_inside`: that it is in specification at a time
+"""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from typing import Final
+
+from counterspin.histories.consistency import Drift
+from counterspin.inference.distributions import normal_cdf
+
+#: No interval is longer, whatever the line says; years.
+LONGEST: Final = 10.0
+
+_YEAR: Final = timedelta(days=365.25)
+
+
+def probability_inside(line: Drift, time: float, low: float | None, high: float | None) -> float:
+    """Return the probability that the quantity lies within limits at a time.
+
+    The line's uncertainty is enlarged by its Birge ratio where that is above 1.
+
+    Parameters
+    ----------
+    line
+        Through the results; in years.
+    time
+        In years, as the line has them.
+    low, high
+        The limits; None where there is none.
+    """
+    value, u = (float(part) for part in line.at(time))
+    u *= max(1.0, line.agreement.birge or 1.0)
+    below = 1.0 if high is None else normal_cdf((high - value) / u)
+    return below - (0.0 if low is None else normal_cdf((low - value) / u))
+
+
+def next_due(
+    line: Drift,
+    start: datetime,
+    last: datetime,
+    limits: tuple[float | None, float | None],
+    reliability: float,
+) -> datetime | None:
+    """Return the last day on which the quantity is in specification with the reliability wanted.
+
+    The method is that of control charts in ILAC-G24:2022 (OIML D 10): drift and its uncertainty are
+    found from the results of the past and carried on.
+
+    Parameters
+    ----------
+    line
+        Through the results, in years since `start`.
+    start, last
+        Dates of the first and the last result.
+    limits
+        Lower and upper one.
+    reliability
+        Probability wanted.
+
+    Returns
+    -------
+    datetime or None
+        `last` itself where the probability is too small already; None if it is large enough for
+        `LONGEST` years.
+    """
+    begin = (last - start) / _YEAR
+    if probability_inside(line, begin, *limits) < reliability:
+        return last
+    # The probability may first grow, when the line leads back: the first time that it fails counts.
+    steps = int(LONGEST * 52)
+    inside = begin
+    for step in range(1, steps + 1):
+        outside = begin + LONGEST * step / steps
+        if probability_inside(line, outside, *limits) < reliability:
+            break
+        inside = outside
+    else:
+        return None
+    while outside - inside > 1e-4:
+        middle = 0.5 * (inside + outside)
+        if probability_inside(line, middle, *limits) < reliability:
+            outside = middle
+        else:
+            inside = middle
+    return start + inside * _YEAR

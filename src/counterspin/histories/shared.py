@@ -1,0 +1,127 @@
+"""What several results have in common, and so err in together: radius, gravity, priors.
+
+- `shared_sources`: of one result, what later ones may share
+- `in_common`, `InCommon`: of several, with the covariances that follow
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.calibration.result import Result
+from counterspin.frozen import frozen
+from counterspin.physics.accelerometer import TERMS
+
+#: How a budget names what is common: an input of the campaign -> where the result states it.
+_INPUTS: Final = {
+    "site.gravity": ("gravity", "u_gravity"),
+    "site.latitude": ("latitude", "u_latitude"),
+    "centrifuge.radius": ("radius", "u_radius"),
+}
+
+_KINDS: Final = ("prior", "considered", "input")
+
+#: Correlations below this change nothing that is printed.
+_NEGLIGIBLE: Final = 0.01
+
+#: The parts of a budget are no more than u^2, but for rounding.
+_SUM: Final = 1.01
+
+#: What a result does not share is at least this part of its u.
+_LEAST_OWN: Final = 1e-3
+
+
+@frozen
+class InCommon:
+    """What results share.
+
+    Attributes
+    ----------
+    names
+        What it is, such as ``centrifuge.radius``.
+    largest
+        The largest correlation of two results.
+    covariance
+        Of the results, shape (n, n).
+    """
+
+    names: tuple[str, ...]
+    largest: float
+    covariance: Array
+
+
+def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, str], float]:
+    """Return what each source does that another result may have in common.
+
+    Two results share an input if both state the same value and uncertainty of it, and a prior or a
+    considered term of the accelerometer if both state the same uncertainty: it is then taken to be
+    the same measurement, or the same lack of one. What belongs to a run is not shared.
+
+    Parameters
+    ----------
+    result
+        The result.
+    name, symbol
+        Accelerometer and coefficient.
+
+    Returns
+    -------
+    dict
+        Source and what identifies it -> what one standard uncertainty of it moves the coefficient
+        by, signed.
+    """
+    found: dict[tuple[str, str], float] = {}
+    lines = result.accelerometers[name].budget.get(symbol, ())
+    u = result.accelerometers[name].coefficients[symbol].u or 0.0
+    if sum(line.contribution**2 for line in lines) > _SUM * u**2:
+        return found  # a budget of another uncertainty
+    for line in lines:
+        source, _, kind = line.source.removesuffix(")").rpartition(" (")
+        if kind not in _KINDS or line.u is None or line.sensitivity is None:
+            continue
+        if source in _INPUTS:
+            stated = [getattr(result.inputs, key) for key in _INPUTS[source]]
+            identity = f"{stated[0]!r} ± {stated[1]!r}"
+        elif source in TERMS:
+            identity = repr(line.u)
+        else:
+            continue
+        found[source, identity] = line.sensitivity * line.u
+    return found
+
+
+def in_common(
+    u: Sequence[float], shared: Sequence[Mapping[tuple[str, str], float]]
+) -> InCommon | None:
+    """Return what results have in common; None where it is negligible.
+
+    Parameters
+    ----------
+    u
+        Standard uncertainties of the results.
+    shared
+        Of each, as `shared_sources` has it.
+    """
+    count: dict[tuple[str, str], int] = {}
+    for sources in shared:
+        for key in sources:
+            count[key] = count.get(key, 0) + 1
+    keys = [key for key, n in count.items() if n > 1]
+    moved = np.array([[sources.get(key, 0.0) for key in keys] for sources in shared])
+    total = np.asarray(u, dtype=np.float64)
+    own = total**2 - (moved**2).sum(axis=1)
+    covariance = moved @ moved.T
+    covariance[np.diag_indices(total.size)] += np.maximum(own, (_LEAST_OWN * total) ** 2)
+    size = np.sqrt(np.diag(covariance))
+    correlation = np.abs(covariance / np.outer(size, size) - np.eye(total.size))
+    if not keys or (largest := float(correlation.max())) < _NEGLIGIBLE:
+        return None
+    weight = np.abs(moved / total[:, None]).max(axis=0)
+    names = dict.fromkeys(
+        key[0] for key, w in zip(keys, weight, strict=True) if w**2 >= 0.1 * _NEGLIGIBLE
+    )
+    return InCommon(tuple(names), largest, covariance)

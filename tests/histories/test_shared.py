@@ -1,0 +1,92 @@
+"""What results have in common moves them together: covariances, mean, drift and E_n follow."""
+
+import math
+
+import numpy as np
+import pytest
+from results import coefficient, result
+
+from counterspin.histories.consistency import drift, en_score, weighted_mean
+from counterspin.histories.shared import in_common, shared_sources
+
+V = np.array([[4.0, 1.5, 0.5], [1.5, 9.0, 2.0], [0.5, 2.0, 1.0]])
+X = np.array([1.0, 4.0, 2.0])
+
+
+def test_mean_and_drift_are_those_of_generalised_least_squares():
+    inverse = np.linalg.inv(V)
+    found = weighted_mean(X, np.sqrt(np.diag(V)), V)
+    variance = 1.0 / inverse.sum()
+    assert found.value == pytest.approx(variance * (inverse @ X).sum())
+    assert found.u == pytest.approx(math.sqrt(variance))
+    away = X - found.value
+    assert found.agreement.chi2 == pytest.approx(away @ inverse @ away)
+    project = np.eye(3) - variance * np.ones((3, 1)) @ np.ones((1, 3)) @ inverse
+    assert found.z == pytest.approx(away / np.sqrt(np.diag(project @ V @ project.T)))
+    time = np.array([0.0, 1.0, 4.0])
+    design = np.stack([np.ones(3), time], axis=1)
+    covariance = np.linalg.inv(design.T @ inverse @ design)
+    line = drift(time, X, np.sqrt(np.diag(V)), V)
+    expected = covariance @ design.T @ inverse @ X
+    assert (line.slope, line.u) == pytest.approx((expected[1], math.sqrt(covariance[1, 1])))
+    value, u = line.at(4.0)
+    assert float(value) == pytest.approx(expected @ [1.0, 4.0])
+    assert float(u) == pytest.approx(math.sqrt(np.array([1.0, 4.0]) @ covariance @ [1.0, 4.0]))
+
+
+def test_independent_results_are_as_before():
+    one, other = (
+        weighted_mean(X, [1.0, 2.0, 3.0]),
+        weighted_mean(X, [1.0, 2.0, 3.0], np.diag([1.0, 4.0, 9.0])),
+    )
+    assert other.value == pytest.approx(one.value)
+    assert other.z == pytest.approx(one.z)
+
+
+def test_what_two_share_cancels_in_their_difference():
+    # Each U is 1.96 u; of the difference, only what they do not share remains.
+    first, second = (1.0, 5.0, None), (2.0, 5.0, None)
+    assert en_score(first, second, 16.0) == pytest.approx(1.0 / (1.959964 * math.sqrt(18.0)))
+    assert en_score(first, second) == pytest.approx(1.0 / (1.959964 * math.sqrt(50.0)))
+
+
+def line(source, u, sensitivity, total=1e-9):
+    part = abs(sensitivity * u)
+    share = (part / total) ** 2
+    return {
+        "source": source,
+        "u": u,
+        "unit": "",
+        "sensitivity": sensitivity,
+        "contribution": part,
+        "share": share,
+    }
+
+
+LINES = [
+    line("centrifuge.radius (input)", 1e-5, -6e-5),
+    line("K_I (prior)", 5e-6, 4e-5),
+    line("slow.platform.tilt.north (prior)", 1e-6, 1e-4),
+]
+
+
+def test_radius_and_priors_are_shared_and_what_belongs_to_a_run_is_not():
+    given = result(budget={"K_II": LINES})
+    found = shared_sources(given, "Qx", "K_II")
+    assert {source for source, _ in found} == {"centrifuge.radius", "K_I"}
+    assert found["K_I", "5e-06"] == pytest.approx(2e-10)
+    common = in_common([1e-9, 1e-9], [found, found])
+    # (6e-10)^2 + (2e-10)^2 over (1e-9)^2.
+    assert common.largest == pytest.approx(0.40)
+    assert common.covariance[0, 0] == pytest.approx(1e-18)
+    assert common.names == ("centrifuge.radius", "K_I")
+    # Another radius is another measurement.
+    inputs = given.inputs.model_copy(update={"radius": 2.51})
+    other = shared_sources(given.model_copy(update={"inputs": inputs}), "Qx", "K_II")
+    assert in_common([1e-9, 1e-9], [found, other]).names == ("K_I",)
+    assert in_common([1e-9, 1e-9], [found, {}]) is None
+
+
+def test_a_budget_of_another_uncertainty_says_nothing():
+    small = {"K_II": coefficient(2.7e-5, 1e-10, "g/g^2")}
+    assert shared_sources(result(coefficients=small, budget={"K_II": LINES}), "Qx", "K_II") == {}
