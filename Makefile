@@ -25,7 +25,7 @@ PARALLEL = -n $(JOBS) --dist worksteal
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test quick lint format bench fuzz docs pictures violations coverage \
+.PHONY: help setup demo test quick lint format bench fuzz docs pictures violations coverage alarms \
   lock clean
 
 help: ## Show this list
@@ -66,6 +66,9 @@ violations: $(READY) ## Make the table of what violations of the model do again
 fuzz: $(READY) ## Read changed files of every format, and kill what writes; docs/bulwark.md
 	$(BIN)/python -m fuzz --documents $(DOCUMENTS) --records $(RECORDS) --kills $(KILLS) \
 	  --seed $(SEED) --only "$(ONLY)"
+
+alarms: $(READY) ## Make the table of how often good campaigns are blamed again (ten minutes)
+	$(BIN)/python docs/false_alarms.py
 
 coverage: $(READY) ## Make the table of how often intervals cover again (half an hour)
 	$(BIN)/python docs/coverage.py

@@ -3,10 +3,13 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 
 from counterspin.inference.diagnostics import (
+    agreement_of,
     diagnose,
     fisher_g_p,
+    normal_equivalent,
     periodogram,
     periodogram_peak,
     runs_test,
@@ -141,3 +144,14 @@ def test_what_cannot_be_tested_is_refused():
         diagnose({"a": [1.0, 2.0]}, 5, noise_given=True)
     with pytest.raises(ValueError, match="nothing to test"):
         diagnose({"a": white(1)}, 0, noise_given=True)
+
+
+@pytest.mark.parametrize("differences", [1, 6, 160])
+def test_all_of_many_differences_agree_in_998_of_1000_good_campaigns(differences):
+    limit = agreement_of(differences)
+    assert (1.0 - 2.0 * ndtr(-limit)) ** differences == pytest.approx(0.998, abs=1e-9)
+
+
+@pytest.mark.parametrize(("z", "dof", "size"), [(-2.0, None, 2.0), (4.302653, 2.0, 1.959964)])
+def test_a_normal_equivalent_is_as_rare_as_student_s(z, dof, size):
+    assert normal_equivalent(z, dof) == pytest.approx(size, rel=1e-6)

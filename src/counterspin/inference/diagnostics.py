@@ -37,7 +37,7 @@ Array = NDArray[np.float64]
 AGREEMENT: Final = 3.0
 
 #: Share of good campaigns in which one of many differences between runs is said to be too large.
-FALSE_ALARMS: Final = 0.005
+FALSE_ALARMS: Final = 0.002
 
 #: Below this probability a departure is called one. It is shared among all tests of a fit.
 SIGNIFICANCE: Final = 0.01
@@ -230,7 +230,7 @@ def _findings(
 def agreement_of(differences: int) -> float:
     """Return up to how many standard uncertainties each of several differences may go.
 
-    All of them stay below in 99.5 % of good campaigns (Sidak, Journal of the American Statistical
+    All of them stay below in 99.8 % of good campaigns (Sidak, Journal of the American Statistical
     Association 62 (1967) 626: at least that, however they depend on each other).
 
     Parameters
