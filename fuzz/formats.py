@@ -455,6 +455,12 @@ def read_record(path: Path) -> None:
         raise failed
 
 
+def record_excel(place: Path) -> Format:
+    """Return a record as Excel writes it."""
+    rows = [line.split(",") for line in record_files.lines(record_files.table(n=330))]
+    return Format(".xlsx", lambda rng: native.workbook(rng, rows), read_record)
+
+
 def _native(suffix: str, make: Callable[[Random], bytes]) -> Callable[[Path], Format]:
     return lambda place: Format(suffix, make, read_record)
 
@@ -544,6 +550,8 @@ FORMATS: dict[str, Entry] = {
     "record-mat5": Entry(_native(".mat", native.mat5), native=True),
     "record-mat73": Entry(_native(".mat", native.mat73), native=True),
     "record-hdf5": Entry(_native(".h5", native.hdf5), native=True),
+    "record-tdms": Entry(_native(".tdms", native.tdms), native=True),
+    "record-excel": Entry(record_excel, 0.5, native=True),
 }
 
 

@@ -3,7 +3,7 @@
 Some are changed where the format's own structure says what matters: types, shapes and filters
 through the library that writes them, and compressed streams before they are compressed.
 
-- `parquet`, `hdf5`, `mat5`, `mat73`: a record; `readings`: a table of readings as Parquet
+- `parquet`, `hdf5`, `mat5`, `mat73`, `tdms`: a record; `readings`: a table of readings as Parquet
 - `workbook`: the same as Excel writes it, with bombs among them
 - `numpy_archive`: what a study keeps; `damaged`: a whole file with changed bytes
 """
@@ -24,6 +24,7 @@ import h5py
 import numpy as np
 import polars as pl
 import record_files
+from nptdms import ChannelObject, TdmsWriter
 from scipy import sparse
 from scipy.io import savemat
 from workbooks import write_workbook
@@ -232,6 +233,26 @@ def _inside(rng: Random, content: bytes) -> bytes:
     return made
 
 
+def tdms(rng: Random) -> bytes:
+    """Return a record as LabVIEW writes it, in segments."""
+    file = io.BytesIO()
+    columns = _columns(rng)
+    with TdmsWriter(file) as writer:
+        for part in (slice(0, 200), slice(200, None)):
+            channels = []
+            for name, values in columns.items():
+                kept = np.atleast_1d(np.asarray(values)) if isinstance(values, np.ndarray) else None
+                if kept is not None and kept.ndim == 1 and kept.dtype.kind in "fiuU":
+                    step = {"wf_increment": rng.choice((0.01, 0.0, 1e-300, "x"))}
+                    given = step if rng.random() < 0.1 else {}
+                    channels.append(ChannelObject("run", name, kept[part], given))
+            if channels:
+                writer.write_segment(channels)
+    content = file.getvalue()
+    place = rng.choice((0, content.rfind(b"TDSm")))
+    return damaged(rng, content, (place, place + 600))
+
+
 #: What is put into a sheet: cells far out, dimensions that are lies, numbers of texts that are not
 #: there, entities.
 _SHEET_TRICKS: list[tuple[str, str]] = [
@@ -256,7 +277,8 @@ _SHEET_TRICKS: list[tuple[str, str]] = [
 
 def workbook(rng: Random, rows: list[list[str]]) -> bytes:
     """Return a table of readings as Excel writes it."""
-    table: list[list[Any]] = [[_cell(rng, text) for text in row] for row in rows]
+    rate = 0.5 / sum(map(len, rows))
+    table: list[list[Any]] = [[_cell(rng, text, rate) for text in row] for row in rows]
     sheets = {"Tumble": table}
     if rng.random() < 0.1:
         sheets[rng.choice(("", "Notes", "x" * 300, "\u202e"))] = rng.choice(([], [["a"]], table))
@@ -267,8 +289,8 @@ def workbook(rng: Random, rows: list[list[str]]) -> bytes:
     return _repacked(rng, file)
 
 
-def _cell(rng: Random, text: str) -> Any:
-    if rng.random() < 0.005:
+def _cell(rng: Random, text: str, rate: float) -> Any:
+    if rng.random() < rate:
         return _storable(rng.choice(HOSTILE))
     try:
         return float(text)

@@ -37,11 +37,13 @@ STAMP: Final = re.compile(
     r"(?:\d{4}-\d\d-\d\d[T ])?\d\d:\d\d:\d\d(?:[.,]\d+)?(?:Z|[+-]\d\d:?\d\d)?"
 )
 _NUMBERS: Final = {
-    mark: re.compile(rf"[+-]?(?:\d+{re.escape(mark)}?\d*|{re.escape(mark)}\d+)(?:[eE][+-]?\d+)?")
+    mark: re.compile(
+        rf"[+-]?(?:\d+(?:{re.escape(mark)}\d*)?|{re.escape(mark)}\d+)(?:[eE][+-]?\d+)?"
+    )
     for mark in (".", ",")
 }
 #: A unit in brackets at the end of a name.
-_IN_BRACKETS: Final = re.compile(r".*?\s*[\[(]([^\[\]()]+)[\])]")
+_IN_BRACKETS: Final = re.compile(r".*?[\[(]([^\[\]()]+)[\])]")
 #: Words that files write for units.
 _WORDS: Final = {
     "sec": "s",

@@ -22,8 +22,9 @@ from counterspin.records.stamps import nanoseconds
 if TYPE_CHECKING:
     import polars as pl
 
-#: More than this no workbook has when it is unpacked; a row of ten numbers has 400 bytes.
+#: What a workbook may unpack to: bytes for any, and bytes for each of its own (ten are usual).
 _UNPACKED_BYTES: Final = 100_000_000
+_UNPACKED_PER_BYTE: Final = 50
 
 
 def excel_table(path: Path, sheet: str | None = None, content: bytes | None = None) -> pl.DataFrame:
@@ -179,8 +180,9 @@ def _require_size(path: Path, content: bytes) -> None:
             f"{path}: this is no workbook, or a damaged one ({error}). If it is an older one or "
             "has a password, save it as .xlsx without one, or as CSV."
         ) from None
-    if size > _UNPACKED_BYTES:
+    most = max(_UNPACKED_BYTES, _UNPACKED_PER_BYTE * len(content))
+    if size > most:
         raise DamagedFileError(
             f"{path}: the workbook unpacks to {size / 1e6:.0f} MB, more than the "
-            f"{_UNPACKED_BYTES / 1e6:.0f} MB that a table may have; save the table as CSV."
+            f"{most / 1e6:.0f} MB that a file of its size may; save the table as CSV."
         )
