@@ -31,7 +31,6 @@ import signing_keys
 from campaigns import SMALL
 from cryptography.hazmat.primitives.asymmetric import ec
 from lxml import etree
-from nptdms import ChannelObject, TdmsWriter
 
 import certificates
 from counterspin.calibration.findings import judge_result
@@ -431,16 +430,6 @@ def record_export(place: Path) -> Format:
     return Format(".csv", make, use)
 
 
-def record_tdms(place: Path) -> Format:
-    """Return a record as LabVIEW writes it."""
-    channels = [ChannelObject("Run", n, v) for n, v in record_files.table(n=330).items()]
-    file = io.BytesIO()
-    with TdmsWriter(file) as writer:
-        writer.write_segment(channels)
-    whole = file.getvalue()
-    return Format(".tdms", lambda rng: mutate_bytes(rng, whole, (0, 400)), read_record)
-
-
 def read_record(path: Path) -> None:
     """Read a record as a calibration does, and as a table."""
     failed = None
@@ -545,7 +534,6 @@ FORMATS: dict[str, Entry] = {
     "certificate-pdf": Entry(certificate_pdf, 0.5, native=True),
     "readings-parquet": Entry(readings_parquet, native=True),
     "readings-excel": Entry(readings_excel, native=True),
-    "record-tdms": Entry(record_tdms, native=True),
     "record-parquet": Entry(_native(".parquet", native.parquet), 3.0, native=True),
     "record-mat5": Entry(_native(".mat", native.mat5), native=True),
     "record-mat73": Entry(_native(".mat", native.mat73), native=True),
