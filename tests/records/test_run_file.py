@@ -92,6 +92,15 @@ def test_between_pulses_an_even_change_of_rate_is_followed_exactly():
     assert np.isnan(pulse_angle(pulses, pulses[-1:] + 2.5, -RATE, 2)).all()
 
 
+def test_the_angle_passes_through_pulses_that_scatter_without_a_jump():
+    scatter = 1e-4 * np.random.default_rng(3).standard_normal(40)
+    pulses = stamps() + scatter
+    at = [pulse_angle(pulses, pulses + shift, -RATE, 2) for shift in (-1e-9, 0.0, 1e-9)]
+    np.testing.assert_allclose(at[1], -math.pi * np.arange(40), atol=1e-12)
+    for beside in (at[0], at[2]):
+        np.testing.assert_allclose(beside, at[1], atol=1e-8)  # the rate for 1 ns is 3e-9
+
+
 @pytest.mark.parametrize(
     ("pulses", "rate", "words"),
     [
