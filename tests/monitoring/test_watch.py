@@ -81,6 +81,22 @@ def test_what_happens_to_files_is_told(folder):
     assert next(states).runs[1].state == "read"
 
 
+def test_a_record_in_several_files_is_read_whole(folder):
+    rows = (folder / "fast.csv").read_bytes().splitlines(keepends=True)
+    (folder / "fast.csv").write_bytes(b"".join(rows[:200]))
+    (folder / "more.csv").write_bytes(b"".join(rows[:1] + rows[200:300]))
+    description = folder / "campaign.toml"
+    text = description.read_text(encoding="utf-8")
+    described = 'record = "fast.csv"\ncontinued_in = ["more.csv"]'
+    description.write_text(text.replace('record = "fast.csv"', described), encoding="utf-8")
+    states = cs.watch(folder, pace=FAST)
+    assert next(states).runs[2].rows == 299
+    append(folder, b"".join(rows[300:]), "more")
+    state = next(states)
+    assert state.runs[2].rows == len(rows) - 1
+    assert state.complete
+
+
 def test_a_record_that_cannot_be_used_stops_no_other(folder):
     append(folder, b"words,words,words\n", "slow")
     state = next(cs.watch(folder, pace=FAST))

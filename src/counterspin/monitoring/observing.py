@@ -32,7 +32,7 @@ class _Watched:
 
     run: Run
     table: FollowedTable | None
-    identity: FileIdentity | None = None
+    identity: tuple[FileIdentity, ...] | None = None
     record: Record | None = None
     observed: ObservedRun | None = None
     conditions: RunConditions | None = None
@@ -138,9 +138,9 @@ def _look_at(watched: _Watched) -> tuple[bool, str | None]:
     try:
         if watched.table is not None:
             changed, event = watched.table.follow()
-            watched.identity = FileIdentity.of(path)
+            watched.identity = (FileIdentity.of(path),)
         else:
-            now = FileIdentity.of(path)
+            now = tuple(FileIdentity.of(file) for file in watched.run.files)
             changed, event = now != watched.identity, None
             watched.identity = now
     except FileNotFoundError:
