@@ -19,7 +19,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-#: Peak memory is told in bytes by macOS, in kilobytes by Linux.
+#: macOS gives peak memory in bytes, Linux in kilobytes.
 _PEAK_UNIT = 1e-6 if sys.platform == "darwin" else 1e-3
 
 #: The command line as a user has it, from the environment that runs the benchmarks.

@@ -168,7 +168,7 @@ def _together(
 def attempt(
     directory: Path, method: Method, options: TwoStageOptions, accept_misfit: str | None
 ) -> Result | FailedCampaign:
-    """Calibrate one campaign; whatever goes wrong is told and not raised."""
+    """Calibrate one campaign; whatever goes wrong is returned as text and not raised."""
     try:
         return calibrate(directory, method=method, options=options, accept_misfit=accept_misfit)
     except CounterspinError as error:

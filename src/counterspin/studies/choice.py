@@ -236,7 +236,7 @@ def _reported(
 ) -> tuple[tuple[int, ...], tuple[Reported, ...]]:
     """Return which of a method's unknowns are reported, and what they are with their bounds.
 
-    Those of a joint fit are told by their `places`; of a two-stage analysis all but the printed
+    Those of a joint fit are chosen by their `places`; of a two-stage analysis all but the printed
     ripple are reported.
     """
     request = analysis.request

@@ -157,7 +157,7 @@ class StudyProgress:
         write_whole(path, partial(np.savez, fingerprint=fingerprint, **arrays))
 
     def resume(self) -> None:
-        """Take over what an earlier study has done; what is damaged is told, and done again.
+        """Take over what an earlier study has done; what is damaged is named, and done again.
 
         Raises
         ------
