@@ -85,7 +85,7 @@ def test_a_level_platform_on_a_tilted_axis_goes_up_and_down(case):
         assert np.abs(change[0] - exact).max() < site.earth_rate**2 * radius + 1e-12 * size
         trajectory = Trajectory(Spindle(rate, start_angle=angle[0]), radius, site)
         row = MOTION_TERMS[f"centrifuge.axis_tilt.{about}"]
-        path = path_change(row, trajectory, np.zeros(1), 0)[0]
+        path = path_change(row, trajectory.at(np.zeros(1)), 0)[0]
         assert np.abs(path - exact).max() < site.earth_rate**2 * radius + 1e-12 * size
 
 

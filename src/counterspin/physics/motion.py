@@ -84,6 +84,8 @@ class Trajectory:
         the platform is lifted by the tilt times its position, and its level position stays.
     conditions
         When the run began, and how warm it was.
+    coarse
+        Whether integrals along it are for shapes, `counterspin.physics.quadrature.panel_edges`.
     """
 
     spindle: Spindle
@@ -93,6 +95,7 @@ class Trajectory:
     imbalance: tuple[tuple[int, float, float], ...] = ()
     axis_tilt: tuple[float, float] = (0.0, 0.0)
     conditions: RunConditions = AT_REFERENCE
+    coarse: bool = False
 
     @property
     def centripetal(self) -> float:
@@ -153,23 +156,33 @@ class Motion:
         self.t = np.asarray(t)
 
     @cached_property
-    def _outward(self) -> tuple[Array, Array]:
-        """Cosine and sine of the angle."""
-        theta = self.trajectory.spindle.angle(self.t)
-        return np.cos(theta), np.sin(theta)
+    def angle(self) -> Array:
+        """The spindle's angle, rad, shape (n,)."""
+        return self.trajectory.spindle.angle(self.t)
 
     @cached_property
-    def _rate(self) -> Array:
+    def rate(self) -> Array:
+        """Its rate, rad/s, shape (n,)."""
         return self.trajectory.spindle.angular_rate(self.t)
+
+    @cached_property
+    def angular_acceleration(self) -> Array:
+        """Its angular acceleration, rad/s^2, shape (n,)."""
+        return self.trajectory.spindle.angular_acceleration(self.t)
+
+    @cached_property
+    def _outward(self) -> tuple[Array, Array]:
+        """Cosine and sine of the angle."""
+        return np.cos(self.angle), np.sin(self.angle)
 
     @cached_property
     def _growth(self) -> tuple[Array, Array, Array] | None:
         """Radius less the trajectory's, m, and its time derivatives; None where there is none."""
-        trajectory, w = self.trajectory, self._rate
+        trajectory, w = self.trajectory, self.rate
         if trajectory.stretch == 0.0 and not trajectory.imbalance:
             return None
         spindle = trajectory.spindle
-        theta, alpha = spindle.angle(self.t), spindle.angular_acceleration(self.t)
+        theta, alpha = self.angle, self.angular_acceleration
         growth, speed, curve = np.zeros((3, *self.t.shape))
         for n, c, s in trajectory.imbalance:
             cos, sin = np.cos(n * theta), np.sin(n * theta)
@@ -196,11 +209,11 @@ class Motion:
     def velocity(self) -> Array:
         """m/s, relative to the Earth."""
         cos, sin = self._outward
-        speed = self.trajectory.radius * self._rate
+        speed = self.trajectory.radius * self.rate
         velocity = _vectors(-speed * sin, speed * cos)
         if self._growth is not None:
             growth, outward, _ = self._growth
-            forward = growth * self._rate
+            forward = growth * self.rate
             velocity += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
         return self._lifted(velocity)
 
@@ -208,13 +221,13 @@ class Motion:
     def acceleration(self) -> Array:
         """m/s^2, relative to the Earth."""
         cos, sin = self._outward
-        squared, alpha = self._rate**2, self.trajectory.spindle.angular_acceleration(self.t)
+        squared, alpha = self.rate**2, self.angular_acceleration
         inward = _vectors(squared * cos + alpha * sin, squared * sin - alpha * cos)
         acceleration: Array = -self.trajectory.radius * inward
         if self._growth is not None:
             growth, speed, curve = self._growth
             outward = curve - growth * squared
-            forward = 2.0 * speed * self._rate + growth * alpha
+            forward = 2.0 * speed * self.rate + growth * alpha
             acceleration += _vectors(outward * cos - forward * sin, outward * sin + forward * cos)
         return self._lifted(acceleration)
 
@@ -255,7 +268,7 @@ class Motion:
             sum_of_squares: Array = np.sum(trajectory.specific_force(t) ** 2, axis=1)
             return sum_of_squares[None]
 
-        edges = quadrature.panel_edges(trajectory.spindle, end)
+        edges = quadrature.panel_edges(trajectory.spindle, end, coarse=trajectory.coarse)
         total: Array = quadrature.integrate(squared, edges, self.t, 1)[:, 0]
         return total
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from typing import Final
 
 import numpy as np
@@ -166,10 +166,13 @@ def columns(
     for i in path:
         row = rows[i]
         assert isinstance(row, MotionTerm)
-        result[i] = path_change(row, trajectory, times, order) @ shown.input_axis
+        result[i] = path_change(row, shown.motion, order) @ shown.input_axis
+    sloping = list(dict.fromkeys(row.coefficient for row in slopes.values()))
+    if sloping:
+        own = columns(trajectory, mounting, sloping, times, observable, attitude=attitude)
     for i, row in slopes.items():
-        own = columns(trajectory, mounting, [row.coefficient], times, observable, attitude=attitude)
-        result[i] = row.lever(trajectory.conditions, trajectory.centripetal) * own[:, 0]
+        lever = row.lever(trajectory.conditions, trajectory.centripetal)
+        result[i] = lever * own[:, sloping.index(row.coefficient)]
         if row.condition == "time":  # it goes on changing within the run
             result[i] += trajectory.site.gravity * times ** (order + 1) / math.factorial(order + 1)
     # The accelerometer sees what is shared through its scale factor.
@@ -214,7 +217,8 @@ def _along(trajectory: Trajectory, duration: float) -> tuple[Panels, Motion]:
 
     Kept for a while: accelerometers of one run share them, and so do a fit and its checks.
     """
-    panels = Panels(quadrature.panel_edges(trajectory.spindle, duration))
+    edges = quadrature.panel_edges(trajectory.spindle, duration, coarse=trajectory.coarse)
+    panels = Panels(edges)
     return panels, trajectory.at(panels.nodes)
 
 
@@ -230,6 +234,11 @@ class _Shown:
         self._times = times
         self._order = order
         self._duration = max(float(times.max(initial=0.0)), np.finfo(float).tiny)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The motion at the times."""
+        return self._trajectory.at(self._times)
 
     @property
     def input_axis(self) -> Array:
@@ -251,12 +260,11 @@ class _Shown:
     def smooth(self, rows: Sequence[Term | SharedTerm], with_force: bool) -> tuple[Array, Array]:
         """Return the integrals of terms, (k, n), and where wanted of the force, (3, n)."""
         if self._order == 0:
-            motion = self._trajectory.at(self._times)
-            return self._integrands(rows, motion), motion.specific_force.T
+            return self._integrands(rows, self.motion), self.motion.specific_force.T
         panels, motion = _along(self._trajectory, self._duration)
         integrals = self._integrals(rows, panels, motion, with_force and self._order == 2)
         if self._order == 1:
-            return integrals, self._trajectory.velocity_of_specific_force(self._times).T
+            return integrals, self.motion.velocity_of_specific_force.T
         if not with_force:
             return integrals, np.empty((0, self._times.size))
         return integrals[2:], self._double_integral_of_force(integrals[:2])
@@ -265,10 +273,12 @@ class _Shown:
         """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
         motion, along = self._trajectory, self._axes.input_axis
         if self._order == 0:
-            return self._integrands(rows, motion.at(self._times))
-        edges = quadrature.panel_edges(motion.spindle, self._duration)
-        breaks = quadrature.sign_changes(lambda t: motion.specific_force(t) @ along, edges)
-        panels = Panels(quadrature.panel_edges(motion.spindle, self._duration, breaks))
+            return self._integrands(rows, self.motion)
+        of_panels = partial(
+            quadrature.panel_edges, motion.spindle, self._duration, coarse=motion.coarse
+        )
+        breaks = quadrature.sign_changes(lambda t: motion.specific_force(t) @ along, of_panels())
+        panels = Panels(of_panels(breaks))
         return self._integrals(rows, panels, motion.at(panels.nodes))
 
     def _integrals(
@@ -306,7 +316,7 @@ class _Shown:
         """
         t, site = self._times, self._trajectory.site
         start = self._trajectory.at(np.zeros(1))
-        doubled = self._trajectory.position(t).T - start.position.T - start.velocity.T * t
+        doubled = self.motion.position.T - start.position.T - start.velocity.T * t
         east, north = 2.0 * (path - start.position.T[:2] * t)
         _, to_north, to_up = site.earth_rotation
         doubled[0] -= to_up * north

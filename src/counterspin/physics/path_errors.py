@@ -18,7 +18,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.physics.angle_error import displaced
-from counterspin.physics.motion import Trajectory
+from counterspin.physics.motion import Motion, Trajectory
 from counterspin.physics.shared_terms import MOTION_TERMS, MotionTerm
 
 
@@ -67,17 +67,15 @@ def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
     return total
 
 
-def path_change(row: MotionTerm, trajectory: Trajectory, times: Array, order: int) -> Array:
+def path_change(row: MotionTerm, circle: Motion, order: int) -> Array:
     """Return the true motion less that of the circle at the recorded angle.
 
     Parameters
     ----------
     row
         The error.
-    trajectory
-        The circle, at the recorded angle.
-    times
-        s, shape (n,).
+    circle
+        The motion on the circle, at the recorded angle, at n times.
     order
         2 for the position, 1 for the velocity, 0 for the specific force.
 
@@ -87,10 +85,9 @@ def path_change(row: MotionTerm, trajectory: Trajectory, times: Array, order: in
         Per unit of the term, in east-north-up, shape (n, 3).
     """
     if row.kind == "encoder":
-        return _turned_back(row, trajectory, times, order)
+        return _turned_back(row, circle, order)
     # The motion is linear in radius and tilt: a whole unit of the error shows its derivative.
-    moved = true_trajectory(trajectory, {row.symbol: 1.0}).at(times)
-    circle = trajectory.at(times)
+    moved = true_trajectory(circle.trajectory, {row.symbol: 1.0}).at(circle.t)
     change: Array
     if order == 2:
         change = moved.position - circle.position
@@ -101,11 +98,10 @@ def path_change(row: MotionTerm, trajectory: Trajectory, times: Array, order: in
     return change
 
 
-def _turned_back(row: MotionTerm, trajectory: Trajectory, times: Array, order: int) -> Array:
+def _turned_back(row: MotionTerm, circle: Motion, order: int) -> Array:
     """Return what the encoder's error makes of the motion: the true angle is behind by it."""
-    spindle, n = trajectory.spindle, row.harmonic
-    angle, rate = spindle.angle(times), spindle.angular_rate(times)
-    acceleration = spindle.angular_acceleration(times)
+    trajectory, n = circle.trajectory, row.harmonic
+    angle, rate, acceleration = circle.angle, circle.rate, circle.angular_acceleration
     cos, sin = np.cos(n * angle), np.sin(n * angle)
     # wave and its derivative by the angle's n-fold
     wave, slope = (cos, -sin) if row.quadrature == "cos" else (sin, cos)
@@ -114,7 +110,7 @@ def _turned_back(row: MotionTerm, trajectory: Trajectory, times: Array, order: i
 
     def change(order: int) -> Array:
         level = trajectory.radius * displaced(turned, angle, rate, acceleration, order)[:, 0]
-        return np.column_stack([level, np.zeros(times.size)])
+        return np.column_stack([level, np.zeros(angle.size)])
 
     if order > 0:
         return change(order)

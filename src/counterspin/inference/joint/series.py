@@ -77,7 +77,7 @@ class Series:
         From the block's own spread of times where it is denser than usual, so that the blocks of
         an uneven clock never seem to overlap.
         """
-        several = self.count > 1.0
+        several = self.spread > 0.0
         across = np.sqrt(12.0 / (np.maximum(self.count, 2.0) ** 2 - 1.0)) * self.spread
         return np.where(several, np.minimum(across, self.spacing), self.spacing)
 
