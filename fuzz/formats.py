@@ -31,6 +31,7 @@ import signing_keys
 from campaigns import SMALL
 from cryptography.hazmat.primitives.asymmetric import ec
 from lxml import etree
+from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 
 import certificates
 from counterspin.calibration.findings import judge_result
@@ -321,28 +322,15 @@ def certificate_pdf(place: Path) -> Format:
 
 # Tables
 
-_READING_CAMPAIGN = """schema = 1
-site = { gravity = "9.8 m/s^2", latitude = "45 deg" }
-[centrifuge]
-radius = "1.0 ± 1e-3 m"
-[accelerometers.A]
-input_axis = "up"
-pendulous_axis = "west"
-output = { unit = "mA", sensitivity = "1.25 mA/g" }
-[[runs]]
-name = "tumble 30"
-motion = "static"
-attitude = "30 ± 0.001 deg about north"
-reading = "1.082532 ± 2e-6 mA"
-[[runs]]
-name = "in"
-motion = "arm"
-rate = "9.9 rad/s"
-mounting = "in"
-axes = { input = "inward", pendulous = "up" }
-reading = "12.5 ± 2e-6 mA"
-temperature = "23.4 degC"
-"""
+_READING_CAMPAIGN = "".join(
+    (
+        place("1.0 ± 1e-3 m"),
+        ACCELEROMETER,
+        at_rest("tumble 30", "30 ± 0.001 deg about north", "1.082532 ± 2e-6 mA"),
+        on_arm("in", "9.9 rad/s", "12.5 ± 2e-6 mA", pendulous="up", mounting="in"),
+        'temperature = "23.4 degC"\n',
+    )
+)
 
 #: Makes the paper's plan a study.
 STUDY = """

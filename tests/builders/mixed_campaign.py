@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 from reading_campaigns import SITE, TRUTH, arm, simulated
+from reading_descriptions import at_rest, on_arm
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.simulation import simulate
@@ -80,17 +81,23 @@ class MixedCampaign:
 
     def _rest(self):
         return "".join(
-            f'[[runs]]\nname = "rest {i}"\nmotion = "static"\nattitude = "{30 * i} deg about '
-            f'north"\nreading = "{1.25 * value!r} ± {1.25 * self.u_rest!r} mA"\n'
+            at_rest(
+                f"rest {i}",
+                f"{30 * i} deg about north",
+                f"{1.25 * value!r} ± {1.25 * self.u_rest!r} mA",
+            )
             for i, value in enumerate(self.at_rest.tolist())
         )
 
     def _arm(self):
         stations, sides, _ = arm()
         return "".join(
-            f'[[runs]]\nname = "{side} {i}"\nmotion = "arm"\nrate = "{station.rate!r} rad/s"\n'
-            f'axes = {{ input = "{side}", pendulous = "forward" }}\n'
-            f'reading = "{1.25 * value!r} ± {1.25 * self.u_arm!r} mA"\n'
+            on_arm(
+                f"{side} {i}",
+                f"{station.rate!r} rad/s",
+                f"{1.25 * value!r} ± {1.25 * self.u_arm!r} mA",
+                side=side,
+            )
             for i, (station, side, value) in enumerate(
                 zip(stations, sides, self.on_arm.tolist(), strict=True)
             )

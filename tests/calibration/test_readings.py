@@ -7,6 +7,7 @@ from hashlib import sha256
 import numpy as np
 import pytest
 from reading_campaigns import SITE, TRUTH, arm, simulated, tumble
+from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.options import TwoStageOptions
@@ -17,32 +18,30 @@ from counterspin.physics.station import Station
 from counterspin.records.mean import mean_of_record
 
 SIGMA = 2e-6
-HEAD = """schema = 1
-site = { gravity = "9.80665 m/s^2", latitude = "0.8 rad" }
-[accelerometers.A]
-input_axis = "up"
-pendulous_axis = "west"
-output = { unit = "mA", sensitivity = "1.25 mA/g" }
-[centrifuge]
-radius = "1.0 ± 1e-6 m"
-"""
+HEAD = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER
 
 
 def tumble_runs(values, u=SIGMA):
     step = 360 / len(values)
     return "".join(
-        f'[[runs]]\nname = "tumble {i}"\nmotion = "static"\n'
-        f'attitude = "{i * step!r} deg about north"\n'
-        f'reading = "{float(1.25 * value)!r}{spread(u)} mA"\n'
+        at_rest(
+            f"tumble {i}",
+            f"{i * step!r} deg about north",
+            f"{float(1.25 * value)!r}{spread(u)} mA",
+        )
         for i, value in enumerate(values)
     )
 
 
 def arm_runs(test, values, u=SIGMA):
     return "".join(
-        f'[[runs]]\nname = "{side} {i}"\nmotion = "arm"\nrate = "{float(station.rate)!r} rad/s"\n'
-        f'mounting = "{side}"\naxes = {{ input = "{side}", pendulous = "forward" }}\n'
-        f'reading = "{float(1.25 * value)!r}{spread(u)} mA"\n'
+        on_arm(
+            f"{side} {i}",
+            f"{float(station.rate)!r} rad/s",
+            f"{float(1.25 * value)!r}{spread(u)} mA",
+            side=side,
+            mounting=side,
+        )
         for i, (station, side, value) in enumerate(zip(test[0], test[1], values, strict=True))
     )
 
@@ -356,9 +355,9 @@ def test_records_on_the_arm_are_averaged(tmp_path):
         given = f'reading = "{float(1.25 * value)!r}{spread(SIGMA)} mA"'
         assert given in runs
         runs = runs.replace(given, f'record = "r{i}.csv"', 1)
-    column = 'specific_force = { column = "mA", unit = "mA" }\n[centrifuge]'
+    column = 'specific_force = { column = "mA", unit = "mA" }\n'
     records = '[records]\ntime = { column = "t", unit = "s" }\n'
-    text = HEAD.replace("[centrifuge]", column) + records + model(*TRUTH) + runs
+    text = HEAD + column + records + model(*TRUTH) + runs
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     result = calibrate(tmp_path)
     for symbol, truth in TRUTH.items():

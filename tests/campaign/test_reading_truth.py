@@ -2,26 +2,13 @@
 
 import pytest
 from campaigns import campaign_of
+from reading_descriptions import ACCELEROMETER, on_arm, place
 
 from counterspin.campaign.reading_truth import unfit_readings
 from counterspin.errors import CampaignError
 
-BASE = """schema = 1
-site = { gravity = "9.8 m/s^2", latitude = "45 deg" }
-[centrifuge]
-radius = "1 m"
-[accelerometers.A]
-input_axis = "up"
-pendulous_axis = "west"
-output = { unit = "mA", sensitivity = "1.25 mA/g" }
-[[runs]]
-name = "in"
-motion = "arm"
-rate = "9 rad/s"
-mounting = "in"
-axes = { input = "inward", pendulous = "up" }
-reading = "? ± 2e-6 mA"
-"""
+RUN = on_arm("in", "9 rad/s", "? ± 2e-6 mA", pendulous="up", mounting="in")
+BASE = place("1 m") + ACCELEROMETER + RUN
 
 
 def truth_of(folder, text):

@@ -4,35 +4,18 @@ import math
 
 import numpy as np
 import pytest
+from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError
 
-HEAD = """schema = 1
-site = { gravity = "9.8 m/s^2", latitude = "45 deg" }
-[accelerometers.A]
-input_axis = "up"
-pendulous_axis = "west"
-output = { unit = "mA", sensitivity = "1.25 mA/g" }
-"""
+HEAD = place() + ACCELEROMETER
 ARM = """[centrifuge]
 radius = "1.0 ± 1e-3 m"
 """
-RUN = """[[runs]]
-name = "tumble 30"
-motion = "static"
-attitude = "30 ± 0.001 deg about north"
-reading = "1.082532 ± 2e-6 mA"
-"""
-ON_ARM = """[[runs]]
-name = "in"
-motion = "arm"
-rate = "9.9 rad/s"
-mounting = "in"
-axes = { input = "inward", pendulous = "up" }
-reading = "12.5 ± 2e-6 mA"
-temperature = "23.4 degC"
-"""
+RUN = at_rest("tumble 30", "30 ± 0.001 deg about north", "1.082532 ± 2e-6 mA")
+WARM = 'temperature = "23.4 degC"\n'
+ON_ARM = on_arm("in", "9.9 rad/s", "12.5 ± 2e-6 mA", pendulous="up", mounting="in", more=WARM)
 
 
 def read(folder, text):

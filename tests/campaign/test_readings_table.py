@@ -4,26 +4,14 @@ import math
 
 import polars as pl
 import pytest
+from reading_descriptions import ACCELEROMETER, at_rest, place
 from workbooks import write_workbook
 
 from counterspin.campaign.description import read_campaign
 from counterspin.errors import CampaignError
 
-HEAD = """schema = 1
-site = { gravity = "9.8 m/s^2", latitude = "45 deg" }
-[centrifuge]
-radius = "1.0 m"
-[accelerometers.A]
-input_axis = "up"
-pendulous_axis = "west"
-output = { unit = "mA", sensitivity = "1.25 mA/g" }
-"""
-RUN = """[[runs]]
-name = "tumble 30"
-motion = "static"
-attitude = "30 deg about north"
-reading = "1.082532 ± 2e-6 mA"
-"""
+HEAD = place("1.0 m") + ACCELEROMETER
+RUN = at_rest("tumble 30", "30 deg about north", "1.082532 ± 2e-6 mA")
 SIMPLE = 'columns = { attitude = "angle", reading = "mA" }'
 
 

@@ -2,6 +2,7 @@
 
 import pytest
 from campaigns import SMALL, write
+from reading_descriptions import on_arm
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.simulation import simulate
@@ -41,9 +42,13 @@ input_axis = "up"
 pendulous_axis = "west"
 MODEL
 """ + "".join(
-    f'[[runs]]\nname = "{side} {rate}"\nmotion = "arm"\nrate = "{rate} rad/s"\n'
-    f'mounting = "{side}"\naxes = {{ input = "{side}", pendulous = "forward" }}\n'
-    f'reading = "{sign * rate**2 / 9.80665 + 1e-3!r} ± 2e-6 g"\n'
+    on_arm(
+        f"{side} {rate}",
+        f"{rate} rad/s",
+        f"{sign * rate**2 / 9.80665 + 1e-3!r} ± 2e-6 g",
+        side=side,
+        mounting=side,
+    )
     for side, sign in (("inward", 1.0), ("outward", -1.0))
     for rate in (3.0, -3.0, 7.0, -7.0, 10.0, -10.0, 14.0)
 )

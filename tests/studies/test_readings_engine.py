@@ -7,6 +7,7 @@ import mixed_campaign
 import numpy as np
 import pytest
 from mixed_campaign import MODEL, RUNS, TRUE
+from reading_descriptions import at_rest, on_arm
 from scipy import stats
 
 import counterspin as cs
@@ -34,17 +35,14 @@ K_II = "15 ug/g^2"
 def tumble(u=" ± 2e-6 mA", count=12):
     step = 360 // count
     return "".join(
-        f'[[runs]]\nname = "{i * step} deg"\nmotion = "static"\n'
-        f'attitude = "{i * step} ± 2e-5 deg about north"\nreading = "?{u}"\n'
+        at_rest(f"{i * step} deg", f"{i * step} ± 2e-5 deg about north", f"?{u}")
         for i in range(count)
     )
 
 
 def arm(u=" ± 2e-6 mA", rates=(3.1, 7.0, 10.0, 14.0)):
     return "".join(
-        f'[[runs]]\nname = "{side} {rate}"\nmotion = "arm"\nrate = "{rate} rad/s"\n'
-        f'mounting = "{side}"\naxes = {{ input = "{side}", pendulous = "forward" }}\n'
-        f'reading = "?{u}"\n'
+        on_arm(f"{side} {rate}", f"{rate} rad/s", f"?{u}", side=side, mounting=side)
         for side in ("inward", "outward")
         for rate in rates
     )
@@ -123,14 +121,12 @@ def holds_the_truth(analysis, engine):
 
 def test_records_and_readings_of_one_accelerometer(tmp_path):
     """The tilt that the records share with nothing at rest or on the arm varies as it is known."""
-    at_rest = "".join(
-        f'[[runs]]\nname = "rest {angle}"\nmotion = "static"\n'
-        f'attitude = "{angle} deg about north"\nreading = "? ± 2.5e-6 mA"\n'
+    resting = "".join(
+        at_rest(f"rest {angle}", f"{angle} deg about north", "? ± 2.5e-6 mA")
         for angle in range(0, 360, 30)
     )
     carried = "".join(
-        f'[[runs]]\nname = "{side} {rate}"\nmotion = "arm"\nrate = "{rate} rad/s"\n'
-        f'axes = {{ input = "{side}", pendulous = "forward" }}\nreading = "? ± 5e-5 mA"\n'
+        on_arm(f"{side} {rate}", f"{rate} rad/s", "? ± 5e-5 mA", side=side)
         for side in ("inward", "outward")
         for rate in (3.1, 7.0, 14.0)
     )
@@ -139,7 +135,7 @@ def test_records_and_readings_of_one_accelerometer(tmp_path):
         for about in ("north", "east")
     )
     short = TRUE.replace("revolutions = 20", "revolutions = 5")
-    description = mixed_campaign.HEAD + MODEL + short + varying + RUNS + at_rest + carried
+    description = mixed_campaign.HEAD + MODEL + short + varying + RUNS + resting + carried
     (tmp_path / "campaign.toml").write_text(description, encoding="utf-8")
     result = study(tmp_path, trials=max(TRIALS // 3, 20), seed=5)
     holds_the_truth(result.analyses["joint"], "full records and readings")

@@ -1,0 +1,31 @@
+"""Descriptions of campaigns of readings, piece by piece, as a user would write them."""
+
+#: An accelerometer that is read in milliamperes.
+ACCELEROMETER = """[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "west"
+output = { unit = "mA", sensitivity = "1.25 mA/g" }
+"""
+
+
+def place(radius="", gravity="9.8 m/s^2", latitude="45 deg"):
+    """Return where the readings are taken; a radius makes it an arm centrifuge."""
+    site = f'schema = 1\nsite = {{ gravity = "{gravity}", latitude = "{latitude}" }}\n'
+    return site + (f'[centrifuge]\nradius = "{radius}"\n' if radius else "")
+
+
+def at_rest(name, attitude, reading, more=""):
+    """Return a run at rest with one reading."""
+    return (
+        f'[[runs]]\nname = "{name}"\nmotion = "static"\nattitude = "{attitude}"\n'
+        f'reading = "{reading}"\n{more}'
+    )
+
+
+def on_arm(name, rate, reading, *, side="inward", pendulous="forward", mounting="", more=""):
+    """Return a run on the arm with one reading; a mounting's name has its own radius."""
+    named = f'mounting = "{mounting}"\n' if mounting else ""
+    return (
+        f'[[runs]]\nname = "{name}"\nmotion = "arm"\nrate = "{rate}"\n{named}'
+        f'axes = {{ input = "{side}", pendulous = "{pendulous}" }}\nreading = "{reading}"\n{more}'
+    )
