@@ -12,7 +12,7 @@ import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import quote
@@ -170,10 +170,17 @@ def serve(
             opening = threading.Timer(0.3, webbrowser.open, [door.link])
             opening.daemon = True
             opening.start()
+        threading.Thread(target=_load, daemon=True).start()
         # Ctrl-C is what ends it; uvicorn has closed all by then.
         with suppress(KeyboardInterrupt):
             server_of(desk, door).run(sockets=[listener])
     say("Ended.")
+
+
+def _load() -> None:
+    """Load, while nothing is asked yet, what the first records and pictures need."""
+    for name in ("polars", "counterspin.calibration.observed", "counterspin.reports.charts"):
+        import_module(name)
 
 
 def server_of(desk: Desk, door: Door) -> uvicorn.Server:

@@ -2,7 +2,7 @@
 // A campaign while its records grow.
 
 import { get } from "./api.js";
-import { labelled, make, warning } from "./dom.js";
+import { commandLine, labelled, make, warning } from "./dom.js";
 import { campaignTabs } from "./tabs.js";
 
 const PAUSE = 1000;
@@ -16,6 +16,7 @@ export async function liveView(name) {
   const goal = make("input", { placeholder: "K_II 1e-8 g/g^2", autocomplete: "off" });
   const place = make("div", {}, make("p", { class: "quiet" }, "Looking at the records."));
   const events = make("ul", { class: "quiet", "aria-live": "polite" });
+  const command = make("div");
   let shown = "";
   let wanted = "";
   const look = async () => {
@@ -30,6 +31,8 @@ export async function liveView(name) {
         shown = told.html;
         // Escaped by the report's own templates.
         place.innerHTML = told.html;
+        place.querySelector("h1")?.remove();
+        command.replaceChildren(commandLine(told.command));
         globalThis.counterspin.draw(place);
         told.events.forEach(/** @param {string} one */ (one) => events.prepend(make("li", {}, one)));
       }
@@ -52,7 +55,7 @@ export async function liveView(name) {
     title: `${campaign.title}, live`,
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "live"),
-      make("div", { class: "row" }, labelled("Goal", goal)), place, events,
+      make("div", { class: "row" }, labelled("Goal", goal)), place, events, command,
     ],
   };
 }

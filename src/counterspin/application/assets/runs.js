@@ -143,6 +143,7 @@ export async function runsView(name) {
       const part = make("div");
       // Escaped by the report's own templates.
       part.innerHTML = told.html;
+      part.querySelector("h1")?.remove();
       judgement.replaceChildren(part, commandLine(told.command));
       globalThis.counterspin.draw(part);
     } catch (error) {

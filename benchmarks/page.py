@@ -1,0 +1,110 @@
+"""How soon a record is drawn in the page of `counterspin serve`, in Chromium.
+
+    python benchmarks/page.py          # 100,000 and 1,000,000 rows
+
+For each record: the first look, for which its file is read, a later one, and a zoom; seconds from
+the click to the last curve. It stands outside of `make bench`, for it needs Chromium.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+
+from counterspin.application.desk import Desk
+from counterspin.application.folder import ServedFolder
+from counterspin.application.guard import Door
+from counterspin.application.server import listening, server_of
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "builders"))
+
+ROWS = (100_000, 1_000_000)
+
+CAMPAIGN = """schema = 1
+[site]
+gravity = "9.8066 m/s^2"
+latitude = "45.75 deg"
+[centrifuge]
+radius = "2.5 m"
+[records]
+time = { column = "time_s", unit = "s" }
+angle = { column = "angle_rad", unit = "rad" }
+[accelerometers.Qx]
+input_axis = "east"
+pendulous_axis = "down"
+displacement = { column = "east_m", unit = "m" }
+[accelerometers.Qy]
+input_axis = "north"
+pendulous_axis = "down"
+displacement = { column = "north_m", unit = "m" }
+[[runs]]
+name = "run"
+rate = "0.5 rev/s"
+record = "run.csv"
+"""
+
+
+def make(folder: Path, rows: int) -> None:
+    """Write a campaign with one record of so many rows."""
+    folder.mkdir()
+    (folder / "campaign.toml").write_text(CAMPAIGN, encoding="utf-8")
+    t = np.arange(rows) / 1000.0
+    noise = np.random.default_rng(1).normal(0.0, 0.01, (2, rows))
+    east, north = 2.5 * np.cos(np.pi * t) + noise[0], 2.5 * np.sin(np.pi * t) + noise[1]
+    np.savetxt(
+        folder / "run.csv",
+        np.column_stack([t, np.pi * t, east, north]),
+        delimiter=",",
+        header="time_s,angle_rad,east_m,north_m",
+        comments="",
+        fmt="%.7g",
+    )
+
+
+def drawn(tab, rows: int) -> float:
+    """Return the seconds from the click on a campaign's records to their last curve."""
+    tab.evaluate("location.hash = '#/'")
+    tab.get_by_text("Begin a campaign").wait_for()
+    begun = time.perf_counter()
+    tab.evaluate(f"location.hash = '#/runs/{rows}'")
+    tab.get_by_text(f"Of {rows:,} rows").wait_for()
+    return time.perf_counter() - begun
+
+
+def zoomed(tab) -> float:
+    """Return the seconds from a click on zoom to the next picture."""
+    begun = time.perf_counter()
+    with tab.expect_response(lambda answer: "/api/record?" in answer.url):
+        tab.get_by_role("button", name="Zoom in").click()
+    tab.evaluate("new Promise(requestAnimationFrame)")
+    return time.perf_counter() - begun
+
+
+def main() -> None:
+    from chromium import chromium
+
+    with tempfile.TemporaryDirectory() as place, listening(0) as listener:
+        folder = Path(place)
+        for rows in ROWS:
+            make(folder / str(rows), rows)
+        door = Door(listener.getsockname()[1])
+        server = server_of(Desk(ServedFolder(folder)), door)
+        kept = {"target": server.run, "kwargs": {"sockets": [listener]}, "daemon": True}
+        threading.Thread(**kept).start()
+        with chromium() as browser:
+            tab = browser.new_page(viewport={"width": 1280, "height": 1000})
+            tab.goto(door.link)
+            for rows in ROWS:
+                times = drawn(tab, rows), drawn(tab, rows), zoomed(tab)
+                first, later, zoom = (f"{seconds:.2f} s" for seconds in times)
+                print(f"{rows:>9,} rows: first look {first}, later {later}, zoom {zoom}")
+        server.should_exit = True
+
+
+if __name__ == "__main__":
+    main()
