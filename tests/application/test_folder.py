@@ -1,11 +1,13 @@
 """Files of the folder and no others; no edit is lost."""
 
 import os
+import time
 from contextlib import suppress
 from threading import Barrier, Thread
 
 import pytest
 
+from counterspin.application import folder
 from counterspin.application.folder import ChangedMeanwhileError, OutsideError, ServedFolder
 from counterspin.errors import CounterspinError
 
@@ -87,7 +89,14 @@ def test_an_edit_of_an_older_version_is_refused_and_told_what_there_is(served):
     assert [path.name for path in (served.root / "a").iterdir()] == ["campaign.toml"]
 
 
-def test_of_many_edits_at_once_one_is_taken(served):
+def test_of_many_edits_at_once_one_is_taken(served, monkeypatch):
+    write = folder.write_whole
+
+    def slow(*words):
+        time.sleep(0.05)  # in which all others have looked
+        write(*words)
+
+    monkeypatch.setattr(folder, "write_whole", slow)
     seen = served.read("a/campaign.toml").version
     start, taken = Barrier(8), []
 
@@ -96,7 +105,7 @@ def test_of_many_edits_at_once_one_is_taken(served):
         with suppress(ChangedMeanwhileError):
             taken.append(served.write("a/campaign.toml", text, seen).text)
 
-    threads = [Thread(target=edit, args=(f"schema = {n}\n",)) for n in range(8)]
+    threads = [Thread(target=edit, args=(f"schema = 1 # {n}\n",)) for n in range(8)]
     for thread in threads:
         thread.start()
     for thread in threads:
