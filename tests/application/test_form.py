@@ -25,7 +25,7 @@ def test_every_section_is_in_the_form_or_edited_as_text():
     assert keys - {"schema", "specification", "simulation", "truth", "study"} == set(SECTIONS)
     assert [one["key"] for one in campaign_form()] == list(SECTIONS)
     sections = {one["key"] for one in lab_form()}
-    assert set(Lab.model_fields) - {"schema_version", "specification"} == sections
+    assert set(Lab.model_fields) - {"schema_version", "cmc", "specification"} == sections
 
 
 def test_quantities_say_their_unit_and_coefficients_are_all_there():
