@@ -21,9 +21,11 @@ def entered(path, count, first=1):
 
 def altered(path):
     """Return which entry a ledger's error names."""
-    with pytest.raises(RecordError) as caught:
+    try:  # pytest.raises takes ten times as long, and there are hundreds of bytes
         verify_ledger(path)
-    return str(caught.value).removeprefix(f"{path}: ")
+    except RecordError as error:
+        return str(error).removeprefix(f"{path}: ")
+    return "none"
 
 
 def test_entries_read_back_and_each_holds_the_hash_of_the_one_before(tmp_path):
@@ -44,16 +46,15 @@ def test_any_altered_byte_is_found_and_the_entry_named(tmp_path):
     whole = path.read_bytes()
     ends = [i for i, byte in enumerate(whole) if byte == ord("\n")]
     for place in range(len(whole)):
-        for bit in (0x01, 0x80):
-            changed = bytearray(whole)
-            changed[place] ^= bit
-            path.write_bytes(changed)
-            number = sum(end < place for end in ends) + 1
-            if place == ends[-1]:
-                # Without its end a line is one that nobody finished.
-                assert verify_ledger(path).unfinished
-            else:
-                assert altered(path).startswith(f"entry {number} ")
+        changed = bytearray(whole)
+        changed[place] ^= 1 << place % 8  # each bit in its turn
+        path.write_bytes(changed)
+        number = sum(end < place for end in ends) + 1
+        if place == ends[-1]:
+            # Without its end a line is one that nobody finished.
+            assert verify_ledger(path).unfinished
+        else:
+            assert altered(path).startswith(f"entry {number} ")
 
 
 def test_entries_that_are_gone_moved_or_made_anew_are_found(tmp_path):
