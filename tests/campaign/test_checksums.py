@@ -45,7 +45,17 @@ def test_expected_files_are_taken_before_they_are_asked_for(tmp_path, monkeypatc
 
 @pytest.mark.parametrize(
     "text",
-    ["", "runs = 3", "runs = [1]", "[[runs]]", "[[runs]]\nrecord = 5", "no TOML", "[[runs]", "\0"],
+    [
+        "",
+        "runs = 3",
+        "runs = [1]",
+        "runs = [[1]]",
+        "[[runs]]",
+        "[[runs]]\nrecord = 5",
+        "no TOML",
+        "[[runs]",
+        "\0",
+    ],
 )
 def test_what_is_wrong_with_a_description_is_for_others_to_say(tmp_path, text):
     file = described(tmp_path, text)

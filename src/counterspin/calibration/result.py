@@ -341,6 +341,9 @@ def _faults_of(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
             yield f"{symbol} of {name} is {c.value} ± {c.u}"
         if c.dof is not None and not _FEWEST_DOF <= c.dof < math.inf:
             yield f"{symbol} of {name} has {c.dof} degrees of freedom"
+    for line in accelerometer.src/counterspin/calibration/joint_checks.py:38:defjackknife(view:AccelerometerView)->list[Jackknife]::
+        if line.dof is not None and not _FEWEST_DOF <= line.dof < math.inf:
+            yield f"{name} without {line.run} has {line.dof} degrees of freedom"
     if accelerometer.correlation:
         yield from _matrix_faults(f"the correlation matrix of {name}", accelerometer.correlation)
     for run, trace in accelerometer.traces.items():

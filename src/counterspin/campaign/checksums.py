@@ -60,7 +60,7 @@ class Checksums:
         list
             The records that it seems to have.
         """
-        with suppress(CampaignError, OSError, TypeError, ValueError, LookupError):
+        with suppress(CampaignError, OSError, TypeError, ValueError, LookupError, AttributeError):
             file = description_file(where).absolute()
             runs = load_document(file)["runs"]
             records = [file.parent / run["record"] for run in runs if not run.get("skip")]
