@@ -321,7 +321,7 @@ def _to_gravity(result: Result, accelerometer: AccelerometerResult, symbol: str)
     if result.method == "two-stage" and symbol in TERMS and c.value is not None:
         # b2 of a coefficient of degree n goes with g^(1-n).
         return (len(TERMS[symbol].factors) - 1) * c.value / result.inputs.gravity
-    for line in accelerometer.budget.get(symbol, ()):
+    for line in accelerometer.jackknife:
         if line.source == "site.gravity (input)" and line.sensitivity is not None:
             return line.sensitivity
     return 0.0
