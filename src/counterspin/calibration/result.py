@@ -321,7 +321,7 @@ def _to_gravity(result: Result, accelerometer: AccelerometerResult, symbol: str)
     if result.method == "two-stage" and symbol in TERMS and c.value is not None:
         # b2 of a coefficient of degree n goes with g^(1-n).
         return (len(TERMS[symbol].factors) - 1) * c.value / result.inputs.gravity
-    for line in accelerometer.jackknife:
+    for line in accelerometer.budget.get(symbol, ()):
         if line.source == "site.gravity (input)" and line.sensitivity is not None:
             return line.sensitivity
     return 0.0
@@ -341,9 +341,9 @@ def _faults_of(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
             yield f"{symbol} of {name} is {c.value} ± {c.u}"
         if c.dof is not None and not _FEWEST_DOF <= c.dof < math.inf:
             yield f"{symbol} of {name} has {c.dof} degrees of freedom"
-    for line in accelerometer.src/counterspin/calibration/joint_checks.py:38:defjackknife(view:AccelerometerView)->list[Jackknife]::
-        if line.dof is not None and not _FEWEST_DOF <= line.dof < math.inf:
-            yield f"{name} without {line.run} has {line.dof} degrees of freedom"
+    for left_out in accelerometer.jackknife:
+        if left_out.dof is not None and not _FEWEST_DOF <= left_out.dof < math.inf:
+            yield f"{name} without {left_out.run} has {left_out.dof} degrees of freedom"
     if accelerometer.correlation:
         yield from _matrix_faults(f"the correlation matrix of {name}", accelerometer.correlation)
     for run, trace in accelerometer.traces.items():
