@@ -112,6 +112,7 @@ def test_every_result_of_the_package_is_written_so():
         "Compared",
         "History",
         "PlanResult",
+        "Repeated",
         "Reproduction",
         "Result",
         "StudyResult",

@@ -20,6 +20,7 @@ The commands, as functions:
 - `demo`: the paper's plan, simulated and calibrated (`Demonstration`)
 - `history`: a coefficient of each instrument through all its results (`History`)
 - `compare`: results of other models, methods or campaigns beside each other (`Compared`)
+- `rerun`: a result's calibration made again (`Repeated`)
 - `check`: one record, judged (`CheckedRun`); `watch`: a campaign while its records grow
   (`WatchState`), at a `Pace`
 - `reproduce`: the paper's figures beside what they should be (`Reproduction`)
@@ -94,7 +95,9 @@ if TYPE_CHECKING:
     from counterspin.certificates.issuing import Certificate as Certificate
     from counterspin.certificates.issuing import certificate as certificate
     from counterspin.comparisons.compare import compare as compare
+    from counterspin.comparisons.rerun import rerun as rerun
     from counterspin.comparisons.result import Compared as Compared
+    from counterspin.comparisons.result import Repeated as Repeated
     from counterspin.correction.apply import ApplyOptions as ApplyOptions
     from counterspin.correction.apply import Correction as Correction
     from counterspin.correction.apply import apply as apply
@@ -159,7 +162,8 @@ _OFFERED = {
     "campaign.resolved": ("Campaign",),
     "calibration.result": ("Result", "read_result", "write_result"),
     "comparisons.compare": ("compare",),
-    "comparisons.result": ("Compared",),
+    "comparisons.rerun": ("rerun",),
+    "comparisons.result": ("Compared", "Repeated"),
     "monitoring.check": ("check",),
     "monitoring.result": ("CheckedRun", "WatchState"),
     "monitoring.watch": ("Pace", "watch"),

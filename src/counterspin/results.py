@@ -2,11 +2,13 @@
 
 - `ResultPart`: a part of a result; it cannot be changed, and no key goes unnoticed
 - `ResultFile`: a whole result: its JSON, the file, reading it back
+- `environment`: what computes a result beside counterspin
 """
 
 from __future__ import annotations
 
 import json
+import platform
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -179,3 +181,16 @@ def _odd_numbers(value: Any, path: str, key: str = "") -> Iterator[str]:
 
 def _not_a_number(word: str) -> None:
     raise ValueError(f"{word} is not a number that JSON knows")
+
+
+def environment() -> dict[str, str]:
+    """Return what computes: versions of Python, NumPy and SciPy, and the kind of machine."""
+    # Asked of what is installed: SciPy itself takes long to load.
+    from importlib.metadata import version
+
+    return {
+        "python": platform.python_version(),
+        "numpy": version("numpy"),
+        "scipy": version("scipy"),
+        "machine": f"{platform.system()} {platform.machine()}",
+    }

@@ -33,6 +33,7 @@ from counterspin.campaign.questions import questions
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.joint.unknowns import ROTATION
+from counterspin.results import environment
 
 #: More outliers than this part of a run's samples are worth a warning.
 MANY_OUTLIERS: Final = 0.05
@@ -110,6 +111,7 @@ def calibration(
             inputs=dict(checksums),
             in_memory=dict(in_memory),
             options=command_words(method, options),
+            environment=environment(),
         ),
         **estimated,
     )

@@ -2,14 +2,16 @@
 
 - `Method`: the joint fit of full records, or the paper's two stages
 - `TwoStageOptions`: how the paper's method is applied
-- `command_words`: both as the words of a command line; `without_words`: runs that are left out
+- `command_words`: both as the words of a command line; `without_words`: runs that are left out;
+  `asked_by`: what such words ask for
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal
 
+from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
@@ -73,3 +75,42 @@ def command_words(method: str, options: TwoStageOptions) -> list[str]:
         "--method=two-stage",
         *(text for key, text in typed.items() if getattr(options, key) != getattr(usual, key)),
     ]
+
+
+#: Words without a value, and the option that each sets.
+_PLAIN: Final[dict[str, dict[str, Any]]] = {
+    "--no-weighted": {"weighted": False},
+    "--no-fit-bias": {"fit_bias": False},
+    "--sigma=residuals": {"from_residuals": True},
+}
+
+
+def asked_by(words: Sequence[str]) -> tuple[Method, TwoStageOptions, tuple[str, ...]]:
+    """Return the method, its options and the runs left out that a result's words ask for.
+
+    Parameters
+    ----------
+    words
+        As `command_words` and `without_words` return them.
+
+    Raises
+    ------
+    CampaignError
+        If a word is none of theirs, as one of a newer version may be.
+    """
+    method: Method = "joint"
+    asked: dict[str, Any] = {}
+    without = []
+    for word in words:
+        key, _, value = word.partition("=")
+        if word == "--method=two-stage":
+            method = "two-stage"
+        elif word in _PLAIN:
+            asked |= _PLAIN[word]
+        elif key in ("--model", "--ripple"):
+            asked[key.removeprefix("--")] = value
+        elif key == "--without":
+            without.append(value)
+        else:
+            raise CampaignError("the result's options", [f"{word}: this version has no such"])
+    return method, TwoStageOptions(**asked), tuple(without)

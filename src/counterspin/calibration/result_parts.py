@@ -577,12 +577,16 @@ class Provenance(ResultPart):
         ``arrays``.
     options
         Of the command, as they are typed, where they are not the defaults.
+    environment
+        What computed it beside counterspin: Python, NumPy, SciPy and the machine; empty in results
+        of versions that did not state it.
     """
 
     version: str
     inputs: dict[str, str]
     in_memory: dict[str, str] = {}
     options: list[str] = []
+    environment: dict[str, str] = {}
 
     @property
     def shown(self) -> list[tuple[str, str]]:

@@ -3,8 +3,8 @@
 Each command has a module of its own, and imports what it uses when it runs, so that `--help`
 answers at once.
 
-- `init`, `simulate`, `calibrate`, `report`, `certificate`, `ledger`, `history`, `compare`, `check`,
-  `watch`, `apply`, `plan`, `study`, `serve`, `demo`, `reproduce`: the commands
+- `init`, `simulate`, `calibrate`, `report`, `certificate`, `ledger`, `history`, `compare`, `rerun`,
+  `check`, `watch`, `apply`, `plan`, `study`, `serve`, `demo`, `reproduce`: the commands
 - `words`: what several of them share, and errors in the words of a command line
 """
 
@@ -33,6 +33,7 @@ from counterspin.cli import (
     plan,
     report,
     reproduce,
+    rerun,
     serve,
     simulate,
     study,
@@ -58,6 +59,7 @@ for _command in (
     ledger.ledger,
     history.history,
     compare.compare,
+    rerun.rerun,
     check.check,
     watch.watch,
     apply.apply,

@@ -7,4 +7,5 @@
 - `changes`: what is not the same in the campaigns and the ways they were calibrated
 - `result`: the comparison and its JSON
 - `page`: a comparison as a person reads it, and its report
+- `rerun`: a result's calibration made again; `rerun_page`: the same as a person reads it
 """

@@ -50,6 +50,7 @@ def terms_of(result: Result) -> set[str]:
 def _description(result: Result) -> Iterator[tuple[str, str]]:
     provenance, inputs = result.provenance, result.inputs
     yield "version", provenance.version
+    yield from provenance.environment.items()
     yield "method", result.method
     yield "equations", result.model
     yield "options", " ".join(provenance.options) or _NOTHING

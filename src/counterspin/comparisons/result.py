@@ -7,6 +7,7 @@ Values are in the units of the coefficients, in g-units of the first result's gr
 - `ComparedCoefficient`, `ComparedEstimate`: a coefficient through all results
 - `AgreementOfTwo`: whether an accelerometer's coefficients in a result agree with those in the
   first
+- `Repeated`: a result and the same calibration made again; `RepeatedCoefficient`: a term of it
 """
 
 from __future__ import annotations
@@ -182,3 +183,72 @@ class Compared(ShownResult):
         from counterspin.comparisons.page import render_comparison
 
         return render_comparison(self)
+
+
+class RepeatedCoefficient(ResultPart):
+    """A coefficient before and now.
+
+    Attributes
+    ----------
+    name
+        Such as ``Qx.K_II``, ``platform.drift.north`` or ``run1.platform.tilt.north``.
+    before, u_before, now, u_now
+        Estimate and standard uncertainty; None where there is none.
+    relative
+        The larger change of the two: of the estimate, in parts of it or of its u, whichever is
+        larger; of u, in parts of it. None where one has a number that the other lacks.
+    in_u
+        Change of the estimate over `u_before`; None where there is no such u.
+    """
+
+    name: str
+    unit: str
+    before: float | None
+    u_before: float | None
+    now: float | None
+    u_now: float | None
+    relative: float | None
+    in_u: float | None
+
+
+class Repeated(ShownResult):
+    """A result and the same calibration made again.
+
+    Attributes
+    ----------
+    result
+        What was repeated: its file or title.
+    same
+        Whether every estimate, u and judgement is the same within `limit`.
+    limit
+        Largest `relative` of what counts as the same.
+    largest, largest_in_u
+        Of all coefficients: the largest `relative`, and the largest size of `in_u`; None where
+        one has a number that the other lacks, or there is no u.
+    coefficients
+        All that either has.
+    state_before, state_now
+        Whether the result may be relied on, as it was judged and as it is.
+    changes
+        What is not the same beside the numbers: inputs by their checksums, versions, environment.
+    moved
+        Inputs that were found under another name: name in the result -> where.
+    """
+
+    KIND: ClassVar[str] = "repeat of a result"
+
+    result: str
+    same: bool
+    limit: float
+    largest: float | None
+    largest_in_u: float | None
+    coefficients: list[RepeatedCoefficient]
+    state_before: str | None
+    state_now: str | None
+    changes: list[Change]
+    moved: dict[str, str] = {}
+
+    def _report(self) -> Report:
+        from counterspin.comparisons.rerun_page import render_repeat
+
+        return render_repeat(self)

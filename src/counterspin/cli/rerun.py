@@ -1,0 +1,39 @@
+"""`counterspin rerun`: a result's calibration made again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from counterspin.cli.words import NOT_SAVED, Saved
+from counterspin.errors import CounterspinError
+
+
+def rerun(
+    result: Path,
+    /,
+    *,
+    folder: Path | None = None,
+    saved: Saved = NOT_SAVED,
+) -> None:
+    """Calibrate again what a result rests on, and say whether it still holds.
+
+    Parameters
+    ----------
+    result
+        The result's JSON file.
+    folder
+        Where its campaign is; otherwise the folder of the result.
+    """
+    from counterspin.comparisons.rerun import rerun as run
+    from counterspin.comparisons.rerun_page import render_repeat
+    from counterspin.comparisons.result import Repeated
+    from counterspin.reports.progress import progress
+    from counterspin.reports.text import report_console
+
+    saved.reserve(Repeated.file_kind)
+    with progress() as advance:
+        repeated = run(result, folder, progress=advance)
+    with saved.written(repeated):
+        report_console().print(render_repeat(repeated))
+    if not repeated.same:
+        raise CounterspinError(f"{result}: calibrated again, it is not the same")

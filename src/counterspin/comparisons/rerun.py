@@ -1,0 +1,207 @@
+"""`counterspin rerun`: a result's calibration made again, from the inputs that it names.
+
+- `rerun`: find the inputs by their checksums, calibrate with the same options, compare
+- `LIMIT`: largest relative difference of two numbers that are the same
+"""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Final
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.findings import judge_result
+from counterspin.calibration.options import asked_by
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Coefficient
+from counterspin.campaign.checksums import Checksums
+from counterspin.comparisons.changes import changes
+from counterspin.comparisons.result import Repeated, RepeatedCoefficient
+from counterspin.errors import RecordError
+
+#: Two numbers that differ by less, relatively, are the same: rounding adds up to less.
+LIMIT: Final = 1e-12
+
+
+def rerun(
+    result: Result | Path | str,
+    folder: Path | str | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> Repeated:
+    """Calibrate again what a result rests on, and say whether it still holds.
+
+    An input is looked for under its name, then among all files of the folder by its checksum. One
+    that is there under its name with another content is used, and named as changed.
+
+    Parameters
+    ----------
+    result
+        The result or its file, of this version or an earlier one.
+    folder
+        Where its campaign is; None: the folder of the result's file.
+    progress
+        Called with (runs read, runs in all).
+
+    Returns
+    -------
+    Repeated
+        Each number before and now, and what else is not the same.
+
+    Raises
+    ------
+    RecordError
+        If the file is no result, was made of arrays in memory, or an input is not found.
+    CampaignError
+        If the campaign can no longer be calibrated, or an option is of another version.
+    """
+    before = judge_result(result if isinstance(result, Result) else Result.read(result))
+    called = before.title or "the result" if isinstance(result, Result) else str(result)
+    if folder is None and isinstance(result, Result):
+        raise RecordError(f"{called}: say in which folder its campaign is: `folder`")
+    place = Path(result).parent if folder is None else Path(folder)  # type: ignore[arg-type]
+    if before.provenance.in_memory or not before.provenance.inputs:
+        raise RecordError(
+            f"{called}: made of what was in memory, which no file holds; only results of a "
+            "campaign's files can be repeated"
+        )
+    method, options, without = asked_by(before.provenance.options)
+    with ExitStack() as stack:
+        found, moved = _find(before.provenance.inputs, place, called)
+        if moved:
+            staged = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+            for name, file in found.items():
+                (staged / name).parent.mkdir(parents=True, exist_ok=True)
+                _stage(file, staged / name)
+            place = staged
+        again = calibrate(
+            place / next(iter(found)),
+            method=method,
+            options=options,
+            accept_misfit=before.accepted_misfit,
+            without=without,
+            progress=progress,
+        )
+    return _repeated(called, before, again, moved)
+
+
+def _find(
+    inputs: dict[str, str], folder: Path, called: str
+) -> tuple[dict[str, Path], dict[str, str]]:
+    """Return where each input is, and those that are not under their names."""
+    found, moved = dict[str, Path](), dict[str, str]()
+    with Checksums() as checksums:
+        stated = {name: folder / name for name in inputs}
+        theirs = dict(zip(stated, checksums.of(stated.values()), strict=True))
+        lost = {name for name in inputs if theirs[name] != inputs[name]}
+        others = _by_checksum(folder, {Path(name).suffix for name in lost}, checksums)
+    for name, checksum in inputs.items():
+        # A name that leaves the folder cannot be given to another file.
+        elsewhere = others.get(checksum) if _is_inside(name) else None
+        if name in lost and elsewhere is not None:
+            found[name] = elsewhere
+            moved[name] = str(elsewhere)
+        elif name in lost and theirs[name] == "unreadable":
+            raise RecordError(
+                f"{called}: its input {name} ({checksum}) is not in {folder}, under this name or "
+                "another; name the folder of its campaign"
+            )
+        else:
+            found[name] = stated[name]
+    if any(not _is_inside(name) for name in inputs):
+        moved = {} if not moved else _cannot_move(called, moved)
+    return found, moved
+
+
+def _by_checksum(folder: Path, suffixes: set[str], checksums: Checksums) -> dict[str, Path]:
+    if not suffixes:
+        return {}
+    files = sorted(f for f in folder.rglob("*") if f.suffix in suffixes and f.is_file())
+    return dict(zip(checksums.of(files), files, strict=True))
+
+
+def _is_inside(name: str) -> bool:
+    return not Path(name).is_absolute() and ".." not in Path(name).parts
+
+
+def _cannot_move(called: str, moved: dict[str, str]) -> dict[str, str]:
+    name, where = next(iter(moved.items()))
+    raise RecordError(
+        f"{called}: its input {name} is now {where}; rename it, since other inputs are outside of "
+        "the campaign's folder"
+    )
+
+
+def _stage(file: Path, target: Path) -> None:
+    try:
+        target.symlink_to(file.absolute())
+    except OSError:  # links need a right that not every user of Windows has
+        shutil.copyfile(file, target)
+
+
+def _repeated(called: str, before: Result, again: Result, moved: dict[str, str]) -> Repeated:
+    old, new = dict(_coefficients(before)), dict(_coefficients(again))
+    rows = [_row(name, old.get(name), new.get(name)) for name in dict.fromkeys([*old, *new])]
+    relative = [row.relative for row in rows]
+    in_u = [abs(row.in_u) for row in rows if row.in_u is not None]
+    known = [size for size in relative if size is not None]
+    complete = len(known) == len(relative)
+    largest = max(known, default=0.0) if complete else None
+    return Repeated(
+        result=called,
+        same=largest is not None and largest <= LIMIT and before.state == again.state,
+        limit=LIMIT,
+        largest=largest,
+        largest_in_u=max(in_u, default=None),
+        coefficients=rows,
+        state_before=before.state,
+        state_now=again.state,
+        changes=changes([before, again]),
+        moved=moved,
+    )
+
+
+def _coefficients(result: Result) -> Iterator[tuple[str, Coefficient]]:
+    for owner, accelerometer in result.accelerometers.items():
+        for symbol, c in accelerometer.coefficients.items():
+            yield f"{owner}.{symbol}", c
+    yield from result.platform.items()
+    for owner, run in result.runs.items():
+        for symbol, c in run.terms.items():
+            yield f"{owner}.{symbol}", c
+
+
+def _row(name: str, old: Coefficient | None, new: Coefficient | None) -> RepeatedCoefficient:
+    stated = old or new
+    assert stated is not None
+    before, u_before = (old.value, old.u) if old else (None, None)
+    now, u_now = (new.value, new.u) if new else (None, None)
+    of_value = _relative(before, now, u_before or 0.0)
+    of_u = _relative(u_before, u_now, 0.0)
+    there = (old is None) == (new is None)
+    in_u = None
+    if before is not None and now is not None and u_before:
+        in_u = (now - before) / u_before
+    return RepeatedCoefficient(
+        name=name,
+        unit=stated.unit,
+        before=before,
+        u_before=u_before,
+        now=now,
+        u_now=u_now,
+        relative=None if not there or of_value is None or of_u is None else max(of_value, of_u),
+        in_u=in_u,
+    )
+
+
+def _relative(before: float | None, now: float | None, scale: float) -> float | None:
+    """Return a relative difference; None where only one of the numbers is there."""
+    if before is None or now is None:
+        return 0.0 if before is now else None
+    if before == now:
+        return 0.0
+    return abs(now - before) / max(abs(before), abs(now), scale)

@@ -1,0 +1,124 @@
+"""A result repeated: found by checksum, the same to the last digits, or what changed."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from campaigns import SMALL, write
+
+import counterspin as cs
+from counterspin.calibration.options import TwoStageOptions, asked_by, command_words, without_words
+from counterspin.cli import main
+from counterspin.comparisons.result import Repeated
+from counterspin.errors import CampaignError, RecordError
+
+FROZEN = Path(__file__).parents[1] / "frozen"
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    """Return a folder with a campaign, its records and its result."""
+    folder = tmp_path_factory.mktemp("archive")
+    cs.simulate(write(folder, SMALL, "plan.toml"), folder / "camp")
+    cs.calibrate(folder / "camp").write(folder / "camp" / "result.json")
+    return folder / "camp"
+
+
+@pytest.fixture
+def camp(archive, tmp_path):
+    return Path(shutil.copytree(archive, tmp_path / "camp"))
+
+
+def test_the_same_files_give_the_same_numbers(camp, capsys, tmp_path):
+    assert main(["rerun", str(camp / "result.json"), "--json", str(tmp_path / "again.json")]) == 0
+    assert "the same within 1e-12" in " ".join(capsys.readouterr().out.split())
+    repeated = Repeated.read(tmp_path / "again.json")
+    assert repeated.same
+    assert repeated.largest <= repeated.limit
+    assert repeated.changes == []
+    stated = cs.Result.read(camp / "result.json")
+    by_name = {c.name: c for c in repeated.coefficients}
+    assert by_name["Qx.K_II"].before == stated.coefficient("Qx.K_II").value
+    assert set(by_name) >= {f"Qx.{s}" for s in stated.accelerometers["Qx"].coefficients}
+
+
+def test_inputs_are_found_by_their_checksums_wherever_they_are(camp, tmp_path):
+    (camp / "old").mkdir()
+    (camp / "slow.csv").rename(camp / "old" / "somewhere else.csv")
+    result = Path(shutil.move(camp / "result.json", tmp_path / "result.json"))
+    repeated = cs.rerun(result, camp)
+    assert repeated.same
+    assert repeated.moved == {"slow.csv": str(camp / "old" / "somewhere else.csv")}
+
+
+def test_what_changed_is_named_with_its_size(camp, capsys):
+    description = camp / "campaign.toml"
+    text = description.read_text(encoding="utf-8")
+    old = cs.Result.read(camp / "result.json")
+    line = next(line for line in text.splitlines() if line.startswith("radius"))
+    description.write_text(text.replace(line, 'radius = "2.5001 m"'), encoding="utf-8")
+    repeated = cs.rerun(camp / "result.json")
+    assert not repeated.same
+    changed = {change.subject: change.values for change in repeated.changes}
+    assert {"campaign.toml", "radius"} <= set(changed)
+    now = cs.calibrate(camp).coefficient("Qx.K_II").value
+    before = old.coefficient("Qx.K_II")
+    (row,) = (c for c in repeated.coefficients if c.name == "Qx.K_II")
+    assert row.in_u == pytest.approx((now - before.value) / before.u, rel=1e-9)
+    assert repeated.largest_in_u >= abs(row.in_u) > 0.0
+    assert main(["rerun", str(camp / "result.json")]) == 1
+    told = " ".join(capsys.readouterr().out.split())
+    assert "Changed: radius; campaign.toml" in told
+
+
+def test_a_last_digit_more_than_rounding_counts(camp):
+    path = camp / "result.json"
+    document = json.loads(path.read_text(encoding="utf-8"))
+    document["accelerometers"]["Qx"]["coefficients"]["K_II"]["u"] *= 1.0 + 1e-11
+    path.write_text(json.dumps(document), encoding="utf-8")
+    repeated = cs.rerun(path)
+    assert not repeated.same
+    assert repeated.largest == pytest.approx(1e-11, rel=1e-3)
+
+
+def test_an_earlier_result_states_no_environment_and_is_repeated_all_the_same(camp):
+    path = camp / "result.json"
+    document = json.loads(path.read_text(encoding="utf-8"))
+    assert set(document["provenance"].pop("environment")) == {"python", "numpy", "scipy", "machine"}
+    path.write_text(json.dumps(document), encoding="utf-8")
+    repeated = cs.rerun(path)
+    assert repeated.same
+    changed = {change.subject: change.values for change in repeated.changes}
+    assert changed["numpy"][0] == "-"
+
+
+def test_the_same_options_are_used_again(camp):
+    options = TwoStageOptions(weighted=False)
+    cs.calibrate(camp, method="two-stage", options=options).write(camp / "stages.json")
+    assert cs.rerun(camp / "stages.json").same
+    assert not cs.rerun(camp / "result.json", camp).changes
+
+
+@pytest.mark.parametrize("path", sorted(FROZEN.glob("schema-*.json")), ids=lambda path: path.stem)
+def test_what_is_not_there_is_named(path):
+    with pytest.raises(RecordError, match=r"its input campaign\.toml \(sha256:"):
+        cs.rerun(path)
+
+
+def test_what_was_in_memory_cannot_be_repeated(camp, capsys):
+    campaign = cs.read_campaign(camp).change(radius="2.6 m")
+    cs.calibrate(campaign).write(camp / "memory.json")
+    assert main(["rerun", str(camp / "memory.json")]) == 1
+    assert "in memory" in capsys.readouterr().err
+    with pytest.raises(RecordError, match="`folder`"):
+        cs.rerun(cs.Result.read(camp / "result.json"))
+
+
+def test_words_are_read_back():
+    options = TwoStageOptions("as-printed", False, "ratio", False, True)
+    words = [*command_words("two-stage", options), *without_words(["slow"])]
+    assert asked_by(words) == ("two-stage", options, ("slow",))
+    assert asked_by([]) == ("joint", TwoStageOptions(), ())
+    with pytest.raises(CampaignError, match="--newer"):
+        asked_by(["--newer"])
