@@ -110,6 +110,7 @@ def test_every_result_of_the_package_is_written_so():
         "BatchResult",
         "CheckedRun",
         "Compared",
+        "Dossier",
         "History",
         "PlanResult",
         "Repeated",

@@ -24,6 +24,7 @@ The commands, as functions:
 - `check`: one record, judged (`CheckedRun`); `watch`: a campaign while its records grow
   (`WatchState`), at a `Pace`
 - `reproduce`: the paper's figures beside what they should be (`Reproduction`)
+- `validate`: reference cases, run on what is installed (`Dossier`); `write_dossier`: as files
 - `print_result`, `write_result`, `read_result`: a `Result` on the terminal and as JSON
 - `report`, `write_report`: its full report as HTML, PDF or Markdown, returned or written
 - `certificate`: the Digital Calibration Certificate (`Certificate`) of a result
@@ -149,6 +150,9 @@ if TYPE_CHECKING:
     from counterspin.studies.folder import StudyFolder as StudyFolder
     from counterspin.studies.result import StudyResult as StudyResult
     from counterspin.studies.study import study as study
+    from counterspin.validation.result import Dossier as Dossier
+    from counterspin.validation.validate import validate as validate
+    from counterspin.validation.validate import write_dossier as write_dossier
     from counterspin.workers import Workers as Workers
 
 #: Module -> what it offers here. The same again, for those who run the code and do not check it;
@@ -202,6 +206,8 @@ _OFFERED = {
     "studies.folder": ("StudyFolder",),
     "studies.result": ("StudyResult",),
     "studies.study": ("study",),
+    "validation.result": ("Dossier",),
+    "validation.validate": ("validate", "write_dossier"),
     "workers": ("Workers",),
 }
 

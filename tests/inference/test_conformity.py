@@ -16,6 +16,7 @@ from counterspin.inference.conformity import (
     judge,
     nonconformance_probability,
 )
+from counterspin.validation.cases import cases
 
 RULES = ("simple", "guarded", "probability")
 
@@ -33,20 +34,15 @@ def limits(draw):
 # The probability
 
 
-# JCGM 106:2012, worked examples of clause 7: breakdown voltage of a Zener diode (upper limit),
-# bursting strength of a container (lower limit), viscosity of SAE 40 motor oil (both); as printed,
-# two digits.
-@pytest.mark.parametrize(
-    ("value", "u", "low", "high", "printed"),
-    [
-        (-5.47, 0.05, None, -5.40, 0.92),
-        (509.7, 8.6, 490.0, None, 0.99),
-        (13.6, 1.8, 12.5, 16.3, 0.66),
-    ],
-    ids=["diode", "container", "oil"],
-)
-def test_worked_examples_of_jcgm_106(value, u, low, high, printed):
-    assert conformance_probability(value, u, None, low, high) == pytest.approx(printed, abs=0.005)
+# JCGM 106:2012, worked examples of clause 7, as printed, two digits.
+JCGM_106 = [one for one in cases() if one.name.startswith("JCGM 106")]
+
+
+@pytest.mark.parametrize("example", JCGM_106, ids=lambda example: example.name)
+def test_worked_examples_of_jcgm_106(example):
+    assert conformance_probability(**example.given) == pytest.approx(
+        float(example.expected["p"]), abs=0.005
+    )
 
 
 # With one and two degrees of freedom Student's distribution is elementary.

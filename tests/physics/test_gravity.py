@@ -5,22 +5,16 @@ import math
 import pytest
 
 from counterspin.physics.gravity import HEIGHTS, gravity_range, normal_gravity
+from counterspin.validation.cases import case
+from counterspin.validation.validate import check
 
 
-@pytest.mark.parametrize(
-    ("degrees", "published", "within"),
-    [
-        # NIMA TR 8350.2, table 3.4: at the equator and at the poles of WGS 84
-        (0.0, 9.7803253359, 1e-10),
-        (90.0, 9.8321849378, 1e-9),
-        # Moritz, Geodetic Reference System 1980: gamma_45, whose gravity at the equator is
-        # larger by 1.44e-6
-        (45.0, 9.806199203 - 1.44e-6, 1e-8),
-        (-45.0, 9.806199203 - 1.44e-6, 1e-8),
-    ],
-)
-def test_on_the_ellipsoid(degrees, published, within):
-    assert normal_gravity(math.radians(degrees)) == pytest.approx(published, abs=within)
+@pytest.mark.parametrize("where", ["at the equator", "at a pole", "at 45 degrees"])
+def test_on_the_ellipsoid(where):
+    stated = case(f"normal gravity {where}")
+    assert check(stated).state == "passed"
+    south = normal_gravity(-math.radians(stated.given["degrees"]))
+    assert south == pytest.approx(float(stated.expected["gravity"]), abs=stated.absolute)
 
 
 def test_it_falls_by_the_free_air_gradient():

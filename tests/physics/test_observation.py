@@ -1,12 +1,11 @@
 """Observation columns: high-precision values, first principles without them, and symmetries.
 
-The values in ``tests/reference/double_integrals.json`` are our own. The script beside them,
-``make_double_integrals.py``, makes every one in 40-digit arithmetic from the definitions and
-without this package; it ends its panels at each kink of a_I*|a_I|.
+The values in ``double_integrals.json`` of the validation's data are our own. The script
+``tests/reference/make_double_integrals.py`` makes every one in 40-digit arithmetic from the
+definitions and without this package; it ends its panels at each kink of a_I*|a_I|.
 """
 
 import importlib.util
-import json
 import math
 import tracemalloc
 from dataclasses import replace
@@ -25,9 +24,10 @@ from counterspin.physics.observation import ORDERS, columns, reference
 from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.physics.spindle import Ripple, Spindle
 from counterspin.records.reading import ANY_REVOLUTIONS
+from counterspin.validation.cases import document
 
 FOLDER = Path(__file__).parents[1] / "reference"
-DOCUMENT = json.loads((FOLDER / "double_integrals.json").read_text(encoding="utf-8"))
+DOCUMENT = document("double_integrals.json")
 CASES = {case["label"]: case for case in DOCUMENT["cases"]}
 MOUNTINGS = {"QX": QX, "QY": QY, "QZ": QZ}
 SYMBOLS = [*TERMS, *PLATFORM_TERMS]

@@ -1,10 +1,8 @@
 """Stations: forces against an inertial frame in 60 digits, means against closed forms."""
 
-import json
 import math
 from dataclasses import replace
 from decimal import Decimal
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,13 +13,10 @@ from counterspin.physics.path_errors import path_change
 from counterspin.physics.shared_terms import MOTION_TERMS
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import FRAMES, Station, mean_products
+from counterspin.validation.cases import document
 
-REFERENCE = json.loads(
-    (Path(__file__).parents[1] / "reference" / "arm_forces.json").read_text(encoding="utf-8")
-)
-TILTED = json.loads(
-    (Path(__file__).parents[1] / "reference" / "axis_tilt.json").read_text(encoding="utf-8")
-)
+REFERENCE = document("arm_forces.json")
+TILTED = document("axis_tilt.json")
 SITE = Site(9.80665, 0.8)
 SYMBOLS = list(TERMS)
 

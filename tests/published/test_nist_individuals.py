@@ -5,19 +5,17 @@ rate of batches: centre 50.81, mean moving range 1.8778, limits 45.8159 and 55.8
 factor 1.128 of the moving range, which has more digits here.
 """
 
-import pytest
-
 from counterspin.histories.control import individuals
+from counterspin.validation.cases import case
+from counterspin.validation.validate import check
 
-FLOW_RATE = [49.6, 47.6, 49.9, 51.3, 47.8, 51.2, 52.6, 52.4, 53.6, 52.1]
+CASE = case("individuals chart of a flow rate")
 
 
 def test_flow_rate():
-    found = individuals(FLOW_RATE)
-    assert found.centre == pytest.approx(50.81, abs=0.5e-9)
-    assert found.mean_range == pytest.approx(1.8778, abs=0.5e-4)
+    # The limits' own: 1.128 and 1.128379 differ by 3.4e-4 of the distance of 4.99 from the centre.
+    assert check(CASE).state == "passed"
+    found = individuals(CASE.given["values"])
     low, high = found.limits()
-    # 1.128 and 1.128379 differ by 3.4e-4 of the distance of 4.99 from the centre.
-    assert (low, high) == pytest.approx((45.8159, 55.8041), abs=0.0018)
     assert (f"{low:.2f}", f"{high:.2f}") == ("45.82", "55.80")
     assert found.beyond == found.leaps == ()

@@ -73,5 +73,6 @@ def make():
 
 
 if __name__ == "__main__":
-    target = pathlib.Path(__file__).with_name("arm_forces.json")
+    data = pathlib.Path(__file__).parents[2] / "src" / "counterspin" / "validation" / "data"
+    target = data / "arm_forces.json"
     target.write_text(json.dumps(make(), indent=1) + "\n", encoding="utf-8")

@@ -90,5 +90,6 @@ def make():
 
 
 if __name__ == "__main__":
-    target = pathlib.Path(__file__).with_name("axis_tilt.json")
+    data = pathlib.Path(__file__).parents[2] / "src" / "counterspin" / "validation" / "data"
+    target = data / "axis_tilt.json"
     target.write_text(json.dumps(make(), indent=1) + "\n", encoding="utf-8")

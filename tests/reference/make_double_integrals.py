@@ -251,7 +251,8 @@ def main():
         "earth_rate": nstr(EARTH_RATE, DIGITS),
         "cases": [worked(case) for case in CASES],
     }
-    target = pathlib.Path(__file__).with_name("double_integrals.json")
+    data = pathlib.Path(__file__).parents[2] / "src" / "counterspin" / "validation" / "data"
+    target = data / "double_integrals.json"
     target.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")
 
 

@@ -4,7 +4,8 @@ Each command has a module of its own, and imports what it uses when it runs, so 
 answers at once.
 
 - `init`, `simulate`, `calibrate`, `report`, `certificate`, `ledger`, `history`, `compare`, `rerun`,
-  `check`, `watch`, `apply`, `plan`, `study`, `serve`, `demo`, `reproduce`: the commands
+  `check`, `watch`, `apply`, `plan`, `study`, `serve`, `demo`, `reproduce`,
+  `validate`: the commands
 - `words`: what several of them share, and errors in the words of a command line
 """
 
@@ -37,6 +38,7 @@ from counterspin.cli import (
     serve,
     simulate,
     study,
+    validate,
     watch,
 )
 from counterspin.cli.words import complain, spoken
@@ -68,6 +70,7 @@ for _command in (
     serve.serve,
     demo.demo,
     reproduce.reproduce,
+    validate.validate,
 ):
     app.command(_command)
 

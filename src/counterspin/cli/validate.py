@@ -1,0 +1,34 @@
+"""`counterspin validate`: the reference cases, run on what is installed."""
+
+from __future__ import annotations
+
+from counterspin.cli.words import OutputFolder, say, shell_word
+from counterspin.errors import CounterspinError
+
+
+def validate(*, output: OutputFolder, overwrite: bool = False) -> None:
+    """Run the reference cases on this installation and write a dossier for an assessor.
+
+    Parameters
+    ----------
+    output
+        The dossier's folder: validation.html, validation.pdf and validation.json.
+    overwrite
+        Replace an earlier dossier; never other files.
+    """
+    from counterspin.reports.progress import progress
+    from counterspin.reports.text import report_console
+    from counterspin.validation.page import render_dossier
+    from counterspin.validation.validate import check_folder, write_dossier
+    from counterspin.validation.validate import validate as run
+
+    check_folder(output, overwrite=overwrite)
+    with progress(words=("Running cases", "Running cases", "Writing")) as advance:
+        dossier = run(progress=advance)
+        write_dossier(dossier, output, overwrite=overwrite)
+    report_console().print(render_dossier(dossier))
+    say(f"Wrote {shell_word(output)}")
+    if dossier.failed:
+        raise CounterspinError(f"reference cases failed: {'; '.join(dossier.failed)}")
+    if not dossier.passed:
+        raise CounterspinError("files of the installation are altered or missing: install it again")

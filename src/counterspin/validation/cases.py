@@ -1,0 +1,151 @@
+"""The reference cases: what is asked, what is expected, where that comes from, how close.
+
+They are data, in ``data/cases.json``, and the project's own tests take them from here.
+
+- `Case`: one of them; `cases`: all; `case`: one by its name
+- `DATA`: the folder; `document`: a file of it
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.shared_terms import PLATFORM_TERMS
+
+DATA: Final = Path(__file__).parent / "data"
+
+
+@frozen
+class Case:
+    """One reference case.
+
+    Attributes
+    ----------
+    name
+        By which it is known.
+    requirement
+        What it belongs to: physics, spindle, least squares ...
+    kernel
+        The function that is asked, as ``module:name``.
+    source
+        Where the expected values come from: document and place, closed form, or script.
+    given
+        What the function is given.
+    expected
+        Name -> values, of any shape.
+    relative, absolute
+        Largest difference, as a part of the expected value and in its unit; both together where
+        both are stated. `absolute` may be one number, or by name.
+    """
+
+    name: str
+    requirement: str
+    kernel: str
+    source: str
+    given: Mapping[str, Any]
+    expected: Mapping[str, Array]
+    relative: float
+    absolute: float | Mapping[str, Any]
+
+    def allowed(self, name: str) -> Array:
+        """Return the largest difference of each number of a name, in the shape of `expected`."""
+        stated = self.absolute if isinstance(self.absolute, float | int) else self.absolute[name]
+        return np.asarray(stated) + self.relative * np.abs(self.expected[name])
+
+
+@cache
+def document(name: str) -> Any:
+    """Return a JSON document of the folder; it is not to be changed."""
+    return json.loads((DATA / name).read_text(encoding="utf-8"))
+
+
+@cache
+def cases() -> tuple[Case, ...]:
+    """Return all cases, in the order of their requirements."""
+    return tuple(_read(entry) for entry in document("cases.json")["cases"])
+
+
+def case(name: str) -> Case:
+    """Return a case by its name; KeyError if there is none."""
+    return {one.name: one for one in cases()}[name]
+
+
+def _read(entry: Mapping[str, Any]) -> Case:
+    expected = entry["expected"]
+    if expected is None:
+        expected = _REFERENCES[entry["kernel"].rpartition(":")[2]](entry["given"])
+    return Case(
+        name=entry["name"],
+        requirement=entry["requirement"],
+        kernel=entry["kernel"],
+        source=entry["source"],
+        given=entry["given"],
+        expected={name: np.array(values, np.float64) for name, values in expected.items()},
+        relative=entry["limit"].get("relative", 0.0),
+        absolute=entry["limit"].get("absolute", 0.0),
+    )
+
+
+# Expected values that stand in a file of their own, of a script in 40-digit arithmetic.
+
+
+def motion_of(given: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the case of the file of integrals that a given label names."""
+    found = document(given["file"])["cases"]
+    return next(one for one in found if one["label"] == given["label"])
+
+
+def integrals_asked(given: Mapping[str, Any]) -> dict[str, list[str]]:
+    """Return mounting -> symbols whose integrals the file states."""
+    motion = motion_of(given)
+    shown = motion[given["observable"]]["QX"] if motion.get("platform") else ()
+    platform = [symbol for symbol in PLATFORM_TERMS if symbol in shown]
+    return {name: [*TERMS, *platform] for name in motion[given["observable"]]}
+
+
+def forces_asked(given: Mapping[str, Any]) -> list[Mapping[str, Any]]:
+    """Return the places on an arm at one rate of which the file states the force."""
+    return [one for one in document(given["file"])["cases"] if one["rate"] == given["rate"]]
+
+
+def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
+    table = motion_of(given)[given["observable"]]
+    expected = {}
+    for mounting, symbols in integrals_asked(given).items():
+        for symbol in symbols:
+            key = TERMS[symbol].product if symbol in TERMS else symbol
+            sign = -1.0 if symbol == "delta_P" else 1.0
+            values = np.array(table[mounting][key], np.float64)
+            expected[f"{symbol} of {mounting}"] = sign * values
+    return expected
+
+
+def _angles(given: Mapping[str, Any]) -> dict[str, Any]:
+    return {"angle": motion_of(given)["angle"]}
+
+
+def _forces(given: Mapping[str, Any]) -> dict[str, Any]:
+    key = "arm" if given["file"] == "axis_tilt.json" else "force"
+    return {"force": [one[key] for one in forces_asked(given)]}
+
+
+def _certified(given: Mapping[str, Any]) -> dict[str, Any]:
+    stated = document(given["file"])["result"]["accelerometers"][given["accelerometer"]]
+    return {s: [c["value"], c["u"]] for s, c in stated["coefficients"].items()}
+
+
+_REFERENCES: Final = {
+    "columns": _integrals,
+    "Spindle.angle": _angles,
+    "Station.force": _forces,
+    "read_certificate": _certified,
+}

@@ -1,0 +1,258 @@
+"""How each function that a case names is asked, and what of its answer is compared.
+
+Functions are looked up in their modules each time, so that what is asked is what others use.
+
+- `ask`: a case's function, name -> values
+- `NotAvailableError`: the function needs a package that is not installed
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.validation import files
+from counterspin.validation.cases import (
+    Case,
+    document,
+    forces_asked,
+    integrals_asked,
+    motion_of,
+)
+from counterspin.validation.files import NotAvailableError
+
+__all__ = ["NotAvailableError", "ask"]
+
+Given = Mapping[str, Any]
+Found = Mapping[str, Any]
+
+
+def ask(case: Case) -> dict[str, Any]:
+    """Return what the function of a case says: name -> values, in the shapes of `expected`.
+
+    Raises
+    ------
+    NotAvailableError
+        If it needs a package that is not installed.
+    """
+    module, _, name = case.kernel.partition(":")
+    return dict(_ASKED[name](import_module(module), case.given))
+
+
+def _spindle(given: Given) -> Any:
+    from counterspin.physics.spindle import Ripple, Spindle
+
+    ripples = tuple(Ripple(n, float(a), float(p)) for n, a, p in given.get("ripples", []))
+    start = float(given.get("start_angle", 0.0))
+    return Spindle(float(given["rate"]), float(given.get("drift", 0.0)), ripples, start)
+
+
+def _columns(module: Any, given: Given) -> Found:
+    from counterspin.physics import accelerometer
+    from counterspin.physics.motion import Site, Trajectory
+
+    whole, motion = document(given["file"]), motion_of(given)
+    earth_rate = float(whole["earth_rate"]) if motion.get("earth_rate") else 0.0
+    site = Site(float(whole["gravity"]), float(whole["latitude"]), earth_rate)
+    trajectory = Trajectory(_spindle(motion), float(whole["radius"]), site)
+    times = np.array(motion["times"], np.float64)
+    found = dict[str, Any]()
+    for name, symbols in integrals_asked(given).items():
+        mounting = getattr(accelerometer, name)
+        table = module.columns(trajectory, mounting, symbols, times, given["observable"])
+        found |= {f"{s} of {name}": column for s, column in zip(symbols, table.T, strict=True)}
+    return found
+
+
+def _angle(_: Any, given: Given) -> Found:
+    motion = motion_of(given)
+    return {"angle": _spindle(motion).angle(np.array(motion["times"], np.float64))}
+
+
+def _fit_spindle(module: Any, given: Given) -> Found:
+    time = np.linspace(0.0, given["duration"], given["samples"])
+    spindle = module.fit_spindle(time, _spindle(given).angle(time), given["rate"]).spindle
+    return {name: getattr(spindle, name) for name in ("rate", "drift", "start_angle")}
+
+
+def _force(module: Any, given: Given) -> Found:
+    from counterspin.physics.accelerometer import Mounting
+    from counterspin.physics.motion import Site
+
+    whole, mounting = (
+        document(given["file"]),
+        Mounting.from_axes(*(module.FRAMES["arm"][name] for name in ("outward", "up"))),
+    )
+    forces = []
+    for place in forces_asked(given):
+        tilt = tuple(float(place.get(about, 0.0)) for about in ("east", "north"))
+        station = module.Station(
+            "arm",
+            mounting,
+            rate=float(place["rate"]),
+            radius=float(place["radius"]),
+            axis_tilt=tilt,
+        )
+        site = Site(float(whole["gravity"]), float(place["latitude"]))
+        forces.append(station.force(site, np.array([float(place["angle"])]))[0])
+    return {"force": forces}
+
+
+def _normal_gravity(module: Any, given: Given) -> Found:
+    return {"gravity": module.normal_gravity(math.radians(given["degrees"]))}
+
+
+def _indicated(module: Any, given: Given) -> Found:
+    force = np.array([given["force"]])
+    return {"indicated": module.indicated(module.QX, given["coefficients"], force)[0]}
+
+
+def _parabola(module: Any, given: Given) -> Found:
+    from counterspin.physics.accelerometer import QX
+
+    place = (given["rate"], given["radius"], given["gravity"])
+    return {"parabola": module.parabola(given["symbol"], QX, *place)}
+
+
+def _printed(module: Any, given: Given) -> Found:
+    rest = (given["radius"], given["gravity"], given["scale_factor"])
+    table = module.second_stage_columns(np.array(given["rates"]), *rest)
+    if "sigma_b2" not in given:
+        return {"columns": table}
+    # Eq. 33 and 34, unweighted as the paper has them.
+    row = np.linalg.pinv(table)[0] * np.array(given["sigma_b2"])
+    return {"sigma": math.sqrt(float(row @ row))}
+
+
+def _fit(module: Any, given: Given) -> Found:
+    if "polynomial" in given:
+        design = np.vander(np.array(given["x"], float), given["polynomial"] + 1, increasing=True)
+    else:
+        design = np.array(given["design"], float)
+    found = module.fit(design, np.array(given["y"], float), given.get("sigma"))
+    return {
+        "estimate": found.estimate,
+        "u": found.u,
+        "sigma": found.sigma,
+        "chi2": found.chi2,
+        "dof": found.dof,
+        "covariance": found.covariance[0, -1],
+    }
+
+
+def _solve(module: Any, given: Given) -> Found:
+    from counterspin.inference.blocks import reduce_block
+
+    block = reduce_block(given["design"], given["y"], None, given.get("considered"))
+    known = {
+        key: np.array(given[key], np.float64)
+        for key in ("prior_mean", "prior_sd", "considered_sd")
+        if key in given
+    }
+    found = module.solve([block], **known)
+    return {"estimate": found.estimate, "u": np.sqrt(np.diag(found.covariance))}
+
+
+def _effective_dof(module: Any, given: Given) -> Found:
+    variances = np.square(np.array(given["u"], np.float64))
+    covariance = np.diag(2.0 * variances**2 / np.array(given["dof"]))
+    gradient = np.ones((1, variances.size))
+    return {"dof": module.effective_dof([variances.sum()], gradient, covariance)[0]}
+
+
+def _walk(module: Any, given: Given) -> Found:
+    return {"covariance": module.walk_covariance(np.array(given["time"]))}
+
+
+def _flicker(module: Any, given: Given) -> Found:
+    lag = np.array(given["lag"])
+    found = module.flicker_autocovariance(lag, given["low"], given["high"])
+    return {"autocovariance": found}
+
+
+def _acceptance_limits(module: Any, given: Given) -> Found:
+    low, high = module.acceptance_limits(**given)
+    return {"low": low, "high": high}
+
+
+def _forecast(module: Any, given: Given) -> Found:
+    from counterspin.campaign.memory.making import make_campaign
+
+    runs = [
+        {
+            "name": name,
+            "motion": "static",
+            "axes": {"input": name, "pendulous": "east"},
+            "reading": f"{value} ± {given['sigma']!r} g",
+        }
+        for name, value in (("up", 1.0), ("down", -1.0))
+    ]
+    campaign = make_campaign(
+        {
+            "site": {"gravity": "9.8 m/s^2", "latitude": "0 deg"},
+            "accelerometers": {"A": {"input_axis": "up", "pendulous_axis": "east"}},
+            "model": {"terms": ["K_F", "K_I"]},
+            "runs": runs,
+        }
+    )
+    found = module.forecast(campaign)
+    estimated = [unknown.symbol for unknown in found.fit.model.unknowns]
+    u = np.sqrt(np.diag(found.fit.solution.covariance))
+    return {symbol: u[estimated.index(symbol)] for symbol in ("K_F", "K_I")}
+
+
+def _individuals(module: Any, given: Given) -> Found:
+    found = module.individuals(given["values"])
+    low, high = found.limits()
+    return {"centre": found.centre, "mean_range": found.mean_range, "low": low, "high": high}
+
+
+def _weighted_mean(module: Any, given: Given) -> Found:
+    found = module.weighted_mean(given["values"], given["u"])
+    return {"value": found.value, "u": found.u}
+
+
+def _en_score(module: Any, given: Given) -> Found:
+    return {"E_n": module.en_score(tuple(given["first"]), tuple(given["second"]))}
+
+
+def _number(name: str, key: str) -> Callable[[Any, Given], Found]:
+    """Return how a function is asked that takes what is given by name and returns a number."""
+    return lambda module, given: {key: getattr(module, name)(**given)}
+
+
+_ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
+    "columns": _columns,
+    "Spindle.angle": _angle,
+    "fit_spindle": _fit_spindle,
+    "Station.force": _force,
+    "normal_gravity": _normal_gravity,
+    "indicated": _indicated,
+    "parabola": _parabola,
+    "second_stage_columns": _printed,
+    "fit": _fit,
+    "solve": _solve,
+    "effective_dof": _effective_dof,
+    "walk_covariance": _walk,
+    "flicker_autocovariance": _flicker,
+    "student_quantile": _number("student_quantile", "t"),
+    "student_cdf": _number("student_cdf", "p"),
+    "normal_quantile": _number("normal_quantile", "z"),
+    "normal_cdf": _number("normal_cdf", "p"),
+    "chi_square_tail": _number("chi_square_tail", "p"),
+    "expanded_uncertainty": _number("expanded_uncertainty", "U"),
+    "conformance_probability": _number("conformance_probability", "p"),
+    "acceptance_limits": _acceptance_limits,
+    "forecast": _forecast,
+    "read_certificate": files.read_back,
+    "to_si": _number("to_si", "si"),
+    "from_si": _number("from_si", "value"),
+    "en_score": _en_score,
+    "individuals": _individuals,
+    "weighted_mean": _weighted_mean,
+    "read_record": files.read_record,
+}

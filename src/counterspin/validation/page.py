@@ -1,0 +1,172 @@
+"""The dossier as a person reads it.
+
+- `render_dossier`: the answer, as something that rich prints; `dossier_blocks`: all of it
+- `as_html`, `as_pdf`: as a report; `file_kind`: how these are known again
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+from counterspin._version import __version__
+from counterspin.calibration.pages.publishing import issue_date
+from counterspin.output import FileKind, holds
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.text import Report
+from counterspin.validation.result import CheckedCase, Dossier
+
+_TITLE: Final = "Validation of counterspin"
+
+
+def render_dossier(dossier: Dossier) -> Report:
+    """Return the answer and the table of requirements for the terminal."""
+    blocks = [Heading(_TITLE, 1), *_answer(dossier), *_failures(dossier), _requirements(dossier)]
+    return Report(blocks)
+
+
+def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
+    """Yield the answer, what is installed, requirements, cases, and what is not covered."""
+    yield Heading(_TITLE, 1)
+    yield from _answer(dossier)
+    yield from _failures(dossier)
+    yield Heading("Requirements and their cases")
+    yield _requirements(dossier)
+    yield Heading("What is installed")
+    yield from _installed(dossier)
+    for requirement in dict.fromkeys(case.requirement for case in dossier.cases):
+        yield Heading(f"Cases: {requirement}")
+        yield _cases([case for case in dossier.cases if case.requirement == requirement])
+    yield Paragraph(
+        "Of each case the number that came nearest to its limit is shown. Digits: right digits of "
+        "that number, -log10 of its relative difference, at most 16. Limit: largest difference "
+        "allowed.",
+        "quiet",
+    )
+    yield Heading("Sources")
+    for source in dict.fromkeys(case.source for case in dossier.cases):
+        names = ", ".join(case.name for case in dossier.cases if case.source == source)
+        yield Paragraph(f"{names}: {source}.")
+    yield Heading("What is not covered")
+    for text in dossier.not_covered:
+        yield Paragraph(text)
+
+
+def as_html(dossier: Dossier) -> str:
+    """Return the dossier as one HTML file."""
+    from counterspin.reports.html import html
+
+    return html(
+        list(dossier_blocks(dossier)),
+        title=_TITLE,
+        identifier=_identifier(dossier),
+        date=issue_date(),
+        version=__version__,
+    )
+
+
+def as_pdf(dossier: Dossier) -> bytes:
+    """Return the dossier as a PDF/A."""
+    from counterspin.reports.pdf import pdf
+
+    blocks = list(dossier_blocks(dossier))
+    return pdf(blocks, title=_TITLE, identifier=_identifier(dossier), date=issue_date())
+
+
+def file_kind(path: Path) -> FileKind:
+    """Return what is written under a name, so that earlier dossiers are known again."""
+    mark = _TITLE if path.suffix == ".pdf" else f"<title>{_TITLE}</title>"
+    return FileKind("a validation dossier", holds(mark.encode()))
+
+
+def _identifier(dossier: Dossier) -> str:
+    return f"counterspin {dossier.installation.version}"
+
+
+def _answer(dossier: Dossier) -> Iterator[Block]:
+    states = [case.state for case in dossier.cases]
+    counted = f"{states.count('passed')} of {len(states)} reference cases passed"
+    if states.count("not run"):
+        counted += f", {states.count('not run')} could not be run"
+    if dossier.passed:
+        yield Paragraph(f"{counted}; none failed.", "answer")
+    elif dossier.failed:
+        yield Paragraph(f"{counted}. Failed: {'; '.join(dossier.failed)}.", "warning")
+    else:
+        yield Paragraph(f"{counted}, but the installation is not as delivered.", "warning")
+    there = dossier.installation
+    if there.altered or there.missing:
+        words = [f"altered: {', '.join(there.altered)}"] if there.altered else []
+        words += [f"missing: {', '.join(there.missing)}"] if there.missing else []
+        yield Paragraph(f"Files of the installation: {'; '.join(words)}.", "warning")
+
+
+def _failures(dossier: Dossier) -> Iterator[Block]:
+    failed = [case for case in dossier.cases if case.state == "failed"]
+    if failed:
+        yield _cases(failed)
+    for case in failed:
+        if case.note:
+            yield Paragraph(f"{case.name}: {case.note}", "warning")
+
+
+def _requirements(dossier: Dossier) -> Table:
+    rows = []
+    for requirement in dict.fromkeys(case.requirement for case in dossier.cases):
+        own = [case for case in dossier.cases if case.requirement == requirement]
+        states = [case.state for case in own]
+        passed = f"{states.count('passed')} of {len(own)}"
+        rows.append((requirement, passed, "; ".join(case.name for case in own)))
+    columns = (Column("Requirement", wraps=True), Column("Passed"), Column("Cases", wraps=True))
+    return Table(columns, tuple(rows))
+
+
+def _cases(cases: list[CheckedCase]) -> Table:
+    return Table(
+        (
+            Column("Case", wraps=True),
+            Column("Number", wraps=True),
+            Column("Expected", "right"),
+            Column("Found", "right"),
+            Column("Digits", "right"),
+            Column("Limit", "right"),
+            Column("State"),
+        ),
+        tuple(
+            (
+                f"{case.name} ({case.numbers} numbers)" if case.numbers > 1 else case.name,
+                case.quantity,
+                *(_number(number) for number in (case.expected, case.found)),
+                "" if case.digits is None else f"{case.digits:.1f}",
+                "" if case.limit is None else f"{case.limit:.1e}",
+                case.state,
+            )
+            for case in cases
+        ),
+    )
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.12g}"
+
+
+def _installed(dossier: Dossier) -> Iterator[Block]:
+    there = dossier.installation
+    rows = [("counterspin", there.version), *there.environment.items()]
+    rows += [row for row in there.packages.items() if row[0] not in there.environment]
+    yield Table((Column("Part"), Column("Version")), tuple(rows))
+    yield Paragraph(f"{there.files} files of the package, together {there.checksum}.")
+    if not there.recorded:
+        yield Paragraph(
+            "The installation has no RECORD of these files (it was installed in place, or is no "
+            "installation): they are not compared with what was delivered."
+        )
+        return
+    altered, missing = len(there.altered), len(there.missing)
+    yield Paragraph(
+        f"{there.recorded} files are in the installation's RECORD: {altered} altered, "
+        f"{missing} missing; {len(there.unknown)} files are not in it."
+    )
+    if there.unknown:
+        yield Paragraph(f"Not in RECORD: {', '.join(there.unknown)}.", "quiet")

@@ -1,0 +1,115 @@
+"""The dossier and its JSON.
+
+- `Dossier`: all of it; `Installation`: what is installed
+- `CheckedCase`: a case with its worst number
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, ClassVar, Literal
+
+from counterspin.reports.shown import ShownResult
+from counterspin.results import ResultPart
+
+if TYPE_CHECKING:
+    from counterspin.reports.text import Report
+
+
+class Installation(ResultPart):
+    """What is installed.
+
+    Attributes
+    ----------
+    version
+        Of counterspin.
+    environment
+        Python, NumPy, SciPy, the machine.
+    packages
+        What counterspin needs -> its version.
+    files, checksum
+        Number of the package's own files, and one SHA-256 over their names and contents.
+    recorded
+        Files whose hash the installation's RECORD states; 0 where there is none, as of a package
+        that was installed in place.
+    altered, missing, unknown
+        Files that differ from their hash, that are gone, and that RECORD does not know.
+    """
+
+    version: str
+    environment: dict[str, str]
+    packages: dict[str, str]
+    files: int
+    checksum: str
+    recorded: int
+    altered: list[str]
+    missing: list[str]
+    unknown: list[str]
+
+
+class CheckedCase(ResultPart):
+    """A case and how close what was found came.
+
+    Attributes
+    ----------
+    name, requirement, kernel, source
+        As the case states them.
+    state
+        ``passed``, ``failed``, or ``not run`` because a package is not installed.
+    numbers
+        How many were compared.
+    quantity, expected, found
+        The number that came nearest to its limit, or beyond it by most.
+    digits
+        Right digits of that number: -log10 of the relative difference, at most 16; None where
+        nothing was expected but 0, or where nothing was found.
+    limit
+        Largest difference allowed of that number.
+    note
+        What went wrong where nothing could be compared.
+    """
+
+    name: str
+    requirement: str
+    kernel: str
+    source: str
+    state: Literal["passed", "failed", "not run"]
+    numbers: int
+    quantity: str
+    expected: float | None
+    found: float | None
+    digits: float | None
+    limit: float | None
+    note: str = ""
+
+
+class Dossier(ShownResult):
+    """What `validate` returns.
+
+    Attributes
+    ----------
+    passed
+        Whether no case failed and no file of the installation is altered or missing.
+    installation
+        What is installed.
+    cases
+        All of them.
+    not_covered
+        What no case says anything about, in sentences.
+    """
+
+    KIND: ClassVar[str] = "validation dossier"
+
+    passed: bool
+    installation: Installation
+    cases: list[CheckedCase]
+    not_covered: list[str]
+
+    @property
+    def failed(self) -> list[str]:
+        """Names of the cases that failed."""
+        return [case.name for case in self.cases if case.state == "failed"]
+
+    def _report(self) -> Report:
+        from counterspin.validation.page import render_dossier
+
+        return render_dossier(self)

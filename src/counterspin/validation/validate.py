@@ -1,0 +1,166 @@
+"""`counterspin validate`: run the reference cases on what is installed.
+
+- `validate`: a `Dossier`; `write_dossier`: its three files in a folder
+- `DOSSIER_FILES`: their names
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from counterspin.output import make_folder, reserve, write_text, write_whole
+from counterspin.validation.cases import Case, cases, document
+from counterspin.validation.installed import installation
+from counterspin.validation.kernels import NotAvailableError, ask
+from counterspin.validation.result import CheckedCase, Dossier
+
+#: What `write_dossier` writes.
+DOSSIER_FILES: Final = ("validation.html", "validation.pdf", "validation.json")
+
+_MOST_DIGITS: Final = 16.0
+
+
+def validate(
+    *,
+    chosen: Sequence[Case] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Dossier:
+    """Run reference cases, and say what is installed.
+
+    Parameters
+    ----------
+    chosen
+        The cases; None: all.
+    progress
+        Called with (cases run, cases in all).
+
+    Returns
+    -------
+    Dossier
+        `passed` says whether every case stayed within its limit.
+    """
+    wanted = cases() if chosen is None else tuple(chosen)
+    checked = []
+    for case in wanted:
+        checked.append(check(case))
+        if progress is not None:
+            progress(len(checked), len(wanted))
+    there = installation()
+    sound = not (there.altered or there.missing)
+    return Dossier(
+        passed=sound and all(one.state != "failed" for one in checked),
+        installation=there,
+        cases=checked,
+        not_covered=[
+            *document("cases.json")["not_covered"],
+            *(f"{one.name}: {one.note}" for one in checked if one.state == "not run"),
+        ],
+    )
+
+
+def check(case: Case) -> CheckedCase:
+    """Run one case; an error of the function that is asked is a failure."""
+    try:
+        found = ask(case)
+    except NotAvailableError as error:
+        return _without_numbers(case, "not run", str(error))
+    except Exception as error:  # whatever it is, the assessor is to read it
+        return _without_numbers(case, "failed", f"{type(error).__name__}: {error}")
+    worst: tuple[float, str, float, float, float] | None = None
+    count = 0
+    for name, expected in case.expected.items():
+        got = np.asarray(found.get(name, np.nan), np.float64)
+        if got.shape != expected.shape:
+            return _without_numbers(case, "failed", f"{name} is not there, or of another shape")
+        allowed = np.broadcast_to(case.allowed(name), expected.shape)
+        for place in np.ndindex(expected.shape):
+            count += 1
+            size = _share(float(got[place]), float(expected[place]), float(allowed[place]))
+            if worst is None or size > worst[0]:
+                label = name + "".join(f"[{i + 1}]" for i in place)
+                numbers = (float(expected[place]), float(got[place]), float(allowed[place]))
+                worst = (size, label, *numbers)
+    assert worst is not None
+    size, quantity, should, was, limit = worst
+    return CheckedCase(
+        **_stated(case),
+        state="passed" if size <= 1.0 else "failed",
+        numbers=count,
+        quantity=quantity,
+        expected=should,
+        found=was if math.isfinite(was) else None,
+        digits=_digits(was, should),
+        limit=limit,
+    )
+
+
+def write_dossier(dossier: Dossier, folder: Path | str, *, overwrite: bool = False) -> None:
+    """Write a dossier as `DOSSIER_FILES`.
+
+    Parameters
+    ----------
+    dossier
+        What `validate` returned.
+    folder
+        Where; made if it is not there.
+    overwrite
+        Whether an earlier dossier may be replaced; nothing else is.
+
+    Raises
+    ------
+    CounterspinError
+        If another file is in the way, or one cannot be written.
+    """
+    from counterspin.validation.page import as_html, as_pdf
+
+    place = Path(folder)
+    check_folder(place, overwrite=overwrite)
+    page, paper = as_html(dossier), as_pdf(dossier)
+    html, pdf, json = (place / name for name in DOSSIER_FILES)
+    write_text(html, page)
+    write_whole(pdf, lambda part: part.write_bytes(paper))
+    dossier.write(json, overwrite=overwrite)
+
+
+def check_folder(folder: Path, *, overwrite: bool) -> None:
+    """Make the folder, and refuse it where a file would be lost."""
+    from counterspin.validation.page import file_kind
+
+    make_folder(folder)
+    for name in DOSSIER_FILES:
+        path = folder / name
+        kind = Dossier.file_kind if path.suffix == ".json" else partial(file_kind, path)
+        reserve(path, kind, overwrite=overwrite)
+
+
+def _stated(case: Case) -> dict[str, Any]:
+    return {key: getattr(case, key) for key in ("name", "requirement", "kernel", "source")}
+
+
+def _without_numbers(case: Case, state: str, note: str) -> CheckedCase:
+    nothing = dict.fromkeys(("expected", "found", "digits", "limit"))
+    return CheckedCase.model_validate(
+        {**_stated(case), **nothing, "state": state, "numbers": 0, "quantity": "", "note": note}
+    )
+
+
+def _share(found: float, expected: float, allowed: float) -> float:
+    """Return a difference as a part of what is allowed; infinite where nothing is."""
+    if found == expected:
+        return 0.0
+    difference = abs(found - expected)
+    return difference / allowed if allowed and difference < math.inf else math.inf
+
+
+def _digits(found: float, expected: float) -> float | None:
+    if found == expected:
+        return _MOST_DIGITS
+    if not expected or not math.isfinite(found):
+        return None
+    return min(_MOST_DIGITS, -math.log10(abs(found - expected) / abs(expected)))

@@ -1,0 +1,136 @@
+"""The dossier: every case passes, every kernel that is off is named, and the files say so."""
+
+import json
+from dataclasses import fields, is_dataclass, replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+from pypdf import PdfReader
+
+import counterspin as cs
+from counterspin.cli import main
+from counterspin.records.formats import RECORD_FORMATS
+from counterspin.validation import validate as validating
+from counterspin.validation.cases import case, cases
+from counterspin.validation.validate import DOSSIER_FILES, check, validate
+
+KERNELS = sorted({one.kernel for one in cases()})
+REQUIREMENTS = {
+    "physics",
+    "spindle",
+    "least squares",
+    "priors and considered terms",
+    "noise",
+    "intervals and coverage",
+    "conformity",
+    "planning",
+    "certificate",
+    "reading of each file format",
+}
+
+
+@pytest.fixture(scope="module")
+def dossier():
+    return validate()
+
+
+def test_every_case_passes(dossier):
+    assert len(dossier.cases) >= 40
+    assert [one for one in dossier.cases if one.state != "passed"] == []
+    assert dossier.passed
+    assert all(one.numbers > 0 and one.source and one.limit is not None for one in dossier.cases)
+
+
+def test_every_requirement_and_every_format_has_a_case():
+    assert {one.requirement for one in cases()} >= REQUIREMENTS
+    read = [one.given["file"] for one in cases() if one.kernel.endswith(":read_record")]
+    assert {f".{name.rpartition('.')[2]}" for name in read} == {*RECORD_FORMATS}
+    names = [one.name for one in cases()]
+    assert len(set(names)) == len(names)
+
+
+def off(value):  # noqa: PLR0911 -- a branch for each kind of value
+    """Return what a kernel gives, every number off by 1e-6 of itself."""
+    if isinstance(value, bool | str | int | None):
+        return value
+    if isinstance(value, float | np.floating):
+        return value * (1.0 + 1e-6)
+    if isinstance(value, np.ndarray):
+        return value * (1.0 + 1e-6) if value.dtype.kind == "f" else value
+    if isinstance(value, dict):
+        return {key: off(one) for key, one in value.items()}
+    if isinstance(value, tuple) and type(value) is tuple:
+        return tuple(map(off, value))
+    if hasattr(value, "model_copy"):
+        changed = {key: off(getattr(value, key)) for key in type(value).model_fields}
+        return value.model_copy(update=changed)
+    if is_dataclass(value) or hasattr(value, "__dataclass_fields__"):
+        return replace(
+            value, **{f.name: off(getattr(value, f.name)) for f in fields(value) if f.init}
+        )
+    return value
+
+
+@pytest.mark.parametrize("kernel", KERNELS, ids=lambda kernel: kernel.rpartition(":")[2])
+def test_a_kernel_that_is_off_by_a_millionth_is_named(kernel, monkeypatch):
+    module, _, name = kernel.partition(":")
+    owner = import_module(module)
+    *inside, last = name.split(".")
+    for part in inside:
+        owner = getattr(owner, part)
+    right = getattr(owner, last)
+    monkeypatch.setattr(owner, last, lambda *given, **more: off(right(*given, **more)))
+    states = {one.name: check(one).state for one in cases() if one.kernel == kernel}
+    assert "failed" in states.values(), states
+
+
+def test_the_command_fails_with_the_name_of_the_case(tmp_path, monkeypatch, capsys):
+    from counterspin.inference import distributions
+
+    some = [case("normal quantile"), case("weighted mean"), case("NIST Norris")]
+    monkeypatch.setattr(validating, "cases", lambda: some)
+    right = distributions.normal_quantile
+    monkeypatch.setattr(distributions, "normal_quantile", lambda p: right(p) * (1.0 + 1e-6))
+    assert main(["validate", "-o", str(tmp_path / "dossier")]) == 1
+    assert "reference cases failed: normal quantile" in capsys.readouterr().err
+    read = cs.Dossier.read(tmp_path / "dossier" / "validation.json")
+    assert read.failed == ["normal quantile"]
+    (found,) = (one for one in read.cases if one.state == "failed")
+    assert found.digits == pytest.approx(6.0, abs=1e-3)
+
+
+def test_a_kernel_that_raises_is_a_failure(monkeypatch):
+    from counterspin.inference import plain_fit
+
+    monkeypatch.setattr(plain_fit, "fit", lambda *_: 1 / 0)
+    checked = check(case("GUM H.3"))
+    assert checked.state == "failed"
+    assert "ZeroDivisionError" in checked.note
+
+
+def test_a_format_whose_package_is_not_there_is_said_not_to_be_covered(monkeypatch):
+    from counterspin.validation import files
+
+    monkeypatch.setattr(files, "find_spec", lambda name: None)
+    one = validate(chosen=[case("record as TDMS (.tdms)")])
+    assert [c.state for c in one.cases] == ["not run"]
+    assert any("nptdms is not installed" in text for text in one.not_covered)
+
+
+def test_the_three_files_say_the_same(dossier, tmp_path):
+    cs.write_dossier(dossier, tmp_path / "d")
+    assert {path.name for path in (tmp_path / "d").iterdir()} == {*DOSSIER_FILES}
+    page = (tmp_path / "d" / "validation.html").read_text(encoding="utf-8")
+    paper = PdfReader(tmp_path / "d" / "validation.pdf")
+    text = " ".join(" ".join(sheet.extract_text().split()) for sheet in paper.pages)
+    document = json.loads((tmp_path / "d" / "validation.json").read_text(encoding="utf-8"))
+    assert len(document["cases"]) == len(cases())
+    answer = f"{len(cases())} of {len(cases())} reference cases passed; none failed."
+    for shown in (page, text):
+        assert answer in shown
+        assert "What is not covered" in shown
+        assert "NIST Norris" in shown
+    with pytest.raises(cs.CounterspinError, match="exists"):
+        cs.write_dossier(dossier, tmp_path / "d")
+    cs.write_dossier(dossier, tmp_path / "d", overwrite=True)
