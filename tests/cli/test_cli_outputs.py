@@ -11,6 +11,7 @@ from results import result
 
 from certificates import write_lab
 from counterspin import cli
+from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.simulation import simulate
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples" / "three-rate"
@@ -35,6 +36,7 @@ WRITERS = {
     ("check", "camp/slow.csv", "--campaign", "camp", "--json"): set(),
     ("compare", "r.json", "r.json", "--json"): set(),
     ("compare", "r.json", "r.json", "--report"): set(),
+    ("rerun", "camp/result.json", "--json"): set(),
     ("reproduce", "--json"): set(),
     ("plan", "PLAN.toml", "--json"): set(),
     ("study", "camp", "--trials", "2", "--json"): set(),
@@ -52,6 +54,7 @@ def desk(tmp_path_factory):
         shutil.copy(folder / "camp" / name, folder)
     dated = result().model_copy(update={"details": {"date": "2026-01-14"}})
     dated.write(folder / "r.json")
+    calibrate(folder / "camp").write(folder / "camp" / "result.json")
     write_lab(folder)
     shutil.copy(EXAMPLES / "certificate.xml", folder / "issued.xml")
     shutil.copy(EXAMPLES / "certificate.pdf", folder / "issued.pdf")

@@ -93,6 +93,15 @@ def test_an_earlier_result_states_no_environment_and_is_repeated_all_the_same(ca
     assert changed["numpy"][0] == "-"
 
 
+def test_a_frozen_result_still_holds():
+    """On any machine: rounding is far below a millionth of u."""
+    repeated = cs.rerun(FROZEN / "repeat" / "result.json")
+    assert repeated.largest_in_u < 1e-6
+    assert {c.name for c in repeated.coefficients} >= {"A.K_F", "A.K_I"}
+    assert repeated.state_now == repeated.state_before
+    assert not {"campaign.toml", "options", "method"} & {c.subject for c in repeated.changes}
+
+
 def test_the_same_options_are_used_again(camp):
     options = TwoStageOptions(weighted=False)
     cs.calibrate(camp, method="two-stage", options=options).write(camp / "stages.json")

@@ -164,6 +164,23 @@ def _effective_dof(module: Any, given: Given) -> Found:
     return {"dof": module.effective_dof([variances.sum()], gradient, covariance)[0]}
 
 
+def _variance(module: Any, given: Given) -> Found:
+    from counterspin.inference.noise.restricted_likelihood import RecordData
+
+    y = np.array(given["y"], np.float64)
+    record = RecordData(np.arange(y.size, dtype=np.float64), 0, np.ones((y.size, 1)), y)
+    return {"white": module.estimate([record], random_walk=0.0).white}
+
+
+def _first_stage(module: Any, given: Given) -> Found:
+    from counterspin.inference.two_stage.strobes import Strobes
+
+    time = np.arange(float(given["strobes"]))
+    error = np.polynomial.polynomial.polyval(time, given["coefficients"])
+    found = module.first_stage(Strobes(time, error, np.ones(time.size), 0), given["sigma"])
+    return {"coefficients": found.coefficients, "u_b2": found.u_b2}
+
+
 def _walk(module: Any, given: Given) -> Found:
     return {"covariance": module.walk_covariance(np.array(given["time"]))}
 
@@ -237,6 +254,8 @@ _ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
     "fit": _fit,
     "solve": _solve,
     "effective_dof": _effective_dof,
+    "estimate": _variance,
+    "first_stage": _first_stage,
     "walk_covariance": _walk,
     "flicker_autocovariance": _flicker,
     "student_quantile": _number("student_quantile", "t"),
