@@ -93,7 +93,7 @@ def _facts(run: RunState) -> Iterator[tuple[str, str]]:
         yield (
             "Rate",
             f"{format_estimate(run.rate, run.u_rate, 'rad/s')}, nominal {run.nominal_rate:.7g} "
-            f"({part:+.1e})",
+            f"({'+' if part >= 0.0 else ''}{format_number(part, 2)})",
         )
         yield "Drift of the rate", f"{format_number(run.drift or 0.0)} 1/s"
         yield "Ripple", _ripple(run)
@@ -114,7 +114,7 @@ def _ripple(run: RunState) -> str:
     if run.ripple is None:
         return "none seen"
     part = run.ripple / abs(run.rate or run.nominal_rate)
-    return f"{part:.1e} of the rate, harmonic {run.harmonic}"
+    return f"{format_number(part, 2)} of the rate, harmonic {run.harmonic}"
 
 
 def _watch_blocks(state: WatchState) -> Iterator[Block]:
@@ -153,7 +153,7 @@ def _row(run: RunState) -> tuple[str, ...]:
     rate = "" if run.rate is None else f"{run.rate:.7g}"
     ripple = ""
     if run.rate is not None:
-        ripple = "none seen" if run.ripple is None else f"{run.ripple / abs(run.rate):.1e}"
+        ripple = "none seen" if run.ripple is None else format_number(run.ripple / abs(run.rate), 2)
     return run.run, _progress(run), rate, ripple, ratio
 
 
