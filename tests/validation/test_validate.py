@@ -3,6 +3,7 @@
 import json
 from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -48,6 +49,11 @@ def test_every_requirement_and_every_format_has_a_case():
     assert {f".{name.rpartition('.')[2]}" for name in read} == {*RECORD_FORMATS}
     names = [one.name for one in cases()]
     assert len(set(names)) == len(names)
+
+
+def test_the_number_of_cases_is_the_one_that_is_told():
+    told = (Path(__file__).parents[2] / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"{len(cases())} reference cases" in told
 
 
 def off(value):  # noqa: PLR0911 -- a branch for each kind of value
