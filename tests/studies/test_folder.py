@@ -141,6 +141,7 @@ def test_flipped_bits_in_the_progress_are_never_taken_over(campaign, interrupted
         {"done": np.ones(3, dtype=bool)},
         {"sums": np.zeros((1, 2, 3))},
         {"sums": np.full((2, 2, 70), np.nan)},
+        {"sums": np.full((2, 2, 70), 1e303)},
         {"trials": np.array("many")},
         {"sums": np.array(["a", None], dtype=object)},
     ],

@@ -26,6 +26,9 @@ _TRIALS: Final = "trials.parquet"
 _PROGRESS: Final = "progress.npz"
 _PARTS: Final = "progress"
 
+#: No sum of a study comes near it, in any unit; squares of it can still be added.
+_LARGEST_SUM: Final = 1e100
+
 
 @frozen
 class StudyFolder:
@@ -210,7 +213,7 @@ class StudyProgress:
         fits = done.dtype == bool and done.shape == (-(-before // self.ledger.size),)
         if not fits or sums.shape != (len(batches), *self.ledger.sums.shape[1:]):
             raise ValueError
-        if sums.dtype != np.float64 or not np.isfinite(sums).all():
+        if sums.dtype != np.float64 or not (np.abs(sums) < _LARGEST_SUM).all():
             raise ValueError
         return before, batches, sums
 
