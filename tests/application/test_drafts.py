@@ -2,10 +2,14 @@
 
 import pytest
 
+from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
+from counterspin.exports.description import draft, write_description
+from exports import EXPORTS, campaign_folder, write_records
 
 RUNS = ("slow", "middle", "fast")
 ANSWERS = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg", "radius": "2.5 m"}
+COUNTED = {"sampling_rate": "20 Hz"}
 
 
 def bring(page, name, content, **more):
@@ -37,6 +41,40 @@ def test_from_files_to_a_campaign(page, folder, brought):
     campaign = read_campaign(folder / "new")
     rates = [run.rate for run in read_campaign(folder / "three").runs]
     assert [run.rate for run in campaign.runs] == pytest.approx(rates, rel=1e-3)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory):
+    return campaign_folder(tmp_path_factory.mktemp("exports"))
+
+
+def from_page(page, folder, files, sense="counterclockwise"):
+    """Bring files, answer what is asked, and return K_II of the campaign that comes of it."""
+    names = [bring(page, f"lab/{f.name}", f.read_bytes()).json()["name"] for f in files]
+    asked = page.post("/api/draft", json={"names": names}).json()["questions"]
+    known = ANSWERS | COUNTED | {"sense": sense}
+    answers = {one["key"]: known.get(one["key"], one["example"]) for one in asked}
+    said = {"folder": "lab", "names": names, "answers": answers}
+    told = page.post("/api/drafted", json=said)
+    assert told.status_code == 200, told.json()
+    return calibrate(folder / "lab").accelerometers["Qx"].coefficients["K_II"]
+
+
+@pytest.fixture(scope="module")
+def reference(plain, tmp_path_factory):
+    """Return what the plain records give with the same answers."""
+    found = draft([plain / "slow.csv", plain / "fast.csv"])
+    place = tmp_path_factory.mktemp("plain")
+    write_description(found, ANSWERS | {"sense": "counterclockwise"}, place)
+    return calibrate(place).accelerometers["Qx"].coefficients["K_II"]
+
+
+@pytest.mark.parametrize("name", EXPORTS)
+def test_every_make_of_export_gives_the_same_result(page, folder, plain, reference, name, tmp_path):
+    files = write_records(plain, tmp_path / "files", EXPORTS[name])
+    sense = "clockwise" if "clockwise" in name else "counterclockwise"
+    found = from_page(page, folder, files, sense)
+    assert abs(found.value - reference.value) < 0.01 * reference.u
 
 
 def test_what_is_no_record_or_would_replace_one_is_not_taken(page, folder):
