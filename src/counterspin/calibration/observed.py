@@ -11,6 +11,7 @@ import hashlib
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -101,6 +102,7 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
     RecordError
         If a record cannot be used, with file and line, or is the record of an earlier run too.
     """
+    _refuse_missing(campaign)
     first_with: dict[bytes, Run] = {}
     lengths: dict[str, float] = {}
     for run in campaign.runs:
@@ -116,6 +118,19 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
         # When a run was made may hang on how long those before it lasted.
         lengths[run.name] = float(record.time[-1])
         yield observe_run(campaign, run, record, conditions_of(campaign, lengths)[run.name])
+
+
+def _refuse_missing(campaign: Campaign) -> None:
+    """Name all files that are not there at once, before hours go into those that are."""
+    on_disk = (
+        file
+        for run in campaign.runs
+        for file in run.files
+        if isinstance(campaign.record_at(file), Path)
+    )
+    missing = [file for file in dict.fromkeys(on_disk) if not file.exists()]
+    if missing:
+        raise RecordError("\n".join(f"{file}: there is no such file." for file in missing))
 
 
 def read_run(campaign: Campaign, run: Run) -> Record:
