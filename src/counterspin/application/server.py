@@ -170,17 +170,29 @@ def serve(
             opening = threading.Timer(0.3, webbrowser.open, [door.link])
             opening.daemon = True
             opening.start()
-        threading.Thread(target=_load, daemon=True).start()
+        threading.Thread(target=_load, args=(desk,), daemon=True).start()
         # Ctrl-C is what ends it; uvicorn has closed all by then.
         with suppress(KeyboardInterrupt):
             server_of(desk, door).run(sockets=[listener])
     say("Ended.")
 
 
-def _load() -> None:
-    """Load, while nothing is asked yet, what the first records and pictures need."""
-    for name in ("polars", "counterspin.calibration.observed", "counterspin.reports.charts"):
+def _load(desk: Desk) -> None:
+    """Load, while nothing is asked yet, what the first records, words and pictures need.
+
+    Fonts and templates are had only by drawing and writing something once.
+    """
+    pages = "counterspin.calibration.pages.full_report"
+    for name in ("polars", "scipy.special", "counterspin.calibration.observed", pages):
         import_module(name)
+    from counterspin.reports.blocks import Bars
+    from counterspin.reports.charts import svg
+    from counterspin.reports.html import part
+
+    bars = Bars("Title", ("Part",), (1.0,), ("1",))
+    with desk.drawing:
+        svg(bars, theme="page")
+    part([bars], title="Title")
 
 
 def server_of(desk: Desk, door: Door) -> uvicorn.Server:
