@@ -78,7 +78,7 @@ def _column(suffix: str, size: int, repeats: int) -> dict[str, Cell]:
             "read": [*PYTHON, "-c", READ, name, suffix],
             "reduce": [*PYTHON, "-c", REDUCE, name],
             "hash": [*PYTHON, "-c", HASH, name],
-            "ours": [*COUNTERSPIN, "calibrate", name, "--json", str(result)],
+            "ours": [*COUNTERSPIN, "calibrate", name, "--json", str(result), "--overwrite"],
         }
         if suffix == ".csv" and (parser := _compiled(folder)):
             jobs["parser"] = [parser, *map(str, folder.glob("*.csv"))]

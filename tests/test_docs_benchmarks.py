@@ -35,10 +35,13 @@ def test_the_readme_promises_what_was_measured():
     tables = json.loads((ROOT / "benchmarks" / "results.json").read_text("utf-8"))
     rows = {table["title"]: {row[0]: row[1:] for row in table["rows"]} for table in tables}
     words = " ".join((ROOT / "README.md").read_text("utf-8").split())
-    promised = "less than a second. A hundred million rows take four, and 200 MB of memory: twice"
+    promised = "less than a second. A hundred million rows take four, and 150 MB of memory: little"
     assert promised in words
     assert rows["A usual campaign"]["counterspin calibrate"][0] < 1.0
     long = {name: cells[1] for name, cells in rows["Long records"].items()}
     assert long["counterspin calibrate (s)"] == pytest.approx(4.0, abs=0.5)
-    assert long["calibrate, peak memory (MB)"] == pytest.approx(200.0, abs=25.0)
-    assert long["calibrate / polars"] == pytest.approx(2.0, abs=0.1)
+    assert long["calibrate, peak memory (MB)"] == pytest.approx(150.0, abs=25.0)
+    assert 2.0 < long["calibrate / polars"] < 2.3
+    # docs/benchmarks.md says of both that they miss it, and which by more.
+    csv, parquet = rows["Long records"]["calibrate / polars"]
+    assert 1.7 < csv < parquet
