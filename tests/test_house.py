@@ -225,10 +225,11 @@ def test_files_that_the_way_of_a_record_names_exist():
 
 
 #: Custom properties of style sheets, which look like options; the words that a result keeps, and
-#: those that the page shows.
+#: those that the page shows; pip's options.
 DASHED = {
     "application/commands.py",
     "calibration/options.py",
+    "errors.py",
     "reports/charts.py",
     "reports/zoomable.py",
 }
@@ -321,6 +322,33 @@ def test_physics_and_inference_load_nothing_slow():
 
 
 # What is published
+
+
+def extras():
+    """Return the extras, less those that the Makefile alone installs."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    return set(project["optional-dependencies"]) - {"bench", "dev", "docs"}
+
+
+def test_every_extra_that_is_named_exists_and_is_told():
+    told = {path: path.read_text(encoding="utf-8") for path in [*MODULES, *PAGES]}
+    everything = "\n".join(told.values())
+    asked = set(re.findall(r"installing\([\"'](\w+)[\"']\)", everything))
+    named = set(re.findall(r"\bextra(?:\]\(\S+\))?\s`+(\w+)`", everything))
+    named |= set(re.findall(r"\.(?:whl)?\[([a-z]+)\]'", everything))
+    quickstart = told[ROOT / "docs" / "quickstart.md"]
+    section = quickstart.partition("## Extras")[2].partition("\n## ")[0]
+    assert asked == named == extras()
+    assert set(re.findall(r"^\| `(\w+)`", section, re.MULTILINE)) == extras()
+    assert set(re.findall(r"'\.\[(\w+)\]'", told[ROOT / "README.md"])) == extras()
+    assert set(re.findall(r"counterspin-([\d.]+)-py3", quickstart)) == {__version__}
+
+
+def test_nothing_is_to_be_installed_from_an_index_that_lacks_it():
+    by_name = re.compile(r"pip install\s+['\"]*counterspin\b(?!-)")
+    texts = [*MODULES, *PAGES, *(PACKAGE / "application").rglob("*.js")]
+    assert [path.name for path in texts if by_name.search(path.read_text(encoding="utf-8"))] == []
+    assert by_name.search("pip install 'counterspin[excel]'")
 
 
 def test_changelog_begins_with_this_version():

@@ -9,7 +9,7 @@ its message as one short paragraph and ends with `exit_status`; Python users cat
 - `ConvergenceError`: an iteration did not settle (exit status 1)
 
 What a user should know though the work goes on is a `CounterspinWarning`; the command line prints
-it.
+it. `installing` says how a part is had that not everybody installs.
 """
 
 from __future__ import annotations
@@ -17,6 +17,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from typing import Final
+
+from counterspin._version import __version__
 
 #: The most characters of a value that a message shows.
 _MOST: Final = 200
@@ -29,6 +31,27 @@ _LINE: Final = 3000
 
 #: As many lines at the beginning and at the end of a message are shown.
 _LINES: Final = 20
+
+
+def installing(extra: str) -> str:
+    """Return how an extra of counterspin is installed, for a message that ends there.
+
+    No index has counterspin, so its name alone installs nothing: whoever has it has a clone or a
+    wheel, and pip takes the extra behind the path of either. A clone cannot be installed without
+    a network, since what builds it is fetched; its wheel can.
+
+    Parameters
+    ----------
+    extra
+        As in ``pyproject.toml``: ``excel``.
+    """
+    wheel = f"counterspin-{__version__}-py3-none-any.whl[{extra}]"
+    return (
+        f"`pip install '.[{extra}]'` in the folder of counterspin's clone, or `pip install "
+        f"'./{wheel}'` in that of its wheel; without a network, `pip wheel -w DIR` with the same "
+        f"words on a computer that has one, then `pip install --no-index --find-links DIR "
+        f"'DIR/{wheel}'` here"
+    )
 
 
 class CounterspinError(Exception):

@@ -21,7 +21,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
-from counterspin.errors import CounterspinError, CounterspinWarning
+from counterspin.errors import CounterspinError, CounterspinWarning, installing
 from counterspin.frozen import frozen
 
 #: What BLAS libraries read the number of their threads from.
@@ -266,9 +266,7 @@ def _on_cluster(address: str) -> Iterator[WorkerPool]:
     try:
         from distributed import Client, KilledWorker
     except ImportError as error:
-        raise CounterspinError(
-            "`cluster` needs Dask: pip install 'counterspin[cluster]'"
-        ) from error
+        raise CounterspinError(f"`cluster` needs Dask: {installing('cluster')}") from error
     silent = f"{address}: no Dask scheduler answers there; start one with `dask scheduler`"
     try:
         client: Any = Client(address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)

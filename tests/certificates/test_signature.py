@@ -165,5 +165,5 @@ def test_a_key_that_cannot_sign_is_told(tmp_path, pairs):
 
 def test_without_the_package_it_is_said_where_it_comes_from(monkeypatch, pairs):
     monkeypatch.setitem(sys.modules, "signxml", None)
-    with pytest.raises(CounterspinError, match=r"pip install counterspin\[signature\]"):
+    with pytest.raises(CounterspinError, match=r"pip install '\.\[signature\]'"):
         read_signer(*pairs["rsa"])

@@ -79,7 +79,7 @@ def test_without_its_reader_the_extra_is_named(tmp_path, monkeypatch):
         return imported(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(RecordError, match=r"pip install 'counterspin\[excel\]', or save"):
+    with pytest.raises(RecordError, match=r"CSV, or install it: `pip install '\.\[excel\]'"):
         excel_table(path)
 
 

@@ -67,5 +67,5 @@ def test_damaged_files_and_a_missing_reader(tmp_path, monkeypatch):
         return real(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(Exception, match=r"pip install 'counterspin\[tdms\]'"):
+    with pytest.raises(Exception, match=r"CSV, or install it: `pip install '\.\[tdms\]'"):
         open_columns(path)

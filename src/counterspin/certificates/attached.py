@@ -9,13 +9,12 @@ import io
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.errors import CounterspinError, RecordError
+from counterspin.errors import CounterspinError, RecordError, installing
 from counterspin.input import read_file
 from counterspin.records.isolation import isolated
 
 _PYPDF_MISSING: Final = (
-    "reading a PDF needs the package pypdf, which is not installed; it comes with "
-    "`pip install counterspin[signature]`"
+    f"reading a PDF needs the package pypdf, which is not installed: {installing('signature')}"
 )
 
 #: Characters of a library's complaint that a message repeats.

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from counterspin.certificates.elements import NAMESPACES, Element
 from counterspin.certificates.schema import parse
-from counterspin.errors import CounterspinError, RecordError
+from counterspin.errors import CounterspinError, RecordError, installing
 from counterspin.frozen import frozen
 from counterspin.input import read_file
 
@@ -32,8 +32,7 @@ _CURVE_BITS: Final = 256
 _REASON_LENGTH: Final = 150
 
 _SIGNXML_MISSING: Final = (
-    "signatures need the package signxml, which is not installed; it comes with "
-    "`pip install counterspin[signature]`"
+    f"signatures need the package signxml, which is not installed: {installing('signature')}"
 )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from counterspin.cli.words import say
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, installing
 
 
 def serve(directory: Path, /, *, port: int = 0, browser: bool = True) -> None:
@@ -26,6 +26,6 @@ def serve(directory: Path, /, *, port: int = 0, browser: bool = True) -> None:
         if error.name not in ("starlette", "uvicorn", "tomlkit"):
             raise
         raise CounterspinError(
-            "the page needs Starlette and uvicorn: pip install 'counterspin[application]'"
+            f"the page needs Starlette and uvicorn: {installing('application')}"
         ) from error
     run(directory, port=port, browser=browser, say=say)

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final
 
-from counterspin.errors import DamagedFileError, RecordError
+from counterspin.errors import DamagedFileError, RecordError, installing
 from counterspin.input import read_file
 from counterspin.records.column_file import ColumnFile, quoted, record_errors
 from counterspin.records.dialect import EMPTY_WORDS, HEAD_LINES, Dialect, find_rows
@@ -68,8 +68,8 @@ def _sheet_of(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str]:
         import fastexcel
     except ModuleNotFoundError:
         raise RecordError(
-            f"{path}: Excel files need the package fastexcel. Install it with pip install "
-            "'counterspin[excel]', or save the table as CSV."
+            f"{path}: Excel files need the package fastexcel. Save the table as CSV, or install "
+            f"it: {installing('excel')}."
         ) from None
     _require_size(path, content)
     book = fastexcel.read_excel(content)

@@ -15,7 +15,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from counterspin.errors import RecordError
+from counterspin.errors import RecordError, installing
 from counterspin.frozen import frozen
 from counterspin.records.array_files import ArrayFile
 from counterspin.records.dialect import Dialect, file_unit
@@ -77,8 +77,8 @@ class TdmsFile(ArrayFile):
             import nptdms
         except ModuleNotFoundError:
             raise RecordError(
-                f"{self.path}: TDMS files need the package npTDMS. Install it with pip install "
-                "'counterspin[tdms]', or export the table as CSV."
+                f"{self.path}: TDMS files need the package npTDMS. Export the table as CSV, or "
+                f"install it: {installing('tdms')}."
             ) from None
         # Of a stream no index file beside it is read, whose checksum nobody takes.
         with os.fdopen(os.dup(self._stream.fileno()), "rb") as stream:
