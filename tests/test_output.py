@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from counterspin.errors import CounterspinError
-from counterspin.output import write_text
+from counterspin.output import make_folder, write_text
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path):
@@ -55,3 +55,12 @@ def test_a_folder_in_the_way_and_one_that_is_missing(tmp_path):
     assert not list(tmp_path.iterdir())
     with pytest.raises(CounterspinError, match=r"^\.: cannot be written, being a folder; "):
         write_text(Path(), "x")
+
+
+def test_a_file_in_the_place_of_a_folder(tmp_path):
+    (tmp_path / "dossier").write_text("mine")
+    with pytest.raises(CounterspinError, match=r"dossier is a file, not a folder; name a folder"):
+        make_folder(tmp_path / "dossier")
+    with pytest.raises(CounterspinError, match=r"cannot be made .* choose another place"):
+        make_folder(tmp_path / "dossier" / "deeper")
+    assert (tmp_path / "dossier").read_text() == "mine"

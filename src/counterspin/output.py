@@ -99,7 +99,11 @@ def make_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise CounterspinError(f"{folder}: cannot be made ({error.strerror})") from error
+        if isinstance(error, FileExistsError):
+            raise CounterspinError(f"{folder} is a file, not a folder; name a folder") from error
+        raise CounterspinError(
+            f"{folder}: cannot be made ({error.strerror}); choose another place"
+        ) from error
 
 
 def write_whole(path: Path, write: Callable[[Path], object]) -> None:

@@ -105,9 +105,9 @@ def test_description_that_is_there_stays(tmp_path):
 
 def test_folder_that_cannot_be_made_is_an_error(tmp_path):
     (tmp_path / "file").write_text("x", encoding="utf-8")
-    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
-        with pytest.raises(CounterspinError, match="cannot be made"):
-            init(folder)
+    for name, told in (("file", "is a file"), ("file/below", "cannot be made")):
+        with pytest.raises(CounterspinError, match=told):
+            init(tmp_path / name)
 
 
 def test_command_line_tells_what_to_do_next(tmp_path, capsys):

@@ -1,5 +1,6 @@
 """What goes into an instrument's ledger, and how its entries are shown.
 
+- `check_ledger`: whether anything can be entered, before there is a result to lose
 - `enter_result`: a result's file
 - `enter_certificate`: a certificate that was issued, and the result that it certifies
 - `ledger_blocks`: the entries as a table
@@ -19,9 +20,27 @@ from counterspin.certificates.ledger import (
     checksum_of,
     verify_ledger,
 )
-from counterspin.errors import RecordError
+from counterspin.errors import CounterspinError, RecordError
 from counterspin.input import read_file
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+
+
+def check_ledger(ledger: Path) -> None:
+    """Refuse a ledger that was altered, or whose folder is not there.
+
+    Raises
+    ------
+    RecordError
+        If there is one that was altered or cannot be read.
+    CounterspinError
+        If there is none, and no folder to make it in.
+    """
+    if ledger.exists():
+        verify_ledger(ledger)
+    elif not ledger.resolve().parent.is_dir():
+        raise CounterspinError(
+            f"{ledger}: the ledger cannot be written: there is no folder {ledger.parent}"
+        )
 
 
 def enter_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime) -> Entry:

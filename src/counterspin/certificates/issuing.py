@@ -32,10 +32,10 @@ from counterspin.certificates.build import certificate as dcc_document
 from counterspin.certificates.build import check_certifiable, to_bytes
 from counterspin.certificates.capability import with_capability
 from counterspin.certificates.conversion import with_exact_g
-from counterspin.certificates.entering import enter_certificate
+from counterspin.certificates.entering import check_ledger, enter_certificate
 from counterspin.certificates.front import TITLE, front_blocks, results_table, title
 from counterspin.certificates.lab import Lab, example_keys, read_lab
-from counterspin.certificates.ledger import checksum_of, verify_ledger
+from counterspin.certificates.ledger import checksum_of
 from counterspin.certificates.reading import Certified, read_certificate
 from counterspin.certificates.schema import check_schema
 from counterspin.certificates.signature import Signer, is_signed, read_signer, sign, verify
@@ -116,8 +116,8 @@ class Certificate:
         """
         path, kept = Path(path), None if self.draft else ledger or self.ledger
         check_place(path)
-        if kept is not None and kept.exists():
-            verify_ledger(kept)
+        if kept is not None:
+            check_ledger(kept)
         data = self.pdf() if path.suffix.lower() == ".pdf" else self.xml
         write_whole(path, lambda part: part.write_bytes(data))
         if kept is not None:

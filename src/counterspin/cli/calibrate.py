@@ -88,7 +88,55 @@ class BatchWorkers:
     cluster: str | None = None
 
 
-_USUAL, _BRIEF, _ALONE = Estimation(), Printed(), BatchWorkers()
+@group
+@frozen
+class Kept:
+    """What is kept of a result: why it is used, and in which instrument's ledger it is.
+
+    Parameters
+    ----------
+    accept_misfit
+        The reason for which the result is to be used even if the records contradict it.
+    ledger
+        Enter the result's file, that of --json, in this ledger, to which entries are only added.
+    who
+        With --ledger: who enters it.
+    why
+        With --ledger: why, in words.
+    """
+
+    accept_misfit: str | None = None
+    ledger: Path | None = None
+    who: str | None = None
+    why: str | None = None
+
+    def check(self, campaigns: int, json: Path | None) -> None:
+        """Refuse what cannot be entered, before there is a result."""
+        if self.ledger is None:
+            if self.who or self.why:
+                raise CampaignError("calibrate", ["--who and --why go with --ledger FILE"])
+            return
+        if campaigns > 1:
+            raise CampaignError("calibrate", ["--ledger enters the result of one campaign"])
+        if json is None or not self.who or not self.why:
+            raise CampaignError(
+                "calibrate", ["with --ledger, give --json FILE, --who NAME and --why REASON"]
+            )
+        if json.resolve() == self.ledger.resolve():
+            raise CampaignError("calibrate", ["--ledger and --json name the same file"])
+        from counterspin.certificates.entering import check_ledger
+
+        check_ledger(self.ledger)
+
+    def enter(self, json: Path | None) -> None:
+        """Enter the result's file, where that is asked for."""
+        if self.ledger is not None and json is not None and self.who and self.why:
+            from counterspin.cli.ledger import add
+
+            add(self.ledger, json, who=self.who, why=self.why)
+
+
+_USUAL, _BRIEF, _ALONE, _NOWHERE = Estimation(), Printed(), BatchWorkers(), Kept()
 
 
 def calibrate(
@@ -98,7 +146,7 @@ def calibrate(
     saved: Saved = NOT_SAVED,
     estimation: Estimation = _USUAL,
     printed: Printed = _BRIEF,
-    accept_misfit: str | None = None,
+    kept: Kept = _NOWHERE,
     workforce: BatchWorkers = _ALONE,
 ) -> None:
     """Determine the accelerometers' coefficients from a campaign's records.
@@ -109,8 +157,6 @@ def calibrate(
         The campaign's folder, or its campaign.toml.
     more
         Further campaigns: a summary of all is printed, and a failing one stops no other.
-    accept_misfit
-        The reason for which the result is to be used even if the records contradict it.
     """
     from counterspin.calibration.calibrate import calibrate as run
     from counterspin.calibration.options import TwoStageOptions
@@ -125,9 +171,10 @@ def calibrate(
     )
     if more and estimation.without:
         raise CampaignError("calibrate", ["--without leaves out runs of one campaign; name one"])
+    kept.check(1 + len(more), saved.json)
     if more:
         calibrate_several(
-            (directory, *more), saved, estimation.method, options, accept_misfit, workforce
+            (directory, *more), saved, estimation.method, options, kept.accept_misfit, workforce
         )
         return
     saved.reserve(_result_kind)
@@ -136,7 +183,7 @@ def calibrate(
             directory,
             method=estimation.method,
             options=options,
-            accept_misfit=accept_misfit,
+            accept_misfit=kept.accept_misfit,
             without=estimation.without,
             progress=advance,
         )
@@ -146,6 +193,7 @@ def calibrate(
 
     with saved.written(result):
         print_result(result, report_console(), budget=printed.budget, details=printed.details)
+    kept.enter(saved.json)
     if result.state == "contradicted" and result.accepted_misfit is None:
         raise CounterspinError(f"{_CONTRADICTED}: {result.findings[0].text} {_WHAT_TO_DO}")
 

@@ -33,8 +33,7 @@ def ledger(
     why
         With add: why, in words.
     """
-    from counterspin.calibration.pages.publishing import issue_date
-    from counterspin.certificates.entering import enter_result, ledger_blocks
+    from counterspin.certificates.entering import ledger_blocks
     from counterspin.certificates.ledger import verify_ledger
     from counterspin.errors import RecordError
     from counterspin.reports.text import Report, report_console
@@ -43,8 +42,7 @@ def ledger(
         if not results or not who or not why:
             raise CampaignError("ledger", ["give RESULT.json, --who NAME and --why REASON"])
         for file in results:
-            entered = enter_result(ledger, file, who=who, why=why, date=issue_date())
-            say(f"{ledger}: entry {entered.number} is result {file}, hash {entered.digest}.")
+            add(ledger, file, who=who, why=why)
         return
     if results or who or why:
         raise CampaignError("ledger", ["with verify, give the ledger alone"])
@@ -56,3 +54,12 @@ def ledger(
             f"{len(verified.unfinished)} bytes, as an interrupted writer leaves behind, or one "
             "whose end was altered; those before it are as they were written, and the next keeps it"
         )
+
+
+def add(ledger: Path, result: Path, *, who: str, why: str) -> None:
+    """Enter a result's file, and say so."""
+    from counterspin.calibration.pages.publishing import issue_date
+    from counterspin.certificates.entering import enter_result
+
+    entered = enter_result(ledger, result, who=who, why=why, date=issue_date())
+    say(f"{ledger}: entry {entered.number} is result {result}, hash {entered.digest}.")

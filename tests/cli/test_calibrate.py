@@ -1,0 +1,75 @@
+"""`counterspin calibrate --ledger`: the result's file comes into the instrument's ledger."""
+
+import hashlib
+
+import pytest
+
+from counterspin import cli
+from counterspin.certificates.ledger import verify_ledger
+
+TUMBLE = """schema = 1
+[campaign]
+title = "A tumble"
+[site]
+gravity = "9.8 m/s^2"
+latitude = "0 deg"
+[accelerometers.A]
+input_axis = "up"
+pendulous_axis = "east"
+[model]
+terms = ["K_F", "K_I"]
+[[runs]]
+name = "up"
+motion = "static"
+axes = { input = "up", pendulous = "east" }
+reading = "1.0021 ± 2e-6 g"
+[[runs]]
+name = "down"
+motion = "static"
+axes = { input = "down", pendulous = "east" }
+reading = "-0.9979 ± 2e-6 g"
+"""
+WHO = ("--who", "A. Erste", "--why", "yearly calibration")
+
+
+@pytest.fixture
+def desk(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1800000000")  # 2027-01-15
+    (tmp_path / "campaign.toml").write_text(TUMBLE, encoding="utf-8")
+    return tmp_path
+
+
+def run(*words):
+    return cli.main(["calibrate", ".", *words])
+
+
+def test_the_result_is_entered_as_it_was_written(desk, capsys):
+    assert run("--json", "r.json", "--ledger", "ledger.jsonl", *WHO) == 0
+    shown = capsys.readouterr().out
+    (entry,) = verify_ledger(desk / "ledger.jsonl").entries
+    digest = hashlib.sha256((desk / "r.json").read_bytes()).hexdigest()
+    assert entry.of == {"file": "r.json", "sha256": digest}
+    assert (entry.what, entry.who, entry.why) == ("result", "A. Erste", "yearly calibration")
+    assert entry.when == "2027-01-15T08:00:00Z"
+    assert f"ledger.jsonl: entry 1 is result r.json, hash {entry.digest}." in shown
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "told"),
+    [
+        (("--ledger", "l.jsonl", *WHO), 2, "give --json FILE, --who NAME and --why REASON"),
+        (("--json", "r.json", "--ledger", "l.jsonl"), 2, "--who NAME and --why REASON"),
+        (("--json", "r.json", "--who", "B"), 2, "--who and --why go with --ledger FILE"),
+        ((".", "--json", "r.json", "--ledger", "l.jsonl", *WHO), 2, "the result of one campaign"),
+        (("--json", "r.json", "--ledger", "./r.json", *WHO), 2, "name the same file"),
+        (("--json", "r.json", "--ledger", "no/l.jsonl", *WHO), 1, "there is no folder no"),
+        (("--json", "r.json", "--ledger", "altered.jsonl", *WHO), 1, "entry 1 is not as it was"),
+    ],
+)
+def test_what_cannot_be_entered_is_told_before_the_work(desk, capsys, words, status, told):
+    (desk / "altered.jsonl").write_text("{}\n")
+    before = sorted(desk.iterdir())
+    assert run(*words) == status
+    assert told in capsys.readouterr().err
+    assert sorted(desk.iterdir()) == before
