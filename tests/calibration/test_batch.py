@@ -3,6 +3,7 @@
 import json
 import multiprocessing
 import os
+import re
 import shutil
 import signal
 import threading
@@ -68,6 +69,22 @@ def test_command_prints_a_summary_and_fails_if_any_failed(folders, tmp_path, cap
     assert list(batch.failed) == [str(folders[1])]
     assert batch.campaigns[str(folders[0])] == calibrate(folders[0])
     assert main(["calibrate", str(folders[0]), str(folders[2])]) == 0
+
+
+def test_a_run_is_left_out_of_each_campaign_that_has_it(folders, tmp_path, capsys):
+    text = (folders[0] / "campaign.toml").read_text(encoding="utf-8")
+    run = re.search(r'\[\[runs\]\]\nname = "(.+)"', text)[1]
+    other = tmp_path / "other"
+    shutil.copytree(folders[2], other)
+    (other / "campaign.toml").write_text(text.replace(f'name = "{run}"', 'name = "else"'))
+    kept = tmp_path / "all.json"
+    several = [folders[0], other, folders[2]]
+    assert main(["calibrate", *map(str, several), "--without", run, "--json", str(kept)]) == 1
+    first, failed, last = outcomes(BatchResult.read(kept))
+    assert first == calibrate(folders[0], without=[run])
+    assert run not in first.runs | last.runs
+    assert f'there is no run "{run}"; its runs are "else", ' in failed.error
+    assert "1 of 3 campaigns could not be" in capsys.readouterr().err
 
 
 def of_pool():

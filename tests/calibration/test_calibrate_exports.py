@@ -48,6 +48,29 @@ def test_a_run_is_left_out_by_command_as_by_the_description(tmp_path, plain, cap
     again = calibrated(tmp_path)
     assert again.accelerometers["Qx"].coefficients == result.accelerometers["Qx"].coefficients
     capsys.readouterr()
-    assert main([*words[:2], "--without", "solw"]) == 2
-    assert 'there is no "solw"; did you mean "slow"?' in capsys.readouterr().err
-    assert main([*words, str(plain)]) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["solw"], '--without: there is no run "solw"; its runs are "slow", "fast"'),
+        (["slow", "fast"], '--without: no run would be left; its runs are "slow", "fast"'),
+    ],
+)
+def test_a_run_that_cannot_be_left_out_is_named_with_the_option(plain, capsys, words, said):
+    options = [word for name in words for word in ("--without", name)]
+    assert main(["calibrate", str(plain), *options]) == 2
+    shown = " ".join(capsys.readouterr().err.split())
+    assert f"{plain / 'campaign.toml'}: {said}" in shown
+    assert "in memory" not in shown
+
+
+def test_what_the_rest_lacks_then_is_due_to_what_was_left_out(plain, tmp_path, capsys):
+    text = (plain / "campaign.toml").read_text(encoding="utf-8")
+    for name, warmth in (("slow", "20 degC"), ("fast", "23 degC")):
+        text = text.replace(f'name = "{name}"', f'name = "{name}"\ntemperature = "{warmth}"')
+    text += '[model]\nterms = ["K_F", "K_I", "K_II", "K_F.temperature"]\n'
+    (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+    assert main(["calibrate", str(tmp_path), "--without", "slow"]) == 2
+    shown = " ".join(capsys.readouterr().err.split())
+    assert '--without: with "slow" left out, centrifuge.reference_temperature: is missing' in shown

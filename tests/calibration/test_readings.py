@@ -317,6 +317,13 @@ def test_positions_that_differ_more_than_repeats_are_a_lack_of_fit(tmp_path):
     assert all(f.code != "lack-of-fit" for f in fitting.findings)
 
 
+def test_a_row_is_left_out_of_the_table_and_not_by_its_name(tmp_path):
+    table = as_table(tmp_path, np.ones((1, 12)))
+    (tmp_path / "campaign.toml").write_text(HEAD + table, encoding="utf-8")
+    with pytest.raises(CampaignError, match=r'`without`: "3" is a row .* copy of tumble\.csv'):
+        calibrate(tmp_path, without=["3"])
+
+
 def test_readings_that_fit_have_no_outlier(tmp_path):
     """At the level of 1 % a campaign, in 60 campaigns no more than 4 (p = 0.003)."""
     rng = np.random.default_rng(6)

@@ -70,6 +70,7 @@ def calibrate_many(
     method: Method = "joint",
     options: TwoStageOptions | None = None,
     accept_misfit: str | None = None,
+    without: Sequence[str] = (),
     workers: Workers = ALONE,
     progress: Callable[[int, int], None] | None = None,
 ) -> BatchResult:
@@ -79,8 +80,9 @@ def calibrate_many(
     ----------
     directories
         Their folders; on a cluster every worker must see them under these names.
-    method, options, accept_misfit
-        As for `counterspin.calibration.calibrate.calibrate`.
+    method, options, accept_misfit, without
+        As for `counterspin.calibration.calibrate.calibrate`; a campaign that has not all the runs
+        to leave out fails.
     workers
         As for `counterspin.studies.study.study`.
     progress
@@ -96,7 +98,7 @@ def calibrate_many(
     CounterspinError
         If the cluster cannot be reached or is lost.
     """
-    how = (method, options or TwoStageOptions(), accept_misfit)
+    how = (method, options or TwoStageOptions(), accept_misfit, tuple(without))
     directories = list(dict.fromkeys(directories))
     done: dict[int, Result | FailedCampaign] = {}
 
@@ -133,7 +135,7 @@ def calibrate_many(
 
 
 def _together(
-    jobs: Mapping[int, tuple[Path, Method, TwoStageOptions, str | None]],
+    jobs: Mapping[int, tuple[Path, Method, TwoStageOptions, str | None, tuple[str, ...]]],
     workers: Workers,
     enter: Callable[[int, Result | FailedCampaign], None],
 ) -> list[int]:
@@ -166,11 +168,21 @@ def _together(
 
 
 def attempt(
-    directory: Path, method: Method, options: TwoStageOptions, accept_misfit: str | None
+    directory: Path,
+    method: Method,
+    options: TwoStageOptions,
+    accept_misfit: str | None,
+    without: tuple[str, ...],
 ) -> Result | FailedCampaign:
     """Calibrate one campaign; whatever goes wrong is returned as text and not raised."""
     try:
-        return calibrate(directory, method=method, options=options, accept_misfit=accept_misfit)
+        return calibrate(
+            directory,
+            method=method,
+            options=options,
+            accept_misfit=accept_misfit,
+            without=without,
+        )
     except CounterspinError as error:
         return FailedCampaign(error=str(error))
     except Exception as error:

@@ -110,9 +110,43 @@ def _left_out(campaign: Campaign, without: Sequence[str]) -> Campaign:
     """Return a campaign without runs; what it came from is still its file."""
     from counterspin.campaign.memory.source import keep
 
-    changed = campaign.change(runs={name: {"skip": True} for name in without})
+    _require_runs(campaign, without)
+    try:
+        changed = campaign.change(runs={name: {"skip": True} for name in without})
+    except CampaignError as error:
+        # The file is right: what is wrong with the rest is due to what is left out.
+        left = f"`without`: with {_quoted(without)} left out, "
+        raise CampaignError(str(campaign.path), [left + p for p in error.problems]) from error
     assert campaign.source is not None
     return keep(replace(changed, path=campaign.path, title=campaign.title), campaign.source)
+
+
+def _require_runs(campaign: Campaign, without: Sequence[str]) -> None:
+    """Raise CampaignError if a run that is to be left out is none, or if none would be left."""
+    if campaign.source is None:  # `change` says what to do
+        return
+    described = campaign.source.document
+    runs = [str(run.get("name")) for run in described.get("runs", ())]
+    of_table = {reading.name for reading in campaign.readings} - set(runs)
+    problems = []
+    for name in dict.fromkeys(without):
+        if name in of_table:
+            file = described["readings"]["file"]
+            problems.append(
+                f'`without`: "{name}" is a row of the table of readings and no entry of [[runs]]; '
+                f"take the row out of a copy of {file}"
+            )
+        elif name not in runs:
+            there = f"its runs are {_quoted(runs)}" if runs else "it has no [[runs]]"
+            problems.append(f'`without`: there is no run "{name}"; {there}')
+    if not problems and not of_table and set(runs) <= {*without, *campaign.skipped}:
+        problems.append(f"`without`: no run would be left; its runs are {_quoted(runs)}")
+    if problems:
+        raise CampaignError(str(campaign.path), problems)
+
+
+def _quoted(names: Sequence[str]) -> str:
+    return ", ".join(f'"{name}"' for name in names)
 
 
 def _load(campaign: Campaign) -> None:

@@ -42,7 +42,7 @@ class Estimation:
     sigma
         Two-stage: the displacement noise that the campaign gives, or that of the residuals.
     without
-        A run to leave out; once for each.
+        A run to leave out; once for each. Of several campaigns, each must have it.
     """
 
     method: Literal["joint", "two-stage"] = "joint"
@@ -169,12 +169,10 @@ def calibrate(
         fit_bias=estimation.fit_bias,
         from_residuals=estimation.sigma == "residuals",
     )
-    if more and estimation.without:
-        raise CampaignError("calibrate", ["--without leaves out runs of one campaign; name one"])
     kept.check(1 + len(more), saved.json)
     if more:
         calibrate_several(
-            (directory, *more), saved, estimation.method, options, kept.accept_misfit, workforce
+            (directory, *more), saved, estimation, options, kept.accept_misfit, workforce
         )
         return
     saved.reserve(_result_kind)
@@ -207,7 +205,7 @@ def _result_kind() -> FileKind:
 def calibrate_several(
     directories: tuple[Path, ...],
     saved: Saved,
-    method: Literal["joint", "two-stage"],
+    estimation: Estimation,
     options: TwoStageOptions,
     accept_misfit: str | None,
     workforce: BatchWorkers,
@@ -223,9 +221,10 @@ def calibrate_several(
     with work_progress("Campaigns") as advance:
         batch = calibrate_many(
             directories,
-            method=method,
+            method=estimation.method,
             options=options,
             accept_misfit=accept_misfit,
+            without=estimation.without,
             workers=Workers(workforce.workers, workforce.cluster),
             progress=advance,
         )

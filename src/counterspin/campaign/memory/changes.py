@@ -179,7 +179,8 @@ def _select(document: dict[str, Any], key: str, value: Any, problems: Problems) 
 def _names(document: Mapping[str, Any], key: str) -> list[str]:
     if key == "accelerometers":
         return list(document["accelerometers"])
-    return [run["name"] for run in document.get("runs", ())]
+    # A run that is left out is not checked, and may have no name.
+    return [run.get("name") for run in document.get("runs", ())]
 
 
 def _note_unknown(key: str, name: Any, known: Iterable[str], problems: Problems) -> None:
@@ -198,9 +199,9 @@ def _change_by_name(
         if name not in names:
             _note_unknown(key, name, names, problems)
         elif change is None:
-            runs = [run for run in runs if run["name"] != name]
+            runs = [run for run in runs if run.get("name") != name]
         else:
-            place = next(i for i, run in enumerate(runs) if run["name"] == name)
+            place = next(i for i, run in enumerate(runs) if run.get("name") == name)
             runs[place] = patched(runs[place], _patch(change, (key, place), problems))
     document["runs"] = runs
 
