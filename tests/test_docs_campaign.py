@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from counterspin.campaign import settings, specification
-from counterspin.physics.shared_terms import OWN_TERMS
+from counterspin.campaign.truth import TRUTH_TABLES
+from counterspin.physics.shared_terms import MOTION_TERMS, OWN_TERMS
 from counterspin.units import UNITS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "campaign.md").read_text(encoding="utf-8")
@@ -66,6 +67,8 @@ def test_defaults_are_those_of_the_code(name, table):
             assert cells[2] == str(field.default).lower(), cells[0]
         elif isinstance(field.default, int | float):
             assert float(cells[2].split()[0]) == field.default, cells[0]
+        elif field.default and isinstance(field.default, str):
+            assert cells[2].strip("`") == field.default, cells[0]
 
 
 @every_table
@@ -77,6 +80,30 @@ def test_examples_are_valid(name, table):
         model.model_validate({"sampling_rate": given.pop("sampling_rate")})
     model.model_validate(given, context={"gravity": 9.8066})
     assert set(given) <= set(keys_of(model))
+
+
+def test_limits_of_a_specification_are_as_the_table_has_them():
+    section = PAGE.partition("## [specification]")[2].partition("\n## ")[0]
+    lines = re.findall(r'^\| (`".*) \|$', section, re.MULTILINE)
+    table = [[cell.strip('`" ') for cell in line.split("|")] for line in lines]
+    assert len(table) == 5
+    for text, *ends in table:
+        limits = specification.parse_specification(text, text.split()[-1])
+        shown = [float(end.split()[0]) if end else None for end in ends]
+        assert [limits.low, limits.high] == pytest.approx(shown, rel=1e-12)
+
+
+def test_names_that_no_accelerometer_may_have_are_listed():
+    words = PAGE.partition("Names begin with a letter")[2].partition("are reserved")[0]
+    words = words.partition(";")[2]
+    assert tuple(re.findall(r"`(\w+)`", words)) == TRUTH_TABLES
+
+
+def test_harmonics_of_the_path_are_those_of_the_terms():
+    for name in ("centrifuge.imbalance", "encoder.harmonic"):
+        (first, last) = re.search(rf"`{name}\.N` \(N = (\d)(?: to|,) (\d)\)", PAGE).groups()
+        orders = {row.harmonic for row in MOTION_TERMS.values() if row.symbol.startswith(name)}
+        assert orders == set(range(int(first), int(last) + 1))
 
 
 def test_every_unit_is_listed():

@@ -1,0 +1,112 @@
+"""The tables of keys of plans, readings and LAB.toml are those of the code, with their defaults."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from counterspin.campaign.readings import ReadingRunSettings
+from counterspin.campaign.readings_table import _COLUMNS, ReadingsSettings
+from counterspin.certificates import lab
+from counterspin.physics.machine import MACHINE_TERMS
+from counterspin.planning import plan_sections
+
+DOCS = Path(__file__).parents[1] / "docs"
+PAGES = {
+    name: (DOCS / f"{name}.md").read_text("utf-8") for name in ("plan", "readings", "certificate")
+}
+TABLES = {
+    (page, name): table
+    for page, text in PAGES.items()
+    for name, table in re.findall(r"^<!-- keys: (\w+) -->\n((?:\|.*\n)+)", text, re.MULTILINE)
+}
+SECTIONS = (
+    vars(plan_sections)
+    | vars(lab)
+    | {row.__name__: row for row in (ReadingRunSettings, ReadingsSettings)}
+)
+
+every_table = pytest.mark.parametrize(("page", "name"), TABLES, ids=[name for _, name in TABLES])
+
+
+def rows(table):
+    lines = table.replace("|---|---|---|\n", "").splitlines()
+    head, *body = ([c.strip() for c in line[1:-1].split(" | ")] for line in lines)
+    return [dict(zip(head, cells, strict=True)) for cells in body]
+
+
+def keys(row):
+    return re.findall(r"`(\w+)`", next(iter(row.values())))
+
+
+def test_every_section_has_its_table():
+    assert {name for _, name in TABLES} == {
+        "LimitsSettings",
+        "GoalSettings",
+        "StationsSettings",
+        "ReadingLimitsSettings",
+        "ReadingRunSettings",
+        "ReadingsSettings",
+        "CertificateSettings",
+    }
+
+
+@every_table
+def test_keys_are_those_of_the_code(page, name):
+    listed = [key for row in rows(TABLES[page, name]) for key in keys(row)]
+    assert sorted(listed) == sorted(SECTIONS[name].model_fields)
+
+
+@every_table
+def test_defaults_are_those_of_the_code(page, name):
+    for row in rows(TABLES[page, name]):
+        for key in keys(row):
+            field, shown = SECTIONS[name].model_fields[key], row["absent"].strip('`"')
+            default = field.get_default(call_default_factory=True)
+            assert (shown == "required") == field.is_required(), key
+            if isinstance(default, bool):
+                assert shown == str(default).lower(), key
+            elif isinstance(default, int | float):
+                assert float(shown.split()[0]) == default, key
+            elif default and isinstance(default, str):
+                assert shown == default, key
+            elif default and isinstance(default, list):
+                assert shown.startswith(default[0]), key
+
+
+def test_tables_of_the_laboratory_have_every_key():
+    listed = dict(
+        re.findall(r"^\| `\[+([\w.]+)\]+` \| (.*) \|$", PAGES["certificate"], re.MULTILINE)
+    )
+    sections = {key: field for key, field in lab.Lab.model_fields.items() if key != "certificate"}
+    names = {"laboratory": lab.Laboratory, "item": lab.Item, "persons": lab.Person}
+    names |= {"accelerometers.NAME": lab.LabAccelerometer, "conditions": lab.Conditions}
+    for name, section in names.items():
+        own = set(re.findall(r"`(\w+)(?: = [^`]*)?`", listed[name]))
+        assert own == set(section.model_fields), name
+    assert {name.partition(".")[0] for name in listed} == set(sections) - {"schema_version"}
+    assert set(re.findall(r'"([\w ]+)"', listed["item"])) == set(lab.ITEM_STATES)
+    # Of the customer "the others": what differs is the country, and the code.
+    assert set(lab.Laboratory.model_fields) - set(lab.Contact.model_fields) == {"code"}
+    assert not lab.Contact.model_fields["country"].is_required()
+
+
+def test_columns_of_a_table_of_readings_are_listed():
+    (row,) = (r for r in rows(TABLES["readings", "ReadingsSettings"]) if keys(r)[0] == "columns")
+    assert set(re.findall(r"`(\w+)`", row["meaning"])) == {*_COLUMNS, "reading", "u"}
+
+
+def test_terms_of_the_machine_are_all_listed_with_their_units():
+    section = PAGES["readings"].partition("## Terms of the machine")[2].partition("\n## ")[0]
+    listed = {}
+    for symbols, unit in re.findall(r"^\| (`.*?) \| (.*?) \| .* \|$", section, re.MULTILINE):
+        first, *more = re.findall(r"`([\w.]+)`", symbols)
+        stem = first.rpartition(".")[0]
+        listed |= dict.fromkeys((first, *(stem + s if s[0] == "." else s for s in more)), unit)
+    axes = ("outward", "forward", "up", "east", "north")
+    turn = listed.pop("fixture.misalignment.MOUNTING.AXIS")
+    listed |= {f"fixture.misalignment.MOUNTING.{axis}": turn for axis in axes}
+    assert set(listed) == set(MACHINE_TERMS)
+    assert {symbol: unit for symbol, unit in listed.items() if unit != "per K"} == {
+        symbol: row.unit for symbol, row in MACHINE_TERMS.items() if "per" not in listed[symbol]
+    }
