@@ -45,3 +45,11 @@ def test_the_readme_promises_what_was_measured():
     # docs/benchmarks.md says of both that they miss it, and which by more.
     csv, parquet = rows["Long records"]["calibrate / polars"]
     assert 1.7 < csv < parquet
+
+
+def test_as_many_predictions_are_made_as_the_page_on_plans_says():
+    tables = json.loads((ROOT / "benchmarks" / "results.json").read_text("utf-8"))
+    (rows,) = (table["rows"] for table in tables if table["title"] == "Predictions of u")
+    words = " ".join((ROOT / "docs" / "plan.md").read_text("utf-8").split())
+    assert "thousands are made in a second" in words
+    assert all(row[1] > 2000.0 for row in rows)

@@ -90,7 +90,7 @@ def test_limits_of_a_specification_are_as_the_table_has_them():
     for text, *ends in table:
         limits = specification.parse_specification(text, text.split()[-1])
         shown = [float(end.split()[0]) if end else None for end in ends]
-        assert [limits.low, limits.high] == pytest.approx(shown, rel=1e-12)
+        assert [limits.low, limits.high] == shown
 
 
 def test_names_that_no_accelerometer_may_have_are_listed():

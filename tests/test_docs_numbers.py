@@ -1,13 +1,15 @@
 """Numbers in the sentences of the pages are those of the code.
 
-A row has a part of a sentence, with ``{}`` in the place of each number, and what the code has there.
-The numbers are read from the page, so that one which changes here or there alone is found, and so is
-a sentence that has gone.
+A row has a part of a sentence, with ``{}`` in the place of each number, and what the code has
+there. The numbers are read from the page, so that one which changes in one place alone is found,
+and so is a sentence that has gone.
 """
 
 import inspect
 import math
 import re
+import tomllib
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
@@ -16,20 +18,31 @@ import counterspin as cs
 from counterspin import errors, workers
 from counterspin.application import guard
 from counterspin.calibration import assembly
-from counterspin.calibration.pages import full_report
+from counterspin.calibration.pages import pictures
+from counterspin.calibration.pages.full_report import identifier_of
 from counterspin.campaign import truth
-from counterspin.certificates import build, coverage, signature
+from counterspin.certificates import coverage, signature
 from counterspin.comparisons import rerun
 from counterspin.histories import control, due, page, shared
 from counterspin.inference import conformity, diagnostics
+from counterspin.inference.distributions import normal_cdf
 from counterspin.monitoring import observing
-from counterspin.physics import gravity, motion, shared_terms
-from counterspin.planning import design, plan_file, requirements
+from counterspin.physics import conditions, gravity, motion, shared_terms
+from counterspin.planning import design, plan_file, requirements, search
 from counterspin.records import clock, excel_file, reading, reduction
 from counterspin.studies import result, study, surrogate, tally
 
 DOCS = Path(__file__).parents[1] / "docs"
 ARCSEC = math.radians(1.0) / 3600.0
+MOTION = shared_terms.MOTION_TERMS
+RESULT = cs.read_result(DOCS / "examples" / "three-rate" / "result.json")
+DIGITS = len(identifier_of(RESULT).removeprefix("CS-"))
+PLAN = tomllib.loads((files("counterspin.planning") / "starter.toml").read_text("utf-8"))
+KNOWN = {
+    symbol: float(re.search(r"± (\S+)", text)[1])
+    for symbol, text in (PLAN["accelerometers"]["Qx"] | PLAN["model"]["priors"]).items()
+    if "±" in text
+}
 
 
 def default(function, name):
@@ -64,14 +77,118 @@ ROWS = {
     "plan": [
         ("highest / {} |", 1.0 / plan_file._LOWEST),
         ("each at least {} times the next", design._DIFFERENT),
-        ("higher harmonics ({} arcsec)", shared_terms.MOTION_TERMS["encoder.harmonic.3.cos"].typical / ARCSEC),
+        ("K_F is known to {} µg, the tilt", 1e6 * KNOWN["bias"]),
+        ("repeats to {} arcsec from run to run", KNOWN["platform.tilt"]),
+        ("drift is known to {} deg/h", KNOWN["platform.drift"]),
+        ("its azimuth axis to {} deg/h/g", KNOWN["platform.g_sensitivity.zx"]),
+        ("{} s of settling are counted", float(PLAN["limits"]["settling"].split()[0])),
+        ("each of at most {} runs", PLAN["limits"]["runs"]),
+        ("disturbance counts {} times less", 2.0**4),
+        ("higher harmonics ({} arcsec)", MOTION["encoder.harmonic.3.cos"].typical / ARCSEC),
+        ("imbalance ({} µm)", 1e6 * MOTION["centrifuge.imbalance.1.cos"].typical),
+        ("an arm that stretches ({} for each m/s²)", MOTION["centrifuge.stretch"].typical),
+        ("by heating ({} µg/g²)", 1e6 * conditions.CONDITION_TERMS["K_F.heating"].typical),
+        ('"If relaxed by {} %"', 100.0 * search._RELAXATION),
+        ("u would grow by {}; where", math.hypot(1.0, requirements._ADDED) - 1.0),
+    ],
+    "study": [
+        ("share of trials whose {}, {} and {} % intervals", *(100.0 * p for p in tally.LEVELS)),
+        ("hold the truth in {} to {} % of", *(100.0 * p for p in result._GOOD_COVERAGE)),
+        ("must not exceed {} of what it claims", result._LARGEST_BIAS),
+        ("a polynomial of the {} degree", surrogate.DEGREE),
+        ("inside a box of {} rad of drift a run", surrogate._DRIFT_ANGLE),
+        ("a ripple ratio of {} and {} of the radius", surrogate._RIPPLE, surrogate._RADIUS),
+        ("by the same factor, down to {}.", math.sqrt(0.5)),
+        ("A study that will take {} an hour or more", study._LONG),
+        ("at most {} for each processor core", workers._PROCESSES_PER_CORE),
+        ("it waits up to {} minutes for the first", workers._FIRST_WORKER_TIMEOUT / 60.0),
+    ],
+    "history": [
+        ("its expanded uncertainty of {} %", 100.0 * conformity.COVERAGE),
+        ("per year of {} days", page._YEAR),
+        ("from {} results on, the limits", control.FEWEST),
+        ("moving range over {}; warning", control._D2),
+        (
+            "warning limits lie at {} and action limits at {} of them",
+            control.WARNING,
+            control.ACTION,
+        ),
+        ("by more than {} mean ranges", 1.0 + 3.0 * control._D3 / control._D2),
+        ("limits at z = ± {}", page._LIMIT),
+        ("(`--reliability`, {})", default(cs.history, "reliability")),
+        ("none is more than {} years after the last result", due.LONGEST),
+        ("A probability below {} % is a finding", 100.0 * diagnostics.SIGNIFICANCE),
+        ("correlations below {} are left out", shared._NEGLIGIBLE),
+    ],
+    "certificate": [
+        ("`CS-` and {} digits of the result's SHA-256", DIGITS),
+        ("k is Student's factor for {} %", 100.0 * conformity.COVERAGE),
+        ("the least expanded uncertainty ({} %)", 100.0 * conformity.COVERAGE),
+        ("ellipsoidal region of {} %", 100.0 * conformity.COVERAGE),
+        ("rounded to {} decimal places", coverage._FACTOR_DECIMALS),
+        (
+            "RSA keys have at least {} bits, elliptic curves {};",
+            signature._RSA_BITS,
+            signature._CURVE_BITS,
+        ),
+    ],
+    "compare": [("the same within {}, or", rerun.LIMIT)],
+    "monitoring": [
+        ("is off by more than {} %, that", 100.0 * assembly.OTHER_RATE),
+        ("shorter than {} of what is stated", assembly.COMPLETE_PART),
+        ("more than {} % outliers", 100.0 * assembly.MANY_OUTLIERS),
+        ("Before {} revolutions nothing", observing.FEWEST_REVOLUTIONS),
+        (
+            "{} bytes each: {} columns at {} rows a second take {} MB an hour",
+            8,
+            4,
+            1e3,
+            round(8 * 4 * 1e3 * 3600.0 / 1e6),
+        ),
+        ("as its share allows, {} % of a core", 100.0 * cs.Pace().share),
+    ],
+    "application": [
+        (
+            "{} MB for a form, {} GB for a record",
+            guard.FORM_BYTES / 1e6,
+            guard.FILE_BYTES / 1e9,
+        ),
+    ],
+    "bulwark": [
+        (
+            "unpack to more than {} MB and {} times their size",
+            excel_file._UNPACKED_BYTES / 1e6,
+            excel_file._UNPACKED_PER_BYTE,
+        ),
+        ("repeats at most {} characters of a value", errors._MOST),
+    ],
+    "reports": [
+        (
+            "Bands hold {} % of white noise",
+            round(100.0 * (2.0 * normal_cdf(pictures._COVERAGE_FACTOR) - 1.0)),
+        ),
+        ("`CS-` and {} digits of its SHA-256", DIGITS),
     ],
 }
 
-WORDS = "one two three four five six seven eight nine ten eleven twelve".split()
-SPELT = {word: float(value) for value, word in enumerate(WORDS, 1)}
-SPELT |= {"half": 0.5, "nine tenths": 0.9}
-NUMBER = "|".join([*sorted(SPELT, key=len, reverse=True), r"-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?:/\d+)?"])
+SPELT = {
+    "one": 1.0,
+    "two": 2.0,
+    "three": 3.0,
+    "four": 4.0,
+    "five": 5.0,
+    "six": 6.0,
+    "seven": 7.0,
+    "eight": 8.0,
+    "nine": 9.0,
+    "ten": 10.0,
+    "twelve": 12.0,
+}
+SPELT |= {"half": 0.5, "nine tenths": 0.9, "a fifth": 0.2, "a twentieth": 0.05}
+SPELT |= {"fourth": 4.0, "fifty": 50.0, "sixteen": 16.0}
+NUMBER = "|".join(
+    [*sorted(SPELT, key=len, reverse=True), r"-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?:/\d+)?"]
+)
 
 
 def value_of(text):
@@ -88,7 +205,9 @@ def rounding_of(text):
 
 
 @pytest.mark.parametrize(
-    ("name", "row"), [(name, row) for name, rows in ROWS.items() for row in rows], ids=lambda part: part[0] if isinstance(part, tuple) else part,
+    ("name", "row"),
+    [(name, row) for name, rows in ROWS.items() for row in rows],
+    ids=lambda part: part[0] if isinstance(part, tuple) else part,
 )
 def test_number(name, row):
     sentence, *values = row
