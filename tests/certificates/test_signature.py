@@ -1,5 +1,7 @@
 """A signed certificate can be verified, and no other passes for it."""
 
+import shutil
+import subprocess
 import sys
 from datetime import UTC, datetime, timedelta
 
@@ -10,7 +12,8 @@ from lxml import etree
 from results import result
 from signing_keys import write_pair
 
-from certificates import ISSUE, lab_of
+from certificates import ISSUE, lab_of, write_lab
+from counterspin import cli
 from counterspin.certificates.build import certificate, to_bytes
 from counterspin.certificates.reading import read_certificate
 from counterspin.certificates.signature import Signer, read_signer, sign, verify
@@ -41,6 +44,33 @@ def test_a_signed_certificate_verifies_and_reads_back(tmp_path, pairs, kind):
     assert covered.expired is None
     found = read_certificate(covered.content, "x.xml")
     assert found.accelerometers["Qx"].coefficients["K_II"].value == pytest.approx(2.7e-5, rel=1e-15)
+
+
+def xmlsec(path, cert):
+    """Return the status of xmlsec1, which trusts one certificate."""
+    words = ["xmlsec1", "--verify", "--trusted-pem", str(cert), str(path)]
+    return subprocess.run(words, capture_output=True, check=False).returncode
+
+
+@pytest.mark.skipif(shutil.which("xmlsec1") is None, reason="xmlsec1 is not installed")
+@pytest.mark.parametrize("kind", ["rsa", "ec"])
+def test_xmlsec1_says_the_same_of_a_certificate_and_its_amendment(tmp_path, pairs, kind):
+    key, cert = pairs[kind]
+    result().write(tmp_path / "r.json")
+    given = [str(tmp_path / "r.json"), str(write_lab(tmp_path))]
+    signed_by = ["--key", str(key), "--cert", str(cert)]
+    old, new = tmp_path / "old.xml", tmp_path / "new.xml"
+    why = ["--amends", str(old), "--reason", "The serial number was misread."]
+    assert cli.main(["certificate", *given, "-o", str(old), *signed_by]) == 0
+    assert cli.main(["certificate", *given, "-o", str(new), *signed_by, *why]) == 0
+    for made in (old, new):
+        assert cli.main(["certificate", "--verify", str(made), "--cert", str(cert)]) == 0
+        assert xmlsec(made, cert) == 0
+    new.write_bytes(new.read_bytes().replace(b"misread", b"misraed"))
+    assert xmlsec(new, cert) != 0
+    assert cli.main(["certificate", "--verify", str(new), "--cert", str(cert)]) == 1
+    other = pairs["ec" if kind == "rsa" else "rsa"][1]
+    assert xmlsec(old, other) != 0
 
 
 def test_an_rsa_signature_is_the_same_every_time(tmp_path, pairs):
