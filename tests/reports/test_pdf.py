@@ -2,9 +2,11 @@
 
 import io
 import os
+import shutil
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
 
 import pypdf
 import pytest
@@ -24,6 +26,9 @@ from counterspin.reports.blocks import (
 from counterspin.reports.pdf import Attachment, pdf
 
 DATE = datetime(2026, 3, 1, 14, 30, tzinfo=timezone(timedelta(hours=1)))
+
+#: A committed certificate, XML attached.
+EXAMPLE = Path(__file__).parents[2] / "docs" / "examples" / "three-rate" / "certificate.pdf"
 
 HOSTILE = r'#panic() #let x = [ $a^b$ ] \ *b* _c_ `d` <e> @f // g /* h */ "i" {j} ~ -- ... = \u{41}'
 
@@ -289,6 +294,21 @@ def test_file_says_what_it_is(attached):
     assert found.metadata.creation_date == DATE.astimezone(UTC)
     # PDF/A wants every font in the file and the meaning of its colours.
     assert "/OutputIntents" in found.trailer["/Root"]
+
+
+@pytest.mark.skipif(shutil.which("verapdf") is None, reason="veraPDF is not installed")
+@pytest.mark.parametrize("flavour", ["3a", "ua1"])
+def test_verapdf_finds_no_fault(tmp_path, flavour):
+    """In a report with everything, and in a certificate."""
+    table = Table((Column("term"), Column("u", "right")), (("K_II", "1"),))
+    attached = [Attachment("a.xml", b"<a/>", "application/xml", "an attachment", "data")]
+    own = tmp_path / "own.pdf"
+    own.write_bytes(made(Heading("Part", 2), table, *PICTURES, attachments=attached))
+    for path in (own, EXAMPLE):
+        words = ["verapdf", "--flavour", flavour, "--format", "text", str(path)]
+        told = subprocess.run(words, capture_output=True, text=True, check=False)
+        assert told.returncode == 0, told.stdout
+        assert told.stdout.startswith("PASS"), told.stdout
 
 
 def test_chapters_are_in_the_outline():
