@@ -35,7 +35,9 @@ def test_the_readme_promises_what_was_measured():
     tables = json.loads((ROOT / "benchmarks" / "results.json").read_text("utf-8"))
     rows = {table["title"]: {row[0]: row[1:] for row in table["rows"]} for table in tables}
     words = " ".join((ROOT / "README.md").read_text("utf-8").split())
-    promised = "less than a second. A hundred million rows take four, and 150 MB of memory: little"
+    promised = (
+        "less than a second. A hundred million rows, as Parquet, take four, and 150 MB of memory"
+    )
     assert promised in words
     assert rows["A usual campaign"]["counterspin calibrate"][0] < 1.0
     long = {name: cells[1] for name, cells in rows["Long records"].items()}

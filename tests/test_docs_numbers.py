@@ -13,6 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
+from prose import agrees, told
 
 import counterspin as cs
 from counterspin import errors, workers
@@ -171,38 +172,6 @@ ROWS = {
     ],
 }
 
-SPELT = {
-    "one": 1.0,
-    "two": 2.0,
-    "three": 3.0,
-    "four": 4.0,
-    "five": 5.0,
-    "six": 6.0,
-    "seven": 7.0,
-    "eight": 8.0,
-    "nine": 9.0,
-    "ten": 10.0,
-    "twelve": 12.0,
-}
-SPELT |= {"half": 0.5, "nine tenths": 0.9, "a fifth": 0.2, "a twentieth": 0.05}
-SPELT |= {"fourth": 4.0, "fifty": 50.0, "sixteen": 16.0}
-NUMBER = "|".join(
-    [*sorted(SPELT, key=len, reverse=True), r"-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?:/\d+)?"]
-)
-
-
-def value_of(text):
-    above, _, below = text.replace(",", "").partition("/")
-    return SPELT[text] if text in SPELT else float(above) / float(below or 1.0)
-
-
-def rounding_of(text):
-    """Return half a unit of the last digit; words, fractions and whole numbers are exact."""
-    mantissa, _, power = text.partition("e")
-    if text in SPELT or "/" in text or not (power or "." in text):
-        return 1e-9
-    return 0.501 * 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2]))
-
 
 @pytest.mark.parametrize(
     ("name", "row"),
@@ -211,8 +180,5 @@ def rounding_of(text):
 )
 def test_number(name, row):
     sentence, *values = row
-    text = " ".join((DOCS / f"{name}.md").read_text("utf-8").split())
-    pattern = f"({NUMBER})".join(map(re.escape, sentence.split("{}")))
-    (found,) = re.finditer(pattern, text)
-    for shown, value in zip(found.groups(), values, strict=True):
-        assert value_of(shown) == pytest.approx(value, rel=1e-12, abs=rounding_of(shown)), shown
+    for shown, value in zip(told(name, sentence), values, strict=True):
+        assert agrees(shown, value), (shown, value)

@@ -1,10 +1,15 @@
 """Every number that the page on the paper quotes is the one that `reproduce` computes."""
 
+import math
 import re
 from pathlib import Path
 
 import pytest
+from prose import agrees, told, value_of
 
+from counterspin.physics.accelerometer import QX
+from counterspin.physics.observation import parabola
+from counterspin.reproduction import plan
 from counterspin.reproduction.comparison import reproduce
 
 PAGE = (Path(__file__).parents[1] / "docs" / "paper.md").read_text(encoding="utf-8")
@@ -32,10 +37,22 @@ def test_every_figure_is_quoted(reproduction):
 def test_no_figure_is_quoted_without_its_key():
     assert PAGE.count("<!--") == len(QUOTED)
     unmarked = re.findall(NUMBER, re.sub(rf"{NUMBER}<!--.*?-->", "", PAGE))
-    # What the paper states, what is put in, and numbers of sections.
-    assert set(unmarked) <= {"0.01", "0.004", "9.8", "9.80665", "2.2", "2.3"}
+    # What the paper states, what is put in, numbers of sections, and what the next test reads.
+    assert set(unmarked) <= {"0.01", "0.004", "9.8", "9.80665", "2.2", "2.3", "1.5"}
 
 
 def test_the_plan_is_some_fifty_times_better(reproduction):
     row = reproduction["sigma_k_ii.exact"]
     assert 45 < row.printed / row.ours < 60
+
+
+def test_what_is_missing_of_the_drift_and_how_small_the_product_is(reproduction):
+    (missing,) = told("paper", "(The {} % that are missing")
+    drift = reproduction["separation.drift_as_ripple"].ours
+    assert agrees(missing, 100.0 * (1.0 - drift / (2.0 / 3.0 * plan.DRIFT_RATE)))
+    (most,) = told("paper", "Table 2's ripple it is {} millionths of the $K_{II}$ term or less")
+    rate, table = max(plan.RATES), plan.TABLE_1
+    product = 0.75 * table["K_III"] * plan.RADIUS**3 * rate**6 / plan.GRAVITY**2
+    product *= plan.RIPPLE_RATIO * math.sin(plan.RIPPLE_PHASE)
+    term = table["K_II"] * parabola("K_II", QX, rate, plan.RADIUS, plan.GRAVITY)
+    assert 0.5e-6 * value_of(most) < product / term < 1e-6 * value_of(most)

@@ -1,0 +1,56 @@
+"""Numbers in the sentences of the documentation, read where they stand."""
+
+import re
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+
+_SPELT = {
+    word: float(size)
+    for size, word in enumerate(
+        ["zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten"]
+    )
+} | {"eleven": 11.0, "twelve": 12.0, "sixteen": 16.0, "twenty": 20.0, "fifty": 50.0}
+_SPELT |= {"twice": 2.0, "fourth": 4.0, "hundred": 100.0, "thousand": 1000.0}
+_SPELT |= {"half": 0.5, "nine tenths": 0.9, "a fifth": 0.2, "a tenth": 0.1, "a twentieth": 0.05}
+
+_NUMBER = "|".join(
+    [*sorted(_SPELT, key=len, reverse=True), r"-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?(?:/\d+)?"]
+)
+
+
+def sentences(page: str) -> str:
+    """Return the text of a page, `README` or one of docs/, with line breaks as blanks.
+
+    A power of ten in a formula is written as 1e-3 is.
+    """
+    path = ROOT / "README.md" if page == "README" else ROOT / "docs" / f"{page}.md"
+    text = re.sub(r"\\times10\^\{(-?\d+)\}", r"e\1", path.read_text(encoding="utf-8"))
+    return " ".join(text.split())
+
+
+def told(page: str, sentence: str) -> list[str]:
+    """Return the numbers that stand where a part of a sentence has ``{}``."""
+    pattern = f"({_NUMBER})".join(map(re.escape, sentence.split("{}")))
+    found = list(re.finditer(pattern, sentences(page)))
+    assert len(found) == 1, f"{page}.md has it {len(found)} times: {sentence}"
+    return list(found[0].groups())
+
+
+def value_of(number: str) -> float:
+    """Return the value of a number as it is written."""
+    above, _, below = number.replace(",", "").partition("/")
+    return _SPELT[number] if number in _SPELT else float(above) / float(below or 1.0)
+
+
+def agrees(number: str, computed: float) -> bool:
+    """Return whether a number is the computed one, to the last of its digits.
+
+    Words, fractions and whole numbers are exact; none is off by more than an eighth.
+    """
+    mantissa, _, power = number.partition("e")
+    rounding = 1e-9
+    if number not in _SPELT and "/" not in number and (power or "." in number):
+        rounding = 0.501 * 10.0 ** (int(power or 0) - len(mantissa.partition(".")[2]))
+    off = abs(value_of(number) - computed)
+    return off <= max(min(rounding, 0.125 * abs(computed)), 1e-12 * abs(computed))

@@ -1,0 +1,468 @@
+"""Numbers in the sentences of the pages: read where they stand, compared with code and results."""
+
+import csv
+import json
+import math
+import re
+import runpy
+import tomllib
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from prose import ROOT, agrees, sentences, told, value_of
+
+from counterspin.calibration import (
+    assembly,
+    attitude_findings,
+    findings,
+    result_parts,
+    two_stage_findings,
+)
+from counterspin.calibration.diagnosis import search
+from counterspin.campaign import conditions
+from counterspin.certificates import build
+from counterspin.comparisons import rerun
+from counterspin.inference import conformity, diagnostics, identifiability
+from counterspin.inference.distributions import normal_cdf
+from counterspin.inference.joint import encoder, mistakes, outliers
+from counterspin.inference.noise import unseen_noise, variance_components, wander
+from counterspin.physics import angle_error
+from counterspin.physics.accelerometer import QX, TERMS
+from counterspin.physics.conditions import CONDITION_TERMS
+from counterspin.physics.motion import EARTH_RATE
+from counterspin.physics.observation import parabola
+from counterspin.physics.shared_terms import DEGREE_PER_HOUR, SHARED_TERMS
+from counterspin.records import reduction, spikes
+from counterspin.reproduction import plan as paper
+from counterspin.studies import surrogate
+from counterspin.validation.cases import cases
+from counterspin.validation.validate import check
+from kept_table import RATES
+
+ARCSEC = math.radians(1.0 / 3600.0)
+ALARMS = 100.0 * diagnostics.FALSE_ALARMS
+CAUSES = 100.0 * search._FALSE_ALARMS
+PLAN = (2.5, 9.8)  #: radius and gravity of the paper's plan
+
+
+def kept(file):
+    return json.loads((ROOT / file).read_text(encoding="utf-8"))
+
+
+# What the code decides by, and what follows from formulas -----------------------------------------
+
+#: Page, words of it with {} for the numbers, and these numbers by the code.
+NUMBERS = [
+    ("README", "the same within {}, or what changed", [rerun.LIMIT]),
+    (
+        "README",
+        "{} m after 100 s at one revolution a second, {} m after 400 s at a quarter of it",
+        [
+            round(paper.TABLE_1["K_II"] * parabola("K_II", QX, rate, *PLAN) * time**2)
+            for rate, time in ((2.0 * math.pi, 100.0), (0.5 * math.pi, 400.0))
+        ],
+    ),
+    ("methods", "blocks of at most {} revolution.", [1 / reduction.BLOCKS_PER_REVOLUTION]),
+    ("methods", "is known to ±1.96/(4 trials)^½: ±{} with 200 trials", [1.96 / math.sqrt(800)]),
+    ("methods", "ripple's harmonics {} to {}, whether", [1, angle_error.HARMONICS]),
+    ("methods", "| above {} | an unknown", [encoder._ESTIMATED]),
+    ("methods", "| {} to {} | considered |", [encoder._CONSIDERED, encoder._ESTIMATED]),
+    ("methods", "| below {} | left out", [encoder._CONSIDERED]),
+    ("methods", "in log-likelihood reaches {}, which", [variance_components.KEEP]),
+    ("methods", "in one case of {}. Noise", [1 / normal_cdf(-math.sqrt(variance_components.KEEP))]),
+    ("methods", "likelihood times N^(-{})", [unseen_noise.POWER]),
+    ("methods", "a sum of up to {} cosines", [wander._FUNCTIONS[1]]),
+    ("methods", "the other noise is a {} times as much", [1 / wander._COVERED]),
+    ("methods", "flicker above {} half-waves", [wander._FUNCTIONS[1]]),
+    ("methods", "false alarm in one of a {} good", [1 / diagnostics.SIGNIFICANCE]),
+    ("methods", "at least {} of its prior's variance", [1 - identifiability._PRIOR_LEFT]),
+    ("methods", "off their neighbours by more than {} standard", [spikes.LIMIT_SDS]),
+    ("methods", "reaches in one of a {} whole records", [1 / outliers.FALSE_ALARMS]),
+    ("methods", "residuals more than {} the stated noise", [findings.TOO_LARGE]),
+    ("methods", "noise beyond {} ug/Hz^0.5, a run", [1e6 * findings.LARGEST_WALK]),
+    ("methods", "the others by more than {} standard", [findings.CONTRADICTS]),
+    ("methods", "shifts below {} of their u, of many", [diagnostics.AGREEMENT]),
+    ("methods", "within {} of the difference's u", [diagnostics.AGREEMENT]),
+    ("diagnosis", "| each record, at {} times, then", [search._STEPS]),
+    ("diagnosis", "all or nothing, to {} %", [100 * (mistakes._ALL - 1)]),
+    (
+        "diagnosis",
+        "within {} of its chi-square, or within {} % of the gain",
+        [search._DECIDES, 100 * search._DECIDES_PART],
+    ),
+    ("diagnosis", "first, then up to {} others", [search._RIVALS]),
+    ("diagnosis", "for up to {} causes", [search._CAUSES]),
+    ("diagnosis", "what is below {} % of its size", [100 * search._SMALL_PART]),
+    ("diagnosis", "blamed in at most {} % of good campaigns", [CAUSES]),
+    ("diagnosis", "left out (`run-disagrees`): {} % of campaigns", [ALARMS]),
+    ("diagnosis", "(`noise-differs`): {} %, likewise", [ALARMS]),
+    ("diagnosis", "two-stage method: {} % of accelerometers", [ALARMS]),
+    (
+        "diagnosis",
+        "(`lack-of-fit`): {} % of accelerometers; by the two-stage method alone {} %",
+        [100 * diagnostics.SIGNIFICANCE, 100 * two_stage_findings._SMALLEST_P],
+    ),
+    (
+        "diagnosis",
+        "(`methods-disagree`): {} % of accelerometers",
+        [200.0 * normal_cdf(-diagnostics.AGREEMENT)],
+    ),
+    ("diagnosis", "causes: {} % for priors, {} % for all else", [CAUSES, CAUSES]),
+    ("result", "accelerometer is above {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
+    (
+        "result",
+        "accelerometers ({} % of good campaigns), {} standard uncertainties at least",
+        [ALARMS, diagnostics.AGREEMENT],
+    ),
+    ("result", "two-stage K_II differs by more than {} standard", [diagnostics.AGREEMENT]),
+    ("result", "more than {} % of a run were outliers", [100 * assembly.MANY_OUTLIERS]),
+    ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_PART]),
+    ("result", "is infinite, or more than {}", [result_parts._AS_GOOD_AS_INFINITE]),
+    (
+        "result",
+        "with the model | from {} times the stated noise; two-stage: beyond {} standard",
+        [findings.TOO_LARGE, findings.CONTRADICTS],
+    ),
+    ("conformity", "Student's factor for {} % and", [100 * conformity.COVERAGE]),
+    ("conformity", "U, and the factor is {} (", [conformity.DecisionRule("guarded").guard_factor]),
+    ("conformity", "with a probability of at most {} %", [50 * (1 - conformity.COVERAGE)]),
+    (
+        "conformity",
+        "asks for `conformance_probability`, {} % if",
+        [100 * conformity.DecisionRule("probability").needed],
+    ),
+    ("benchmarks", "a polynomial of degree {}", [surrogate.DEGREE]),
+    ("physics", "had risen evenly by {} K from", [conditions.UNKNOWN_WARMING]),
+    ("physics", "{} arcmin are ${}$ of K_I", [3, 0.5 * (3 * 60 * ARCSEC) ** 2]),
+    (
+        "physics",
+        "below about {} deg/h over {} s, where the neglected $g d^2 T^4/24$ reaches {} m",
+        [
+            attitude_findings._FIRST_ORDER_LIMIT / 400.0**2,
+            400,
+            9.8 * (0.2 * DEGREE_PER_HOUR) ** 2 * 400.0**4 / 24,
+        ],
+    ),
+    (
+        "physics",
+        "{} arcsec/g is ${}$ g/g² of $K_{II}$",
+        [SHARED_TERMS["platform.compliance.zy"].typical / ARCSEC, 0.1 * ARCSEC],
+    ),
+    (
+        "physics",
+        "{} µg/g² of it is {} µg/g² of $K_{II}$",
+        [
+            0.1,
+            0.1 * parabola("K_F.heating", QX, 3.0, *PLAN) / parabola("K_II", QX, 3.0, *PLAN),
+        ],
+    ),
+    ("physics", "A trend ({} µg/min is typical)", [60e6 * CONDITION_TERMS["K_F.trend"].typical]),
+    ("physics", "at $K_I = {}$ a difference of {} %", [1.002, 100 * (1.002 - 1)]),
+    ("arm", "is {} of the force at pi rad/s", [2 * EARTH_RATE * math.sin(math.pi / 4) / math.pi]),
+    (
+        "arm",
+        "The stretch of the arm, {} per m/s^2, is {} g/g^2",
+        [SHARED_TERMS["centrifuge.stretch"].typical, 9.8 * 4.6e-9],
+    ),
+]
+
+
+@pytest.mark.parametrize(
+    ("page", "words", "computed"), NUMBERS, ids=[f"{page}: {words}" for page, words, _ in NUMBERS]
+)
+def test_a_number_of_the_text_is_the_one_of_the_code(page, words, computed):
+    numbers = told(page, words)
+    assert len(numbers) == len(computed)
+    for number, size in zip(numbers, computed, strict=True):
+        assert agrees(number, size), (number, size)
+
+
+def test_a_number_that_is_not_so_would_be_found():
+    assert agrees("2.5", 2.549)
+    assert not agrees("2.5", 2.56)
+    assert agrees("1e-7", 1.1e-7)
+    assert not agrees("1e-7", 1.2e-7)
+    assert not agrees("50", 49.7)
+    assert agrees("three", 3.0)
+    assert not agrees("three", 3.1)
+    assert value_of("1/64") == 0.015625
+    with pytest.raises(AssertionError, match="0 times"):
+        told("README", "no such words, {}")
+
+
+def test_roughly():
+    (times,) = told("physics", "at π/2 rad/s {} times what an equal `zx` adds")
+    k_yy = 0.5 * PLAN[0] * 0.5 * math.pi
+    k_zx = abs(parabola("platform.g_sensitivity.zx", QX, 0.5 * math.pi, *PLAN))
+    assert k_yy / k_zx == pytest.approx(value_of(times), rel=0.1)
+
+
+# What long studies have found ---------------------------------------------------------------------
+
+
+def moved(row):
+    return max(abs(shift) for shift in row["shifts"].values())
+
+
+@pytest.fixture(scope="module")
+def violations():
+    return {(row["name"], row["observable"]): row for row in kept("docs/violations.json")}
+
+
+def test_what_no_record_of_displacement_gives_away(violations):
+    silent = "K_OO", "K_PP", "K_F.heating", "platform.compliance.zy", "platform.tilt.north"
+    for name in silent:
+        row = violations[name, "displacement"]
+        assert moved(row) > 100
+        assert (row["state"], row["codes"]) == ("good", [])
+    assert violations["delta_O", "displacement"]["codes"] == ["prior-conflict"]
+    for name in ("platform.drift.north", "platform.g2_sensitivity.north"):
+        assert violations[name, "displacement"]["codes"] == ["term-missing"]
+
+
+def test_where_encoder_and_imbalance_matter(violations):
+    rows = {k: row for k, row in violations.items() if k[0].startswith(("encoder", "centrifuge.i"))}
+    assert len(rows) == 3 * (8 + 4)
+    for (_, observable), row in rows.items():
+        if observable == "specific_force":
+            assert row["codes"] or moved(row) < 0.1
+        else:
+            assert moved(row) < 1.0
+    # methods.md, of 1e-7 of the rate, and physics.md
+    arcsec = abs(violations["encoder.harmonic.1.sin", "specific_force"]["shifts"]["K_II"])
+    ripple, times = told(
+        "methods", "a first harmonic of {} of the rate that the encoder hides would move K_II by {}"
+    )
+    assert value_of(times) == round(arcsec * value_of(ripple) / ARCSEC)
+    assert arcsec > 200
+    for name in ("platform.compliance.zy", "K_F.heating"):
+        assert abs(violations[name, "displacement"]["shifts"]["K_II"]) > 200
+
+
+def test_the_campaign_of_the_violations_is_the_one_that_is_described():
+    study = runpy.run_path(str(ROOT / "docs" / "violations.py"))
+    campaign = tomllib.loads(study["description"]("velocity", study["FULL"]))
+    words = "three rates ({}, {} and {} rev/s) of {} revolutions at {} Hz and {} m; "
+    words += "noise of a sample {} m, {} mm/s or {} m/s^2; "
+    words += "bias known to {} µg and scale factor to {} ppm"
+    *rates, turns, sampling, radius, place, speed, force, bias, scale = map(
+        value_of, told("violations", words)
+    )
+    assert tuple(rates) == tuple(map(float, RATES))
+    assert (sampling, turns) == (study["FULL"].sampling_rate, study["FULL"].revolutions)
+    assert campaign["centrifuge"]["radius"].startswith(f"{radius} ±")
+    assert study["NOISE"] == {
+        "displacement": f"{place} m",
+        "velocity": f"{speed:.0f}e-3 m/s",
+        "specific_force": f"{force:.0e} m/s^2".replace("e-0", "e-"),
+    }
+    assert f"± {bias:.0f}e-6 g" in campaign["accelerometers"]["Qx"]["bias"]
+    assert f"± {scale:.0f}e-6 g/g" in campaign["accelerometers"]["Qx"]["scale_factor"]
+
+
+def test_intervals_with_a_noise_that_is_found_are_rather_too_long():
+    rows = [row for row in kept("docs/coverage.json") if row["words"].endswith(", not stated")]
+    assert len(rows) > 4
+    for row in rows:
+        assert sum(row["covered"].values()) / len(row["covered"]) >= 0.95, row["words"]
+    for row in rows:
+        if row["words"] == "white, not stated":
+            length = 1.0 / row["normal_rms"]["K_F"]
+            assert "about twice as long as they need be" in sentences("methods")
+            assert length == pytest.approx(2.0, abs=0.35)
+
+
+def test_no_share_of_good_campaigns_is_larger_than_is_told():
+    """As far as the trials tell: the lower end of their 95 % interval is below it."""
+    bounds = runpy.run_path(str(ROOT / "docs" / "false_alarms.py"))["bounds"]
+    (residuals, _) = told(
+        "diagnosis", "(`lack-of-fit`): {} % of accelerometers; by the two-stage method alone {} %"
+    )
+    causes = told("diagnosis", "causes: {} % for priors, {} % for all else")
+    shares = {
+        "`run-disagrees`": told("diagnosis", "(`run-disagrees`): {} % of campaigns")[0],
+        "`noise-differs`": told("diagnosis", "(`noise-differs`): {} %, likewise")[0],
+        "`methods-disagree`": 2 * value_of(told("diagnosis", "(`methods-disagree`): {} % of")[0]),
+        "`lack-of-fit`": 2 * value_of(residuals),
+        "a cause": sum(map(value_of, causes)),
+    }
+    for row in kept("docs/false_alarms.json"):
+        for what, share in shares.items():
+            low, _ = bounds(row["counts"][what], row["trials"])
+            assert 100 * low <= float(share), (what, row["words"])
+
+
+@pytest.fixture(scope="module")
+def benches():
+    return {
+        table["title"]: {
+            row[0]: dict(zip(table["columns"][1:], row[1:], strict=True)) for row in table["rows"]
+        }
+        for table in kept("benchmarks/results.json")
+    }
+
+
+def test_what_takes_the_time(benches):
+    text = sentences("benchmarks")
+    usual = benches["A usual campaign"]
+    start, whole = (usual[name] for name in list(usual)[:4:3])
+    assert list(usual)[3] == "counterspin calibrate"
+    assert "more than half of the time goes into starting Python" in text
+    assert start["fastest (s)"] > 0.5 * whole["fastest (s)"]
+    long = benches["Long records"]
+    csv, parquet = (
+        {name: row[column] for name, row in long.items()} for column in next(iter(long.values()))
+    )
+    assert "for CSV that is nearly half of the total" in text
+    assert 0.4 < whole["fastest (s)"] / csv["counterspin calibrate (s)"] < 0.5
+    assert "That does not grow with a Parquet file" in text
+    assert parquet["calibrate, peak memory (MB)"] < 1.25 * whole["peak MB"]
+    assert "less than half of its size" in text
+    more = csv["calibrate, peak memory (MB)"] - whole["peak MB"]
+    assert more < 0.5 * csv["three files (MB)"]
+
+
+def test_what_two_workers_cost(benches):
+    (number,) = told("benchmarks", "take about {} s of processor time each to start")
+    one, two = (row["processor (s)"] for row in list(benches["Whole studies"].values())[1:])
+    assert agrees(number, 0.5 * (two - one))
+
+
+# What examples, cases and tables of the pages themselves hold -------------------------------------
+
+
+def test_the_joint_fit_is_as_much_surer_as_the_readme_says():
+    (share,) = told("README", "u of the joint fit's K_II is {} of the two-stage u")
+    (row,) = re.findall(
+        r"^K_II +\S+ +\S+ ± (\S+) +\S+ ± (\S+)", (ROOT / "README.md").read_text("utf-8"), re.M
+    )
+    assert float(row[0]) / float(row[1]) == pytest.approx(value_of(share), rel=0.1)
+
+
+def test_the_certificate_is_of_the_schema_that_the_readme_names():
+    assert f"(DCC {build.SCHEMA_VERSION})" in sentences("README")
+
+
+def test_extras_are_those_of_the_package():
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"][
+        "optional-dependencies"
+    ]
+    named = re.findall(r"`(?:pip install )?'\.\[(\w+)\]'`", sentences("README"))
+    assert len(named) == 5
+    assert set(named) <= set(extras)
+
+
+def test_the_truth_of_the_quickstart_is_the_starter_s():
+    starter = tomllib.loads((files("counterspin.campaign") / "starter.toml").read_text("utf-8"))
+    ((truth, micro),) = re.findall(
+        r"truth was `(\S+) g/g\^2`, which is (\d+) ug", sentences("quickstart")
+    )
+    assert starter["truth"]["Qx"]["K_II"] == f"{truth} g/g^2"
+    assert float(micro) == pytest.approx(1e6 * float(truth))
+
+
+def test_integrals_are_as_good_as_is_told():
+    (number,) = told("README", "40-digit integrals to {},")
+    assert told("trust", "they agree to {}") == [number]
+    found = [check(one) for one in cases() if one.name.startswith("integrals")]
+    assert len(found) == 8
+    for one in found:
+        assert abs(one.found - one.expected) <= value_of(number) * abs(one.expected) + 1e-12
+
+
+def test_reference_values_have_as_many_digits_as_is_told():
+    digits = [
+        int(
+            re.search(
+                r"^mp.dps = (\d+)$", (ROOT / "tests" / "reference" / name).read_text("utf-8"), re.M
+            )[1]
+        )
+        for name in ("make_double_integrals.py", "make_arm_forces.py")
+    ]
+    assert list(map(value_of, told("validation", "of {} and {}-digit arithmetic"))) == digits
+    told_of_trust = [
+        *told("trust", "integrals in {}-digit"),
+        *told("trust", "twice with {} digits"),
+    ]
+    assert list(map(value_of, told_of_trust)) == digits
+
+
+@pytest.mark.parametrize(
+    ("words", "begins"),
+    [
+        ("all {} sets of NIST StRD", "NIST "),
+        ("the {} worked examples of JCGM 106", "JCGM 106"),
+    ],
+)
+def test_the_cases_are_as_many_as_the_page_says(words, begins):
+    assert value_of(told("validation", words)[0]) == sum(c.name.startswith(begins) for c in cases())
+
+
+def test_the_page_on_validation_has_every_requirement():
+    page = (ROOT / "docs" / "validation.md").read_text("utf-8")
+    table = page.partition("## The cases")[2].partition("They are data")[0]
+    rows = re.findall(r"^\| ([a-z][\w ]+) \|", table, re.M)[1:]
+    assert rows == list(dict.fromkeys(rows))
+    assert set(rows) == {case.requirement for case in cases()}
+
+
+def test_rates_of_the_arm_s_example():
+    *sizes, last = re.search(
+        r"filled in: ([\d, ]+) and (\d+) g, both ways", sentences("arm")
+    ).groups()
+    sizes = [*sizes[0].split(", "), last]
+    text = (files("counterspin.campaign") / "starter_arm.csv").read_text("utf-8")
+    names = [row["name"] for row in csv.DictReader(text.splitlines())]
+    first = [
+        "rest up",
+        *(f"{way} {size} g" for size in sizes for way in ("in", "out")),
+        "rest down",
+    ]
+    assert names == [*first, *(f"{name} again" for name in reversed(first))]
+
+
+def test_the_tumble_s_example_and_table():
+    (count,) = told("tumble", "a table with {} positions")
+    text = (files("counterspin.campaign") / "starter_tumble.csv").read_text("utf-8")
+    assert len(list(csv.DictReader(text.splitlines()))) == value_of(count)
+    # The closed form: one over the length of what is left of a column beside the others.
+    page = (ROOT / "docs" / "tumble.md").read_text("utf-8")
+    for row, cubic in zip(
+        re.findall(r"^\| (?:12|24), .*$", page, re.M), (False, True), strict=True
+    ):
+        first, *cells = (cell.strip() for cell in row.strip("|").split("|"))
+        angle = (
+            2.0 * math.pi * np.arange(int(first.partition(",")[0])) / int(first.partition(",")[0])
+        )
+        c, s = np.cos(angle), np.sin(angle)
+        columns = [np.ones_like(c), c, s, c * c, c * s, *([c**3] if cubic else [])]
+        design = np.column_stack(columns)
+        u = np.sqrt(np.diag(np.linalg.inv(design.T @ design)))
+        assert [float(cell) for cell in cells if cell] == pytest.approx(list(u), abs=6e-7)
+    assert u[1] * math.sqrt(12.0) == pytest.approx(
+        value_of(told("tumble", "K_I is {} times as uncertain")[0]), rel=0.1
+    )
+
+
+def test_what_a_stretched_arm_looks_like():
+    """arm.md: f |f|, of one side that of K_II, of both sides no K_II at all."""
+    force = np.linspace(1.0, 20.0, 20)
+    for sides, k_ii in (((1.0,), 1.0), ((1.0, -1.0), 0.0)):
+        f = np.concatenate([side * force for side in sides])
+        fit, *_ = np.linalg.lstsq(np.vander(f, 4, increasing=True), f * np.abs(f), rcond=None)
+        assert fit[2] == pytest.approx(k_ii, abs=1e-10)
+
+
+@pytest.mark.parametrize("page", ["arm", "tumble", "double-turntable"])
+def test_names_of_terms_are_those_of_the_standard(page):
+    """Each row of the table names, for each term of ours, its letter in IEEE Std 1293."""
+    rows = re.findall(
+        r"^\| ([A-Z]_[^|`]+) \| ([^|]+) \|", (ROOT / "docs" / f"{page}.md").read_text("utf-8"), re.M
+    )
+    named = 0
+    for terms, standard in rows:
+        for symbol in (one for one in terms.split(", ") if TERMS[one].ieee.startswith("K")):
+            assert re.search(rf"\b{TERMS[symbol].ieee}\b", standard), (symbol, standard)
+            named += 1
+    assert named >= 7
