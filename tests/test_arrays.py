@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from counterspin.arrays import (
-    PART,
+    QR_ROWS,
     aligned,
     in_parts,
     semidefinite_root,
@@ -13,12 +13,12 @@ from counterspin.arrays import (
 )
 
 
-@pytest.mark.parametrize("rows", [0, 3, PART - 1, PART, PART + 1, 3 * PART + 7])
+@pytest.mark.parametrize("rows", [0, 3, QR_ROWS - 1, QR_ROWS, QR_ROWS + 1, 3 * QR_ROWS + 7])
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_fewer_rows_have_the_same_triangle(rows, order):
     matrix = np.asarray(np.random.default_rng(rows).standard_normal((rows, 5)), order=order)
     parts = in_parts(matrix)
-    assert len(parts) == rows // PART * 5 + rows % PART
+    assert len(parts) == rows // QR_ROWS * 5 + rows % QR_ROWS
     expected = matrix.T @ matrix
     triangle = triangle_of(parts)
     assert not np.tril(triangle, -1).any()

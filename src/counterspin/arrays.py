@@ -20,10 +20,10 @@ import numpy.typing as npt
 Array = npt.NDArray[np.float64]
 
 #: Rows that one QR takes at a time: a cache's worth, three times faster than all rows at once.
-PART: Final = 512
+QR_ROWS: Final = 512
 
 #: Values of 8 bytes in a cache line.
-_LINE: Final = 8
+_CACHE_LINE_VALUES: Final = 8
 
 
 def aligned(*shape: int) -> Array:
@@ -32,10 +32,10 @@ def aligned(*shape: int) -> Array:
     Results written across the ends of cache lines take the processor up to twice as long.
     """
     *rows, length = shape
-    stride = -(-length // _LINE) * _LINE
-    store: Array = np.empty(math.prod(rows) * stride + _LINE)
-    start = -(store.ctypes.data // store.itemsize) % _LINE
-    array: Array = store[start : len(store) - _LINE + start].reshape(*rows, stride)
+    stride = -(-length // _CACHE_LINE_VALUES) * _CACHE_LINE_VALUES
+    store: Array = np.empty(math.prod(rows) * stride + _CACHE_LINE_VALUES)
+    start = -(store.ctypes.data // store.itemsize) % _CACHE_LINE_VALUES
+    array: Array = store[start : len(store) - _CACHE_LINE_VALUES + start].reshape(*rows, stride)
     return array[..., :length]
 
 
@@ -51,10 +51,10 @@ def in_parts(rows: Array) -> Array:
     al., SIAM J. Sci. Comput. 34 (2012) A206).
     """
     width = rows.shape[1]
-    whole = len(rows) // PART * PART
+    whole = len(rows) // QR_ROWS * QR_ROWS
     if whole == 0:
         return rows
-    triangles = triangle_of(rows[:whole].reshape(-1, PART, width)).reshape(-1, width)
+    triangles = triangle_of(rows[:whole].reshape(-1, QR_ROWS, width)).reshape(-1, width)
     return np.concatenate([triangles, rows[whole:]])
 
 

@@ -21,16 +21,18 @@ from typing import Final
 from counterspin._version import __version__
 
 #: The most characters of a value that a message shows.
-_MOST: Final = 200
+_VALUE_LENGTH: Final = 200
 
 #: A value that is longer: in quotation marks, or without blanks.
-_LONG: Final = re.compile(rf"'[^']{{{_MOST},}}'|\"[^\"]{{{_MOST},}}\"|\S{{{_MOST + 1},}}")
+_LONG: Final = re.compile(
+    rf"'[^']{{{_VALUE_LENGTH},}}'|\"[^\"]{{{_VALUE_LENGTH},}}\"|\S{{{_VALUE_LENGTH + 1},}}"
+)
 
 #: The most characters of a line.
-_LINE: Final = 3000
+_LINE_LENGTH: Final = 3000
 
 #: As many lines at the beginning and at the end of a message are shown.
-_LINES: Final = 20
+_END_LINES: Final = 20
 
 
 def installing(extra: str) -> str:
@@ -62,11 +64,12 @@ class CounterspinError(Exception):
     def __str__(self) -> str:
         """Return the message, with long values and long lists cut in the middle."""
         lines = super().__str__().split("\n")
-        left_out = len(lines) - 2 * _LINES
+        left_out = len(lines) - 2 * _END_LINES
         if left_out > 1:
-            lines[_LINES:-_LINES] = [f"  ... and {left_out} more"]
+            lines[_END_LINES:-_END_LINES] = [f"  ... and {left_out} more"]
         return "\n".join(
-            _cut(_LONG.sub(lambda value: _cut(value[0], _MOST), line), _LINE) for line in lines
+            _cut(_LONG.sub(lambda value: _cut(value[0], _VALUE_LENGTH), line), _LINE_LENGTH)
+            for line in lines
         )
 
 

@@ -20,7 +20,7 @@ from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 
 #: How much of either end of a file is searched for a mark.
-_END: Final = 1 << 18
+_END_BYTES: Final = 1 << 18
 
 
 @frozen
@@ -87,8 +87,8 @@ def holds(mark: bytes) -> Callable[[Path], bool]:
 
     def test(path: Path) -> bool:
         with path.open("rb") as file:
-            head = file.read(_END)
-            file.seek(max(file.seek(0, os.SEEK_END) - _END, 0))
+            head = file.read(_END_BYTES)
+            file.seek(max(file.seek(0, os.SEEK_END) - _END_BYTES, 0))
             return mark in head or mark in file.read()
 
     return test

@@ -29,7 +29,7 @@ _HALF: Final = re.compile(r"\\u[dD][89a-fA-F]")
 
 
 #: No number of any result is larger; squares of larger ones would be beyond all numbers.
-_LARGEST: Final = 1e100
+_LARGEST_NUMBER: Final = 1e100
 #: No uncertainty but 0 is smaller: the square of a number over it would be beyond all numbers too.
 _SMALLEST_UNCERTAINTY: Final = 1e-50
 
@@ -172,7 +172,7 @@ def _odd_numbers(value: Any, path: str, key: str = "") -> Iterator[str]:
         for index, item in enumerate(value):
             yield from _odd_numbers(item, f"{path}[{index}]", key)
     elif isinstance(value, int | float):
-        if not abs(value) <= _LARGEST:
+        if not abs(value) <= _LARGEST_NUMBER:
             yield f"{path} is larger than any number that is measured"
         elif value < _SMALLEST_UNCERTAINTY and value != 0 and _UNCERTAINTY.fullmatch(key):
             wrong = "not negative" if value < 0 else "0 or not so small"

@@ -101,7 +101,7 @@ ADVICE: Final[Mapping[str, tuple[str, str]]] = {
 }
 
 #: No unit takes more characters.
-_LONGEST: Final = 500
+_MAX_CHARACTERS: Final = 500
 
 # A name, perhaps with a power, the 1 of "1/s", or what joins them. Nothing else is evaluated.
 _FACTOR = re.compile(
@@ -164,7 +164,7 @@ def _plain(unit: str) -> str:
 
 def check_unit(unit: str) -> str:
     """Return a unit in which something is wanted, in plain signs; ValueError if it is none."""
-    written = _plain(unit[:_LONGEST])
+    written = _plain(unit[:_MAX_CHARACTERS])
     wrong = f"{unit!r} is not a unit that is known here"
     try:
         known = _names(written, wrong, "m, V, mA, ...") <= set(UNITS)

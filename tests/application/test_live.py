@@ -28,7 +28,7 @@ def test_what_is_new_is_told(page, folder):
 
 
 def test_nobody_is_followed_whom_nobody_looks_at(desk, page, monkeypatch):
-    monkeypatch.setattr(live, "PATIENCE", 0.2)
+    monkeypatch.setattr(live, "UNSEEN_SECONDS", 0.2)
     page.get("/api/watch", params={"name": "three"})
     (view,) = desk.live._views.values()
     view.process.join(30.0)

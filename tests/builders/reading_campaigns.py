@@ -87,7 +87,7 @@ def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature
         lever = RunConditions(float(blank.time[index]), float(blank.temperature[index]))
         own = changed(truth, lever, 0.0)
         coefficients.append([own.get(symbol, row.nominal) for symbol, row in TERMS.items()])
-    values = np.sum(mean_products(actual, SITE, list(TERMS)) * coefficients, axis=1)
+    values = np.sum(mean_products(actual, SITE) * coefficients, axis=1)
     return values + rng.normal(0.0, sigma, count)
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from counterspin.histories.control import WARNING, individuals
+from counterspin.histories.control import WARNING_SIGMAS, individuals
 
 
 def test_limits_by_hand():
@@ -10,7 +10,7 @@ def test_limits_by_hand():
     found = individuals([1.0, 3.0, -1.0, 1.0])
     assert (found.centre, found.mean_range) == (1.0, pytest.approx(8.0 / 3.0))
     assert found.sigma == pytest.approx(8.0 / 3.0 / 1.128379, rel=1e-6)
-    assert found.limits(WARNING) == pytest.approx(
+    assert found.limits(WARNING_SIGMAS) == pytest.approx(
         (1.0 - 2.0 * found.sigma, 1.0 + 2.0 * found.sigma)
     )
     # The factor D4 of two: 3.267.

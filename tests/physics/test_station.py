@@ -22,7 +22,8 @@ SYMBOLS = list(TERMS)
 
 
 def means_at(station, site, symbols):
-    return mean_products([station], site, symbols)[0]
+    means = mean_products([station], site)[0]
+    return means[[SYMBOLS.index(symbol) for symbol in symbols]]
 
 
 def arm(inputs, pendulous, **more):

@@ -24,12 +24,10 @@ from counterspin.calibration.result import Result
 from counterspin.campaign.starter import Test
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CampaignError, CounterspinError, RecordError
+from counterspin.input import DOCUMENT_BYTES
 from counterspin.physics.accelerometer import TERMS
 from counterspin.reports.numbers import format_estimate
 from counterspin.reports.typography import typeset
-
-#: Most bytes of a result's file.
-_RESULT_BYTES: Final = 200_000_000
 
 #: Words for what a campaign is, beside the states of its result.
 _WORDS: Final = {
@@ -105,7 +103,7 @@ def _result_line(desk: Desk, path: Path) -> dict[str, Any] | None:
 
     name = desk.folder.name(path)
     try:
-        if path.stat().st_size > _RESULT_BYTES or not Result.file_kind().recognises(path):
+        if path.stat().st_size > DOCUMENT_BYTES or not Result.file_kind().recognises(path):
             return None
         result = judge_result(Result.read(path))
     except OSError:

@@ -17,9 +17,7 @@ from counterspin.errors import CounterspinError
 from counterspin.input import read_file
 
 #: Endings of what may be taken away: what this program writes.
-_WRITTEN: Final = (".html", ".json", ".md", ".pdf", ".svg", ".toml", ".xml")
-
-_BYTES: Final = 200_000_000
+_WRITTEN_SUFFIXES: Final = (".html", ".json", ".md", ".pdf", ".svg", ".toml", ".xml")
 
 
 def begin_certificate(desk: Desk, result: str, lab: str, output: str) -> dict[str, Any]:
@@ -49,9 +47,9 @@ def begin_certificate(desk: Desk, result: str, lab: str, output: str) -> dict[st
 def taken_file(desk: Desk, name: str) -> tuple[str, bytes]:
     """Return a file's own name and what is in it; OutsideError of what is not made here."""
     path: Path = desk.file(name)
-    if path.suffix.lower() not in _WRITTEN:
+    if path.suffix.lower() not in _WRITTEN_SUFFIXES:
         raise OutsideError(f"{name}: only what counterspin writes is given away here")
     try:
-        return path.name, read_file(path, _BYTES)
+        return path.name, read_file(path)
     except OSError as error:
         raise CounterspinError(f"{name}: cannot be read: {error.strerror}") from error

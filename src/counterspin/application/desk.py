@@ -25,7 +25,7 @@ from counterspin.input import FileIdentity
 T = TypeVar("T")
 
 #: So many things are usually remembered.
-_MOST: Final = 300
+_MAX_REMEMBERED: Final = 300
 
 
 class Remembered:
@@ -37,7 +37,7 @@ class Remembered:
         So many things are remembered.
     """
 
-    def __init__(self, most: int = _MOST) -> None:
+    def __init__(self, most: int = _MAX_REMEMBERED) -> None:
         self._most = most
         self._known: OrderedDict[Any, tuple[Any, Any]] = OrderedDict()
         self._lock = threading.Lock()

@@ -24,8 +24,8 @@ from counterspin.input import read_file
 from counterspin.output import make_folder, write_whole
 
 #: Folders within folders that are looked into, and most folders in all.
-_DEPTH: Final = 5
-_FOLDERS: Final = 2000
+_MAX_DEPTH: Final = 5
+_MAX_FOLDERS: Final = 2000
 
 #: Most bytes of a text that is shown to be edited.
 TEXT_BYTES: Final = 1_000_000
@@ -117,9 +117,9 @@ class ServedFolder:
 
         Neither hidden ones nor links to folders are followed.
         """
-        for place, folders, files in islice(os.walk(self.root), _FOLDERS):
+        for place, folders, files in islice(os.walk(self.root), _MAX_FOLDERS):
             path = Path(place)
-            deep = len(path.relative_to(self.root).parts) >= _DEPTH
+            deep = len(path.relative_to(self.root).parts) >= _MAX_DEPTH
             folders[:] = [] if deep else sorted(name for name in folders if name[0] != ".")
             yield path, sorted(name for name in files if name[0] != ".")
 

@@ -39,10 +39,10 @@ FILE_BYTES: Final = 4_000_000_000
 FILES: Final = "/api/files"
 
 #: Methods that change nothing.
-_READING: Final = ("GET", "HEAD")
+_READING_METHODS: Final = ("GET", "HEAD")
 
 #: Names of this machine alone.
-_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
+_HOST_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
 
 #: What the page may load: its own modules, styles and data; pictures have styles of their own.
 _POLICY: Final = (
@@ -83,7 +83,7 @@ class Door:
     @property
     def link(self) -> str:
         """What is opened in the browser."""
-        return f"http://{_NAMES[0]}:{self.port}/#token={self.token}"
+        return f"http://{_HOST_NAMES[0]}:{self.port}/#token={self.token}"
 
     @property
     def cookie(self) -> str:
@@ -93,7 +93,7 @@ class Door:
     @property
     def hosts(self) -> frozenset[str]:
         """What a request's Host may be."""
-        return frozenset(f"{name}:{self.port}" for name in _NAMES)
+        return frozenset(f"{name}:{self.port}" for name in _HOST_NAMES)
 
     def opens(self, token: str) -> bool:
         """Tell whether a token is the link's."""
@@ -150,7 +150,7 @@ class Guard:
         same_site = headers.get("sec-fetch-site", "same-origin") in ("same-origin", "none")
         if any(origin.lower() != f"http://{hosts[0]}" for origin in origins):
             yield 403, "Another page asked for this; it gets no answer."
-        if scope["method"] not in _READING and not origins:
+        if scope["method"] not in _READING_METHODS and not origins:
             yield 403, "The request does not say where it comes from."
         if path.startswith("/api/"):
             if not same_site:

@@ -22,7 +22,7 @@ from counterspin.calibration.options import Method
 from counterspin.errors import CounterspinError
 
 #: So many jobs that are over are remembered.
-_REMEMBERED: Final = 50
+_MAX_FINISHED_JOBS: Final = 50
 
 JobState = Literal["waiting", "running", "done", "failed", "stopped"]
 
@@ -101,7 +101,7 @@ class Jobs:
             self._number += 1
             self._jobs[job.number] = job
             over = [n for n, j in self._jobs.items() if j.state not in ("waiting", "running")]
-            for number in over[:-_REMEMBERED]:
+            for number in over[:-_MAX_FINISHED_JOBS]:
                 del self._jobs[number]
         threading.Thread(target=self._work, args=(job, words), daemon=True).start()
         return job

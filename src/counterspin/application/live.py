@@ -22,10 +22,10 @@ from counterspin.reports.html import part
 from counterspin.reports.typography import typeset_block
 
 #: Seconds after which a campaign that nobody looks at any more is followed no longer.
-PATIENCE: Final = 15.0
+UNSEEN_SECONDS: Final = 15.0
 
 #: Most campaigns that are followed at once.
-_MOST: Final = 4
+_MAX_FOLLOWED: Final = 4
 
 
 @dataclass
@@ -61,7 +61,7 @@ class LiveViews:
         with self._lock:
             view = self._views.get((campaign, goal))
             if view is None:
-                if len(self._views) >= _MOST:
+                if len(self._views) >= _MAX_FOLLOWED:
                     raise CounterspinError("too many campaigns are followed at once")
                 view = self._views[campaign, goal] = _begun(campaign, goal)
                 if len(self._views) == 1:
@@ -79,10 +79,10 @@ class LiveViews:
     def _forget(self) -> None:
         """End what nobody looks at, until nothing is followed."""
         while True:
-            time.sleep(PATIENCE / 5.0)
+            time.sleep(UNSEEN_SECONDS / 5.0)
             with self._lock:
                 for key, view in list(self._views.items()):
-                    if time.monotonic() - view.asked > PATIENCE:
+                    if time.monotonic() - view.asked > UNSEEN_SECONDS:
                         _ended(self._views.pop(key))
                 if not self._views:
                     return

@@ -32,10 +32,10 @@ from counterspin.reports.typography import typeset
 from counterspin.workers import one_blas_thread
 
 #: How far limits on time and rate can be moved, as factors of what the plan says.
-REACH: Final = (4.0, 2.0)
+LIMIT_FACTORS: Final = (4.0, 2.0)
 
-_KEPT: Final = 6
-_SEARCHES: Final = Remembered(_KEPT)
+_MAX_SEARCHES: Final = 6
+_SEARCHES: Final = Remembered(_MAX_SEARCHES)
 
 
 @frozen
@@ -61,8 +61,8 @@ class LimitKey:
 
 #: Key of [limits] -> how it is moved.
 PLAN_KEYS: Final[Mapping[str, LimitKey]] = {
-    "total_time": LimitKey("Time at the centrifuge", "s", 0.25, REACH[0]),
-    "highest_rate": LimitKey("Highest rate", "rad/s", 0.5, REACH[1]),
+    "total_time": LimitKey("Time at the centrifuge", "s", 0.25, LIMIT_FACTORS[0]),
+    "highest_rate": LimitKey("Highest rate", "rad/s", 0.5, LIMIT_FACTORS[1]),
     "settling": LimitKey("Settling of each run", "s", 0.0, 4.0),
     "runs": LimitKey("Runs at most", "", 0.25, 2.0, whole=True),
     "fewest_revolutions": LimitKey("Revolutions of a run at least", "", 0.5, 4.0),
@@ -138,7 +138,7 @@ def _search(desk: Desk, file: Path) -> Search:
         desk.require_inside(file.parent, document)
         if not is_plan(document):
             raise CampaignError(str(file), ["no plan of records: it has no [limits] and [goal]"])
-        return Search(read_plan(file), REACH)
+        return Search(read_plan(file), LIMIT_FACTORS)
 
     return _SEARCHES.get(file, [file], make)
 

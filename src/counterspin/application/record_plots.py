@@ -30,8 +30,8 @@ from counterspin.records.tables import read_scaled
 MOST_PARTS: Final = 4000
 
 #: Records that are kept; each may have a million rows.
-_KEPT: Final = 4
-_RECORDS: Final = Remembered(_KEPT)
+_MAX_RECORDS: Final = 4
+_RECORDS: Final = Remembered(_MAX_RECORDS)
 
 
 @frozen(eq=False)

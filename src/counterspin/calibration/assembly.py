@@ -36,16 +36,16 @@ from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.results import environment
 
 #: More outliers than this part of a run's samples are worth a warning.
-MANY_OUTLIERS: Final = 0.05
+OUTLIER_SHARE: Final = 0.05
 
 #: A record that lasts less than this part of what the campaign states is asked about.
 COMPLETE_PART: Final = 0.9
 
 #: A rate that differs by more than this part from the nominal one is another rate.
-OTHER_RATE: Final = 1e-3
+RATE_DIFFERENCE: Final = 1e-3
 
 #: Rates are off alike if their parts differ by less than this part of them.
-_ALIKE: Final = 0.1
+_OFFSET_SPREAD: Final = 0.1
 
 
 def calibration(
@@ -245,7 +245,7 @@ def _many_outliers(runs: Mapping[str, RunResult], accelerometers: int) -> list[F
     for name, run in runs.items():
         samples = run.counts["rows"] * accelerometers
         share = run.counts["outliers"] / samples
-        if share > MANY_OUTLIERS:
+        if share > OUTLIER_SHARE:
             text = (
                 f"{name}: {run.counts['outliers']} samples of {samples} were left out as outliers; "
                 "what remains is only as good as the reason for it. Look at the record."
@@ -266,14 +266,14 @@ def _other_rates(observed: Sequence[ObservedRun]) -> list[Finding]:
         name, rate = run.run.name, run.rotation.spindle.rate
         part = rate / run.run.rate - 1.0
         parts.append(part)
-        if abs(part) > OTHER_RATE:
+        if abs(part) > RATE_DIFFERENCE:
             text = (
                 f"{name}: the spindle turned at {rate:.6f} rad/s, not at the nominal "
                 f"{run.run.rate:.6f} rad/s; the recorded angle is what counts."
             )
             findings.append(Finding(code="other-rate", subject=name, text=text, size=abs(part)))
     least, most = min(parts, default=0.0), max(parts, default=0.0)
-    if len(findings) < 2 or len(findings) < len(parts) or most - least > _ALIKE * abs(most):
+    if len(findings) < 2 or len(findings) < len(parts) or most - least > _OFFSET_SPREAD * abs(most):
         return findings
     text = (
         f"The spindle turned {abs(most):.3%} {'faster' if most > 0.0 else 'slower'} than stated in "

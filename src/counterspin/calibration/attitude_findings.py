@@ -17,12 +17,10 @@ from counterspin.calibration.result_parts import AccelerometerResult, Coefficien
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR, PLATFORM_TERMS
+from counterspin.physics.shared_terms import ARCSEC, DEGREE_PER_HOUR, PLATFORM_TERMS
 
 #: Drift (deg/h) times time squared (s^2) at which first order in the attitude errs by 0.01 m.
 _FIRST_ORDER_LIMIT: Final = 0.2 * 400.0**2
-
-_ARCSEC: Final = math.radians(1.0) / 3600.0
 
 
 def shared_findings(coefficients: Mapping[Unknown, Coefficient], longest: float) -> list[Finding]:
@@ -127,7 +125,7 @@ def _large_tilt(
 ) -> Finding:
     assert coefficient.u
     ratio = shift / coefficient.u
-    tilt = float(np.linalg.norm(size)) / _ARCSEC
+    tilt = float(np.linalg.norm(size)) / ARCSEC
     text = (
         f"The tilt of {run} may reach {tilt:.3g} arcsec (value and 2 u): beyond first order it "
         f"moves {subject} by up to {shift:.2g} {coefficient.unit}, {ratio:.2g} of its u. The model "

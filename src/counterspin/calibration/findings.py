@@ -9,7 +9,7 @@ numbers of the result itself, ranks them and sets the states; pages only draw th
 - `hidden_noise`: the finding that most of u is noise that the records do not show
 - `lack_of_fit`: the finding that residuals are not noise; `equivalent_deviations`: its size
 - `supports`: what speaks for a result
-- `CONTRADICTS`, `TOO_LARGE`, `LARGEST_WALK`: the limits
+- `CONTRADICTION_SIGMAS`, `RESIDUAL_RATIO_LIMIT`, `LARGEST_WALK`: the limits
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from counterspin.inference.distributions import normal_quantile
 from counterspin.reports.numbers import format_number
 
 #: Beyond this many standard uncertainties (2e-9 by chance) no uncertainty explains a difference.
-CONTRADICTS: Final = 6.0
+CONTRADICTION_SIGMAS: Final = 6.0
 
 #: Residuals so many times as large as the noise: the uncertainty is not of these records.
-TOO_LARGE: Final = 2.0
+RESIDUAL_RATIO_LIMIT: Final = 2.0
 
 #: Share of u^2 from which noise that the records do not show is spoken of.
 _HIDDEN_SHARE: Final = 0.5
@@ -195,7 +195,7 @@ def from_numbers(
     # Where the residuals are far beyond the noise, uncertainties are too small by as much, and what
     # exceeds them for that reason alone is no finding of its own.
     excess = _times_noise(accelerometer.residual) or 1.0
-    excess = excess if excess > TOO_LARGE else 1.0
+    excess = excess if excess > RESIDUAL_RATIO_LIMIT else 1.0
     yield from _disagreeing_run(name, accelerometer.jackknife, excess, accelerometers)
     if (
         accelerometer.two_stage is not None
@@ -256,7 +256,7 @@ def lack_of_fit(name: str, sentences: Sequence[str], residual: Residual) -> Find
         subject=name,
         text=text,
         size=times if times is not None or p is None else equivalent_deviations(p),
-        contradicts=times is not None and times > TOO_LARGE,
+        contradicts=times is not None and times > RESIDUAL_RATIO_LIMIT,
     )
 
 
@@ -315,7 +315,7 @@ def _disagreeing_run(
         text=f"Without {worst.run} K_II moves by {worst.shift:.2g} g/g^2, {z:.1f} times "
         "what its uncertainty explains: this run disagrees with the others.",
         size=size,
-        contradicts=size > CONTRADICTS,
+        contradicts=size > CONTRADICTION_SIGMAS,
     )
 
 

@@ -25,6 +25,7 @@ from counterspin.inference.joint.estimation import NoiseRequest
 from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
+from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import Term
 from counterspin.physics.conditions import ConditionTerm
@@ -34,8 +35,6 @@ from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS, term
 
 #: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
 _ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
-
-_NOTHING: Final = (0.0, math.inf)
 
 
 def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Series, ...]:
@@ -89,7 +88,7 @@ def model_of(campaign: Campaign) -> Unknowns:
             prior = _pair(accelerometer.priors.get(symbol))
             if symbol in model.terms:
                 unknowns.append(Unknown(name, symbol, prior, model.limits[symbol]))
-            elif prior is not _NOTHING:
+            elif prior is not NO_PRIOR:
                 considered.append(Considered(name, symbol, prior, model.limits[symbol]))
     platform = [s for s in (*model.terms, *model.considered) if s not in OWN_TERMS]
     for symbol in platform:
@@ -102,7 +101,7 @@ def model_of(campaign: Campaign) -> Unknowns:
                 considered.append(Considered(owner, symbol, prior, model.limits[symbol]))
     if campaign.angle is None:
         unknowns += [
-            Unknown(run.name, symbol, _NOTHING, limit)
+            Unknown(run.name, symbol, NO_PRIOR, limit)
             for run in campaign.runs
             for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
         ]
@@ -176,7 +175,7 @@ def _acts(campaign: Campaign, row: Term | ConditionTerm) -> bool:
 
 
 def _pair(quantity: Quantity | None) -> tuple[float, float]:
-    return (quantity.value, quantity.u) if quantity else _NOTHING
+    return (quantity.value, quantity.u) if quantity else NO_PRIOR
 
 
 def _inputs(campaign: Campaign) -> dict[str, float]:

@@ -19,7 +19,7 @@ from counterspin.inference.joint.fit import JointFit, Residuals
 from counterspin.inference.joint.prepared import Prepared
 
 #: Degrees of freedom of a very short record, whose every row the fit may follow.
-_LEAST_FREEDOM: Final = 0.5
+_FEWEST_DOF: Final = 0.5
 
 
 @frozen
@@ -90,6 +90,6 @@ class AccelerometerView:
             rows[prepared.run] = whitened
             # Differences belong to the later of the rows they are made from.
             times[prepared.run] = prepared.series.time[-whitened.size :]
-            freedom[prepared.run] = max(self.fit.degrees_of_freedom[index], _LEAST_FREEDOM)
+            freedom[prepared.run] = max(self.fit.degrees_of_freedom[index], _FEWEST_DOF)
         noise_given = self.name not in self.estimate.components
         return diagnose(rows, freedom, noise_given=noise_given, times=times)

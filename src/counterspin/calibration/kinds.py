@@ -12,7 +12,11 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.findings import CONTRADICTS, TOO_LARGE, equivalent_deviations
+from counterspin.calibration.findings import (
+    CONTRADICTION_SIGMAS,
+    RESIDUAL_RATIO_LIMIT,
+    equivalent_deviations,
+)
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.readings import SQUARES, AccelerometerReadings, residual_of
@@ -212,7 +216,7 @@ def _disagreement(
             subject=f"{view.name}.{moved}" if moved else view.name,
             text=f"{text}. Look for what one kind of test has and the model lacks.",
             size=size,
-            contradicts=size > CONTRADICTS,
+            contradicts=size > CONTRADICTION_SIGMAS,
         )
     ]
 
@@ -227,4 +231,4 @@ def _excess(view: AccelerometerView, readings: Sequence[AccelerometerReadings]) 
     if view.has_records and view.diagnostics.noise_given:
         ratios.append(math.sqrt(view.diagnostics.chi2 / view.diagnostics.dof))
     worst = float(np.max(ratios))
-    return worst if worst > TOO_LARGE else 1.0
+    return worst if worst > RESIDUAL_RATIO_LIMIT else 1.0

@@ -32,10 +32,10 @@ from counterspin.records.reading import read_record
 from counterspin.records.record import Record, RecordColumns, StatedMotion
 
 #: Horizontal part of an input axis from which its signal is held to the motion's wave.
-_HORIZONTAL: Final = 0.05
+_HORIZONTAL_PART: Final = 0.05
 
 #: rad, over which a change with the latitude is taken.
-_STEP: Final = 1e-5
+_LATITUDE_STEP: Final = 1e-5
 
 
 @frozen
@@ -160,7 +160,7 @@ def _swing(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> Swing 
     it forward by a right angle.
     """
     east, north, _ = accelerometer.mounting.turned(run.attitude).input_axis
-    if math.hypot(east, north) < _HORIZONTAL:
+    if math.hypot(east, north) < _HORIZONTAL_PART:
         return None
     derivatives = 2 - observation.ORDERS[accelerometer.observable]
     wave = campaign.radius.value * complex(east, north) * (-1j * run.rate) ** derivatives
@@ -229,9 +229,9 @@ def _of_platform_velocity(
         left = observation.gravity_left(campaign.site, axis, time, accelerometer.observable)
         errors.append(AxisError(axis, accelerometer.observable, time, signal.error + left))
     site = campaign.site
-    north = replace(site, latitude=site.latitude + _STEP)
+    north = replace(site, latitude=site.latitude + _LATITUDE_STEP)
     back, there = taken(site, errors), taken(north, errors)
     return {
-        name: Signal(signal.accelerometer, signal.error + part, (moved - part) / _STEP)
+        name: Signal(signal.accelerometer, signal.error + part, (moved - part) / _LATITUDE_STEP)
         for (name, signal), part, moved in zip(signals.items(), back, there, strict=True)
     }

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from counterspin.calibration.findings import CONTRADICTS, lack_of_fit
+from counterspin.calibration.findings import CONTRADICTION_SIGMAS, lack_of_fit
 from counterspin.calibration.result_parts import (
     Coefficient,
     Finding,
@@ -47,8 +47,8 @@ SQUARES: Final = ("K_PP", "K_OO")
 
 #: As many positions that are off may each be a mistake; more, and more than this share of all, are
 #: the model's.
-_FEW: Final = 3
-_SHARE: Final = 0.25
+_MAX_LONE_POSITIONS: Final = 3
+_MAX_LONE_SHARE: Final = 0.25
 
 #: Words for the motions.
 _WORDS: Final = {
@@ -435,7 +435,7 @@ def outlying_readings(name: str, parts: Sequence[AccelerometerReadings]) -> list
     findings = []
     for part in parts:
         found = part.outlying()
-        if len(found) <= max(_FEW, _SHARE * part.readings.size):
+        if len(found) <= max(_MAX_LONE_POSITIONS, _MAX_LONE_SHARE * part.readings.size):
             findings += [_outlying(part, name, *one) for one in found]
             continue
         worst = max(found, key=lambda one: abs(one[2]))
@@ -457,7 +457,7 @@ def _outlying(
         text=f'The position "{reading}" reads {residual * 1e6:+.3g} ug off the model, '
         f"{abs(z):.1f} of its standard deviations: look at it, or at what the model lacks.",
         size=abs(z),
-        contradicts=abs(z) > CONTRADICTS and math.isinf(part.dof),
+        contradicts=abs(z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
     )
 
 

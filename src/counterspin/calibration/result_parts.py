@@ -32,10 +32,10 @@ from counterspin.results import ResultPart
 State = Literal["good", "reservations", "contradicted"]
 
 #: From so many degrees of freedom on, Student's factor is the normal one to nine digits.
-_AS_GOOD_AS_INFINITE: Final = 1e9
+_INFINITE_DOF: Final = 1e9
 
 #: Above this correlation two terms are called inseparable.
-_INSEPARABLE: Final = 0.999
+_INSEPARABLE_CORRELATION: Final = 0.999
 
 
 class Coefficient(ResultPart):
@@ -136,7 +136,7 @@ def countable(dof: float) -> float | None:
 
     Satterthwaite's formula gives numbers such as 9e16 where next to nothing of u was estimated.
     """
-    return dof if dof < _AS_GOOD_AS_INFINITE else None
+    return dof if dof < _INFINITE_DOF else None
 
 
 class Correlation(ResultPart, Labelled):
@@ -179,7 +179,7 @@ class ConfoundedTerms(ResultPart):
     @property
     def inseparable(self) -> bool:
         """Whether the records cannot tell the terms apart at all; else they hardly can."""
-        return abs(self.correlation) > _INSEPARABLE
+        return abs(self.correlation) > _INSEPARABLE_CORRELATION
 
 
 class Residual(ResultPart):

@@ -14,7 +14,11 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.diagnosis.words import conflict
-from counterspin.calibration.findings import CONTRADICTS, equivalent_deviations, hidden_noise
+from counterspin.calibration.findings import (
+    CONTRADICTION_SIGMAS,
+    equivalent_deviations,
+    hidden_noise,
+)
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.joint_problem import exact_terms, left_out_of
 from counterspin.calibration.result_parts import (
@@ -211,7 +215,7 @@ def _wrong_priors(name: str, second: SecondStage) -> Iterator[Finding]:
             unit_of(worst.symbol),
         ),
         size=size,
-        contradicts=size > CONTRADICTS,
+        contradicts=size > CONTRADICTION_SIGMAS,
     )
 
 
@@ -237,6 +241,6 @@ def _misfit(name: str, runs: Sequence[StrobedRun], second: SecondStage) -> list[
             subject=name,
             text=text,
             size=size,
-            contradicts=size > CONTRADICTS,
+            contradicts=size > CONTRADICTION_SIGMAS,
         )
     ]

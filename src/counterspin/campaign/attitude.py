@@ -21,7 +21,7 @@ from counterspin.physics.accelerometer import DIRECTIONS, direction
 #: What an attitude may look like, for messages.
 _FORMS = '"level", "90 deg about east" or { x = "east", y = "up" }'
 
-_TURN = re.compile(r"(.+?)\s+about\s+(\w+)")
+TURN_WORDS = re.compile(r"(.+?)\s+about\s+(\w+)")
 
 
 def read_direction(value: object) -> tuple[float, float, float]:
@@ -73,7 +73,7 @@ def attitude_rows(value: object) -> Array:
     if value == "level":
         return np.eye(3)
     if isinstance(value, str):
-        match = _TURN.fullmatch(value.strip())
+        match = TURN_WORDS.fullmatch(value.strip())
         if match is None:
             raise ValueError(f"is not an attitude; write {_FORMS}")
         turn = parse(match[1], "rad")

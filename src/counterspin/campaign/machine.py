@@ -9,7 +9,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
 from typing import Any, Final
@@ -20,6 +19,7 @@ from counterspin.campaign.readings import Reading
 from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.frozen import frozen
+from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.machine import MACHINE_TERMS, machine_term
 from counterspin.physics.shared_terms import SHARED_TERMS
@@ -28,7 +28,7 @@ from counterspin.physics.shared_terms import SHARED_TERMS
 _FAMILIES: Final = ("centrifuge.", "fixture.", "head.")
 
 #: A radius that is given below this part of the machine's is a deviation from it.
-_DEVIATION: Final = 0.5
+_DEVIATION_PART: Final = 0.5
 
 #: Axes about which a fixture may be turned, by motion: the names of the frame.
 _AXES: Final = {
@@ -38,8 +38,8 @@ _AXES: Final = {
 }
 
 #: What is estimated of readings where [model] names no terms: at rest, and on a machine.
-_AT_REST: Final = ["K_F", "K_I"]
-_TURNING: Final = [*_AT_REST, "K_II"]
+_TERMS_AT_REST: Final = ["K_F", "K_I"]
+_TERMS_ON_A_MACHINE: Final = [*_TERMS_AT_REST, "K_II"]
 
 
 @frozen
@@ -61,7 +61,7 @@ class MachineModel:
     def prior(self, symbol: str) -> tuple[float, float]:
         """Return value and standard uncertainty; infinite where nothing is known."""
         known = self.priors.get(symbol)
-        return (known.value, known.u) if known else (0.0, math.inf)
+        return (known.value, known.u) if known else NO_PRIOR
 
 
 def resolve_machine(
@@ -131,7 +131,7 @@ def _own_terms(
     motions = {reading.motion for reading in readings}
     if "counter-rotating" in motions or recorded:
         return None
-    terms = _AT_REST if motions == {"static"} else _TURNING
+    terms = _TERMS_AT_REST if motions == {"static"} else _TERMS_ON_A_MACHINE
     return [*terms, *_misalignments(readings, len(terms))]
 
 
@@ -205,7 +205,7 @@ def less_nominal(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | 
     if not symbol.startswith("centrifuge.radius.") or centrifuge is None:
         return prior
     radius = centrifuge.radius.value
-    value = prior.value - radius if prior.value > _DEVIATION * radius else prior.value
+    value = prior.value - radius if prior.value > _DEVIATION_PART * radius else prior.value
     return Quantity(value, prior.u, prior.unit)
 
 

@@ -18,7 +18,7 @@ from counterspin.frozen import frozen
 from counterspin.units import advice, unit_factor
 
 #: No quantity takes more characters.
-_LONGEST: Final = 500
+_MAX_CHARACTERS: Final = 500
 
 #: Sizes of measured quantities, in SI and g-units; squares of sizes outside could overflow.
 _SIZE_RANGE: Final = (1e-60, 1e60)
@@ -92,8 +92,10 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
         if not math.isfinite(text):  # type: ignore[arg-type]
             raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
         raise ValueError(f'a number without its unit; write "{example}" ({kind}: {accepted})')
-    if len(text) > _LONGEST:
-        raise ValueError(f"a quantity has at most {_LONGEST} characters; this has {len(text)}")
+    if len(text) > _MAX_CHARACTERS:
+        raise ValueError(
+            f"a quantity has at most {_MAX_CHARACTERS} characters; this has {len(text)}"
+        )
     clean = text.strip().replace("−", "-")
     if _NOT_FINITE.search(clean):
         raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")

@@ -19,13 +19,13 @@ from counterspin.physics.gravity import HEIGHTS, gravity_range
 from counterspin.physics.own_velocity import NAVIGATED, AxisError, coriolis, unseen
 
 #: Standard gravity, which a computer may take away at any place, m/s^2.
-_STANDARD: Final = (9.80665, 9.8066, 9.8)
+_STANDARD_GRAVITIES: Final = (9.80665, 9.8066, 9.8)
 
 #: Vertical part of an input axis from which gravity that is left shows.
-_UPRIGHT: Final = 0.05
+_VERTICAL_PART: Final = 0.05
 
 #: Part of an unrecorded velocity from which its Coriolis acceleration shows, 1/s.
-_COUPLED: Final = 1e-7
+_CORIOLIS_PART: Final = 1e-7
 
 
 @frozen
@@ -64,7 +64,7 @@ def _gravity(campaign: Campaign) -> Iterator[Question]:
     degrees = math.degrees(campaign.site.latitude)
     removed = campaign.site.removed_gravity
     stated = [("site", "Gravity", campaign.site.gravity, "Is one of the two of another place?")]
-    if removed is not None and removed not in _STANDARD:
+    if removed is not None and removed not in _STANDARD_GRAVITIES:
         words = "Does the computer really take this away?"
         stated.append(("site.removed_gravity", "The removed gravity", removed, words))
     for subject, what, gravity, question in stated:
@@ -87,7 +87,7 @@ def _removed_gravity(campaign: Campaign) -> Iterator[Question]:
         upright = [
             run.name
             for run in campaign.runs
-            if abs(accelerometer.mounting.turned(run.attitude).input_axis[2]) > _UPRIGHT
+            if abs(accelerometer.mounting.turned(run.attitude).input_axis[2]) > _VERTICAL_PART
         ]
         if not upright or accelerometer.observable == "specific_force":
             continue
@@ -127,7 +127,7 @@ def _own_velocity(campaign: Campaign) -> Iterator[Question]:
             "Coriolis acceleration is removed. Leave it out, or record displacement or velocity.",
         )
     for name, coupled in lacking.items():
-        if coupled > _COUPLED:
+        if coupled > _CORIOLIS_PART:
             # The parabola that fits best to a t^3 over T has 3/2 T of it.
             moved = 1e-3 * coupled * 100.0 / 2.0
             yield Question(

@@ -25,8 +25,6 @@ from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.station import Station, mean_products
 
-_SYMBOLS: Final = tuple(TERMS)
-
 #: The dividing head's angle, whose error differs from position to position.
 _HEAD: Final = "head.zero"
 
@@ -56,7 +54,7 @@ def indications(
     for index, error in enumerate(head_error.tolist()):
         own = {**machine, _HEAD: machine.get(_HEAD, 0.0) + error}
         stations.append(group.station(index, own))
-    products = mean_products(stations, group.site, _SYMBOLS)
+    products = mean_products(stations, group.site)
     found: Array = np.sum(products * _effective(group, coefficients), axis=1)
     return found
 
@@ -66,7 +64,7 @@ def _effective(group: Readings, coefficients: Mapping[str, float]) -> Array:
     nominal = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
     effective = np.tile(nominal, (group.size, 1))
     for symbol in CONDITION_TERMS.keys() & coefficients.keys():
-        place = _SYMBOLS.index(CONDITION_TERMS[symbol].coefficient)
+        place = list(TERMS).index(CONDITION_TERMS[symbol].coefficient)
         effective[:, place] += coefficients[symbol] * group.lever(symbol)
     return effective
 

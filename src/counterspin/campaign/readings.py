@@ -16,13 +16,13 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final
 
 import numpy as np
 from pydantic import Field
 
 from counterspin.arrays import Array
-from counterspin.campaign.attitude import attitude_rows, read_direction
+from counterspin.campaign.attitude import TURN_WORDS, attitude_rows, read_direction
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.quantity import parse
@@ -44,10 +44,8 @@ BLANK: Final = "?"
 _ZERO_CELSIUS: Final = 273.15
 
 _TEMPERATURE = re.compile(r"\s*([+-]?\d+\.?\d*(?:[eE][+-]?\d+)?)\s*(degC|°C|K)\s*")
-_TURN = re.compile(r"(.+?)\s+about\s+(\w+)")
 
 #: The motions, as they are written.
-MotionWord = Literal["counter-rotating", "arm", "static"]
 
 
 #: A reading, or repeats of one at the same setting.
@@ -66,7 +64,7 @@ class ReadingRunSettings(SettingsSection):
 
     name: Text
     skip: bool = False
-    motion: MotionWord = "counter-rotating"
+    motion: MotionKind = "counter-rotating"
     reading: Written | dict[str, Written] | None = None
     record: Text | None = None
     rate: Annotated[float, read_exactly("rad/s")] = 0.0
@@ -303,7 +301,7 @@ def _value(texts: Sequence[str], output: Output | None, gravity: float) -> _Valu
 
 def _attitude(value: Any) -> tuple[Array, tuple[float, float, float], float]:
     """Return an attitude, the axis of the head that made it, and the angle's uncertainty."""
-    match = _TURN.fullmatch(value.strip()) if isinstance(value, str) else None
+    match = TURN_WORDS.fullmatch(value.strip()) if isinstance(value, str) else None
     if match is None:
         return attitude_rows(value), (0.0, 0.0, 0.0), 0.0
     turn = parse(match[1], "rad")

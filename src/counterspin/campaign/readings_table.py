@@ -18,10 +18,11 @@ from pydantic import Field
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
-from counterspin.campaign.readings import BLANK, MotionWord, Output, ReadingAxes
+from counterspin.campaign.readings import BLANK, Output, ReadingAxes
 from counterspin.campaign.settings import SettingsSection, Text, exact
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
+from counterspin.physics.station import MotionKind
 from counterspin.units import unit_factor
 
 #: A column's name, or those of the repeats of one reading.
@@ -30,7 +31,7 @@ _Repeats = str | list[str]
 #: A table has at most so many rows.
 _MOST_ROWS: Final = 10_000
 #: No cell has more characters.
-_LONGEST: Final = 1000
+_MAX_CHARACTERS: Final = 1000
 
 #: Columns that a table may have, beside those of the readings themselves.
 _COLUMNS: Final = (
@@ -58,7 +59,7 @@ class ReadingsSettings(SettingsSection):
     sheet: Text | None = None
     decimal: Literal[".", ","] = "."
     columns: dict[str, _Repeats | dict[str, _Repeats]] = Field(min_length=1)
-    motion: MotionWord = "static"
+    motion: MotionKind = "static"
     about: Text = "north"
     attitude_unit: Text = "deg"
     u_attitude: Text | None = None
@@ -143,8 +144,8 @@ def runs_of(
         place = f"row {index + 1}" if places is None else places[index]
         path: KeyPath = ("readings", f"{settings.file} {place}")
         before = len(problems.lines)
-        if any(isinstance(cell, str) and len(cell) > _LONGEST for cell in row.values()):
-            problems.add(path, f"a cell has more than {_LONGEST} characters")
+        if any(isinstance(cell, str) and len(cell) > _MAX_CHARACTERS for cell in row.values()):
+            problems.add(path, f"a cell has more than {_MAX_CHARACTERS} characters")
             continue
         run = table.run(row, index, path)
         if len(problems.lines) == before:

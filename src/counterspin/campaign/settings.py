@@ -41,7 +41,7 @@ from counterspin.units import unit_factor
 STAMPS: Final = "iso"
 
 #: Directions that the zero of an encoder may have, rad from east towards north.
-_COMPASS: Final = {
+COMPASS: Final = {
     name: quarter * math.pi / 2.0 for quarter, name in enumerate(("east", "north", "west", "south"))
 }
 
@@ -276,12 +276,12 @@ def _is_unit(unit: str, wanted: str) -> bool:
 
 def _zero(value: object) -> float:
     """Return the direction of an encoder's zero, rad from east towards north."""
-    if isinstance(value, str) and value in _COMPASS:
-        return _COMPASS[value]
+    if isinstance(value, str) and value in COMPASS:
+        return COMPASS[value]
     try:
         return exact(value, "rad")
     except ValueError as error:
-        raise ValueError(f"{error}; or one of {', '.join(_COMPASS)}") from None
+        raise ValueError(f"{error}; or one of {', '.join(COMPASS)}") from None
 
 
 def _encoding(name: str) -> str:

@@ -26,7 +26,7 @@ CAMPAIGN_ADVICE: Final = "`counterspin init DIR` makes a campaign to start from"
 #: No TOML file has more bytes.
 _TEXT_BYTES: Final = 20_000_000
 #: Nor is any text in it longer.
-_LONGEST: Final = 10_000
+_MAX_CHARACTERS: Final = 10_000
 
 DESCRIPTION_NAME: Final = "campaign.toml"  #: the description's file in a campaign folder
 
@@ -116,5 +116,5 @@ def unusable(value: Any, path: str) -> Iterator[str]:
         yield f"{path}: an integer has at most 64 bits"
     if isinstance(value, str) and "\0" in value:
         yield f"{path}: contains the character NUL"
-    if isinstance(value, str) and len(value) > _LONGEST:
-        yield f"{path}: a text has at most {_LONGEST} characters"
+    if isinstance(value, str) and len(value) > _MAX_CHARACTERS:
+        yield f"{path}: a text has at most {_MAX_CHARACTERS} characters"

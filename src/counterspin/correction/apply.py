@@ -36,7 +36,7 @@ _AXES: Final = {"P": ("pendulous", "pendulous"), "O": ("output", "output_axis")}
 
 #: How far beyond the calibration's largest specific force an indication may go unremarked; bias
 #: and scale factor alone bring it there.
-_BEYOND: Final = 1.05
+_RANGE_FACTOR: Final = 1.05
 
 #: Relative growth of a variance by which a covariance may miss being one: rounding.
 _ROUNDING: Final = 1e-6
@@ -359,7 +359,7 @@ def _stretched(result: Result, name: str, indicated: Array) -> list[str]:
     seen = max(1.0, result.inputs.radius * fastest**2 / result.inputs.gravity)
     present = np.abs(indicated[np.isfinite(indicated)])
     largest = float(present.max()) if present.size else 0.0
-    if largest <= _BEYOND * seen:
+    if largest <= _RANGE_FACTOR * seen:
         return []
     return [
         f"{name}: the indication reaches {largest:.3g} g, and the calibration reached {seen:.3g} "

@@ -19,6 +19,7 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.memory.making import record_name
 from counterspin.campaign.quantity import parse
+from counterspin.campaign.settings import COMPASS
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CampaignError, CounterspinError
@@ -29,15 +30,12 @@ from counterspin.output import make_folder, write_text
 from counterspin.units import unit_factor
 
 #: Directions of horizontal axes, rad from east towards north.
-_COMPASS: Final = {
-    name: quarter * math.pi / 2.0 for quarter, name in enumerate(("east", "north", "west", "south"))
-}
 #: Axis -> usual name of an accelerometer.
 _NAMES: Final = {"east": "Qx", "west": "Qx", "north": "Qy", "south": "Qy", "up": "Qz", "down": "Qz"}
 #: An encoder's zero is a compass direction if it points there within, rad.
-_POINTS: Final = math.radians(0.5)
+_POINTING_ANGLE: Final = math.radians(0.5)
 #: A rate is a round number if it is one within this part.
-_ROUND: Final = 2e-4
+_ROUND_RATE_PART: Final = 2e-4
 _SENSES: Final = ("counterclockwise", "clockwise")
 
 
@@ -346,14 +344,14 @@ def _zero(common: FileGuess, answers: Mapping[str, str], sense: str) -> str | No
     forward = turned if common.rising else -turned
     for signal in common.signals:
         axis = signal.axis or answers.get(f"{signal.column} axis")
-        if signal.phase is None or axis not in _COMPASS:
+        if signal.phase is None or axis not in COMPASS:
             continue
         what = signal.observable or answers.get(f"{signal.column} is", "displacement")
         derivatives = ("displacement", "velocity", "specific_force").index(what)
         ahead = signal.phase - turned * forward * derivatives * math.pi / 2.0
-        zero = turned * ahead + _COMPASS[axis]
-        for name, direction in _COMPASS.items():
-            if abs(math.remainder(zero - direction, 2.0 * math.pi)) < _POINTS:
+        zero = turned * ahead + COMPASS[axis]
+        for name, direction in COMPASS.items():
+            if abs(math.remainder(zero - direction, 2.0 * math.pi)) < _POINTING_ANGLE:
                 return name
         return f"{math.degrees(math.remainder(zero, 2.0 * math.pi)):.4f} deg"
     return None
@@ -390,6 +388,6 @@ def _rate(guess: FileGuess, answers: Mapping[str, str], sense: str) -> str:
     for unit, factor in (("rev/s", 2.0 * math.pi), ("deg/s", math.pi / 180.0), ("rad/s", 1.0)):
         value = size / factor
         near = float(np.format_float_positional(value, precision=3, fractional=False))
-        if abs(near / value - 1.0) < _ROUND:
+        if abs(near / value - 1.0) < _ROUND_RATE_PART:
             return f"{sign * near:g} {unit}"
     return f"{sign * size:.8g} rad/s"

@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
 from counterspin.exports.looking import FileColumn, Look
 from counterspin.exports.waves import frequency, wave
@@ -35,12 +36,10 @@ _AXES: Final = {
 }
 #: Units of one revolution -> the unit's name.
 _TURNS: Final = {2.0 * np.pi: "rad", 360.0: "deg", 1.0: "rev"}
-#: What a signal may be -> its SI unit.
-_OBSERVABLES: Final = {"displacement": "m", "velocity": "m/s", "specific_force": "m/s^2"}
 #: Relative size within which a revolution's numbers are those of a unit.
-_NEAR: Final = 0.02
+_UNIT_TOLERANCE: Final = 0.02
 #: Steps of time are even within this part of the usual one, nearly all.
-_EVEN: Final = 0.5
+_EVEN_STEP_PART: Final = 0.5
 _GRAVITY: Final = 9.80665
 
 
@@ -198,7 +197,7 @@ def _grown(signal: SignalGuess, guesses: Sequence[FileGuess]) -> SignalGuess:
     if signal.observable is not None or len(sizes) < 2 or np.ptp(rates) < 0.2:
         return signal
     power = round(float(np.polyfit(rates, np.log([size for _, size in sizes]), 1)[0]))
-    names = list(_OBSERVABLES)
+    names = list(OBSERVABLES)
     return replace(signal, observable=names[power]) if 0 <= power < len(names) else signal
 
 
@@ -221,7 +220,7 @@ def _is_even(values: Array) -> bool:
     if len(steps) < 8 or not (steps >= 0).all():
         return False
     usual = float(np.median(steps))
-    return bool(usual > 0.0 and np.mean(np.abs(steps - usual) < _EVEN * usual) > 0.9)
+    return bool(usual > 0.0 and np.mean(np.abs(steps - usual) < _EVEN_STEP_PART * usual) > 0.9)
 
 
 def _angle_column(columns: Sequence[FileColumn], time: Array) -> FileColumn | None:
@@ -266,19 +265,19 @@ def _angle(
     if turning is not None:
         good = np.isfinite(unwrapped) & np.isfinite(time)
         slope = abs(float(np.polyfit(time[good], unwrapped[good], 1)[0]))
-        if period is None or abs(slope / turning / period - 1.0) > _NEAR:
+        if period is None or abs(slope / turning / period - 1.0) > _UNIT_TOLERANCE:
             period = slope / turning
     unit = _unit_of(column, "rad")
     known = _is(column.unit, "rad")
     if unit is not None:
         factor = unit_factor(unit, "rad")
         # A name may say what the numbers do not.
-        if known or period is None or abs(period * factor / (2.0 * np.pi) - 1.0) < _NEAR:
+        if known or period is None or abs(period * factor / (2.0 * np.pi) - 1.0) < _UNIT_TOLERANCE:
             return AngleGuess(column.name, unit, known=known), unwrapped * factor
     if period is None:
         return AngleGuess(column.name, None), None
     for turn, name in _TURNS.items():
-        if abs(period / turn - 1.0) < _NEAR and not _is(column.unit, "count"):
+        if abs(period / turn - 1.0) < _UNIT_TOLERANCE and not _is(column.unit, "count"):
             return AngleGuess(column.name, name), unwrapped * 2.0 * np.pi / turn
     counts = _whole_counts(period)
     guess = AngleGuess(column.name, "count", counts)
@@ -303,7 +302,7 @@ def _pulses(
         if 3 <= len(values) < len(time) / 4 and (np.diff(values) > 0.0).all():
             unit = _unit_of(column, "s")
             interval = float(np.median(np.diff(values))) * (unit_factor(unit, "s") if unit else 1.0)
-            if abs(interval * turning - 1.0) < _NEAR:
+            if abs(interval * turning - 1.0) < _UNIT_TOLERANCE:
                 turns = np.arange(len(values)) * 2.0 * np.pi
                 factor = unit_factor(unit, "s") if unit else 1.0
                 theta = np.interp(time, values * factor, turns, left=np.nan, right=np.nan)
@@ -317,7 +316,7 @@ def _signal(
 ) -> SignalGuess:
     """Return what a signal is, by its unit, and its wave."""
     observable, unit = None, None
-    for name, si in _OBSERVABLES.items():
+    for name, si in OBSERVABLES.items():
         unit = _unit_of(column, si)
         if unit is not None:
             observable = name

@@ -21,8 +21,8 @@ from counterspin.records.isolation import isolated
 from counterspin.records.reading import LARGEST_VALUE
 
 #: Rows that are looked at, at most, and columns.
-_ROWS: Final = 2_000_000
-_COLUMNS: Final = 200
+_MAX_ROWS: Final = 2_000_000
+_MAX_COLUMNS: Final = 200
 
 
 @frozen(eq=False)
@@ -89,7 +89,7 @@ def look(path: Path, dialect: Dialect = TO_BE_FOUND) -> Look:
 
 def _look(path: Path, dialect: Dialect) -> Look:
     with open_columns(path, dialect) as file:
-        names = [name for name in dict.fromkeys(file.names) if name][:_COLUMNS]
+        names = [name for name in dict.fromkeys(file.names) if name][:_MAX_COLUMNS]
         columns, others = [], []
         for name in names:
             column = _column(file, name)
@@ -109,7 +109,7 @@ def _column(file: ColumnFile, name: str) -> FileColumn | None:
         file.first_stamp = None
         try:
             file.require([name])
-            values = file.whole([name])[name][:_ROWS]
+            values = file.whole([name])[name][:_MAX_ROWS]
         except RecordError:
             continue
         numbers = np.array(values, dtype=float)

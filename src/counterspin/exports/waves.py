@@ -13,10 +13,10 @@ import numpy as np
 from counterspin.arrays import Array
 
 #: Samples that are looked at.
-_MOST: Final = 1 << 16
+_MAX_SAMPLES: Final = 1 << 16
 #: Fewest swings that tell a frequency, and how much of the square a wave must have.
 _FEWEST_SWINGS: Final = 2.0
-_SHARE: Final = 0.5
+_WAVE_SHARE: Final = 0.5
 
 
 def frequency(time: Array, values: Array) -> float | None:
@@ -28,7 +28,7 @@ def frequency(time: Array, values: Array) -> float | None:
         Shape (n,), NaN where there is none; time rises, in s.
     """
     good = np.isfinite(time) & np.isfinite(values)
-    t, y = time[good][:_MOST], values[good][:_MOST]
+    t, y = time[good][:_MAX_SAMPLES], values[good][:_MAX_SAMPLES]
     if t.size < 16 or t[-1] <= t[0]:
         return None
     even = np.linspace(t[0], t[-1], t.size)
@@ -48,7 +48,7 @@ def frequency(time: Array, values: Array) -> float | None:
         shift = 0.5 * (low - after) / bend if bend < 0.0 else 0.0
         at *= (place + shift) / place
     amplitude, _ = wave(2.0 * np.pi * at * even, y)
-    return float(at) if amplitude**2 / 2.0 * y.size > _SHARE * total else None
+    return float(at) if amplitude**2 / 2.0 * y.size > _WAVE_SHARE * total else None
 
 
 def wave(angle: Array, values: Array) -> tuple[float, float]:

@@ -18,11 +18,11 @@ _D2: Final = 2.0 / math.sqrt(math.pi)
 _D3: Final = math.sqrt(2.0 - 4.0 / math.pi)
 
 #: Action and warning limits, in standard deviations.
-ACTION: Final = 3.0
-WARNING: Final = 2.0
+ACTION_SIGMAS: Final = 3.0
+WARNING_SIGMAS: Final = 2.0
 
 #: Fewer results have no limits that could tell anything.
-FEWEST: Final = 3
+FEWEST_RESULTS: Final = 3
 
 
 @frozen
@@ -50,7 +50,7 @@ class Individuals:
     beyond: tuple[int, ...]
     leaps: tuple[int, ...]
 
-    def limits(self, width: float = ACTION) -> tuple[float, float]:
+    def limits(self, width: float = ACTION_SIGMAS) -> tuple[float, float]:
         """Return the lower and the upper limit at so many standard deviations."""
         return self.centre - width * self.sigma, self.centre + width * self.sigma
 
@@ -66,20 +66,20 @@ def individuals(values: npt.ArrayLike) -> Individuals | None:
     Returns
     -------
     Individuals or None
-        None for fewer than `FEWEST` results.
+        None for fewer than `FEWEST_RESULTS` results.
     """
     measured = np.asarray(values, dtype=np.float64)
-    if measured.size < FEWEST:
+    if measured.size < FEWEST_RESULTS:
         return None
     ranges = np.abs(np.diff(measured))
     mean_range = float(ranges.mean())
     centre, sigma = float(measured.mean()), mean_range / _D2
-    limit = mean_range + ACTION * _D3 * sigma
+    limit = mean_range + ACTION_SIGMAS * _D3 * sigma
     return Individuals(
         centre=centre,
         sigma=sigma,
         mean_range=mean_range,
         range_limit=limit,
-        beyond=tuple(map(int, np.nonzero(np.abs(measured - centre) > ACTION * sigma)[0])),
+        beyond=tuple(map(int, np.nonzero(np.abs(measured - centre) > ACTION_SIGMAS * sigma)[0])),
         leaps=tuple(int(place) + 1 for place in np.nonzero(ranges > limit)[0]),
     )

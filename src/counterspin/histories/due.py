@@ -13,9 +13,9 @@ from counterspin.histories.consistency import Drift
 from counterspin.inference.distributions import normal_cdf
 
 #: No interval is longer, whatever the line says; years.
-LONGEST: Final = 10.0
+LONGEST_YEARS: Final = 10.0
 
-_YEAR: Final = timedelta(days=365.25)
+YEAR: Final = timedelta(days=365.25)
 
 
 def probability_inside(line: Drift, time: float, low: float | None, high: float | None) -> float:
@@ -65,16 +65,16 @@ def next_due(
     -------
     datetime or None
         `last` itself where the probability is too small already; None if it is large enough for
-        `LONGEST` years.
+        `LONGEST_YEARS` years.
     """
-    begin = (last - start) / _YEAR
+    begin = (last - start) / YEAR
     if probability_inside(line, begin, *limits) < reliability:
         return last
     # The probability may first grow, when the line leads back: the first time that it fails counts.
-    steps = int(LONGEST * 52)
+    steps = int(LONGEST_YEARS * 52)
     inside = begin
     for step in range(1, steps + 1):
-        outside = begin + LONGEST * step / steps
+        outside = begin + LONGEST_YEARS * step / steps
         if probability_inside(line, outside, *limits) < reliability:
             break
         inside = outside
@@ -86,4 +86,4 @@ def next_due(
             outside = middle
         else:
             inside = middle
-    return start + inside * _YEAR
+    return start + inside * YEAR

@@ -8,10 +8,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from itertools import combinations
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -20,8 +19,8 @@ from counterspin.calibration.result import Result
 from counterspin.campaign.checking import did_you_mean
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.histories.consistency import Agreement, Drift, Mean, drift, en_score, weighted_mean
-from counterspin.histories.control import WARNING, individuals
-from counterspin.histories.due import LONGEST, next_due
+from counterspin.histories.control import WARNING_SIGMAS, individuals
+from counterspin.histories.due import LONGEST_YEARS, YEAR, next_due
 from counterspin.histories.files import Collected, DatedResult, collect
 from counterspin.histories.result import (
     ControlLimits,
@@ -40,8 +39,6 @@ from counterspin.histories.shared import in_common
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import SHARED_TERMS
-
-_YEAR: Final = timedelta(days=365.25)
 
 
 def history(
@@ -199,7 +196,7 @@ def _instrument(records: Sequence[DatedResult], reliability: float) -> Instrumen
     covariance = None if common is None else common.covariance
     mean = weighted_mean(values, u, covariance)
     start = records[0].date
-    line = drift([(record.date - start) / _YEAR for record in records], values, u, covariance)
+    line = drift([(record.date - start) / YEAR for record in records], values, u, covariance)
     verdict = _verdict(mean, line)
     return InstrumentHistory(
         serial_number=records[0].serial_number,
@@ -224,7 +221,7 @@ def _control(records: Sequence[DatedResult]) -> ControlLimits | None:
     chart = individuals([record.value for record in records])
     if chart is None:
         return None
-    (action_low, action_high), (low, high) = chart.limits(), chart.limits(WARNING)
+    (action_low, action_high), (low, high) = chart.limits(), chart.limits(WARNING_SIGMAS)
     return ControlLimits(
         centre=chart.centre,
         warning_low=low,
@@ -262,7 +259,7 @@ def _due(
         date = next_due(line, records[0].date, records[-1].date, ends, reliability)
         if date is not None:
             return Due(date=date.date().isoformat(), reliability=reliability)
-        reason = f"it stays in specification for {LONGEST:g} years by the line: set a limit"
+        reason = f"it stays in specification for {LONGEST_YEARS:g} years by the line: set a limit"
     return Due(date=None, reliability=reliability, reason=reason)
 
 
@@ -338,7 +335,7 @@ def _trend(line: Drift, start: datetime) -> Trend:
         value=line.slope,
         u=line.u,
         p=line.p,
-        date=(start + line.time * _YEAR).date().isoformat(),
+        date=(start + line.time * YEAR).date().isoformat(),
         level=line.value,
         u_level=line.u_value,
         scatter=_scatter(line.agreement),

@@ -27,7 +27,7 @@ from counterspin.reports.text import Report
 _YEAR: Final = 365.25  #: days
 
 #: z beyond which a result asks for action (ISO 13528:2015, 9.4.2).
-_LIMIT: Final = 3.0
+_ACTION_Z: Final = 3.0
 
 
 def render_history(history: History) -> Report:
@@ -184,10 +184,10 @@ def control_plot(history: History, instrument: InstrumentHistory) -> Plot:
     if len(x) > 1 and instrument.control is None:
         # The standard uncertainty of a result less the mean, of which it is a part.
         away = [
-            _LIMIT * math.sqrt(max(point.u**2 - instrument.u_mean**2, 0.0)) * factor
+            _ACTION_Z * math.sqrt(max(point.u**2 - instrument.u_mean**2, 0.0)) * factor
             for point in instrument.points
         ]
-        words = f"control limits, z = ± {_LIMIT:g}"
+        words = f"control limits, z = ± {_ACTION_Z:g}"
         for label, sign in ((words, 1.0), ("", -1.0)):
             limit = tuple(mean + sign * distance for distance in away)
             series.append(PlotSeries(label, x, limit, colour=1))

@@ -26,13 +26,13 @@ _INPUTS: Final = {
 _KINDS: Final = ("prior", "considered", "input")
 
 #: Correlations below this change nothing that is printed.
-_NEGLIGIBLE: Final = 0.01
+_NEGLIGIBLE_CORRELATION: Final = 0.01
 
 #: The parts of a budget are no more than u^2, but for rounding.
-_SUM: Final = 1.01
+_MAX_BUDGET_SUM: Final = 1.01
 
 #: What a result does not share is at least this part of its u.
-_LEAST_OWN: Final = 1e-3
+_LEAST_OWN_PART: Final = 1e-3
 
 
 @frozen
@@ -77,7 +77,7 @@ def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, st
     found: dict[tuple[str, str], float] = {}
     lines = result.accelerometers[name].budget.get(symbol, ())
     u = result.accelerometers[name].coefficients[symbol].u or 0.0
-    if sum(line.contribution**2 for line in lines) > _SUM * u**2:
+    if sum(line.contribution**2 for line in lines) > _MAX_BUDGET_SUM * u**2:
         return found  # a budget of another uncertainty
     for line in lines:
         source, _, kind = line.source.removesuffix(")").rpartition(" (")
@@ -115,13 +115,13 @@ def in_common(
     total = np.asarray(u, dtype=np.float64)
     own = total**2 - (moved**2).sum(axis=1)
     covariance = moved @ moved.T
-    covariance[np.diag_indices(total.size)] += np.maximum(own, (_LEAST_OWN * total) ** 2)
+    covariance[np.diag_indices(total.size)] += np.maximum(own, (_LEAST_OWN_PART * total) ** 2)
     size = np.sqrt(np.diag(covariance))
     correlation = np.abs(covariance / np.outer(size, size) - np.eye(total.size))
-    if not keys or (largest := float(correlation.max())) < _NEGLIGIBLE:
+    if not keys or (largest := float(correlation.max())) < _NEGLIGIBLE_CORRELATION:
         return None
     weight = np.abs(moved / total[:, None]).max(axis=0)
     names = dict.fromkeys(
-        key[0] for key, w in zip(keys, weight, strict=True) if w**2 >= 0.1 * _NEGLIGIBLE
+        key[0] for key, w in zip(keys, weight, strict=True) if w**2 >= 0.1 * _NEGLIGIBLE_CORRELATION
     )
     return InCommon(tuple(names), largest, covariance)

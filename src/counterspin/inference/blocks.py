@@ -14,11 +14,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import PART, Array, in_parts, triangle_of
+from counterspin.arrays import QR_ROWS, Array, in_parts, triangle_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 
-_CHUNK: Final = 32 * PART  #: rows copied at a time, which bounds the memory
+_CHUNK: Final = 32 * QR_ROWS  #: rows copied at a time, which bounds the memory
 
 
 @frozen

@@ -19,8 +19,9 @@ from dataclasses import field
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import (
     chi_square_tail,
@@ -29,8 +30,6 @@ from counterspin.inference.distributions import (
     normal_quantile,
     student_cdf,
 )
-
-Array = NDArray[np.float64]
 
 #: Two estimates agree where their difference is up to this many of its standard uncertainties; good
 #: campaigns exceed it in 0.3 %.

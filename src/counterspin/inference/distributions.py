@@ -18,13 +18,13 @@ from statistics import NormalDist
 from typing import Final
 
 #: Relative change at which a series or a continued fraction ends.
-_SETTLED: Final = 4e-16
+_SERIES_TOLERANCE: Final = 4e-16
 
 #: From here on Stirling's series has more correct digits than a difference of `math.lgamma`.
-_LARGE: Final = 100.0
+_STIRLING_FROM: Final = 100.0
 
 #: More degrees of freedom make Student's distribution all but the normal one.
-_VAST: Final = 1e6
+_NORMAL_DOF: Final = 1e6
 
 _NORMAL: Final = NormalDist()
 
@@ -52,7 +52,7 @@ def chi_square_tail(dof: float, chi2: float) -> float:
     away = (x - a) / a
     if away <= -1.0:  # to all digits; a is large then
         return 1.0
-    if a >= _LARGE:
+    if a >= _STIRLING_FROM:
         size = math.exp(-a * (away - math.log1p(away))) / (
             math.sqrt(2.0 * math.pi * a) * math.exp(_stirling(a))
         )
@@ -61,7 +61,7 @@ def chi_square_tail(dof: float, chi2: float) -> float:
     if x < a + 1.0:
         total = part = 1.0
         n = a
-        while part > total * _SETTLED:
+        while part > total * _SERIES_TOLERANCE:
             n += 1.0
             part *= x / n
             total += part
@@ -104,7 +104,7 @@ def log_binomial(n: float, k: float) -> float:
 
 def _student_tail(dof: float, t: float) -> float:
     """Return the probability above t >= 0: half of I_x(dof/2, 1/2), x = dof/(dof + t^2)."""
-    if dof > _VAST and t**4 < 1e-3 * dof:
+    if dof > _NORMAL_DOF and t**4 < 1e-3 * dof:
         # So near the normal distribution the fraction would lose digits (Abramowitz and Stegun
         # 26.7.8).
         square = t * t
@@ -131,7 +131,7 @@ def _student_density(dof: float, t: float) -> float:
 
 def _gamma_ratio(a: float) -> float:
     """Return gamma(a + 1/2) / gamma(a)."""
-    if a < _LARGE:
+    if a < _STIRLING_FROM:
         return math.exp(math.lgamma(a + 0.5) - math.lgamma(a))
     b = a + 0.5
     growth = a * math.log1p(0.5 / a) - 0.5
@@ -149,7 +149,7 @@ def _fraction_of_gamma(a: float, x: float) -> float:
     b = x + 1.0 - a
     c, d = math.inf, 1.0 / b
     value, change, n = d, math.inf, 0.0
-    while change > _SETTLED:
+    while change > _SERIES_TOLERANCE:
         n += 1.0
         step = -n * (n - a)
         b += 2.0
@@ -164,7 +164,7 @@ def _fraction_of_beta(a: float, b: float, x: float) -> float:
     """Return a B_x(a, b) / (x^a (1 - x)^b) by Lentz's method (NIST DLMF 8.17.22)."""
     c, d = 1.0, 1.0 / (1.0 - (a + b) * x / (a + 1.0))
     value, change, m = d, math.inf, 0.0
-    while change > _SETTLED:
+    while change > _SERIES_TOLERANCE:
         m += 1.0
         for step in (
             m * (b - m) * x / ((a + 2.0 * m - 1.0) * (a + 2.0 * m)),

@@ -35,7 +35,7 @@ _PRIOR_LEFT: Final = 0.9
 _NEGLIGIBLE: Final = 0.1
 
 #: Terms whose columns agree this well are taken together, whatever their priors.
-_TWINS: Final = 1.0 - 1e-6
+_TWIN_AGREEMENT: Final = 1.0 - 1e-6
 
 
 @frozen
@@ -177,7 +177,7 @@ def assess(
     named = _connected([[place[name] for name in item.terms] for item in confounded])
 
     alike = problem.alike(bucking)
-    twins = _connected([pair for pair, size in alike.items() if size > _TWINS])
+    twins = _connected([pair for pair, size in alike.items() if size > _TWIN_AGREEMENT])
     for group in [*twins, *map(list, alike)]:
         if any(set(group) <= set(terms) for terms in named):
             continue

@@ -26,6 +26,9 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block, dependent
 
+#: Value and standard uncertainty of what nothing is known of beforehand.
+NO_PRIOR: Final = (0.0, math.inf)
+
 #: The numerical regularisation of an unknown without a prior, in units of its credible limit.
 #: At least a factor of 1e4 above what anybody believes, it moves no determined estimate by more
 #: than 1e-8 of its uncertainty, and it keeps every estimate finite.

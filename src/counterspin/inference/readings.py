@@ -42,7 +42,7 @@ _NOISE_ROUNDS: Final = 200
 _LEAST_BESIDE_HEAD: Final = 0.3
 
 #: Settled: nothing moves by more than this part of its uncertainty, no noise by this part.
-_SETTLED: Final = 1e-6
+_TOLERANCE: Final = 1e-6
 
 #: Step of a machine term's derivative, relative to its largest credible size.
 _STEP: Final = 1e-4
@@ -114,7 +114,7 @@ class Readings:
         machine
             The machine's terms that move stations, less nominal, by symbol.
         """
-        return mean_products(self.stations_with(machine), self.site, _SYMBOLS)
+        return mean_products(self.stations_with(machine), self.site)
 
     def stations_with(self, machine: Mapping[str, float]) -> list[Station]:
         """Return where the readings were taken, with the machine's terms as given."""
@@ -277,13 +277,13 @@ def solve_readings(
                 for one, part, own in zip(readings, followed, before, strict=True)
             ]
             changes = (abs(new / old - 1.0) for new, old in zip(noise, before, strict=True))
-            if max(changes) < _SETTLED:
+            if max(changes) < _TOLERANCE:
                 break
         moves = np.abs(solution.estimate - estimate) / np.where(solution.u > 0, solution.u, 1.0)
         estimate = solution.estimate
         # What is not determined, and may be anything, is no place to take derivatives at.
         point = np.where(solution.u < limits, estimate, known)
-        if moves.max(initial=0.0) < _SETTLED:
+        if moves.max(initial=0.0) < _TOLERANCE:
             break
     else:
         raise ConvergenceError(
@@ -397,7 +397,7 @@ class _Part:
             if not everything[index].owner and one.acting(symbol).any()
         }
         stations = one.stations_with(machine)
-        products = mean_products(stations, one.site, _SYMBOLS)
+        products = mean_products(stations, one.site)
         effective = np.tile([row.nominal for row in TERMS.values()], (one.size, 1))
         columns = np.zeros((one.size, len(everything)))
         for index, symbol in own.items():
@@ -418,7 +418,7 @@ class _Part:
 
         def slope_of(symbol: str, step: float) -> Array:
             both = [*one.moved(stations, symbol, step), *one.moved(stations, symbol, -step)]
-            more, less = np.split(mean_products(both, one.site, _SYMBOLS), 2)
+            more, less = np.split(mean_products(both, one.site), 2)
             return slope(more, less, step)
 
         for index, symbol in own.items():

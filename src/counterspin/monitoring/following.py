@@ -36,10 +36,10 @@ _FIRST_ROWS: Final = 20
 _BEGINNING: Final = HEAD_LINES + _FIRST_ROWS
 
 #: Bytes before the new ones that must still be what they were.
-_TAIL: Final = 256
+_TAIL_BYTES: Final = 256
 
 #: Bytes that are read at a time.
-_PART: Final = 1 << 24
+_PART_BYTES: Final = 1 << 24
 
 
 @dataclass
@@ -109,7 +109,7 @@ class FollowedTable:
             # No further than the file was when it was looked at: a fast writer never ends.
             left = now.size - self._done
             rest = b""
-            while left > 0 and (part := file.read(min(left, _PART))):
+            while left > 0 and (part := file.read(min(left, _PART_BYTES))):
                 left -= len(part)
                 whole, _, rest = (rest + part).rpartition(b"\n")
                 if whole:
@@ -156,7 +156,7 @@ class FollowedTable:
             self._head = b"".join(text.splitlines(keepends=True)[:first])
         self._append({name: values[before:] for name, values in new.items()})
         self._done += len(lines)
-        self._tail = (self._tail + lines)[-_TAIL:]
+        self._tail = (self._tail + lines)[-_TAIL_BYTES:]
         return True
 
     def _read(self, path: Path) -> tuple[Columns, int]:

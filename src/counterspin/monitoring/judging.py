@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from counterspin.calibration.assembly import COMPLETE_PART, MANY_OUTLIERS, OTHER_RATE
+from counterspin.calibration.assembly import COMPLETE_PART, OUTLIER_SHARE, RATE_DIFFERENCE
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.resolved import Campaign
@@ -102,7 +102,7 @@ def remarks_of(
     wrong, odd = list[str](), list[str]()
     if state.rate is not None:
         part = state.rate / state.nominal_rate - 1.0
-        if abs(part) > OTHER_RATE:
+        if abs(part) > RATE_DIFFERENCE:
             wrong.append(
                 f"The spindle turned at {state.rate:.6f} rad/s, not at the nominal "
                 f"{state.nominal_rate:.6f} rad/s ({part:+.2%})."
@@ -112,7 +112,7 @@ def remarks_of(
             f"The record lasts {state.seconds:.4g} s, the campaign states "
             f"{state.stated_seconds:.4g} s."
         )
-    if state.outliers > MANY_OUTLIERS * max(state.rows, 1) * max(len(views), 1):
+    if state.outliers > OUTLIER_SHARE * max(state.rows, 1) * max(len(views), 1):
         wrong.append(f"{state.outliers} of {state.rows} samples are outliers.")
     for view in views:
         found = [f"{view.name}: {text}" for text in view.diagnostics.findings]

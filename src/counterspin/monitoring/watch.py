@@ -32,7 +32,7 @@ from counterspin.monitoring.result import ReachedCoefficient, RunState, WatchSta
 from counterspin.workers import one_blas_thread
 
 #: A run that is as long as this part of what is stated is complete.
-_WHOLE: Final = 1.0 - 1e-3
+_COMPLETE_PART: Final = 1.0 - 1e-3
 
 
 @frozen
@@ -190,4 +190,4 @@ def _runs(
 
 def _is_complete(state: RunState) -> bool:
     stated = state.stated_seconds
-    return state.state == "read" and stated is not None and state.seconds >= _WHOLE * stated
+    return state.state == "read" and stated is not None and state.seconds >= _COMPLETE_PART * stated

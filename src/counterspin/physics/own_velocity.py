@@ -26,7 +26,7 @@ from counterspin.physics.motion import Site
 NAVIGATED: Final = ("displacement", "velocity")
 
 #: Part of the largest below which a combination of input axes counts as not recorded.
-_SEEN: Final = 0.05
+_RECORDED_PART: Final = 0.05
 
 #: Terms of the solution's series in 2 Omega t: in two hours the next one is below 1e-15.
 _TERMS: Final = 20
@@ -104,7 +104,7 @@ def coriolis(site: Site) -> Array:
 def unseen(errors: Sequence[AxisError]) -> Array:
     """Return the projection on the directions in which no displacement or velocity is recorded."""
     axes = _axes(errors)
-    projection: Array = np.eye(3) - np.linalg.pinv(axes, rcond=_SEEN) @ axes
+    projection: Array = np.eye(3) - np.linalg.pinv(axes, rcond=_RECORDED_PART) @ axes
     return projection
 
 
@@ -119,7 +119,9 @@ def _along(site: Site, errors: Sequence[AxisError], acting: Array) -> list[Array
     if not navigated:
         return [np.zeros(one.time.size) for one in errors]
     grid = np.unique(np.concatenate([one.time for one in navigated]))
-    recorded = np.linalg.pinv(_axes(errors), rcond=_SEEN) @ [_moved(one, grid) for one in navigated]
+    recorded = np.linalg.pinv(_axes(errors), rcond=_RECORDED_PART) @ [
+        _moved(one, grid) for one in navigated
+    ]
     moved, term = recorded, recorded
     for _ in range(_TERMS):
         term = -acting @ _integral(grid, term)

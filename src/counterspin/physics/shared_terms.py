@@ -66,7 +66,7 @@ class PlatformTerm:
 
 _NAMES: Final = ("east", "north", "up")
 
-_ARCSEC: Final = math.pi / 648000.0  #: rad
+ARCSEC: Final = math.pi / 648000.0  #: rad
 
 PLATFORM_TERMS: Final[Mapping[str, PlatformTerm]] = {
     row.symbol: row
@@ -80,7 +80,7 @@ PLATFORM_TERMS: Final[Mapping[str, PlatformTerm]] = {
                 "rad",
                 1e-2,
                 # Levelling is against gravity; the azimuth is found less well.
-                (10.0 if name == "up" else 0.5) * _ARCSEC,
+                (10.0 if name == "up" else 0.5) * ARCSEC,
                 f"tilt about {name}",
             )
             for axis, name in enumerate(_NAMES)
@@ -133,7 +133,7 @@ PLATFORM_TERMS: Final[Mapping[str, PlatformTerm]] = {
                 j,
                 "rad/g",
                 1e-4,
-                0.1 * _ARCSEC,
+                0.1 * ARCSEC,
                 f"turn of the platform about {'xyz'[i]} by force along {'xyz'[j]}",
             )
             for i in range(3)
@@ -218,7 +218,7 @@ MOTION_TERMS: Final[Mapping[str, MotionTerm]] = {
                 "",
                 "rad",
                 1e-2,
-                10.0 * _ARCSEC,
+                10.0 * ARCSEC,
                 f"tilt of the spindle's axis about {axis}",
             )
             for axis in ("east", "north")
@@ -231,7 +231,7 @@ MOTION_TERMS: Final[Mapping[str, MotionTerm]] = {
                 wave,
                 "rad",
                 1e-3,
-                _ARCSEC,
+                ARCSEC,
                 f"error of an eccentric encoder, {_TIMES[n - 1]} a revolution ({wave}ine)",
             )
             for n in (1, 2, 3, 4)

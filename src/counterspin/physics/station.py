@@ -109,7 +109,7 @@ class Station:
     def indicated(self, site: Site, coefficients: Mapping[str, float]) -> float:
         """Return the mean indication in g; coefficients that are not named are nominal."""
         values = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
-        return float(mean_products([self], site, list(TERMS))[0] @ values)
+        return float(mean_products([self], site)[0] @ values)
 
 
 def _forces(stations: Sequence[Station], site: Site, angles: Array) -> Array:
@@ -169,7 +169,7 @@ def _turned(axes: Array, turns: Array) -> Array:
     return turned
 
 
-def mean_products(stations: Sequence[Station], site: Site, symbols: Sequence[str]) -> Array:
+def mean_products(stations: Sequence[Station], site: Site) -> Array:
     """Return the signed products of specific forces, each the mean over a revolution.
 
     Parameters
@@ -178,23 +178,16 @@ def mean_products(stations: Sequence[Station], site: Site, symbols: Sequence[str
         n of them.
     site
         As for `Station.force`.
-    symbols
-        Accelerometer terms, m of them.
 
     Returns
     -------
     Array
-        In g to the power of each product's degree, shape (n, m).
-
-    Raises
-    ------
-    KeyError
-        If a symbol is no term of an accelerometer.
+        In g to the power of each product's degree, shape (n, m), in the order of `TERMS`.
     """
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False, dtype=np.float64)
     forces = _forces(stations, site, angles)
     a_ipo = np.einsum("nij,nmj->inm", _axes_under_load(stations), forces)
     a_ipo /= site.gravity
-    products = np.stack([TERMS[symbol].evaluate(a_ipo) for symbol in symbols], axis=-1)
+    products = np.stack([row.evaluate(a_ipo) for row in TERMS.values()], axis=-1)
     means: Array = products.mean(axis=1)
     return means

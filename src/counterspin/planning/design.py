@@ -20,7 +20,7 @@ from counterspin.inference.least_squares import REGULARISATION
 from counterspin.planning.run_information import RunInformation
 
 #: Rates count as different if one is this many times the other; settings always do.
-_DIFFERENT: Final = 1.25
+_DIFFERENT_RATE_RATIO: Final = 1.25
 
 #: Relative distance by which rounding may bring different rates nearer.
 _ROUNDING: Final = 1e-4
@@ -145,7 +145,7 @@ class Limits:
     @property
     def apart(self) -> float:
         """How many times the next lower one each of the different rates must be."""
-        return 1.0 if self.settings else _DIFFERENT
+        return 1.0 if self.settings else _DIFFERENT_RATE_RATIO
 
     def different_rates(self, fastest: float) -> list[float]:
         """Return as many different rates as there must be, from the fastest down, rad/s.

@@ -31,7 +31,7 @@ from counterspin.planning.relaxation import Relaxed, relax
 _GAIN: Final = 2e-5
 #: Passes of exchanges, and how many candidates are polished in each.
 _PASSES: Final = 3
-_POLISHED: Final = 5
+_CANDIDATES_POLISHED: Final = 5
 #: Weight, in runs, from which a group of the relaxation may get a whole run.
 _WEIGHT_OF_A_RUN: Final = 0.02
 #: Relative difference in rate and length below which the exchanges take two runs as equal.
@@ -217,7 +217,9 @@ def _best_of(
 ) -> tuple[float, Design]:
     """Polish the most promising starts."""
     ranked = sorted(starts, key=lambda design: predictor.value(criterion, design))
-    polished = [polish(predictor, limits, criterion, design) for design in ranked[:_POLISHED]]
+    polished = [
+        polish(predictor, limits, criterion, design) for design in ranked[:_CANDIDATES_POLISHED]
+    ]
     return min(polished, key=lambda pair: pair[0])
 
 
@@ -232,7 +234,10 @@ def _exchange(
             (other for other in fitted if other is not None),
             key=lambda other: predictor.value(criterion, other),
         )
-        polished = (polish(predictor, limits, criterion, other) for other in candidates[:_POLISHED])
+        polished = (
+            polish(predictor, limits, criterion, other)
+            for other in candidates[:_CANDIDATES_POLISHED]
+        )
         better = next((pair for pair in polished if pair[0] < value - _GAIN), None)
         if better is None:
             return best

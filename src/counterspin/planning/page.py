@@ -29,10 +29,10 @@ from counterspin.reports.text import Report
 _LINES: Final = 6  #: of a budget
 
 #: Deviations from which on a fit that estimates a fault nearly always finds it (5 % each way).
-_FOUND: Final = 4.0
+_DETECTION_DEVIATIONS: Final = 4.0
 
 #: u with what is left out is said beside the answer from so many times u on.
-_MORE: Final = 1.05
+_NOTED_GROWTH: Final = 1.05
 
 #: How limits are changed that are no sizes.
 _CHANGES: Final = {"senses": "both senses instead", "fewest_rates": "one fewer"}
@@ -281,7 +281,7 @@ def _faults(name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
                     f"{effect.words} ({effect.symbol})",
                     _in_field_unit(effect.size, effect.unit),
                     f"{effect.ratio:.3g} u" if effect.ratio < 1e3 else f"{effect.ratio:.0f} u",
-                    "found" if effect.deviation > _FOUND else "open",
+                    "found" if effect.deviation > _DETECTION_DEVIATIONS else "open",
                 )
                 for effect in unseen
             ),
@@ -418,7 +418,7 @@ def _with_left_out(predicted: Predicted) -> str:
     """Say what u is with all that the model leaves out, where that is more."""
     if predicted.u is None or predicted.u_typical is None:
         return ""
-    if predicted.u_typical < _MORE * predicted.u:
+    if predicted.u_typical < _NOTED_GROWTH * predicted.u:
         return ""
     return f" ({_typical(predicted)} with what the model leaves out at typical sizes)"
 

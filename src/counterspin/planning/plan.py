@@ -49,10 +49,10 @@ from counterspin.workers import one_blas_thread
 _GAIN: Final = 5e-4
 
 #: How often a plan for a target is changed after its forecast has missed it.
-_CHECKS: Final = 5
+_MAX_CHANGES: Final = 5
 
 #: Relative distance from a limit at which a plan touches it.
-_DISTANCE: Final = 2e-3
+_TOUCHING_DISTANCE: Final = 2e-3
 
 
 @frozen(eq=False)
@@ -165,7 +165,7 @@ def _written(search: Search, design: Design) -> tuple[Design, Forecast]:
         rounded = search.rounded(design)
         return rounded, forecast(search.campaign(rounded))
     sizes = goal.sizes
-    for _ in range(_CHECKS):
+    for _ in range(_MAX_CHANGES):
         met = search.meeting(design, sizes)
         if met is None:
             break
@@ -350,15 +350,15 @@ def _limits(search: Search, optimum: Optimum) -> list[LimitResult]:
     time = limits.time(design)
     touched = {
         "total_time": (
-            not target and time > limits.total_time * (1.0 - _DISTANCE),
+            not target and time > limits.total_time * (1.0 - _TOUCHING_DISTANCE),
             f"total time {limits.total_time:.6g} s",
         ),
         "rate": (
-            bool((design.rate > high * (1.0 - _DISTANCE)).any()),
+            bool((design.rate > high * (1.0 - _TOUCHING_DISTANCE)).any()),
             f"highest rate {high:.6g} rad/s",
         ),
         "lowest_rate": (
-            not limits.settings and bool((design.rate < low * (1.0 + _DISTANCE)).any()),
+            not limits.settings and bool((design.rate < low * (1.0 + _TOUCHING_DISTANCE)).any()),
             f"lowest rate {low:.6g} rad/s",
         ),
         "fewest_rates": (limits.fewest_rates > 1, f"{limits.fewest_rates} rates at least"),
@@ -370,12 +370,12 @@ def _limits(search: Search, optimum: Optimum) -> list[LimitResult]:
             f"changing the attitude, {limits.attitude_change:.4g} s",
         ),
         "revolutions": (
-            bool((design.revolutions < limits.revolutions * (1.0 + _DISTANCE)).any()),
+            bool((design.revolutions < limits.revolutions * (1.0 + _TOUCHING_DISTANCE)).any()),
             f"{limits.revolutions:g} revolutions at least",
         ),
         "longest_run": (
             limits.longest_run < limits.total_time
-            and bool((design.duration > limits.longest_run * (1.0 - _DISTANCE)).any()),
+            and bool((design.duration > limits.longest_run * (1.0 - _TOUCHING_DISTANCE)).any()),
             f"longest run {limits.longest_run:.6g} s",
         ),
         "sampling_rate": (True, f"sampling rate {search.plan.sampling_rate:.6g} Hz"),

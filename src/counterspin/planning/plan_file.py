@@ -33,7 +33,7 @@ from counterspin.planning.design import Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument
 
 #: Lowest rate where none is given, as a part of the highest.
-_LOWEST: Final = 0.125
+_LOWEST_RATE_PART: Final = 0.125
 
 #: Columns of the records, where the plan does not say them.
 _RECORDS: Final[Mapping[str, Any]] = {
@@ -351,7 +351,7 @@ def _rates(
         )
         return None
     if settings.rates is None:
-        return (low or _LOWEST * high, high), ()
+        return (low or _LOWEST_RATE_PART * high, high), ()
     available = tuple(
         sorted({w for w in settings.rates if (low or 0.0) <= w <= high * (1.0 + 1e-12)})
     )

@@ -33,7 +33,7 @@ from counterspin.planning.result import (
 from counterspin.planning.watching import watch
 
 #: Probability of failing the test of the residuals from which on a fault counts as noticed.
-_NEARLY_ALWAYS: Final = 0.95
+_DETECTION_PROBABILITY: Final = 0.95
 
 
 def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
@@ -110,7 +110,7 @@ def _faults(prediction: Forecast, name: str, k_ii: int) -> tuple[float | None, l
                     ratio=shift / u,
                     deviation=watched.deviation(place, k_ii),
                     detection=detection,
-                    noticed=detection >= _NEARLY_ALWAYS,
+                    noticed=detection >= _DETECTION_PROBABILITY,
                 )
             )
     share = None if prediction.campaign.readings else 1.0 - of_mean / of_square

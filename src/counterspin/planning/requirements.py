@@ -21,10 +21,10 @@ from counterspin.planning.result import Requirement
 from counterspin.planning.watching import watch
 
 #: A fault that adds this part of u in quadrature makes u grow by a twentieth.
-_ADDED: Final = math.sqrt(1.05**2 - 1.0)
+_TOLERABLE_PART_OF_U: Final = math.sqrt(1.05**2 - 1.0)
 
 #: No centrifuge has larger faults; a length is a part of the radius.
-_LARGEST: Final = {"rad": 0.1, "s": 1.0, "1/s": 1e-2, "1": 0.1}
+_LARGEST_SIZES: Final = {"rad": 0.1, "s": 1.0, "1/s": 1e-2, "1": 0.1}
 
 
 def requirements_of(
@@ -68,7 +68,7 @@ def requirements_of(
     solution = forecast(
         campaign, sampling_rate=sampling_rate, model=watched, expected=expected
     ).fit.solution
-    allowed = _ADDED * base.u[name]
+    allowed = _TOLERABLE_PART_OF_U * base.u[name]
     row = solution.sensitivity_considered[place]
     of_run = row[: len(rotation)].reshape(len(campaign.runs), len(ROTATION))
     of_input = dict(zip(inputs, row[len(rotation) :], strict=True))
@@ -91,7 +91,7 @@ def requirements_of(
         (faults[1].words, imbalance, "m"),
         ("clock of the angle against that of the output", of_input[TIMING], "s"),
     ]
-    largest = {**_LARGEST, "m": _LARGEST["1"] * campaign.radius.value}
+    largest = {**_LARGEST_SIZES, "m": _LARGEST_SIZES["1"] * campaign.radius.value}
     return words, [
         Requirement(
             words=text,

@@ -10,7 +10,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
 from counterspin.arrays import Array, triangle_of
 from counterspin.campaign.reading_groups import groups_of
@@ -21,8 +20,7 @@ from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.readings import blocks_at
 from counterspin.planning.faults import Fault
 from counterspin.planning.forecast import Forecast, expected_values
-
-Places = npt.NDArray[np.intp]
+from counterspin.planning.relaxation import Places
 
 
 @frozen(eq=False)

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Plot, PlotSeries
+from counterspin.reports.typography import RAISED
 
 #: Of every drawing, and of one with axes; in points.
 WIDTH: Final = 504.0
@@ -40,13 +41,11 @@ _COLUMNS: Final = 360
 
 #: How many more points are kept of what has more: with the extremes alone there would be a hole
 #: in the middle.
-_BETWEEN: Final = 1200
+_FURTHER_POINTS: Final = 1200
 
 #: Dates that have room on an axis, and years.
 _MOST_DATES: Final = 10
 _MOST_YEARS: Final = 15
-
-_SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 @lru_cache(maxsize=4096)
@@ -187,7 +186,7 @@ def _power(value: float) -> str:
     mantissa, _, exponent = f"{value:.0e}".partition("e")
     if -3 <= int(exponent) <= 4:
         return f"{value:g}"
-    power = "10" + str(int(exponent)).translate(_SUPERSCRIPTS)
+    power = "10" + str(int(exponent)).translate(RAISED)
     return power if mantissa == "1" else f"{mantissa}·{power}"
 
 
@@ -242,7 +241,7 @@ def thinned(
     if log_y:
         y[~(y > 0.0)] = np.nan
     seen = np.flatnonzero(np.isfinite(x) & ((x > 0.0) | (not log_x)))
-    if x[seen].size > (2 * _BETWEEN if series.kind == "points" else 2 * _COLUMNS):
+    if x[seen].size > (2 * _FURTHER_POINTS if series.kind == "points" else 2 * _COLUMNS):
         height = y if low is None or high is None or np.isfinite(y).any() else high - low
         seen = seen[_extremes(np.log(x[seen]) if log_x else x[seen], height[seen], series.kind)]
     return (
@@ -267,7 +266,7 @@ def _extremes(x: Array, y: Array, kind: str) -> NDArray[np.intp]:
     last = np.append(first[1:], order.size) - 1
     # A gap's first sample stands for it.
     begins = np.flatnonzero(gap & ~np.concatenate([[False], gap[:-1]]))
-    between = there[:: max(there.size // _BETWEEN, 1)] if kind == "points" else there[:0]
+    between = there[:: max(there.size // _FURTHER_POINTS, 1)] if kind == "points" else there[:0]
     return np.unique(np.concatenate([order[first], order[last], between, begins]))
 
 

@@ -57,13 +57,13 @@ COLOURS_OF_PAPER: Final = {
 Palette = Mapping[str, str]
 
 #: Words over the strongest cell of a heat map keep a contrast of 4.5 (WCAG 2.1, 1.4.3).
-_STRONGEST: Final = 0.6
+_MAX_SHADE: Final = 0.6
 
 #: More points than this are drawn as dots.
-_CROWD: Final = 150
+_CROWD_POINTS: Final = 150
 
 #: Numbers are written into the cells of heat maps up to this size.
-_NUMBERED: Final = 16
+_MAX_NUMBERED_CELLS: Final = 16
 
 
 @contextmanager
@@ -245,7 +245,7 @@ def _draw_series(
             axes.vlines(x, low, high, colors=colour, linewidth=0.9)
         above = 2.6 if series.stands_out else 2.2
         style = {"linestyle": "none", "marker": marker, "color": colour, "zorder": above}
-        if x.size > _CROWD:
+        if x.size > _CROWD_POINTS:
             dots(axes, x, y, 1.6, color=colour, zorder=above)
             axes.plot([], [], label=series.label or None, **style | {"marker": "o"}, markersize=3.0)
         else:
@@ -317,7 +317,7 @@ def _draw_heat_map(axes: Any, heat_map: HeatMap, palette: Palette, title: str) -
     labels = [shortened(label, 130.0) for label in heat_map.labels]
     widest = max(map(text_width, labels), default=0.0)
     wide = min(46.0, (WIDTH - widest - 12.0) / max(size, 1))
-    if size <= _NUMBERED:
+    if size <= _MAX_NUMBERED_CELLS:
         for row, column, value in zip(rows, columns, values.ravel(), strict=True):
             text = "1" if row == column else f"{round(value, 2) + 0.0:.2f}".replace("-", "−")
             axes.text(
@@ -351,6 +351,6 @@ def _tints(values: Array, palette: Palette) -> Array:
         [to_rgba(palette["positive" if v >= 0.0 else "negative"]) for v in values.flat]
     )
     tints = tints.reshape(-1, 4)
-    tints[:, 3] = _STRONGEST * np.minimum(np.abs(values.ravel()), 1.0)
+    tints[:, 3] = _MAX_SHADE * np.minimum(np.abs(values.ravel()), 1.0)
     tints[:: len(values) + 1] = to_rgba(palette["grid"])
     return tints

@@ -21,11 +21,10 @@ from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Final
 
 from counterspin.frozen import frozen
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR
+from counterspin.physics.shared_terms import ARCSEC, DEGREE_PER_HOUR
 
 NOT_DETERMINED: Final = "not determined"
 
-_ARCSECOND: Final = math.pi / 648000.0
 _MICRO: Final = 1e6
 
 #: Unit of a result -> the unit it is shown in, and one of the former in the latter.
@@ -34,8 +33,8 @@ _FIELD_UNITS: Final = {
     "g/g^2": ("ug/g^2", _MICRO),
     "g/g^3": ("ug/g^3", _MICRO),
     "g/g^4": ("ug/g^4", _MICRO),
-    "rad": ("arcsec", 1.0 / _ARCSECOND),
-    "rad/g": ("arcsec/g", 1.0 / _ARCSECOND),
+    "rad": ("arcsec", 1.0 / ARCSEC),
+    "rad/g": ("arcsec/g", 1.0 / ARCSEC),
     "rad/s": ("deg/h", 1.0 / DEGREE_PER_HOUR),
     "rad/s/g": ("deg/h/g", 1.0 / DEGREE_PER_HOUR),
     "rad/s/g^2": ("deg/h/g^2", 1.0 / DEGREE_PER_HOUR),
@@ -43,10 +42,10 @@ _FIELD_UNITS: Final = {
 }
 
 #: Numbers from 0.001 to below a million are written without a power of ten.
-_PLAIN: Final = range(-3, 6)
+_PLAIN_EXPONENTS: Final = range(-3, 6)
 
 #: More digits than this are not in a double; the two numbers are then written on their own.
-_DIGITS: Final = 15
+_DOUBLE_DIGITS: Final = 15
 
 
 def field_unit(unit: str) -> tuple[str, float]:
@@ -107,11 +106,11 @@ def round_to_uncertainty(value: float, u: float) -> Rounded | None:
     place = spread.adjusted() - 1
     # 0.0996 rounds to 0.10: one place fewer, or it would have three digits.
     place += _at(spread, place).adjusted() - spread.adjusted()
-    if exact and exact.adjusted() - place >= _DIGITS:
+    if exact and exact.adjusted() - place >= _DOUBLE_DIGITS:
         return None
     largest = max(abs(_at(exact, place)), _at(spread, place)).adjusted()
     # Zeros before the point that are not significant would pretend to be.
-    exponent = 0 if place <= 0 and largest in _PLAIN else largest
+    exponent = 0 if place <= 0 and largest in _PLAIN_EXPONENTS else largest
     return Rounded(
         value=_digits(exact, place, exponent),
         u=_digits(spread, place, exponent),

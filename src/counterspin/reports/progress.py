@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
 #: Seconds of work before anything is shown.
-PATIENCE: Final = 1.0
+QUIET_SECONDS: Final = 1.0
 
 
 def _is_watched() -> bool:
@@ -29,7 +29,7 @@ def _is_watched() -> bool:
 def progress(
     console: Console | None = None,
     *,
-    patience: float = PATIENCE,
+    patience: float = QUIET_SECONDS,
     words: tuple[str, str, str] = ("Reading runs", "Reading runs", "Estimating"),
 ) -> Iterator[Callable[[int, int], None] | None]:
     """Show how much is done, on standard error, and wipe it out at the end.

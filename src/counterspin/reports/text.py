@@ -25,10 +25,10 @@ from counterspin.reports.typography import speakable, typeset_block, visible
 _PLAIN_WIDTH: Final = 100
 
 #: What claims to be narrower is none that anybody reads: ``COLUMNS=0`` is left over from a script.
-_NARROWEST: Final = 10
+_NARROWEST_COLUMNS: Final = 10
 
 #: Characters between two columns.
-_GAP: Final = 2
+_COLUMN_GAP: Final = 2
 
 _STYLES: Final[dict[Style, str]] = {
     "plain": "",
@@ -62,7 +62,7 @@ def report_console(file: TextIO | None = None, *, error: bool = False) -> Consol
         As wide as the terminal; 100 columns where there is none, unless ``COLUMNS`` says else.
     """
     made = _Console(file=file, stderr=error, highlight=False, emoji=False)
-    if made.width < _NARROWEST or (not made.is_terminal and "COLUMNS" not in os.environ):
+    if made.width < _NARROWEST_COLUMNS or (not made.is_terminal and "COLUMNS" not in os.environ):
         made.width = _PLAIN_WIDTH
     return made
 
@@ -119,7 +119,7 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
     for number, (chosen, widths) in enumerate(_parts(block, [titles, *rows], options.max_width)):
         table = RichTable(
             box=box.SIMPLE_HEAD,
-            padding=(0, _GAP - 1, 0, 0),
+            padding=(0, _COLUMN_GAP - 1, 0, 0),
             pad_edge=False,
             show_edge=False,
             header_style="bold",
@@ -178,7 +178,7 @@ def _parts(
 
 
 def _spare(widths: Sequence[int], chosen: Sequence[int], available: int) -> int:
-    return available - sum(widths[index] for index in chosen) - _GAP * (len(chosen) - 1)
+    return available - sum(widths[index] for index in chosen) - _COLUMN_GAP * (len(chosen) - 1)
 
 
 def _spread(

@@ -18,7 +18,7 @@ from counterspin.reports.blocks import Bars, Block, Heading, HeatMap, Paragraph,
 #: A coefficient or score in prose, such as K_II: the letter and its index.
 SYMBOL: Final = r"([KE])_([A-Z]{1,3}|\d|n)(?!\w|\.\w)"
 
-_RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 #: A power of ten that stands by itself, before a unit or after a cross.
 _POWER: Final = re.compile(r"(?<![\w.])1e(-?\d+)(?!\w)")
@@ -58,9 +58,9 @@ def typeset(text: str) -> str:
 
     Words and other numbers stay as they are.
     """
-    text = _POWER.sub(lambda found: "10" + found[1].translate(_RAISED), text)
-    text = _TIMES_POWER.sub(lambda found: f"{found[1]} × 10{found[2].translate(_RAISED)}", text)
-    text = _EXPONENT.sub(lambda found: found[1].translate(_RAISED), text)
+    text = _POWER.sub(lambda found: "10" + found[1].translate(RAISED), text)
+    text = _TIMES_POWER.sub(lambda found: f"{found[1]} × 10{found[2].translate(RAISED)}", text)
+    text = _EXPONENT.sub(lambda found: found[1].translate(RAISED), text)
     return _SIGN.sub("−", _CROSS.sub(" × ", _MICRO.sub("µg", text)))
 
 

@@ -41,7 +41,7 @@ OTHERS: Final[Mapping[str, str]] = {
 }
 
 #: How many standard deviations of a normal distribution a study must be valid for.
-_REACH: Final = 4.5
+_VALID_SDS: Final = 4.5
 
 
 @frozen
@@ -88,7 +88,7 @@ class Varying:
     def reach(self) -> tuple[float, float]:
         """The least and greatest value that matter."""
         if self.kind == "normal":
-            return self.first - _REACH * self.second, self.first + _REACH * self.second
+            return self.first - _VALID_SDS * self.second, self.first + _VALID_SDS * self.second
         return (self.first, self.second if self.kind == "uniform" else self.first)
 
 

@@ -34,7 +34,7 @@ _PANELS: Final = 2
 _NODES: Final = 12
 
 #: Node times times trials that are worked on at once: a cache's worth.
-_AT_ONCE: Final = 30_000
+_VALUES_AT_ONCE: Final = 30_000
 
 
 def _between() -> tuple[Array, Array]:
@@ -140,7 +140,7 @@ def effects(
     n = drift.size
     curvatures = np.empty((len(symbols), n))
     size = np.empty(n)
-    step = max(1, _AT_ONCE // (motion.angles.size * _X.size))
+    step = max(1, _VALUES_AT_ONCE // (motion.angles.size * _X.size))
     for start in range(0, n, step):
         part = slice(start, start + step)
         rotation = _Rotation(motion.spindle, drift[part], ripple_cos[part], ripple_sin[part])

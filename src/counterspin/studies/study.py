@@ -35,7 +35,7 @@ from counterspin.studies.work import Ledger, expected_duration, run_batches, wor
 from counterspin.workers import ALONE, Workers, one_blas_thread, worker_pool
 
 #: From how many hours of work on a user is told before it begins.
-_LONG: Final = 0.5
+_LONG_HOURS: Final = 0.5
 
 #: More trials than this would take days, and their ledger much of the memory.
 _MOST_TRIALS: Final = 10**9
@@ -131,7 +131,7 @@ def study(
 
 def _warn_of_hours(engine: StudyEngine, trials: int, workers: int) -> None:
     hours = expected_duration(engine, trials) / workers / 3600.0
-    if hours < _LONG:
+    if hours < _LONG_HOURS:
         return
     slow = [part for part in engine.parts if part.kind in ("full", "exact")]
     why = "; ".join(f"{part.reported[0].analysis}: {part.words}" for part in slow)

@@ -31,8 +31,8 @@ DEGREE: Final = 4
 
 #: The box: angle that drift adds in a run (rad), ripple ratio, relative error of the radius.
 _DRIFT_ANGLE: Final = 0.076
-_RIPPLE: Final = 6e-4
-_RADIUS: Final = 1e-3
+_RIPPLE_RATIO: Final = 6e-4
+_RADIUS_ERROR: Final = 1e-3
 
 #: The largest error that the polynomial may have, in parts of the largest value in the box.
 _TOLERANCE: Final = 1e-9
@@ -73,9 +73,9 @@ def box_of(motion: StrobedMotion, bounds: Array) -> Box:
     allowed = np.array(
         [
             2.0 * _DRIFT_ANGLE / (turned * duration),
-            _RIPPLE,
-            _RIPPLE,
-            _RADIUS * float(bounds[3].mean()),
+            _RIPPLE_RATIO,
+            _RIPPLE_RATIO,
+            _RADIUS_ERROR * float(bounds[3].mean()),
         ]
     )
     low, high = bounds.T

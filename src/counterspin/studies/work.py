@@ -39,7 +39,7 @@ _SAVE_INTERVAL: Final = 10.0
 _MOST_LOSSES: Final = 5
 
 #: Work of whole records, roughly, below which nobody needs to know how long it takes, s.
-_SHORT: Final = 60.0
+_SHORT_SECONDS: Final = 60.0
 
 #: What a trial of each kind takes, roughly, s.
 _TRIAL_DURATIONS: Final = {
@@ -102,7 +102,7 @@ def expected_duration(engine: StudyEngine, trials: int) -> float:
     seconds = 0.0
     for part in engine.parts:
         duration = _TRIAL_DURATIONS[part.kind]
-        if part.kind == "full" and duration * trials > _SHORT:
+        if part.kind == "full" and duration * trials > _SHORT_SECONDS:
             draws = engine.truth.draw(stream(engine.seed, 0, TRUTH_STREAM), 1)
             for _ in range(2):  # the first loads what it needs
                 start = time.perf_counter()

@@ -59,7 +59,7 @@ def test_long_records_may_be_thinned(walk, monkeypatch):
     sizes = np.array([term(one.symbol).typical for one in left_out])
     inputs = {"centrifuge.radius": 1e-5, "records.timing_offset": 1e-5}
     thinned = sensitivities(fit, left_out, inputs) * [*sizes, *inputs.values()]
-    monkeypatch.setattr(omitted_terms, "_ROWS", 10**9)
+    monkeypatch.setattr(omitted_terms, "_SENSITIVITY_ROWS", 10**9)
     whole = sensitivities(fit, left_out, inputs) * [*sizes, *inputs.values()]
     allowed = 0.01 * fit.solution.u[:, None] + 1e-3 * np.abs(whole)
     assert (np.abs(thinned - whole) < allowed).all()

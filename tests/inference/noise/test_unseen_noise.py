@@ -15,7 +15,7 @@ from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.unknowns import Considered, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
-from counterspin.inference.noise.variance_components import KEEP
+from counterspin.inference.noise.variance_components import KEEPING_GAIN
 from counterspin.physics.shared_terms import term
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
@@ -106,7 +106,7 @@ class Slow:
 
         grid = np.linspace(-4.0, 14.0, 40)
         values = np.array([likelihood(math.exp(point)) for point in grid])
-        if 2.0 * (values.max() - likelihood(0.0)) > KEEP:
+        if 2.0 * (values.max() - likelihood(0.0)) > KEEPING_GAIN:
             return None
         unseen = unseen_walk(lambda x: (likelihood(math.exp(x)), x), -3.0, likelihood(0.0))
         level, dof = lengthened(unseen, np.ones(1), np.array([self.felt]))

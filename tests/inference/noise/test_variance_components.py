@@ -9,7 +9,7 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.inference.noise.model import NoiseModel, make_whitener
 from counterspin.inference.noise.restricted_likelihood import RestrictedLikelihood
 from counterspin.inference.noise.variance_components import (
-    KEEP,
+    KEEPING_GAIN,
     RecordData,
     effective_dof,
     effective_dof_of,
@@ -180,7 +180,7 @@ def test_a_walk_that_is_not_there_is_seldom_kept():
 def test_the_threshold_is_that_of_the_mixture():
     from scipy.special import chdtrc
 
-    assert 0.5 * chdtrc(1, KEEP) == pytest.approx(0.05, rel=1e-12)
+    assert 0.5 * chdtrc(1, KEEPING_GAIN) == pytest.approx(0.05, rel=1e-12)
 
 
 def test_a_walk_that_is_there_is_kept_and_found():

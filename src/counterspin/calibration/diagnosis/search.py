@@ -19,7 +19,7 @@ import numpy as np
 
 from counterspin.calibration.diagnosis.causes import ACCOUNTABLE, Cause
 from counterspin.calibration.diagnosis.words import Described, Explanation
-from counterspin.calibration.findings import CONTRADICTS, from_numbers
+from counterspin.calibration.findings import CONTRADICTION_SIGMAS, from_numbers
 from counterspin.calibration.joint_checks import jackknife, residual_findings
 from counterspin.calibration.joint_parts import noise_lines, residual
 from counterspin.calibration.joint_problem import exact_inputs, left_out_of, noise_of
@@ -43,40 +43,41 @@ from counterspin.inference.joint.estimation import (
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.relaxed import extended, relax
 from counterspin.inference.joint.unknowns import Unknown
+from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.reports.numbers import format_number
 
 #: Share of good campaigns in which a prior, or another alternative, is blamed all the same.
 _FALSE_ALARMS: Final = 0.5 * SIGNIFICANCE
 
 #: Probability by chance from which on the alternatives are tried.
-_SUSPICIOUS: Final = 0.01
+_SUSPICION_P: Final = 0.01
 
 #: Shift of a run left out, or of the two-stage method, from which on they are.
-_SUSPICIOUS_SHIFT: Final = 3.0
+_SUSPICION_SHIFT: Final = 3.0
 
 #: Causes that are looked for, one after the other.
-_CAUSES: Final = 3
+_MAX_CAUSES: Final = 3
 
 #: Chi-square by which an explanation must be better than another to exclude it.
-_DECIDES: Final = 6.0
+_DECISIVE_CHI2: Final = 6.0
 
 #: Part of the first cause's size below which another may come of its being known to first order.
-_SMALL_PART: Final = 0.03
+_FIRST_ORDER_PART: Final = 0.03
 
 #: How often a cause's columns are worked out again for its size.
-_REFINED: Final = 4
+_REFINEMENTS: Final = 4
 
 #: How many of the explanations that are as good are named.
-_RIVALS: Final = 3
+_MAX_RIVALS: Final = 3
 
 #: And the part of it, for what an alternative does is known to first order.
-_DECIDES_PART: Final = 0.003
+_DECISIVE_PART: Final = 0.003
 
 #: Steps that are tried in each record, and again about the best of them.
 _STEPS: Final = 24
 
 #: What is more to be expected comes first, where the records cannot tell.
-_PLAUSIBLE: Final = (
+_KINDS_BY_PLAUSIBILITY: Final = (
     mistakes.CORIOLIS,  # which is all or nothing, and so seldom as large by chance
     "prior",
     "priors",
@@ -89,8 +90,8 @@ _PLAUSIBLE: Final = (
     mistakes.JUMP,
     mistakes.SLOPE,
 )
-_OF_PRIORS: Final = ("prior", "priors")
-_SOMEWHERE: Final = (mistakes.JUMP, mistakes.SLOPE)  # in a record
+_KINDS_OF_PRIORS: Final = ("prior", "priors")
+_KINDS_WITH_A_TIME: Final = (mistakes.JUMP, mistakes.SLOPE)  # in a record
 
 
 def causes_of(
@@ -114,7 +115,7 @@ def causes_of(
         # What may be wrong with readings has no columns beside them; what is known beforehand has.
         return _causes(views, now, priors, (), given) if priors else ()
     if not _is_suspicious(views, results) and (
-        not priors or _least(scores(now.fit, priors, noise_given=given)) > _SUSPICIOUS
+        not priors or _least(scores(now.fit, priors, noise_given=given)) > _SUSPICION_P
     ):
         return ()
     return _causes(views, now, priors, tuple(_others(views, now)), given)
@@ -131,9 +132,9 @@ def _causes(
     campaign = views[0].campaign
     causes: list[Cause] = []
     first = 0.0
-    for _ in range(_CAUSES):
+    for _ in range(_MAX_CAUSES):
         found = _best(now, priors, others, given)
-        if found is None or (causes and found.size < _SMALL_PART * first):
+        if found is None or (causes and found.size < _FIRST_ORDER_PART * first):
             break
         first = first or found.size
         after, found = _put_right(now, found, views)
@@ -198,9 +199,9 @@ def _is_suspicious(
             return True
         shifts = [normal_equivalent(line.z, line.dof) for line in result.jackknife if line.z]
         shifts += [abs(result.two_stage.z)] if result.two_stage else []
-        if any(z > _SUSPICIOUS_SHIFT for z in shifts):
+        if any(z > _SUSPICION_SHIFT for z in shifts):
             return True
-        if any(p < _SUSPICIOUS / records for p in _chances(view)):
+        if any(p < _SUSPICION_P / records for p in _chances(view)):
             return True
     return False
 
@@ -265,7 +266,7 @@ def _best(
     every = (*priors, *others)
     held = scores(now.fit, every, noise_given=given)
     place = _largest(held)
-    if held.alternatives[place].kind in _SOMEWHERE:
+    if held.alternatives[place].kind in _KINDS_WITH_A_TIME:
         # Now that it is known where about it is, where exactly?
         about = held.alternatives[place]
         (i,) = about.columns
@@ -276,13 +277,13 @@ def _best(
         place = _largest(held)
     if not _is_significant(held, place):
         # The priors have fewer tests, and so a lower threshold.
-        place = _largest(held, _OF_PRIORS)
+        place = _largest(held, _KINDS_OF_PRIORS)
         if not _is_significant(held, place):
             return None
     return _with_rivals(held, place, given)
 
 
-def _largest(held: Scores, kinds: Sequence[str] = _PLAUSIBLE) -> int:
+def _largest(held: Scores, kinds: Sequence[str] = _KINDS_BY_PLAUSIBILITY) -> int:
     """Return which credible alternative of some kinds explains most."""
     asked = [
         size if other.kind in kinds and _credible(held, k) else -1.0
@@ -297,22 +298,24 @@ def _is_significant(held: Scores, place: int) -> bool:
 
 def _tests(held: Scores, place: int) -> int:
     """Return how many alternatives share the significance of one of them."""
-    of_priors = held.alternatives[place].kind in _OF_PRIORS
+    of_priors = held.alternatives[place].kind in _KINDS_OF_PRIORS
     tests = sum(
         1
         for other, u in zip(held.alternatives, held.u.tolist(), strict=True)
-        if math.isfinite(u) and (other.kind in _OF_PRIORS) == of_priors
+        if math.isfinite(u) and (other.kind in _KINDS_OF_PRIORS) == of_priors
     )
     return max(tests, 1)
 
 
 def _with_rivals(held: Scores, place: int, given: bool) -> _Found:
     every, best = held.alternatives, float(held.size[place]) ** 2
-    least = max(best * (1.0 - _DECIDES_PART) - _DECIDES, 0.0)
+    least = max(best * (1.0 - _DECISIVE_PART) - _DECISIVE_CHI2, 0.0)
     as_good = [k for k in range(len(every)) if held.size[k] ** 2 > least and _credible(held, k)]
     # Steps differ by where they are only: the best one stands for those of its record.
-    as_good = [k for k in as_good if k == place or every[k].kind not in _SOMEWHERE] or [place]
-    first, *rivals = sorted(as_good, key=lambda k: (_PLAUSIBLE.index(every[k].kind), k))
+    as_good = [k for k in as_good if k == place or every[k].kind not in _KINDS_WITH_A_TIME] or [
+        place
+    ]
+    first, *rivals = sorted(as_good, key=lambda k: (_KINDS_BY_PLAUSIBILITY.index(every[k].kind), k))
     return _Found(
         every[first],
         float(held.value[first]),
@@ -361,9 +364,9 @@ def _put_right(
         model = replace(now.fit.model, unknowns=tuple(unknowns))
         return _again(now, replace(now.fit, model=model).with_noise({}), requests), found
     value, after = found.value, now
-    for _ in range(_REFINED):
+    for _ in range(_REFINEMENTS):
         limit = 10.0 * math.hypot(value, found.u)
-        own = Unknown("", head.name, (0.0, math.inf), limit)
+        own = Unknown("", head.name, NO_PRIOR, limit)
         after = replace(now, fit=extended(now.fit, [own], [head.columns]))
         value = float(after.fit.solution.estimate[-1])
         refined = mistakes.at_size(after.fit, head, value)
@@ -405,10 +408,10 @@ def _cause(
     if found.rivals:
         names = [
             Explanation(campaign, before.fit, other, 1.0, 1.0).described().name
-            for other in found.rivals[:_RIVALS]
+            for other in found.rivals[:_MAX_RIVALS]
         ]
         text += f" The records would fit as well with another {' or '.join(names)}."
-    far = normal_equivalent(found.size, found.dof) > CONTRADICTS
+    far = normal_equivalent(found.size, found.dof) > CONTRADICTION_SIGMAS
     contradicts = far and (moved > 1.0 or found.head.kind == "prior")
     return Cause(
         Finding(

@@ -20,7 +20,7 @@ from counterspin.physics.inputs import UNCERTAIN_INPUTS
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 
 #: What a quantity is off by where its unit was mistaken, and the words.
-_MISTAKEN: Final = (
+_RATIO_MISTAKES: Final = (
     (-1.0, "its sign is the other one"),
     (1e3, "as between a unit and a thousandth of it"),
     (1e6, "as between a unit and a millionth of it"),
@@ -32,7 +32,7 @@ _MISTAKEN: Final = (
 )
 
 #: Relative distance up to which a ratio is one of these.
-_NEAR: Final = 0.02
+_RATIO_TOLERANCE: Final = 0.02
 
 
 @frozen
@@ -247,8 +247,8 @@ def _mistaken(found: float, stated: float) -> str:
     """Say by which mistake a number would be off as it is; nothing where by none that is usual."""
     if found == 0.0 or stated == 0.0:
         return ""
-    for factor, words in _MISTAKEN:
+    for factor, words in _RATIO_MISTAKES:
         for ratio in (factor, 1.0 / factor):
-            if abs(stated / found / ratio - 1.0) < _NEAR:
+            if abs(stated / found / ratio - 1.0) < _RATIO_TOLERANCE:
                 return words
     return ""

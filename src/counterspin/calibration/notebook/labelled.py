@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import polars as pl
 
 #: Rows and columns that are displayed; the others are counted.
-_SHOWN: Final = (15, 6)
+_DISPLAYED_SHAPE: Final = (15, 6)
 
 
 class Labelled:
@@ -77,7 +77,7 @@ class Labelled:
 
     def _cells(self) -> list[list[str]]:
         """Return names and numbers as text, the first rows and columns of a large matrix."""
-        rows, columns = _SHOWN
+        rows, columns = _DISPLAYED_SHAPE
         head = ["", *self.labels[:columns]]
         numbers = self.values[:rows, :columns]
         body = [
@@ -87,7 +87,7 @@ class Labelled:
         return [head, *body]
 
     def _rest(self) -> str:
-        rows, columns = _SHOWN
+        rows, columns = _DISPLAYED_SHAPE
         size = len(self.labels)
         if size <= min(rows, columns):
             return ""

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from counterspin.calibration.result_parts import Coefficient
 
 #: Characters of a finding that a line of text shows.
-_LINE: Final = 100
+_LINE_CHARACTERS: Final = 100
 
 
 def rows(result: Result) -> Iterator[tuple[str, str, Coefficient]]:
@@ -130,7 +130,9 @@ def brief(result: Result) -> str:
     width = max((len(name) for name, _ in named), default=0)
     lines = [f"{name.ljust(width)}  {text}" for name, text in named]
     findings = [f"{finding.subject}: {finding.text}" for finding in result.findings]
-    remarks = [visible(shortened) for text in findings[:1] if (shortened := text[:_LINE])]
+    remarks = [
+        visible(shortened) for text in findings[:1] if (shortened := text[:_LINE_CHARACTERS])
+    ]
     if more := len(findings) - 1:
         remarks += [f"... {more} more findings"] if more > 0 else []
     room = LINES - 1 - len(remarks)

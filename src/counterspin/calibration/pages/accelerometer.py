@@ -43,7 +43,7 @@ from counterspin.reports.numbers import (
 )
 
 #: Above this correlation, estimates are named as moving together.
-_STRONG: Final = 0.9
+_STRONG_CORRELATION: Final = 0.9
 
 #: Unknowns of the two-stage method that are the spindle's, and so in neither table of terms:
 #: symbol and words.
@@ -316,7 +316,7 @@ def _correlations(accelerometer: AccelerometerResult) -> Iterator[Block]:
         (terms[i], terms[j], matrix[i][j])
         for i in range(len(terms))
         for j in range(i)
-        if abs(matrix[i][j]) >= _STRONG
+        if abs(matrix[i][j]) >= _STRONG_CORRELATION
     ]
     pairs.sort(key=lambda pair: -abs(pair[2]))
     text = "; ".join(f"{b} and {a} {_correlation(r)}" for a, b, r in pairs)

@@ -15,7 +15,7 @@ from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import field_unit, format_number
 
 #: Effects below this part of a coefficient's u are not worth a number.
-_NOTHING: Final = 0.01
+_NEGLIGIBLE_PART: Final = 0.01
 
 
 def left_out_sentence(accelerometer: AccelerometerResult) -> str:
@@ -66,7 +66,7 @@ def left_out_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
         cells = [symbol, f"{format_number(sizes[symbol][0] * factor, 2)} {unit}"]
         for name, shift in moves.items():
             c = accelerometer.coefficients[name]
-            worth = shift > _NOTHING * (c.u or 0.0)
+            worth = shift > _NEGLIGIBLE_PART * (c.u or 0.0)
             cells.append(format_number(shift * field_unit(c.unit)[1], 2) if worth else "")
         rows.append(tuple(cells))
     yield Heading("What the model leaves out", 3)

@@ -17,7 +17,7 @@ from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
 from counterspin.reports.numbers import field_unit, format_share, format_uncertainty
 
 #: More curves than this in one plot are not told apart: the runs then take several plots.
-_CURVES: Final = 6
+_MAX_CURVES: Final = 6
 
 #: Residuals are drawn in the unit in which they are mostly small numbers.
 _SMALL: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "m/s^2": ("mm/s^2", 1e3)}
@@ -113,8 +113,8 @@ def residual_plots(
     yield from residuals_over_time(name, accelerometer, runs)
     unit, factor = _unit(accelerometer)
     traces = _traces(accelerometer, runs)
-    for first in range(0, len(traces), _CURVES):
-        some = traces[first : first + _CURVES]
+    for first in range(0, len(traces), _MAX_CURVES):
+        some = traces[first : first + _MAX_CURVES]
         yield from _over_angle(name, some, unit, factor)
         yield from _spectra(name, some)
         yield from _quantiles(name, some)
@@ -133,8 +133,8 @@ def residual_spectra(
 ) -> Iterator[Plot]:
     """Yield spectra of the whitened residuals, several runs in a picture."""
     traces = _traces(accelerometer, runs)
-    for first in range(0, len(traces), _CURVES):
-        yield from _spectra(name, traces[first : first + _CURVES])
+    for first in range(0, len(traces), _MAX_CURVES):
+        yield from _spectra(name, traces[first : first + _MAX_CURVES])
 
 
 def _unit(accelerometer: AccelerometerResult) -> tuple[str, float]:

@@ -35,7 +35,7 @@ from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import SHARED_TERMS
 
 #: Part of a column, squared, that the unknowns must leave of it for anything to be tested.
-_LEFT: Final = 1e-9
+_LEAST_PART_LEFT: Final = 1e-9
 
 
 @frozen
@@ -166,7 +166,7 @@ def scores(fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: b
     held = beside_fit(fit, alternatives)
     columns, residual = held.columns, held.residual
     norms = np.sum(columns**2, axis=0)
-    there = norms > _LEFT * held.before
+    there = norms > _LEAST_PART_LEFT * held.before
     norms = np.where(there, norms, np.inf)
     product = columns.T @ residual
     gain = product**2 / norms

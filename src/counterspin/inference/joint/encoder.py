@@ -35,11 +35,11 @@ SYMBOLS: Final = tuple(f"encoder.{part}" for part in SLOW) + tuple(
 )
 
 #: Square of a term's norm in a record from which on it is considered, and from which on estimated.
-_CONSIDERED: Final = 1e-5
-_ESTIMATED: Final = 1e-2
+_CONSIDERED_NORM_SQUARED: Final = 1e-5
+_ESTIMATED_NORM_SQUARED: Final = 1e-2
 
 #: Largest credible size of a term, in its standard deviations.
-_LIMIT: Final = 10.0
+_LIMIT_SDS: Final = 10.0
 
 
 def part_of(symbol: str) -> str:
@@ -161,10 +161,10 @@ def with_encoder(
         values = error.standardised.tolist()
         for symbol, value, norm in zip(_symbols(error), values, norms.tolist(), strict=True):
             # What a harmonic left out is thought to be counts like its uncertainty.
-            if norm > _ESTIMATED:
-                unknowns.append(Unknown(run, symbol, (value, 1.0), _LIMIT))
-            elif norm * (1.0 + value**2) > _CONSIDERED:
-                considered.append(Considered(run, symbol, (value, 1.0), _LIMIT))
+            if norm > _ESTIMATED_NORM_SQUARED:
+                unknowns.append(Unknown(run, symbol, (value, 1.0), _LIMIT_SDS))
+            elif norm * (1.0 + value**2) > _CONSIDERED_NORM_SQUARED:
+                considered.append(Considered(run, symbol, (value, 1.0), _LIMIT_SDS))
     if not unknowns and not considered:
         return model
     return replace(
@@ -183,7 +183,7 @@ def _norms(series: Series, error: AngleError, noise: NoiseModel) -> Array:
     if series.order == 2:
         angle = error.largest @ np.abs(error.root)
         bound = np.sum(weight) * (series.trajectory.radius * angle) ** 2
-        if np.all(bound * (1.0 + error.standardised**2) < _CONSIDERED):
+        if np.all(bound * (1.0 + error.standardised**2) < _CONSIDERED_NORM_SQUARED):
             return np.asarray(bound)
     shown = columns(series, _symbols(error), {})
     return np.asarray(weight @ shown**2)

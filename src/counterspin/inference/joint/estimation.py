@@ -39,15 +39,11 @@ Rows = npt.NDArray[np.bool_]
 
 _ROUNDS: Final = 20  #: of outlier rejection
 
-#: Step of N^2 by which the covariance is differentiated at N = 0, as a part of the second level
-#: of the walk that the records allow.
-_DERIVATIVE_STEP: Final = 1e-2
-
 #: Least u of a prior in the likelihood, in units of the unknown's credible limit.
-_EXACT: Final = 1e-12
+_LEAST_PRIOR_U: Final = 1e-12
 
 #: A change of K_I by less than this changes no platform column noticeably.
-_SCALE_SETTLED: Final = 1e-4
+_SCALE_TOLERANCE: Final = 1e-4
 
 
 @frozen
@@ -158,7 +154,7 @@ def estimate(
         noise, components = _noise(prepared, whole, requests)
         fit = solve_joint(prepared, whole, noise)
     scale_factors = _scale_factors(series, plain, fit)
-    moved = any(abs(scale_factors[a] - before[a]) > _SCALE_SETTLED for a in before)
+    moved = any(abs(scale_factors[a] - before[a]) > _SCALE_TOLERANCE for a in before)
     if model.inputs or moved:
         whole = replace(whole, inputs=model.inputs)
         prepared = fit.prepared_for(whole, scale_factors)
@@ -289,7 +285,7 @@ def _components(
     ]
     # Priors are data too; what has none is held as loosely as in the solution.
     chosen = [every[index] for index in used]
-    spread = np.array([max(unknown.spread, _EXACT * unknown.limit) for unknown in chosen])
+    spread = np.array([max(unknown.spread, _LEAST_PRIOR_U * unknown.limit) for unknown in chosen])
     means = np.array([unknown.prior_mean for unknown in chosen])
     # Like quantisation, noise of the time stamps is white noise of a known size; its mean square
     # over the runs serves here, while the fit gives each run its own.
@@ -346,7 +342,7 @@ def _with_unseen(
     for name, component in components.items():
         if component.unseen is None or not known.any():
             continue
-        step = _DERIVATIVE_STEP * float(component.unseen.levels[1])
+        step = component.unseen.step
         walking = replace(fit.noise[name], random_walk=math.sqrt(step))
         after = fit.with_noise({name: walking}).solution.least_covariance
         root = semidefinite_root(np.where(np.outer(known, known), (after - before) / step, 0.0))

@@ -23,8 +23,8 @@ from counterspin.inference.least_squares import Solution
 
 #: A direction in which a credible change moves data by less than this part of their noise tells
 #: nothing; one that the others predict this many times worse than the data see it tests nothing.
-_BLIND: Final = 1e-2
-_UNPREDICTED: Final = 1e3
+_BLIND_PART: Final = 1e-2
+_PREDICTION_RATIO: Final = 1e3
 
 #: Variances that differ by less than this part are the same but for rounding.
 _ROUNDING: Final = 1e-9
@@ -110,11 +110,11 @@ def _surprise(own: Sequence[Block], others: Sequence[Block], model: Unknowns) ->
     credible = np.array([*(term.spread for term in terms), *(model.inputs or {}).values()])
     limits = np.array([*(term.limit for term in terms), *(model.inputs or {}).values()])
     seen, sizes, _ = np.linalg.svd(rows * np.minimum(credible, limits), full_matrices=False)
-    seen = seen[:, sizes > _BLIND]
+    seen = seen[:, sizes > _BLIND_PART]
     # Only what the kind says of the unknowns; its own scatter has tests of its own.
     innovation = seen.T @ (target - rows @ predicted.estimate)
     directions, spread, _ = np.linalg.svd(predicted.root_of(seen.T @ rows), full_matrices=True)
     spread = np.append(spread, np.zeros(innovation.size - spread.size))
-    known = spread < _UNPREDICTED
+    known = spread < _PREDICTION_RATIO
     pulls = (directions.T @ innovation)[known] / np.sqrt(1.0 + spread[known] ** 2)
     return float(pulls @ pulls), int(known.sum())

@@ -40,7 +40,7 @@ CORIOLIS: Final = "coriolis"  #: part of the error velocity that is wrongly take
 SLOPE: Final = "slope"  #: change of a record's slope, in its unit and 1/s
 
 #: Part of the error velocity of which it can still be said that it is all.
-_ALL: Final = 1.2
+_WHOLE_VELOCITY_PART: Final = 1.2
 
 #: Terms of accelerometers and platform.
 _ERRORS: Final = frozenset((*TERMS, *SHARED_TERMS))
@@ -113,7 +113,7 @@ def of_coriolis(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternative]:
             if part.any():
                 columns[i] = part if own_velocity else -part
     if columns:
-        yield Alternative(CORIOLIS, "", "records.reference", columns, limit=_ALL)
+        yield Alternative(CORIOLIS, "", "records.reference", columns, limit=_WHOLE_VELOCITY_PART)
 
 
 def at_size(fit: JointFit, other: Alternative, value: float) -> Alternative:

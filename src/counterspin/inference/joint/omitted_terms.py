@@ -23,7 +23,7 @@ from counterspin.inference.joint.unknowns import Considered, Unknowns
 from counterspin.inference.readings import Readings, blocks_at
 
 #: Rows that are enough: sensitivities depend on the columns' shapes, not on the sampling.
-_ROWS: Final = 3072
+_SENSITIVITY_ROWS: Final = 3072
 
 
 def sensitivities(
@@ -55,7 +55,7 @@ def sensitivities(
     """
     model = Unknowns(fit.model.unknowns, tuple(terms), inputs)
     estimate = fit.solution.estimate[: len(fit.model.unknowns)]
-    most = _ROWS // max(1, len(fit.prepared))
+    most = _SENSITIVITY_ROWS // max(1, len(fit.prepared))
     thinned = [
         _thinned(record, most).again(fit.model, model, 1.0, estimate) for record in fit.prepared
     ]

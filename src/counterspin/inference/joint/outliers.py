@@ -19,14 +19,14 @@ FALSE_ALARMS: Final = 0.01
 
 #: Samples on either side whose median is taken away: slow wander is not outlying. Where a walk is
 #: larger than the white noise within the first, the second serves.
-_REACH: Final = 32
-_NEARER: Final = 4
+_MEDIAN_REACH: Final = 32
+_NEAR_MEDIAN_REACH: Final = 4
 
 #: Ratio of the scales below which it does.
-_CALMER: Final = 0.8
+_CALM_RATIO: Final = 0.8
 
 #: A step this much longer than usual is a gap.
-_GAP: Final = 1.5
+_GAP_STEPS: Final = 1.5
 
 #: Standard deviation of a Gaussian over its median absolute deviation.
 _MAD: Final = 1.4826
@@ -66,19 +66,19 @@ def outlying(
         Shape (n,); false where a sample has been left out already.
     """
     n, there = residuals.size, np.isfinite(residuals)
-    if np.count_nonzero(there) < 2 * _REACH:
+    if np.count_nonzero(there) < 2 * _MEDIAN_REACH:
         return np.zeros(n, dtype=bool)
     place = np.arange(float(n)) if time is None else time
     filled = np.interp(place, place[there], residuals[there])
-    signed = _apart(filled, _REACH) * weight
+    signed = _apart(filled, _MEDIAN_REACH) * weight
     scale, judged = _scale(signed[there]), there
-    nearer = _apart(filled, _NEARER) * weight
-    if _scale(nearer[there]) < _CALMER * scale:
+    nearer = _apart(filled, _NEAR_MEDIAN_REACH) * weight
+    if _scale(nearer[there]) < _CALM_RATIO * scale:
         signed, scale = nearer, _scale(nearer[there])
         for step in (1, -1):
             wide = _scales_of_ends((filled * weight)[::step])
             signed[::step][: wide.size] /= np.maximum(wide / scale, 1.0)
-        judged = there & ~_beside_a_gap(place, _NEARER)
+        judged = there & ~_beside_a_gap(place, _NEAR_MEDIAN_REACH)
     scale = max(scale, floor)
     distance = np.where(judged, np.abs(signed), 0.0)
     if scale == 0.0:
@@ -95,7 +95,7 @@ def outlying(
 def _beside_a_gap(place: Array, reach: int) -> npt.NDArray[np.bool_]:
     """Return which samples have neighbours within the reach that are farther off than usual."""
     steps = np.diff(place)
-    wide = np.append(steps > _GAP * np.median(steps), False)
+    wide = np.append(steps > _GAP_STEPS * np.median(steps), False)
     after = np.flatnonzero(wide)
     near = np.zeros(place.size, dtype=bool)
     for k in range(-reach + 1, reach + 1):
@@ -119,7 +119,7 @@ def _apart(residuals: Array, reach: int) -> Array:
     local, variance = np.empty(residuals.size), np.empty(residuals.size)
     inner = slice(reach, residuals.size - reach)
     # Every second pair of many serves as well and takes half of the time.
-    pairs = range(2, reach + 1, 2) if reach == _REACH else range(1, reach + 1)
+    pairs = range(2, reach + 1, 2) if reach == _MEDIAN_REACH else range(1, reach + 1)
     local[inner], variance[inner] = _of_pairs(residuals, pairs)
     for step in (1, -1):
         end, seen, spread = residuals[::step], local[::step], variance[::step]

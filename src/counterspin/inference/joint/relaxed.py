@@ -10,21 +10,18 @@ columns, such as those of a mistake that somebody may have made.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.inference.blocks import Block
-from counterspin.inference.joint.fit import JointFit, blocks_of, solve_blocks
+from counterspin.inference.joint.fit import JointFit, blocks_of, relaxed_block, solve_blocks
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
+from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.noise.model import NoiseModel
-
-_NOTHING: Final = (0.0, math.inf)
 
 
 def relax(fit: JointFit) -> JointFit:
@@ -58,17 +55,9 @@ def relax(fit: JointFit) -> JointFit:
         model=whole,
         solution=fit.relaxed,
         prepared=prepared,
-        blocks=tuple(_estimating(block) for block in fit.blocks),
-        beside={name: _estimating(block) for name, block in fit.beside.items()},
+        blocks=tuple(relaxed_block(block) for block in fit.blocks),
+        beside={name: relaxed_block(block) for name, block in fit.beside.items()},
         unseen={},
-    )
-
-
-def _estimating(block: Block) -> Block:
-    return replace(
-        block,
-        factor=np.hstack([block.factor, block.considered]),
-        considered=block.considered[:, :0],
     )
 
 
@@ -80,7 +69,7 @@ def widened(
     Arguments as of `extended`; the columns stand after those of the unknowns.
     """
     p, m = len(fit.model.unknowns), len(columns)
-    added = [Unknown("", str(place), _NOTHING, 1.0) for place in range(m)]
+    added = [Unknown("", str(place), NO_PRIOR, 1.0) for place in range(m)]
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *added))
     prepared = tuple(
         _extended(part, [(p + k, shown[i]) for k, shown in enumerate(columns) if i in shown])

@@ -22,13 +22,13 @@ from counterspin.inference.noise.model import NoiseModel
 _ROUNDS: Final = 20  #: of Gauss and Newton's iteration
 
 #: Angle at the end of a run, rad, below which the iteration has settled.
-_SETTLED: Final = 1e-7
+_ANGLE_TOLERANCE: Final = 1e-7
 
 #: Fewest samples of a stretch from which a phase is taken: five functions are fitted to them.
-_STRETCH: Final = 8
+_STRETCH_SAMPLES: Final = 8
 
 #: Horizontal part of an input axis from which the rotation can be seen.
-_HORIZONTAL: Final = 0.1
+_HORIZONTAL_PART: Final = 0.1
 
 
 def find_rotation(
@@ -71,7 +71,7 @@ def find_rotation(
             _turned(record, *(change[record.run][symbol] for symbol in ROTATION))
             for record in turned
         )
-        if all(_end_angle(record, change[record.run]) < _SETTLED for record in turned):
+        if all(_end_angle(record, change[record.run]) < _ANGLE_TOLERANCE for record in turned):
             return turned
     raise ConvergenceError(
         "the rotation could not be found from the displacement: the nominal rate is too far off; "
@@ -89,7 +89,7 @@ def _guessed(series: Sequence[Series]) -> tuple[Series, ...]:
             for record in own
         ]
         best = int(np.argmax(horizontal))
-        guesses[run] = _guess(own[best]) if horizontal[best] > _HORIZONTAL else (0.0, 0.0, 0.0)
+        guesses[run] = _guess(own[best]) if horizontal[best] > _HORIZONTAL_PART else (0.0, 0.0, 0.0)
     return tuple(_turned(record, *guesses[record.run]) for record in series)
 
 
@@ -107,7 +107,7 @@ def _guess(series: Series) -> tuple[float, float, float]:
     times, phases = [], []
     for place in range(places[-1] + 1):
         rows = places == place
-        if np.count_nonzero(rows) < _STRETCH:
+        if np.count_nonzero(rows) < _STRETCH_SAMPLES:
             continue
         middle = float(series.time[rows].mean())
         # Over one revolution all else that the output does is a parabola.

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -25,9 +24,6 @@ from counterspin.inference.least_squares import Solution
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import Unseen, lengthened
 from counterspin.inference.noise.variance_components import effective_dof_of
-
-#: Step of N^2, as a part of the second level that the records allow.
-_DERIVATIVE_STEP: Final = 1e-2
 
 
 @frozen
@@ -84,7 +80,7 @@ def leave_out(estimated: Estimate, runs: Sequence[str], index: int, owner: str) 
 
         inverse = 1.0 / effective_dof_of(variances, component)
         if component.unseen is not None:
-            step = _DERIVATIVE_STEP * float(component.unseen.levels[1])
+            step = component.unseen.step
             walking = replace(fit.noise[owner], random_walk=math.sqrt(step))
             slope = growth(fit, fit.with_noise({owner: walking}), runs, index) / step
             variance, inverse = _with_unseen(component.unseen, variance, slope, inverse)

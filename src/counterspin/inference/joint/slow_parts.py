@@ -24,11 +24,11 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.prepared import Prepared
 
 #: Cosines beyond the last one that the accelerometer's noise dominates; most of all.
-_BEYOND: Final = 2
-_MOST: Final = 24
+_FURTHER_COSINES: Final = 2
+_MAX_COSINES: Final = 24
 
 #: Singular value of columns of unit size below which the unknowns follow all of one.
-_RANK: Final = 1e-4
+_RANK_TOLERANCE: Final = 1e-4
 
 
 @frozen
@@ -74,7 +74,7 @@ def slow_parts(fit: JointFit, accelerometer: str) -> list[SlowPart]:
     for i in places:
         own = columns[:, [other.owner == str(i) for other in cosines]]
         left, sizes, _ = np.linalg.svd(own, full_matrices=False)
-        basis = left[:, sizes > _RANK]
+        basis = left[:, sizes > _RANK_TOLERANCE]
         found.append((float(np.sum((basis.T @ held.residual) ** 2)), basis.shape[1]))
     return [_against(fit.prepared[i], found, k) for k, i in enumerate(places)]
 
@@ -98,9 +98,12 @@ def _cosines(fit: JointFit, prepared: Prepared) -> list[Array]:
     length = float(series.time[-1] - series.time[0])
     per_sample = length / float(np.sum(series.count))
     white = math.sqrt(noise.sample_variance * per_sample)
-    count = _MOST
-    if series.order and noise.random_walk < white * (math.pi * _MOST / length) ** series.order:
+    count = _MAX_COSINES
+    if (
+        series.order
+        and noise.random_walk < white * (math.pi * _MAX_COSINES / length) ** series.order
+    ):
         corner = (noise.random_walk / white) ** (1.0 / series.order)
-        count = min(_MOST, math.ceil(corner * length / math.pi) + _BEYOND)
+        count = min(_MAX_COSINES, math.ceil(corner * length / math.pi) + _FURTHER_COSINES)
     phase = math.pi * (series.time - series.time[0]) / length
     return [np.cos(j * phase) for j in range(1, count + 1)]

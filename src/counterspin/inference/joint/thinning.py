@@ -8,16 +8,12 @@
 
 from __future__ import annotations
 
-import math
-from typing import Final
-
 import numpy as np
 from numpy.typing import NDArray
 
 from counterspin.arrays import Array
 from counterspin.inference.distributions import normal_cdf, normal_quantile
-
-_TURN: Final = 2.0 * math.pi
+from counterspin.physics.spindle import TURN
 
 
 def stretches(time: Array, values: Array, count: int) -> tuple[Array, Array, Array]:
@@ -54,7 +50,7 @@ def over_revolution(angle: Array, values: Array, parts: int) -> tuple[Array, Arr
     parts
         How many; one without a sample has NaN.
     """
-    place = np.minimum((np.mod(angle, _TURN) * (parts / _TURN)).astype(np.intp), parts - 1)
+    place = np.minimum((np.mod(angle, TURN) * (parts / TURN)).astype(np.intp), parts - 1)
     count = np.bincount(place, minlength=parts)
     low, high = np.full(parts, np.inf), np.full(parts, -np.inf)
     np.minimum.at(low, place, values)

@@ -24,8 +24,9 @@ Without a random walk a row is divided by its standard deviation, and nothing is
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.noise.riccati import BlockSpans, filter_walk
 from counterspin.inference.noise.wander import (
@@ -36,8 +37,6 @@ from counterspin.inference.noise.wander import (
     integrated_cosines,
     spanned,
 )
-
-Array = NDArray[np.float64]
 
 DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
 

@@ -15,13 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from counterspin.arrays import triangle_of
+from counterspin.arrays import Array, triangle_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.model import Differences, solve_banded_factor
 from counterspin.inference.noise.wander import Levels, LowRank
-
-Array = NDArray[np.float64]
 
 
 @frozen

@@ -19,11 +19,9 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from counterspin.arrays import Array
 from counterspin.frozen import frozen
-
-Array = NDArray[np.float64]
 
 #: Rows up to which the filter runs row after row.
 FEW_ROWS: Final = 1000

@@ -21,18 +21,16 @@ from collections.abc import Callable
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import normal_cdf, student_quantile
-
-Array = NDArray[np.float64]
 
 #: The density of log N^2 before the records are looked at goes with this power of N^2.
 POWER: Final = 1.0 / 3.0
 
 #: Steps of log N^2, in which likelihoods change smoothly.
-_STEP: Final = 1.0
+_LOG_STEP: Final = 1.0
 
 #: Change of the log-likelihood by which a walk shows, and by which it is out of the question.
 _VISIBLE_CHANGE: Final = 0.05
@@ -60,6 +58,11 @@ class Unseen:
     levels: Array
     weights: Array
 
+    @property
+    def step(self) -> float:
+        """Step of N^2 by which what depends on it is differentiated at N = 0."""
+        return 1e-2 * float(self.levels[1])
+
 
 def unseen_walk(at: Callable[[float], tuple[float, float]], first: float, without: float) -> Unseen:
     """Return which walks records allow that do not show one.
@@ -77,18 +80,18 @@ def unseen_walk(at: Callable[[float], tuple[float, float]], first: float, withou
     for _ in range(_MOST_STEPS):
         if abs(at(first)[0] - without) < _VISIBLE_CHANGE:
             break
-        first -= 2.0 * _STEP
+        first -= 2.0 * _LOG_STEP
     values, levels = [], []
     for step in range(_MOST_STEPS):
-        value, log_level = at(first + step * _STEP)
+        value, log_level = at(first + step * _LOG_STEP)
         values.append(value)
         levels.append(log_level)
         if value < max(without, *values) - _EXCLUDING_CHANGE:
             break
     log_density = np.array(values) + POWER * np.array(levels)
-    weights = _STEP * np.exp(log_density - log_density.max())
+    weights = _LOG_STEP * np.exp(log_density - log_density.max())
     # Below the first level the likelihood is constant: the power is integrated, and so is N^2.
-    tail = weights[0] / _STEP / POWER
+    tail = weights[0] / _LOG_STEP / POWER
     weights[0] *= 0.5
     smallest = math.exp(levels[0]) * POWER / (1.0 + POWER)
     every = np.append(tail, weights)

@@ -5,9 +5,9 @@ random walk only their ratio N^2/(white variance) needs a search: the best level
 that closed form (a short iteration where unknowns have priors).
 
 A component is kept only if the records ask for it: twice the gain in restricted log-likelihood must
-reach `KEEP`. At its boundary, zero, that statistic is 0 half of the time and chi-square with one
-degree of freedom otherwise (Self and Liang, JASA 82 (1987) 605), so that 2.706 keeps a component
-which is not there at most 5 times in 100.
+reach `KEEPING_GAIN`. At its boundary, zero, that statistic is 0 half of the time and chi-square
+with one degree of freedom otherwise (Self and Liang, JASA 82 (1987) 605), so that 2.706 keeps a
+component which is not there at most 5 times in 100.
 
 - `estimate`: records -> `VarianceComponents`
 - `effective_dof`, `effective_dof_of`: how many degrees of freedom an uncertainty rests on
@@ -22,8 +22,9 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.restricted_likelihood import RecordData, RestrictedLikelihood
@@ -31,7 +32,7 @@ from counterspin.inference.noise.unseen_noise import Unseen, unseen_walk
 
 __all__ = [
     "COMPONENTS",
-    "KEEP",
+    "KEEPING_GAIN",
     "RecordData",
     "VarianceComponents",
     "effective_dof",
@@ -39,10 +40,9 @@ __all__ = [
     "estimate",
 ]
 
-Array = NDArray[np.float64]
 
 #: Least gain in 2 log L that keeps a component: the upper 5 % point of its law at zero.
-KEEP: Final = 2.705543454095404
+KEEPING_GAIN: Final = 2.705543454095404
 
 #: Distance above the least ratio of a search, in logarithms, at which a walk begins to show.
 _DETECTION_LOG_RATIO: Final = 4.0
@@ -149,7 +149,7 @@ def estimate(
     if not found:
         raise ValueError("noise: all components are given as zero, so rows cannot be weighted")
 
-    kept = max(found, key=lambda names: found[names].value - KEEP / 2 * len(names))
+    kept = max(found, key=lambda names: found[names].value - KEEPING_GAIN / 2 * len(names))
     best = found[kept]
     unseen = None
     if _WALK in wanted and _WALK not in kept and best.rules.walk == 0:

@@ -24,30 +24,28 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
+from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.physics.simulation import SLOWEST_FLICKER
-
-Array = NDArray[np.float64]
 
 #: Flicker below this frequency is bias, Hz.
 LOWEST: Final = SLOWEST_FLICKER
 
 #: At the highest frequency that is taken along, the wander is this part of the other noise.
-_COVERED: Final = 1e-3
+_LEAST_WANDER_PART: Final = 1e-3
 
 #: Fewest and most functions.
-_FUNCTIONS: Final = (12, 256)
+_FUNCTION_RANGE: Final = (12, 256)
 
 #: Grid points for each function.
-_FINER: Final = 4
+_POINTS_PER_FUNCTION: Final = 4
 
 #: The cosines are level at both ends: these lie beyond the record by this part of it.
-_BEYOND: Final = 0.02
+_OVERHANG_PART: Final = 0.02
 
 #: Shares of a whitened direction below this are rounding.
-_NOTHING: Final = 1e-9
+_ROUNDING: Final = 1e-9
 
 
 def flicker_autocovariance(lag: Array, low: float, high: float) -> Array:
@@ -97,7 +95,7 @@ class Levels:
 
 def spanned(last: float) -> float:
     """Return the length over which the cosines run, of a record whose last row is at `last` s."""
-    return (1.0 + _BEYOND) * last
+    return (1.0 + _OVERHANG_PART) * last
 
 
 def functions_needed(levels: Levels, spacing: float, length: float, order: int) -> int:
@@ -114,14 +112,14 @@ def functions_needed(levels: Levels, spacing: float, length: float, order: int) 
     order
         How often the observable integrates acceleration.
     """
-    fewest, most = _FUNCTIONS
+    fewest, most = _FUNCTION_RANGE
     # No more than the samples can show.
     most = max(fewest, min(most, math.floor(0.9 * length / spacing)))
     count = fewest
     while count < most:
         w = math.pi * count / length
         wander = levels.flicker / w + levels.bias_walk / w**2
-        if wander <= _COVERED * (levels.white * spacing * w ** (2 * order) + levels.walk):
+        if wander <= _LEAST_WANDER_PART * (levels.white * spacing * w ** (2 * order) + levels.walk):
             break
         # Few different numbers: what was worked out for one of them serves again.
         count = math.ceil(1.25 * count)
@@ -162,7 +160,7 @@ def integrated_cosines(
 @lru_cache(maxsize=256)
 def _coefficient_covariances(count: int, length: float) -> tuple[Array, Array]:
     """Return the cosines' covariances for B = 1 and for a walk of K = 1 from 0, (count, count)."""
-    points = _FINER * count
+    points = _POINTS_PER_FUNCTION * count
     place = (np.arange(points) + 0.5) / points
     project = 2.0 / points * np.cos(math.pi * np.outer(np.arange(count), place))
     project[0] *= 0.5
@@ -217,7 +215,7 @@ class LowRank:
     def of(cls, added: Array) -> LowRank:
         """Return it for U, shape (m, r)."""
         size, vectors = np.linalg.eigh(added.T @ added)
-        counts = size > _NOTHING
+        counts = size > _ROUNDING
         size, vectors = size[counts], vectors[:, counts]
         spread = np.sqrt(1.0 + size)
         return cls(added @ vectors, -1.0 / (spread * (1.0 + spread)), float(np.log1p(size).sum()))

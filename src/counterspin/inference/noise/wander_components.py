@@ -4,7 +4,7 @@ White noise and random walk are found first, as where nothing wanders, to begin 
 that is asked for is then part of the noise: what the records cannot tell from a walk of the
 velocity may still be one, and moves a run's bias too. Its size is the mean over what the records
 allow. The walk, and a second kind of wander, are kept if they gain as much as a component must
-(`counterspin.inference.noise.variance_components.KEEP`).
+(`counterspin.inference.noise.variance_components.KEEPING_GAIN`).
 
 - `Request`: which variances are known
 - `estimate_wandering`: records -> `VarianceComponents`
@@ -19,8 +19,9 @@ from itertools import combinations
 from typing import Final, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.noise.restricted_likelihood import (
     Ratios,
@@ -30,12 +31,10 @@ from counterspin.inference.noise.restricted_likelihood import (
 from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened
 from counterspin.inference.noise.variance_components import (
     COMPONENTS,
-    KEEP,
+    KEEPING_GAIN,
     VarianceComponents,
     estimate,
 )
-
-Array = NDArray[np.float64]
 
 _WANDER: Final = COMPONENTS[2:]
 
@@ -44,14 +43,14 @@ _FIRST_STEP: Final = 1.5
 _CURVATURE_STEP: Final = 0.2
 
 #: The search ends where variances are known to this part; their own u is ten times that and more.
-_SETTLED: Final = 3e-2
+_TOLERANCE: Final = 3e-2
 
 #: Sizes over which a wander is averaged, about the largest of estimate and first guess: e-folds of
 #: the variance.
 _SIZES: Final = np.arange(-12.0, 9.1, 1.0)
 
 #: A wander that begins to show is the other noise at this many times a record's lowest frequency.
-_BEGINS: Final = 3.0
+_ONSET_RATIO: Final = 3.0
 
 
 class Request(Protocol):
@@ -116,7 +115,7 @@ def estimate_wandering(
         key = tuple(name for name in COMPONENTS if name in names)
         if key not in found:
             found[key] = search.maximum(key, base)
-        return found[key][1] - 0.5 * KEEP * len(key)
+        return found[key][1] - 0.5 * KEEPING_GAIN * len(key)
 
     # White noise is there where the bias wanders, and the wander that was asked for is taken where
     # the records cannot tell it from a walk of the velocity: it leaves more open.
@@ -227,8 +226,8 @@ class _Search:
             method="Nelder-Mead",
             options={
                 "initial_simplex": simplex,
-                "xatol": _SETTLED,
-                "fatol": 0.1 * _SETTLED,
+                "xatol": _TOLERANCE,
+                "fatol": 0.1 * _TOLERANCE,
                 "maxfev": 60 * first.size,
             },
         )
@@ -239,7 +238,7 @@ class _Search:
         first = self.likelihood.differences[0]
         order = self.likelihood.orders[0]
         longest = max(float(d.blocks.time[-1]) for d in self.likelihood.differences)
-        w = 2.0 * math.pi * _BEGINS / longest
+        w = 2.0 * math.pi * _ONSET_RATIO / longest
         white = base.white**2 + self.request.quantisation**2 / 12.0
         white = max(white, self._known["white"], 1e-30)
         density = white * float(np.median(first.spacing)) * w ** (2 * order) + base.random_walk**2

@@ -15,10 +15,10 @@ from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.model import DISPLACEMENT, NoiseModel, make_whitener
-from counterspin.inference.two_stage.strobes import MINIMUM, Strobes
+from counterspin.inference.two_stage.strobes import FEWEST_STROBES, Strobes
 
 #: A strobe is no block of samples: its extent, in parts of the time between two.
-_POINT: Final = 1e-9
+_STROBE_EXTENT: Final = 1e-9
 
 
 @frozen
@@ -94,7 +94,7 @@ def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float
         If there are fewer than four strobes.
     """
     m = strobes.time.size
-    if m < MINIMUM:
+    if m < FEWEST_STROBES:
         raise NotIdentifiableError(f"{m} strobes cannot determine a parabola and its noise")
     span = float(np.ptp(strobes.time))
     powers = span ** -np.arange(3.0)
@@ -112,7 +112,7 @@ def first_stage(strobes: Strobes, sigma: float | None = None, random_walk: float
             DISPLACEMENT,
             NoiseModel(used, random_walk),
             strobes.noise_factor**-2.0,
-            _POINT * float(np.diff(strobes.time).min()),
+            _STROBE_EXTENT * float(np.diff(strobes.time).min()),
         )
         square = whiten.apply(strobes.time**2)
         b2_gain = whiten.apply(np.eye(m)).T @ square / (square @ square)

@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import Final, Literal
 
 from counterspin.frozen import frozen
+from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.two_stage.first_stage import Parabola, first_stage
 from counterspin.inference.two_stage.strobes import Strobes
@@ -26,8 +27,6 @@ RIPPLE: Final = "spindle.ripple"  #: as printed: w_p sin(phi) in rad/s, or (w_p/
 
 #: Largest credible sizes of the second unknowns: 1 % a second, 1 % of a usual rate.
 _SPINDLE_LIMIT: Final = 1e-2
-
-_UNKNOWN: Final = (0.0, math.inf)  #: prior of a term of which nothing is known
 
 
 @frozen
@@ -88,14 +87,14 @@ class TwoStageRequest:
     @cached_property
     def unknowns(self) -> dict[str, tuple[float, float]]:
         """What is estimated, K_II first, with its prior; infinite: nothing is known of it."""
-        unknowns = {"K_II": self.priors.get("K_II", _UNKNOWN)}
-        bias = self.priors.get("K_F", _UNKNOWN)
+        unknowns = {"K_II": self.priors.get("K_II", NO_PRIOR)}
+        bias = self.priors.get("K_F", NO_PRIOR)
         if self.model == "exact" and self.fit_bias and bias[1] > 0.0:
             unknowns["K_F"] = bias
         if self.model == "as-printed":
-            unknowns[RIPPLE] = _UNKNOWN
+            unknowns[RIPPLE] = NO_PRIOR
         elif self.nominal_angle:
-            unknowns[DRIFT] = _UNKNOWN
+            unknowns[DRIFT] = NO_PRIOR
         return unknowns
 
     @cached_property

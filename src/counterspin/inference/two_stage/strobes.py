@@ -20,7 +20,7 @@ from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.spindle import TURN
 
-MINIMUM: Final = 4  #: strobes that a parabola and one degree of freedom need
+FEWEST_STROBES: Final = 4  #: strobes that a parabola and one degree of freedom need
 
 #: A strobe this near to a sample is on it: of a sample's spacing, and of a turn at the ends.
 _ROUNDING: Final = 1e-9
@@ -102,7 +102,7 @@ def by_angle(
     Raises
     ------
     RecordError
-        If fewer than `MINIMUM` strobes are found.
+        If fewer than `FEWEST_STROBES` strobes are found.
     """
     turns = (angle - phase) / TURN
     turns = turns * (1.0 if turns[-1] >= turns[0] else -1.0)  # a strobe lies at each whole number
@@ -134,7 +134,7 @@ def by_nominal_rate(
     Raises
     ------
     RecordError
-        If fewer than `MINIMUM` strobes are found.
+        If fewer than `FEWEST_STROBES` strobes are found.
     """
     return by_angle(time, rate * time, error, phase, count)
 
@@ -154,10 +154,10 @@ def _interpolate(
     samples = np.ones(time.size) if count is None else count
     variance = (1.0 - share) ** 2 / samples[left] + share**2 / samples[left + 1]
     keep = (whole | (share == 0.0) | (share == 1.0)) & np.isfinite(value)
-    if np.count_nonzero(keep) < MINIMUM:
+    if np.count_nonzero(keep) < FEWEST_STROBES:
         raise RecordError(
-            f"only {np.count_nonzero(keep)} of the {MINIMUM} strobes that the parabola of the "
-            "first stage needs could be read: record more revolutions or fill the gaps"
+            f"only {np.count_nonzero(keep)} of the {FEWEST_STROBES} strobes that the parabola of "
+            "the first stage needs could be read: record more revolutions or fill the gaps"
         )
     at = time[left] + share * spacing[left]
     return Strobes(at[keep], value[keep], np.sqrt(variance[keep]), int(np.sum(~keep)))
