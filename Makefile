@@ -25,7 +25,7 @@ PARALLEL = -n $(JOBS) --dist worksteal
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test quick lint format bench fuzz docs pictures violations coverage alarms \
+.PHONY: help setup demo test quick slow lint format bench fuzz docs pictures violations coverage alarms \
   lock clean
 
 help: ## Show this list
@@ -39,8 +39,11 @@ demo: $(READY) ## Simulate and calibrate the paper's plan: a table and a figure
 test: lint ## Lint, types, import rules and all tests
 	$(BIN)/python -m pytest $(PARALLEL)
 
-quick: $(READY) ## The tests that finish within a minute, for working
-	$(BIN)/python -m pytest $(PARALLEL) --quick $$((40 * $(JOBS)))
+quick: $(READY) ## The short tests, for working: a minute at most
+	$(BIN)/python -m pytest $(PARALLEL) --quick 55
+
+slow: $(READY) ## Time all tests, one by one, and list in tests/slow.txt what quick leaves out
+	$(BIN)/python -m pytest --write-slow
 
 lint: $(READY) ## Lint, format, types and import rules only
 	$(BIN)/python -m ruff check .

@@ -1,7 +1,16 @@
-"""What every test runs under, and `--quick`."""
+"""What every test runs under, `--quick` and `--write-slow`.
+
+`slow.txt` beside this file lists the tests that `--quick` leaves out. `make slow` runs all tests
+and writes it anew.
+"""
 
 import os
+import time
+from collections import Counter, defaultdict
+from pathlib import Path
+from statistics import mean
 
+import pytest
 from hypothesis import settings
 
 # The matrices are small: a second thread of linear algebra costs more than it brings, and eight
@@ -14,13 +23,12 @@ settings.register_profile("same", derandomize=True, deadline=None)
 if not os.environ.get("COUNTERSPIN_FULL"):
     settings.load_profile("same")
 
-#: Where the durations are kept between runs, in pytest's cache.
-DURATIONS = "counterspin/durations"
-#: What a test that has never been run is taken to last, s.
-UNKNOWN = 0.1
+#: The tests that `--quick` leaves out, one a line, whatever their parameters.
+SLOW_TESTS = "slow.txt"
+#: A test that lasts longer is slow, s.
+SLOW = 0.15
 
-#: Test -> how long it lasts in this run, s.
-LASTED = {}
+START = time.monotonic()
 
 
 def pytest_addoption(parser):
@@ -28,33 +36,106 @@ def pytest_addoption(parser):
         "--quick",
         type=float,
         metavar="SECONDS",
-        help="only the shortest tests, as they were last timed, that last so long together",
+        help=f"leave out the tests of {SLOW_TESTS}, and start no test after so many seconds",
+    )
+    parser.addoption(
+        "--write-slow", action="store_true", help=f"time the tests and write {SLOW_TESTS} anew"
     )
 
 
-def pytest_collection_modifyitems(config, items):
-    """Leave out the longest tests: nobody marks them, so that no mark can be out of date."""
-    budget = config.getoption("--quick")
-    if budget is None:
-        return
-    known = config.cache.get(DURATIONS, {})
-    spent, kept = 0.0, set()
-    for item in sorted(items, key=lambda item: known.get(item.nodeid, UNKNOWN)):
-        spent += known.get(item.nodeid, UNKNOWN)
-        if spent <= budget:
-            kept.add(item)
-    config.hook.pytest_deselected(items=[item for item in items if item not in kept])
-    items[:] = [item for item in items if item in kept]
+def pytest_configure(config):
+    if config.getoption("--write-slow"):
+        config.pluginmanager.register(Timing())
+    elif config.getoption("--quick") is not None:
+        config.pluginmanager.register(Quick(config.getoption("--quick")))
 
 
-def pytest_runtest_logreport(report):
-    """Add set-up, call and tear-down of each test; a fixture's time is with its first user."""
-    seconds = LASTED.get(report.nodeid, 0.0) if report.when != "setup" else 0.0
-    LASTED[report.nodeid] = seconds + report.duration
+def without_parameters(nodeid):
+    return nodeid.partition("[")[0]
 
 
-def pytest_sessionfinish(session):
-    # xdist's workers report to the one that keeps; without pytest's cache nothing is kept.
-    if not hasattr(session.config, "workerinput") and hasattr(session.config, "cache"):
-        known = session.config.cache.get(DURATIONS, {})
-        session.config.cache.set(DURATIONS, known | LASTED)
+class Quick:
+    """Keeps to the time whatever the list says: it is as old as its last writing."""
+
+    def __init__(self, seconds):
+        self.seconds = seconds
+        self.listed = 0
+        self.too_late = 0
+
+    def pytest_collection_modifyitems(self, config, items):
+        slow = set(Path(__file__).with_name(SLOW_TESTS).read_text("utf-8").split())
+        left_out = [item for item in items if without_parameters(item.nodeid) in slow]
+        self.listed = len(left_out)
+        config.hook.pytest_deselected(items=left_out)
+        items[:] = [item for item in items if without_parameters(item.nodeid) not in slow]
+
+    @pytest.hookimpl(tryfirst=True)
+    def pytest_runtest_protocol(self):
+        if time.monotonic() - START > self.seconds:
+            self.too_late += 1
+            return True
+        return None
+
+    def pytest_sessionfinish(self, session):
+        if hasattr(session.config, "workeroutput"):
+            session.config.workeroutput["quick"] = (self.listed, self.too_late)
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node):
+        listed, too_late = getattr(node, "workeroutput", {}).get("quick", (0, 0))
+        self.listed = listed
+        self.too_late += too_late
+
+    def pytest_terminal_summary(self, terminalreporter):
+        terminalreporter.write_line(
+            f"Left out: {self.listed} tests that are listed as slow, and {self.too_late} for which "
+            f"{self.seconds:g} s were not enough."
+        )
+
+
+class Timing:
+    """Times each test, and apart from it what it sets up for others too.
+
+    Whichever test comes first sets that up: the time is shared out among all that use it.
+    """
+
+    def __init__(self):
+        self.own = Counter()
+        self.shared = Counter()
+        self.users = defaultdict(set)
+        self.just_shared = 0.0
+
+    @pytest.hookimpl(wrapper=True)
+    def pytest_fixture_setup(self, fixturedef):
+        start = time.monotonic()
+        try:
+            return (yield)
+        finally:
+            if fixturedef.scope != "function":
+                seconds = time.monotonic() - start
+                self.shared[fixture_name(fixturedef)] += seconds
+                self.just_shared += seconds
+
+    def pytest_runtest_setup(self, item):
+        for name in item.fixturenames:
+            for fixturedef in item.session._fixturemanager.getfixturedefs(name, item) or ():
+                self.users[fixture_name(fixturedef)].add(item.nodeid)
+
+    def pytest_runtest_logreport(self, report):
+        self.own[report.nodeid] += report.duration - self.just_shared
+        self.just_shared = 0.0
+
+    def pytest_sessionfinish(self):
+        seconds = self.own.copy()
+        for name, users in self.users.items():
+            for user in users:
+                seconds[user] += self.shared[name] / len(users)
+        cases = defaultdict(list)
+        for nodeid, lasted in seconds.items():
+            cases[without_parameters(nodeid)].append(lasted)
+        slow = sorted(name for name, lasted in cases.items() if mean(lasted) > SLOW)
+        Path(__file__).with_name(SLOW_TESTS).write_text("".join(f"{name}\n" for name in slow))
+
+
+def fixture_name(fixturedef):
+    return f"{fixturedef.baseid}::{fixturedef.argname}"

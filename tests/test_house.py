@@ -180,20 +180,47 @@ def test_tests_mirror_the_package(test):
     assert any(subject == module or subject.startswith(f"{module}_") for module in modules)
 
 
-def test_quick_leaves_out_what_took_long(tmp_path):
-    """The longest go first; what was never timed is taken to be short."""
+@pytest.fixture
+def quick(tmp_path):
+    """Run pytest, with these options, on tests that wait; what its last lines count."""
     (tmp_path / "conftest.py").write_text((ROOT / "tests" / "conftest.py").read_text("utf-8"))
-    lasting = "import time, pytest\n@pytest.mark.parametrize('s', [0.4, 0.0, 0.5])\n"
-    (tmp_path / "test_it.py").write_text(lasting + "def test_it(s):\n    time.sleep(s)\n")
-    quick = [sys.executable, "-m", "pytest", "-q", f"--rootdir={tmp_path}", "--quick"]
+    (tmp_path / "test_it.py").write_text(
+        "import time, pytest\n"
+        "@pytest.fixture(scope='module')\ndef waiting():\n    time.sleep(0.5)\n"
+        "def test_first(waiting): pass\n"
+        "def test_second(waiting): pass\n"
+        "@pytest.mark.parametrize('s', [0.4, 0.0])\ndef test_long(s):\n    time.sleep(s)\n"
+        "@pytest.mark.parametrize('s', [0, 1])\ndef test_short(s): pass\n"
+    )
 
-    def passed(seconds):
-        words = [*quick, seconds]
-        run = subprocess.run(words, check=False, capture_output=True, text=True, cwd=tmp_path)
-        return re.search(r"(\d) passed(?:, (\d) deselected)?", run.stdout).groups()
+    def run(*options):
+        words = [sys.executable, "-m", "pytest", "-q", f"--rootdir={tmp_path}", *options]
+        ended = subprocess.run(words, check=False, capture_output=True, text=True, cwd=tmp_path)
+        return [int(count) for count in re.findall(r"(\d) (?:passed|tests|for)", ended.stdout)]
 
-    assert passed("1.0") == ("3", None)
-    assert passed("0.2") == ("1", "2")
+    return run
+
+
+def test_quick_leaves_out_what_is_listed_as_slow(quick, tmp_path):
+    """What two tests set up together is slow for both, and not for the first alone."""
+    assert quick("--write-slow") == [6]
+    listed = (tmp_path / "slow.txt").read_text("utf-8").split()
+    assert listed == ["test_it.py::test_first", "test_it.py::test_long", "test_it.py::test_second"]
+    assert quick("--quick", "60") == [4, 0, 2]
+
+
+def test_quick_starts_no_test_after_its_time(quick, tmp_path):
+    (tmp_path / "slow.txt").write_text("test_it.py::test_long\n")
+    assert quick("--quick", "0", "-n", "2") == [2, 4]
+
+
+def test_tests_that_are_listed_as_slow_exist():
+    """`make slow` writes the list anew."""
+    listed = (ROOT / "tests" / "slow.txt").read_text("utf-8").split()
+    assert listed == sorted(set(listed))
+    for name in listed:
+        file, *_, function = name.split("::")
+        assert re.search(rf"^\s*def {function}\(", (ROOT / file).read_text("utf-8"), re.M), name
 
 
 # The way through the house
