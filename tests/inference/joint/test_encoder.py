@@ -225,10 +225,11 @@ def test_u_covers_what_the_encoder_hides(observable, encoder_noise, request_):
         without = estimate(ignorant, MODEL, {"Qx": NoiseRequest(noise.white, 0.0)}, reject=False)
         blind += ((without.fit.solution.estimate - TRUE) / without.fit.solution.u) ** 2
     assert (np.abs(inside / trials - 0.95) < 4 * math.sqrt(0.95 * 0.05 / trials)).all()
-    assert (np.abs(distance - trials) < 5 * math.sqrt(2 * trials)).all()
+    by_chance = 5 * math.sqrt(2 * trials)
+    assert (np.abs(distance - trials) < by_chance).all()
     if observable != "displacement":
-        # Taken as exact, the rotation would put K_II by this much more than u off.
-        assert blind[2] / trials > (15 if observable == "specific_force" else 1.6) ** 2
+        # Taken as exact, the rotation puts K_II farther off than its u explains.
+        assert blind[2] - trials > by_chance
 
 
 def test_the_noise_is_not_mistaken():
