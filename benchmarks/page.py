@@ -1,6 +1,6 @@
 """How soon a record is drawn in the page of `counterspin serve`, in Chromium.
 
-    python benchmarks/page.py          # 100,000 and 1,000,000 rows
+    python benchmarks/page.py          # 100,000 and 1,000,000 rows; kept in page.json
 
 For each record: the first look, for which its file is read, a later one, and a zoom; seconds from
 the click to the last curve. It stands outside of `make bench`, for it needs Chromium.
@@ -8,6 +8,7 @@ the click to the last curve. It stands outside of `make bench`, for it needs Chr
 
 from __future__ import annotations
 
+import json
 import sys
 import tempfile
 import threading
@@ -99,11 +100,14 @@ def main() -> None:
         with chromium() as browser:
             tab = browser.new_page(viewport={"width": 1280, "height": 1000})
             tab.goto(door.link)
+            found = {}
             for rows in ROWS:
                 times = drawn(tab, rows), drawn(tab, rows), zoomed(tab)
-                first, later, zoom = (f"{seconds:.2f} s" for seconds in times)
-                print(f"{rows:>9,} rows: first look {first}, later {later}, zoom {zoom}")
+                found[rows] = [round(seconds, 2) for seconds in times]
+                print(f"{rows:>9,} rows: first look, later look, zoom (s): {found[rows]}")
         server.should_exit = True
+    text = json.dumps(found, indent=1) + "\n"
+    Path(__file__).with_suffix(".json").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """How much of a core `counterspin watch` takes beside a recorder that writes 1000 rows a second.
 
-    python benchmarks/watching.py [SECONDS]
+    python benchmarks/watching.py [SECONDS]       # 100; what is printed is kept in watching.json
 
 Two runs are there, the third is written by a second process, line by line in small parts, as a
 recorder does. Printed: processor time of the watch over the time it ran, start included; how far
@@ -73,11 +73,19 @@ def main(seconds):
         result = cs.calibrate(folder).coefficient("Qx.K_II")
         (found,) = states[-1][1]["coefficients"]
         cpu = used.ru_utime + used.ru_stime
-        print(f"{ROWS_A_SECOND} rows/s for {seconds} s; {len(states)} states")
-        print(f"processor time {cpu:.2f} s of {wall:.1f} s: {cpu / wall:.1%} of a core")
-        print(f"last state {states[-1][0] - written:.1f} s after the last row")
-        print(f"u of K_II: watch less calibrate {found['u'] / result.u - 1.0:.1e} of u")
-        print(f"memory {used.ru_maxrss / 1024:.0f} MB")
+        kept = {
+            "rows a second": ROWS_A_SECOND,
+            "states": len(states),
+            "processor time, s": round(cpu, 2),
+            "time, s": round(wall, 1),
+            "share of a core, %": round(100.0 * cpu / wall, 1),
+            "last state after the last row, s": round(states[-1][0] - written, 1),
+            "u of K_II less that of calibrate, parts of it": found["u"] / result.u - 1.0,
+            "memory, MB": round(used.ru_maxrss / 1024),
+        }
+        text = json.dumps(kept, indent=1) + "\n"
+        print(text, end="")
+        Path(__file__).with_suffix(".json").write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

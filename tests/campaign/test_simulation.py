@@ -215,16 +215,24 @@ def test_simulating_into_its_own_folder_leaves_the_description(tmp_path):
 # --- what stands in the way -----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["middle.csv", "campaign.toml"])
-def test_what_is_there_is_not_overwritten_unless_told_to(tmp_path, name):
+def test_what_is_there_is_not_overwritten_unless_told_to(tmp_path):
     path = write(tmp_path, SMALL)
-    mine = "[truth.Qx]" if name.endswith("toml") else "mine"
-    other = write(tmp_path / "made", mine, name)
-    with pytest.raises(CounterspinError, match=rf"{name} exists; .*`overwrite=True`"):
+    there = {"middle.csv": b"an earlier one", "campaign.toml": b"[truth.Qx]"}
+    for name, content in there.items():
+        write(tmp_path / "made", content.decode(), name)
+    with pytest.raises(CounterspinError, match=r"middle\.csv exists; .*`overwrite=True`"):
         simulate(path, tmp_path / "made")
-    assert contents(tmp_path / "made") == {name: mine.encode()}
+    assert contents(tmp_path / "made") == there
     simulate(path, tmp_path / "made", overwrite=True)
-    assert other.read_bytes() != mine.encode()
+    assert not set(there.values()) & set(contents(tmp_path / "made").values())
+
+
+def test_a_record_that_nothing_says_to_be_simulated_is_never_overwritten(tmp_path):
+    path = write(tmp_path, SMALL)
+    write(tmp_path / "made", "measured", "middle.csv")
+    with pytest.raises(CounterspinError, match=r"middle\.csv exists, and no .*not replaced"):
+        simulate(path, tmp_path / "made", overwrite=True)
+    assert contents(tmp_path / "made") == {"middle.csv": b"measured"}
 
 
 @pytest.mark.parametrize("text", ['schema = 1\n[site]\ngravity = "9.8 m/s^2"\n', "no TOML"])
@@ -275,7 +283,9 @@ def test_nothing_half_written_is_left(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "WRITERS", {".csv": full})
     with pytest.raises(CounterspinError, match=r"slow\.csv: cannot be written \(No space left"):
         simulate(write(tmp_path, SMALL), tmp_path / "made")
-    assert contents(tmp_path / "made") == {}
+    assert contents(tmp_path / "made") == {"campaign.toml": SMALL.encode()}
+    monkeypatch.undo()
+    assert len(simulate(tmp_path, tmp_path / "made", overwrite=True)) == 3
 
 
 def test_command_line(tmp_path, capsys):

@@ -77,7 +77,7 @@ def simulate(
         Where to write the records, and the description beside them; made if it is not there.
         None: nothing is written.
     overwrite
-        Whether records that are already there may be replaced.
+        Whether the files of an earlier simulation may be replaced; others never are.
 
     Returns
     -------
@@ -117,6 +117,11 @@ def simulate(
         )
     replaced = [description] if text is not None or not own else []
     in_the_way = [path for path in (*targets, *replaced) if path.exists()]
+    if in_the_way and not description.exists():
+        raise CounterspinError(
+            f"{in_the_way[0]} exists, and no {DESCRIPTION_NAME} beside it says that it was "
+            "simulated; it is not replaced: simulate into another folder"
+        )
     if in_the_way and not overwrite:
         raise CounterspinError(
             f"{in_the_way[0]} exists; simulate into another folder, or give `overwrite=True`"
@@ -129,12 +134,13 @@ def simulate(
         *_mean_records(campaign, head_errors),
         *([table[1]] if table else []),
     ]
-    for frame, target in zip(frames, targets, strict=True):
-        write_whole(target, partial(WRITERS[target.suffix.lower()], frame))
+    # The description comes first: by it the records of a simulation that was interrupted are known.
     if text is not None:
         write_text(description, text)
     elif not own:
         write_whole(description, partial(shutil.copyfile, campaign.path))
+    for frame, target in zip(frames, targets, strict=True):
+        write_whole(target, partial(WRITERS[target.suffix.lower()], frame))
     return targets
 
 

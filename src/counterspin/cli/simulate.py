@@ -17,7 +17,7 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
     output
         Folder for the records, the readings and the description.
     overwrite
-        Replace files that are already there.
+        Replace the files of an earlier simulation; never others.
     """
     from counterspin.campaign.description import read_campaign
     from counterspin.campaign.questions import questions
