@@ -106,6 +106,13 @@ def test_another_campaign_is_left_alone(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["campaign.toml"]
 
 
+def test_records_of_somebody_else_are_left_alone(tmp_path):
+    (tmp_path / "run1.csv").write_text("measured")
+    with pytest.raises(CounterspinError, match=r"run1\.csv is of no demonstration"):
+        demo(tmp_path, overwrite=True)
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["measured"]
+
+
 def test_a_file_in_the_place_of_the_folder(tmp_path):
     (tmp_path / "taken").write_text("")
     with pytest.raises(CounterspinError, match="taken: cannot be used"):

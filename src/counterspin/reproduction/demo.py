@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -81,7 +82,7 @@ def demo(folder: Path | str = FOLDER, *, overwrite: bool = False) -> Demonstrati
     Raises
     ------
     CounterspinError
-        If the folder holds another or an edited campaign, or cannot be written.
+        If the folder holds another or an edited campaign, or its records, or cannot be written.
     """
     folder = Path(folder)
     _write_description(folder)
@@ -107,6 +108,13 @@ def _write_description(folder: Path) -> None:
                 f"{target} is another campaign, or an earlier or edited one; remove it, or choose "
                 "another folder"
             )
+        taken = [
+            place
+            for run in tomllib.loads(text)["runs"]
+            if (place := folder / run["record"]).exists()
+        ]
+        if taken and not target.exists():
+            raise CounterspinError(f"{taken[0]} is of no demonstration; choose another folder")
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CounterspinError(f"{folder}: cannot be used ({error.strerror})") from error
