@@ -3,7 +3,8 @@
     python benchmarks/page.py          # 100,000 and 1,000,000 rows; kept in page.json
 
 For each record: the first look, for which its file is read, a later one, and a zoom; seconds from
-the click to the last curve. It stands outside of `make bench`, for it needs Chromium.
+the click to the last curve, the fastest of three. It stands outside of `make bench`, for it needs
+Chromium.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from counterspin.application.server import listening, server_of
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "builders"))
 
 ROWS = (100_000, 1_000_000)
+ROUNDS = 3
 
 CAMPAIGN = """schema = 1
 [site]
@@ -67,12 +69,12 @@ def make(folder: Path, rows: int) -> None:
     )
 
 
-def drawn(tab, rows: int) -> float:
+def drawn(tab, rows: int, name: str) -> float:
     """Return the seconds from the click on a campaign's records to their last curve."""
     tab.evaluate("location.hash = '#/'")
     tab.get_by_text("Begin a campaign").wait_for()
     begun = time.perf_counter()
-    tab.evaluate(f"location.hash = '#/runs/{rows}'")
+    tab.evaluate(f"location.hash = '#/runs/{name}'")
     tab.get_by_text(f"Of {rows:,} rows").wait_for()
     return time.perf_counter() - begun
 
@@ -91,22 +93,25 @@ def main() -> None:
 
     with tempfile.TemporaryDirectory() as place, listening(0) as listener:
         folder = Path(place)
-        for rows in ROWS:
-            make(folder / str(rows), rows)
+        names = [(rows, f"{rows}-{k}") for rows in ROWS for k in range(ROUNDS)]
+        for rows, name in names:
+            make(folder / name, rows)
         door = Door(listener.getsockname()[1])
         server = server_of(Desk(ServedFolder(folder)), door)
         kept = {"target": server.run, "kwargs": {"sockets": [listener]}, "daemon": True}
-        threading.Thread(**kept).start()
+        (thread := threading.Thread(**kept)).start()
         with chromium() as browser:
             tab = browser.new_page(viewport={"width": 1280, "height": 1000})
             tab.goto(door.link)
-            found = {}
-            for rows in ROWS:
-                times = drawn(tab, rows), drawn(tab, rows), zoomed(tab)
-                found[rows] = [round(seconds, 2) for seconds in times]
-                print(f"{rows:>9,} rows: first look, later look, zoom (s): {found[rows]}")
+            found: dict[int, list[float]] = {}
+            for rows, name in names:
+                times = drawn(tab, rows, name), drawn(tab, rows, name), zoomed(tab)
+                best = map(min, times, found.get(rows, times))
+                found[rows] = [round(seconds, 2) for seconds in best]
         server.should_exit = True
+        thread.join()
     text = json.dumps(found, indent=1) + "\n"
+    print(text, end="")
     Path(__file__).with_suffix(".json").write_text(text, encoding="utf-8")
 
 
