@@ -5,6 +5,7 @@ import runpy
 from pathlib import Path
 
 import pytest
+from prose import told, value_of
 
 ROOT = Path(__file__).parent.parent
 
@@ -55,3 +56,28 @@ def test_as_many_predictions_are_made_as_the_page_on_plans_says():
     words = " ".join((ROOT / "docs" / "plan.md").read_text("utf-8").split())
     assert "thousands are made in a second" in words
     assert all(row[1] > 2000.0 for row in rows)
+
+
+def test_what_a_watch_took_is_what_was_kept():
+    kept = json.loads((ROOT / "benchmarks" / "watching.json").read_text("utf-8"))
+    used, lasted = told("monitoring", "the watch took {} s of processor time in {} s, start")
+    (share,) = told("monitoring", "included: **{} % of a core**")
+    rows, late = (
+        *told("monitoring", "a second process writes {} rows a second"),
+        *told("monitoring", "Its last state came {} s after the last row"),
+    )
+    assert [value_of(number) for number in (rows, used, lasted, share, late)] == [
+        kept["rows a second"],
+        kept["processor time, s"],
+        kept["time, s"],
+        kept["share of a core, %"],
+        kept["last state after the last row, s"],
+    ]
+    assert kept["u of K_II less that of calibrate, parts of it"] == 0.0
+
+
+def test_how_fast_records_are_drawn_is_what_was_kept():
+    kept = json.loads((ROOT / "benchmarks" / "page.json").read_text("utf-8"))
+    for rows, seconds in kept.items():
+        shown = told("application", f"| {int(rows):,} | {{}} s | {{}} s | {{}} s |")
+        assert [value_of(number) for number in shown] == seconds
