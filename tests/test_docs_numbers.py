@@ -139,9 +139,9 @@ ROWS = {
     ],
     "compare": [("the same within {}, or", rerun.LIMIT)],
     "monitoring": [
-        ("is off by more than {} %, that", 100.0 * assembly.RATE_DIFFERENCE),
+        ("its rate is off by more than {} %", 100.0 * assembly.RATE_DIFFERENCE),
         ("shorter than {} of what is stated", assembly.COMPLETE_PART),
-        ("more than {} % outliers", 100.0 * assembly.OUTLIER_SHARE),
+        ("more than {} % of it are outliers", 100.0 * assembly.OUTLIER_SHARE),
         ("Before {} revolutions nothing", observing.FEWEST_REVOLUTIONS),
         (
             "{} bytes each: {} columns at {} rows a second take {} MB an hour",
@@ -150,7 +150,7 @@ ROWS = {
             1e3,
             round(8 * 4 * 1e3 * 3600.0 / 1e6),
         ),
-        ("as its share allows, {} % of a core", 100.0 * cs.Pace().share),
+        ("Fits take {} % of a core", 100.0 * cs.Pace().share),
     ],
     "application": [
         (
