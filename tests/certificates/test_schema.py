@@ -1,23 +1,12 @@
 """A certificate keeps to the schema of DCC; no schema is fetched from anywhere."""
 
-import os
-from pathlib import Path
-
 import pytest
 from results import CONFORMITY, coefficient, result
 
-from certificates import document
+from certificates import SCHEMA, document, needs_schema
 from counterspin.calibration.result_parts import Conformity
 from counterspin.certificates.schema import check_schema
 from counterspin.errors import CounterspinError, RecordError
-
-BESIDE = Path(__file__).parents[3] / "shared" / "dcc"
-SCHEMA = Path(os.environ.get("COUNTERSPIN_DCC_SCHEMA") or BESIDE)
-
-needs_schema = pytest.mark.skipif(
-    not SCHEMA.exists(),
-    reason="the schema of DCC is not here: name its folder in COUNTERSPIN_DCC_SCHEMA",
-)
 
 #: Files as PTB publishes them: each names the next by an address.
 DCC = """<xs:schema xmlns:xs="http://www.w3.org/2001/XMLSchema" xmlns:si="https://ptb.de/si"

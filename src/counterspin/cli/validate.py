@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from counterspin.cli.words import OutputFolder, say, shell_word
 from counterspin.errors import CounterspinError
 
 
-def validate(*, output: OutputFolder, overwrite: bool = False) -> None:
+def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: bool = False) -> None:
     """Run the reference cases on this installation and write a dossier for an assessor.
 
     Parameters
     ----------
     output
         The dossier's folder: validation.html, validation.pdf and validation.json.
+    schema
+        Folder or file of the schema of DCC: a certificate is held to it too.
     overwrite
         Replace an earlier dossier; never other files.
     """
@@ -24,7 +28,7 @@ def validate(*, output: OutputFolder, overwrite: bool = False) -> None:
 
     check_folder(output, overwrite=overwrite)
     with progress(words=("Running cases", "Running cases", "Writing")) as advance:
-        dossier = run(progress=advance)
+        dossier = run(schema=schema, progress=advance)
         write_dossier(dossier, output, overwrite=overwrite)
     report_console().print(render_dossier(dossier))
     say(f"Wrote {shell_word(output)}")

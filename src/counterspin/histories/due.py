@@ -47,8 +47,8 @@ def next_due(
 ) -> datetime | None:
     """Return the last day on which the quantity is in specification with the reliability wanted.
 
-    The method is that of control charts in ILAC-G24:2022 (OIML D 10): drift and its uncertainty are
-    found from the results of the past and carried on.
+    After method 2 of ILAC-G24:2022 (OIML D 10:2022), 6.3, "Control chart (calendar-time)": drift
+    and its uncertainty are found from the results of the past and carried on.
 
     Parameters
     ----------

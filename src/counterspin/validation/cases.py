@@ -143,9 +143,20 @@ def _certified(given: Mapping[str, Any]) -> dict[str, Any]:
     return {s: [c["value"], c["u"]] for s, c in stated["coefficients"].items()}
 
 
+def _joint_fit(given: Mapping[str, Any]) -> dict[str, Any]:
+    stated = document(given["reference"])
+    return {**stated["coefficients"], "correlation": stated["correlation"]}
+
+
+def _noise(given: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: document(given["file"])[key] for key in ("white", "random_walk", "gain")}
+
+
 _REFERENCES: Final = {
     "columns": _integrals,
     "Spindle.angle": _angles,
     "Station.force": _forces,
     "read_certificate": _certified,
+    "calibrate": _joint_fit,
+    "estimate": _noise,
 }

@@ -1,20 +1,23 @@
-"""What is read from files: records of every format, and a certificate's numbers.
+"""What is read from files: records of every format, a campaign, and a certificate's numbers.
 
-- `read_record`: rows of a record; `read_back`: a result through its certificate
-- `NotAvailableError`: a package is not installed
+- `read_record`: rows of a record; `joint_fit`: the coefficients of a campaign
+- `read_back`: a result through its certificate; `check_schema`: the certificate and the schema
+- `NotAvailableError`: a package or the schema is not there
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from datetime import date
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any, Final
 
 from counterspin.calibration.result import Result
 from counterspin.certificates.issuing import certificate
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, RecordError
 from counterspin.records.amplitude import Swing
 from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
 from counterspin.validation.cases import DATA, document
@@ -25,8 +28,16 @@ _NEEDED: Final = {".xlsx": "fastexcel", ".tdms": "nptdms"}
 _RATE, _RADIUS = math.pi, 2.5  #: of the records of the cases, rad/s and m
 
 
+#: What the schema must refuse: a decimal comma, an element that is missing, one that there is not.
+_FAULTS: Final = (
+    (rb"<si:value>(\d+)\.(\d+)</si:value>", rb"<si:value>\1,\2</si:value>"),
+    (rb"<dcc:uniqueIdentifier>.*?</dcc:uniqueIdentifier>", b""),
+    (rb"<(/?)dcc:uniqueIdentifier>", rb"<\1dcc:uniqueName>"),
+)
+
+
 class NotAvailableError(CounterspinError):
-    """A case cannot be run: an optional package is not installed."""
+    """A case cannot be run: an optional package, or a file of others, is not there."""
 
 
 def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
@@ -49,12 +60,45 @@ def read_record(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
+def joint_fit(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return estimate and uncertainties of each term of a campaign's accelerometer."""
+    found = module.calibrate(DATA / given["folder"]).accelerometers[given["accelerometer"]]
+    parts = {
+        symbol: [c.value, c.u, c.u_noise, c.u_prior, c.u_considered]
+        for symbol, c in found.coefficients.items()
+    }
+    return {**parts, "correlation": found.correlation.matrix}
+
+
+def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return whether a certificate conforms to the schema, and whether altered ones do."""
+    if "schema" not in given:
+        raise NotAvailableError(
+            "the schema of DCC is not part of the package; name its folder (`schema`)"
+        )
+    made = _certificate(given["file"])
+
+    def conforms(document: bytes) -> float:
+        try:
+            module.check_schema(document, Path(given["schema"]), "the certificate of the case")
+        except RecordError:
+            return 0.0
+        return 1.0
+
+    wrong = [re.sub(old, new, made, flags=re.DOTALL) for old, new in _FAULTS]
+    return {"as made": conforms(made), "altered": [conforms(one) for one in wrong]}
+
+
 def read_back(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return estimate and u of each term that a result's certificate states."""
-    both = document(given["file"])
-    dates = {key: date.fromisoformat(both["lab"]["certificate"][key]) for key in ("begin", "end")}
-    lab = both["lab"] | {"certificate": both["lab"]["certificate"] | dates}
-    made = certificate(Result.model_validate(both["result"]), lab)
-    read = module.read_certificate(made.xml, "the certificate of the case")
+    read = module.read_certificate(_certificate(given["file"]), "the certificate of the case")
     found = read.accelerometers[given["accelerometer"]].coefficients
     return {symbol: [c.value, c.u] for symbol, c in found.items()}
+
+
+def _certificate(file: str) -> bytes:
+    """Return the certificate of a result and a laboratory, as XML."""
+    both = document(file)
+    dates = {key: date.fromisoformat(both["lab"]["certificate"][key]) for key in ("begin", "end")}
+    lab = both["lab"] | {"certificate": both["lab"]["certificate"] | dates}
+    return certificate(Result.model_validate(both["result"]), lab).xml

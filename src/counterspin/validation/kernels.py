@@ -11,10 +11,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from importlib import import_module
+from itertools import combinations
 from typing import Any, Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.validation import files
 from counterspin.validation.cases import (
     Case,
@@ -196,6 +198,92 @@ def _acceptance_limits(module: Any, given: Given) -> Found:
     return {"low": low, "high": high}
 
 
+def _judge(module: Any, given: Given) -> Found:
+    """Verdict as a number: 1 pass, 0 undecided, -1 fail."""
+    item = (given[key] for key in ("value", "u", "dof", "low", "high"))
+    found = module.judge(*item, module.DecisionRule(**given["rule"]))
+    verdict = {"pass": 1.0, "undecided": 0.0, "fail": -1.0}[found.verdict]
+    rest = {} if found.risk is None else {"risk": found.risk}
+    return {"verdict": verdict, "guard_band": found.guard_band, **rest}
+
+
+def _random_walk(module: Any, given: Given) -> Found:
+    from counterspin.inference.noise.restricted_likelihood import RecordData
+
+    stated = document(given["file"])
+    time, velocity = (np.array(stated[key], np.float64) for key in ("time", "velocity"))
+    line = np.stack([np.ones_like(time), time], axis=1)
+    found = module.estimate([RecordData(time, 1, line, velocity)], white=given.get("white"))
+    levels = {"white": found.white, "random_walk": found.random_walk}
+    if "white" in given:
+        return levels
+    both, alone = (found.log_likelihoods[key] for key in (("white", "random_walk"), ("white",)))
+    return levels | {"gain": both - alone}
+
+
+def _noise(module: Any, given: Given) -> Found:
+    return _random_walk(module, given) if "file" in given else _variance(module, given)
+
+
+def _quotients(given: Given) -> tuple[dict[str, Any], Array]:
+    """Return R, X and Z of GUM H.2 as quotients by I, and the correlations of their numerators.
+
+    In a unit of g/g^2 a coefficient is divided by g on its way to SI, and g and the coefficient
+    are correlated: so V cos(phi), V sin(phi) and V are by I.
+    """
+    observed = np.array(given["observations"], np.float64)
+    v, current, phase = observed.mean(axis=0)
+    cos, sin = math.cos(phase), math.sin(phase)
+    turned = np.array([[cos, 0.0, -v * sin], [sin, 0.0, v * cos], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    spread = turned @ np.cov(observed.T) @ turned.T / len(observed)
+    u = np.sqrt(np.diag(spread))
+    estimates = {}
+    for place, (name, value) in enumerate(zip("RXZ", (v * cos, v * sin, v), strict=True)):
+        sensitivity = spread[place, 3] / spread[3, 3]
+        estimates[name] = {
+            "value": value,
+            "u": float(u[place]),
+            "unit": "g/g^2",
+            "gravity": {"value": current, "u": float(u[3]), "sensitivity": sensitivity},
+        }
+    return estimates, spread[:3, :3] / np.outer(u[:3], u[:3])
+
+
+def _si_estimate(module: Any, given: Given) -> Found:
+    asked = _quotients(given)[0] if "observations" in given else {"": given}
+    found = dict[str, Any]()
+    for name, one in asked.items():
+        gravity = module.StatedGravity(**one["gravity"])
+        estimate = module.si_estimate(one["value"], one["u"], one["unit"], one.get("dof"), gravity)
+        found |= {name or "value": estimate.value, f"u({name})" if name else "u": estimate.u}
+        if estimate.dof is not None:
+            found["dof"] = estimate.dof
+    return found
+
+
+def _si_covariance(module: Any, given: Given) -> Found:
+    from counterspin.calibration.notebook.si_estimate import StatedGravity, si_estimate
+    from counterspin.calibration.result_parts import Correlation
+
+    if "observations" in given:
+        asked, related = _quotients(given)
+    else:
+        asked, related = given["estimates"], np.array(given["correlation"])
+    estimates = {
+        name: si_estimate(
+            one["value"], one["u"], one["unit"], None, StatedGravity(**one["gravity"])
+        )
+        for name, one in asked.items()
+    }
+    correlation = Correlation(terms=list(asked), matrix=related.tolist())
+    found = dict[str, Any]()
+    for one, other in combinations(asked, 2):
+        together = module.covariance(correlation, estimates, one, other)
+        u = estimates[one].u * estimates[other].u if "observations" in given else 1.0
+        found[f"{one}, {other}"] = together / u
+    return found
+
+
 def _forecast(module: Any, given: Given) -> Found:
     from counterspin.campaign.memory.making import make_campaign
 
@@ -254,7 +342,7 @@ _ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
     "fit": _fit,
     "solve": _solve,
     "effective_dof": _effective_dof,
-    "estimate": _variance,
+    "estimate": _noise,
     "first_stage": _first_stage,
     "walk_covariance": _walk,
     "flicker_autocovariance": _flicker,
@@ -265,9 +353,15 @@ _ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
     "chi_square_tail": _number("chi_square_tail", "p"),
     "expanded_uncertainty": _number("expanded_uncertainty", "U"),
     "conformance_probability": _number("conformance_probability", "p"),
+    "nonconformance_probability": _number("nonconformance_probability", "p"),
     "acceptance_limits": _acceptance_limits,
+    "judge": _judge,
+    "calibrate": files.joint_fit,
     "forecast": _forecast,
     "read_certificate": files.read_back,
+    "check_schema": files.check_schema,
+    "si_estimate": _si_estimate,
+    "covariance": _si_covariance,
     "to_si": _number("to_si", "si"),
     "from_si": _number("from_si", "value"),
     "en_score": _en_score,

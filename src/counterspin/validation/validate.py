@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from counterspin.certificates.schema import load_schema
 from counterspin.output import make_folder, reserve, write_text, write_whole
 from counterspin.validation.cases import Case, cases, document
 from counterspin.validation.installed import installation
@@ -28,6 +30,7 @@ _MOST_DIGITS: Final = 16.0
 
 def validate(
     *,
+    schema: Path | str | None = None,
     chosen: Sequence[Case] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Dossier:
@@ -35,6 +38,9 @@ def validate(
 
     Parameters
     ----------
+    schema
+        Folder or file of DCC's schema, for the case of a certificate that is held to it; None: that
+        case is not run.
     chosen
         The cases; None: all.
     progress
@@ -44,8 +50,16 @@ def validate(
     -------
     Dossier
         `passed` says whether every case stayed within its limit.
+
+    Raises
+    ------
+    CounterspinError
+        If `schema` is given and holds no schema, or not all of it.
     """
     wanted = cases() if chosen is None else tuple(chosen)
+    if schema is not None:
+        load_schema(Path(schema))
+        wanted = tuple(_with_schema(case, schema) for case in wanted)
     checked = []
     for case in wanted:
         checked.append(check(case))
@@ -62,6 +76,12 @@ def validate(
             *(f"{one.name}: {one.note}" for one in checked if one.state == "not run"),
         ],
     )
+
+
+def _with_schema(case: Case, schema: Path | str) -> Case:
+    if not case.kernel.endswith(":check_schema"):
+        return case
+    return replace(case, given={**case.given, "schema": str(schema)})
 
 
 def check(case: Case) -> CheckedCase:
