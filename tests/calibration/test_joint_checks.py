@@ -1,4 +1,4 @@
-"""Checks of a joint result that need no records."""
+"""Checks of a joint result, of made-up fits where these suffice."""
 
 from types import SimpleNamespace
 
@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 
 from counterspin.calibration.attitude_findings import shared_findings
+from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.joint_checks import hidden_walk, unseen_ripple
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import Coefficient
+from counterspin.campaign.memory.making import make_campaign
+from counterspin.campaign.simulation import simulate
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.shared_terms import DEGREE_PER_HOUR
 
@@ -90,3 +93,36 @@ def test_a_drift_is_large_for_the_length_of_the_runs(drift, u, longest, words):
     assert len(findings) == bool(words)
     assert all(words in finding.text for finding in findings)
     assert all(finding.subject == "platform.drift.north" for finding in findings)
+
+
+def test_a_run_that_says_nothing_of_k_ii_is_not_compared():
+    """An upright accelerometer has the same 1 g in every run: K_II is its prior, with or without.
+
+    What rounding leaves of a shift and of its u is no number of standard uncertainties.
+    """
+    known = make_campaign(
+        {
+            "site": {"gravity": "9.8 m/s^2", "latitude": "45 deg"},
+            "centrifuge": {"radius": "1 m"},
+            "noise": {"displacement": "2 mm"},
+            "records": {
+                "time": {"column": "t", "unit": "s"},
+                "angle": {"column": "angle", "unit": "rad"},
+            },
+            "accelerometers": {
+                "Qz": {
+                    "input_axis": "up",
+                    "pendulous_axis": "east",
+                    "K_II": "2e-5 ± 2e-5 g/g^2",
+                    "displacement": {"column": "z", "unit": "m"},
+                }
+            },
+            "model": {"terms": ["K_F", "K_I", "K_II"]},
+            "simulation": {"revolutions": 10, "sampling_rate": "10 Hz"},
+            "truth": {"Qz": {"K_II": "3e-5 g/g^2"}},
+            "runs": [{"name": f"{rate}", "rate": f"{rate} rev/s"} for rate in (0.3, 0.6, 1)],
+        }
+    )
+    found = calibrate(simulate(known)).accelerometers["Qz"].jackknife
+    assert len(found) == 3
+    assert all(each.z is None and abs(each.shift) < 1e-11 for each in found)

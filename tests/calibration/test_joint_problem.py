@@ -8,7 +8,7 @@ import pytest
 
 from counterspin.calibration.joint_problem import series_of
 from counterspin.calibration.observed import ObservedRun, Signal
-from counterspin.physics.accelerometer import QX
+from counterspin.physics.accelerometer import QX, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import LEVEL
 from counterspin.physics.spindle import Spindle
@@ -16,11 +16,16 @@ from counterspin.physics.spindle import Spindle
 RADIUS, RATE, TIMING = 2.5, -2.0, 1e-3
 
 
+#: Input axis raised out of the level by the angle whose sine is 0.8: what turns is level.
+RAISED = Mounting.from_axes([0.6, 0.0, 0.8], [0.8, 0.0, -0.6])
+
+
+@pytest.mark.parametrize("mounting", [QX, RAISED], ids=["level", "raised"])
 @pytest.mark.parametrize("observable", ["displacement", "velocity", "specific_force"])
-def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable):
+def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable, mounting):
     """Each output is sampled a little early or late: its error is its slope times the delay."""
     channel = SimpleNamespace(unit="m")
-    accelerometer = SimpleNamespace(observable=observable, mounting=QX, channel=channel)
+    accelerometer = SimpleNamespace(observable=observable, mounting=mounting, channel=channel)
     campaign = SimpleNamespace(
         noise=SimpleNamespace(timing=TIMING), radius=SimpleNamespace(value=RADIUS)
     )

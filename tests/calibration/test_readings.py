@@ -324,6 +324,35 @@ def test_a_row_is_left_out_of_the_table_and_not_by_its_name(tmp_path):
         calibrate(tmp_path, without=["3"])
 
 
+CONSIDERED = 'considered = ["delta_O"]\n[model.priors]\ndelta_O = "0 ± 3e-5 rad"\n'
+
+
+@pytest.mark.parametrize("repeats", [0, 3], ids=["noise stated", "noise by repeats"])
+def test_a_considered_term_within_its_uncertainty_is_no_lack_of_fit(tmp_path, repeats):
+    """It is as large as its u, and fifteen times the noise."""
+    rng = np.random.default_rng(3)
+    values = [simulated(tumble(24), rng, SIGMA, truth=LEVEL_TERMS) for _ in range(repeats or 1)]
+    runs = as_table(tmp_path, np.array(values)) if repeats else tumble_runs(values[0])
+    considering = calibrated(tmp_path, model("K_F", "K_I", more=CONSIDERED), runs)
+    assert considering.findings == []
+    if repeats:
+        return
+    # Chi-square is that of the fit which estimates it, its prior counted as an observation.
+    prior = CONSIDERED.partition("\n")[2]
+    estimating = calibrated(tmp_path, model(*LEVEL_TERMS, more=prior), runs).accelerometers["A"]
+    expected = estimating.residual.chi2 + (estimating.coefficients["delta_O"].value / 3e-5) ** 2
+    assert considering.accelerometers["A"].residual.chi2 == pytest.approx(expected, rel=1e-6)
+
+
+def test_few_readings_that_a_considered_term_moves_are_no_outliers(tmp_path):
+    """1.8 of its u, in four readings that leave their noise a single degree of freedom."""
+    truth = {**LEVEL_TERMS, "delta_O": 5.4e-5}
+    values = simulated(tumble(4), np.random.default_rng(3), SIGMA, truth=truth)
+    result = calibrated(tmp_path, model("K_F", "K_I", more=CONSIDERED), tumble_runs(values, None))
+    assert result.findings == []
+    assert max(abs(r.z) for r in result.accelerometers["A"].readings) == pytest.approx(1.8, abs=0.1)
+
+
 def test_readings_that_fit_have_no_outlier(tmp_path):
     """At the level of 1 % a campaign, in 60 campaigns no more than 4 (p = 0.003)."""
     rng = np.random.default_rng(6)

@@ -38,6 +38,18 @@ def test_readings_without_noise_give_back_the_truth():
     )
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_term_that_readings_hardly_feel_settles(seed):
+    """A mean keeps the square of the spindle's tilt only, whose derivative is mostly rounding."""
+    tilt = [unknown(f"centrifuge.axis_tilt.{axis}", (0.0, 5e-5), "") for axis in ("east", "north")]
+    tests = [tumble(), arm()]
+    rng = np.random.default_rng(seed)
+    groups = [readings(test, simulated(test, rng, 2e-8), 2e-8) for test in tests]
+    fit = solve_readings(groups, model(others=tilt))
+    assert np.all(fit.solution.u[-2:] <= 5e-5)
+    assert np.all(np.abs(fit.solution.estimate[-2:]) < 2e-4)
+
+
 def test_u_of_a_tumble_is_the_textbook_s():
     terms = ("K_F", "K_I", "delta_O", "K_II", "K_IP")
     fit = solve_readings([readings(tumble(), np.zeros(12), SIGMA)], model(terms))

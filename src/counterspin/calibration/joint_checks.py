@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 from counterspin.calibration import two_stage
 from counterspin.calibration.findings import (
@@ -34,6 +35,9 @@ from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import OWN_TERMS
 from counterspin.reports.numbers import format_number
 
+#: Part of u(K_II) below which a shift's own uncertainty is rounding.
+_LEAST_SHARE: Final = 1e-6
+
 
 def jackknife(view: AccelerometerView) -> list[Jackknife]:
     """Leave each run out in turn and compare K_II's shift with the shift's own uncertainty."""
@@ -48,13 +52,15 @@ def jackknife(view: AccelerometerView) -> list[Jackknife]:
         if (without := fit.without_run(run)) is not None and float(without.u[index]) < limit
     ]
     shifts = {shift.run: shift for shift in leave_out(view.estimate, enough, index, view.name)}
-    return [_jackknife(run, shifts.get(run)) for run in runs]
+    u = float(fit.solution.u[index])
+    return [_jackknife(run, shifts.get(run), u) for run in runs]
 
 
-def _jackknife(run: str, found: RunLeftOut | None) -> Jackknife:
+def _jackknife(run: str, found: RunLeftOut | None, u: float) -> Jackknife:
     if found is None:
         return Jackknife(run=run, value=None, shift=None, z=None)
-    compared = found.variance > 0.0
+    # Where the run says next to nothing of K_II, both are what rounding leaves of them.
+    compared = found.variance > (_LEAST_SHARE * u) ** 2
     return Jackknife(
         run=run,
         value=found.value,

@@ -71,7 +71,8 @@ def _jitter(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> float
     timing = campaign.noise.timing if campaign.noise else 0.0
     order = observation.ORDERS[accelerometer.observable]
     known = timing if isinstance(timing, float) else 0.0
-    return jitter_of(known, campaign.radius.value, run.rate, order)
+    axis = accelerometer.mounting.turned(run.attitude).input_axis
+    return jitter_of(known, campaign.radius.value, run.rate, order, axis)
 
 
 def model_of(campaign: Campaign) -> Unknowns:

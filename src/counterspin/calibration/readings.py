@@ -108,8 +108,8 @@ class AccelerometerReadings:
     ----------
     readings
         What was read.
-    sigma, noise, residuals, standardised
-        As of `ReadingsFit`, shape (n,).
+    sigma, noise, residuals, squares, standardised, of_noise
+        As of `ReadingsFit`.
     dof
         Of an estimated noise; infinite where it was stated.
     freedom
@@ -122,7 +122,9 @@ class AccelerometerReadings:
     sigma: np.ndarray
     noise: float
     residuals: np.ndarray
+    squares: float
     standardised: np.ndarray
+    of_noise: np.ndarray
     dof: float
     freedom: float
     positions: tuple[Position, ...] = ()
@@ -138,7 +140,9 @@ class AccelerometerReadings:
         return replace(
             self,
             residuals=judged.residuals,
+            squares=judged.squares,
             standardised=judged.standardised,
+            of_noise=judged.of_noise,
             freedom=judged.freedom,
             positions=judged.positions,
         )
@@ -163,7 +167,7 @@ class AccelerometerReadings:
         own = self.residuals / self.sigma
         again = float(np.sum(self.readings.repeats - 1.0))
         scatter = float(np.sum(self.readings.scatter)) / self.noise**2
-        squares = float(own @ own) + scatter
+        squares = self.squares + scatter
         for position in self.positions:
             places = list(position.places)
             again += len(places) - 1.0
@@ -203,18 +207,22 @@ class AccelerometerReadings:
         tests shared out among them.
         """
         single = [
-            Position((place,), float(residual), float(z))
-            for place, (residual, z) in enumerate(
-                zip(self.residuals, self.standardised, strict=True)
+            Position((place,), float(residual), float(z), float(share))
+            for place, (residual, z, share) in enumerate(
+                zip(self.residuals, self.standardised, self.of_noise, strict=True)
             )
         ]
         every = [*self.positions, *single]
-        z, dof = np.array([each.standardised for each in every]), self.dof
-        if math.isfinite(dof):
+        z = np.array([each.standardised for each in every])
+        # What is considered is known; of a variance only the noise's part is not (Satterthwaite).
+        with np.errstate(divide="ignore"):
+            dof = self.dof / np.array([each.of_noise for each in every]) ** 2
+        if math.isfinite(self.dof):
             with np.errstate(divide="ignore", invalid="ignore"):
-                z = np.where(z**2 < dof, z * np.sqrt((dof - 1.0) / (dof - z**2)), np.inf * z)
-        others = max(dof - 1.0, 1.0)
-        p = np.array([2.0 * student_cdf(others, -abs(size)) for size in z.tolist()])
+                outer = np.where(z**2 < dof, z * np.sqrt((dof - 1.0) / (dof - z**2)), np.inf * z)
+            z = np.where(np.isfinite(dof), outer, z)
+        others = np.maximum(dof - 1.0, 1.0)
+        p = np.array([2.0 * student_cdf(*each) for each in zip(others, -np.abs(z), strict=True)])
         found: list[tuple[str, float, float]] = []
         said: dict[int, float] = {}
         for i in np.flatnonzero(p < SIGNIFICANCE / z.size):
@@ -279,7 +287,9 @@ def with_groups(
             fit.sigma,
             fit.noise,
             fit.residuals,
+            fit.squares,
             fit.standardised,
+            fit.of_noise,
             fit.dof,
             fit.freedom,
             fit.positions,
@@ -380,7 +390,7 @@ def residual_of(parts: Sequence[AccelerometerReadings]) -> Residual:
     """Return the size of the residuals of readings, and how well the model fits them."""
     left = np.concatenate([part.residuals for part in parts])
     stated = [part for part in parts if math.isinf(part.dof)]
-    chi2 = sum(float(np.sum((part.residuals / part.sigma) ** 2)) for part in stated)
+    chi2 = sum(part.squares for part in stated)
     freedom = sum(part.freedom for part in stated)
     judged = len(stated) == len(parts) and freedom > 0.5
     return Residual(
@@ -421,12 +431,12 @@ def readings_fit(name: str, parts: Sequence[AccelerometerReadings]) -> list[Find
         if p is None or p >= SIGNIFICANCE:
             continue
         said = (
-            f"the residuals of the {part.words} are not the noise that was stated"
+            f"The residuals of the {part.words} are not the noise that was stated"
             if stated
-            else f"{part.words}: positions are further off the model than repeats of one position "
-            "are from each other"
+            else f"Positions of the {part.words} are further off the model than repeats of one "
+            "position are from each other"
         )
-        findings.append(lack_of_fit(name, [f"{said} (p = {p:.2g})"], residual))
+        findings.append(lack_of_fit(name, [f"{said} (p = {p:.2g})."], residual))
     return findings
 
 

@@ -42,10 +42,12 @@ _NOISE_ROUNDS: Final = 200
 _LEAST_BESIDE_HEAD: Final = 0.3
 
 #: Settled: nothing moves by more than this part of its uncertainty, no noise by this part.
+_LARGEST_MOVE: Final = 1e-5
 _TOLERANCE: Final = 1e-6
 
-#: Step of a machine term's derivative, relative to its largest credible size.
-_STEP: Final = 1e-4
+#: Step of a machine term's derivative, relative to its largest credible size: all are so nearly
+#: parabolas that a smaller one has more rounding and is no better.
+_STEP: Final = 1e-2
 
 #: Uncertain inputs that readings feel, and the step of each derivative: m, m/s^2, rad.
 _INPUT_STEPS: Final = {"centrifuge.radius": 1e-4, "site.gravity": 1e-3, "site.latitude": 1e-3}
@@ -196,9 +198,13 @@ class ReadingsFit:
         Readings less what the fit follows of them.
     residuals
         Reading less model at the estimate, g, shape (n,).
+    squares
+        Chi-square of the residuals, by noise and considered terms.
     standardised
         Residuals over their own standard deviation, with leverages and considered terms counted,
         shape (n,); NaN where the fit follows a reading wholly.
+    of_noise
+        Part that the noise has in the variance of each, from 0 to 1, shape (n,).
     positions
         The same of the readings of one position together, for each position that was read more
         than once: places of the readings, their mean residual (g), and this standardised.
@@ -213,18 +219,29 @@ class ReadingsFit:
     dof: tuple[float, ...]
     freedom: tuple[float, ...]
     residuals: tuple[Array, ...]
+    squares: tuple[float, ...]
     standardised: tuple[Array, ...]
+    of_noise: tuple[Array, ...]
     positions: tuple[tuple[Position, ...], ...]
     linear: tuple[_Part, ...]
 
 
 @frozen
 class Position:
-    """Readings of one position: their places, their mean residual, g, and this standardised."""
+    """Readings of one position.
+
+    Attributes
+    ----------
+    places, residual
+        Of the readings; their mean residual, g.
+    standardised, of_noise
+        As of `ReadingsFit`, of this mean.
+    """
 
     places: tuple[int, ...]
     residual: float
     standardised: float
+    of_noise: float
 
 
 def solve_readings(
@@ -283,7 +300,7 @@ def solve_readings(
         estimate = solution.estimate
         # What is not determined, and may be anything, is no place to take derivatives at.
         point = np.where(solution.u < limits, estimate, known)
-        if moves.max(initial=0.0) < _TOLERANCE:
+        if moves.max(initial=0.0) < _LARGEST_MOVE:
             break
     else:
         raise ConvergenceError(
@@ -305,7 +322,9 @@ def solve_readings(
         ),
         freedom,
         tuple(each.residuals for each in judged),
+        tuple(each.squares for each in judged),
         tuple(each.standardised for each in judged),
+        tuple(each.of_noise for each in judged),
         tuple(each.positions for each in judged),
         tuple(weighted),
     )
@@ -317,7 +336,9 @@ class Judged:
 
     freedom: float
     residuals: Array
+    squares: float
     standardised: Array
+    of_noise: Array
     positions: tuple[Position, ...]
 
 
@@ -331,10 +352,13 @@ def judge(one: Readings, part: _Part, solution: Solution, model: Unknowns) -> Ju
     solution, model
         The solution and its model.
     """
+    single = [part.position((place,), solution, model) for place in range(one.size)]
     return Judged(
         part.freedom(solution),
         part.left(solution, model),
-        part.standardised(solution, model),
+        part.squares(solution, model),
+        np.array([each.standardised for each in single]),
+        np.array([each.of_noise for each in single]),
         tuple(part.position(places, solution, model) for places in one.read_again),
     )
 
@@ -470,6 +494,24 @@ class _Part:
         )
         return left
 
+    def squares(self, solution: Solution, model: Unknowns) -> float:
+        """Return chi-square of the residuals, whose covariance the considered terms are part of.
+
+        A considered term that is not what was assumed is no misfit as long as its u allows it: the
+        least sum of squares of what is left and of the considered terms over their u (Searle,
+        Matrix Algebra Useful for Statistics, 1982, section 10.7, has the identity).
+        """
+        left = self.left(solution, model) / self.sigma
+        moved = self.fixed + self.design @ solution.sensitivity_considered
+        moved = moved / self.sigma[:, None] * _spread(model)
+        found = np.linalg.lstsq(
+            np.vstack([moved, np.eye(moved.shape[1])]),
+            np.append(left, np.zeros(moved.shape[1])),
+            rcond=None,
+        )[0]
+        rest = left - moved @ found
+        return float(rest @ rest + found @ found)
+
     def leverages(self, solution: Solution) -> Array:
         """Return how far the fit follows each reading: 0 not at all, 1 wholly."""
         rows = self.design / self.sigma[:, None]
@@ -482,30 +524,30 @@ class _Part:
         """Return the readings less what the fit follows of them."""
         return float(np.sum(1.0 - self.leverages(solution)))
 
-    def standardised(self, solution: Solution, model: Unknowns) -> Array:
-        """Return the residuals over their own standard deviations."""
-        every = [(place,) for place in range(self.target.size)]
-        return np.array([self.position(p, solution, model).standardised for p in every])
-
     def position(self, places: Sequence[int], solution: Solution, model: Unknowns) -> Position:
         """Return the weighted mean of some residuals, and it over its own standard deviation."""
         weights = np.zeros(self.target.size)
         weights[list(places)] = 1.0 / self.sigma[list(places)] ** 2
         weights /= weights.sum()
-        spread = np.append(
-            [term.prior[1] for term in model.considered], list((model.inputs or {}).values())
-        )
         of_noise = float(np.sum((weights * self.sigma) ** 2))
         followed = weights @ self.design
         covariance = solution.covariance_noise + solution.covariance_prior
         left = of_noise - float(followed @ (covariance + solution.covariance_unresolved) @ followed)
-        shifted = (weights @ self.fixed + followed @ solution.sensitivity_considered) * spread
-        variance = max(left, 0.0) + float(shifted @ shifted)
-        residual = float(weights @ self.left(solution, model))
-        seen = variance > 1e-9 * of_noise
-        return Position(
-            tuple(places), residual, residual / math.sqrt(variance) if seen else math.nan
+        shifted = (weights @ self.fixed + followed @ solution.sensitivity_considered) * _spread(
+            model
         )
+        left = max(left, 0.0)
+        variance = left + float(shifted @ shifted)
+        residual = float(weights @ self.left(solution, model))
+        if variance <= 1e-9 * of_noise:
+            return Position(tuple(places), residual, math.nan, 1.0)
+        return Position(tuple(places), residual, residual / math.sqrt(variance), left / variance)
+
+
+def _spread(model: Unknowns) -> Array:
+    """Return the standard uncertainties of all that is considered, inputs last."""
+    known = [*(term.prior[1] for term in model.considered), *(model.inputs or {}).values()]
+    return np.array(known, dtype=np.float64)
 
 
 def _with_input(one: Readings, name: str, change: float, machine: Mapping[str, float]) -> Readings:

@@ -212,6 +212,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     time = np.asarray((first + 0.5 * (count - 1.0)) * step, dtype=np.float64)
     timing = float(_noise(campaign).get("timing", 0.0))
     order = ORDERS[accelerometer.observable]
+    axis = accelerometer.mounting.turned(run.attitude).input_axis
     series = Series(
         accelerometer=name,
         run=run.name,
@@ -230,7 +231,7 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
         spacing=step,
         error=np.zeros_like(time),
         in_g=accelerometer.channel.unit.endswith("g"),
-        jitter=jitter_of(timing, campaign.radius.value, run.rate, order),
+        jitter=jitter_of(timing, campaign.radius.value, run.rate, order, axis),
     )
     if not series.in_g:
         return series

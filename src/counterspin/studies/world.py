@@ -6,7 +6,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -16,7 +15,7 @@ from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.resolved import Campaign, sample_count
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.inference.joint.series import Series
+from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.two_stage.strobes import strobe_angle
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.conditions import RunConditions
@@ -75,7 +74,8 @@ class World:
     def series(self, run: int, name: str, spindle: Spindle, error: Array | None = None) -> Series:
         """Return a record, without errors where none are given."""
         times = self.times(run)
-        power = abs(self.spindles[run].rate)
+        rate = self.spindles[run].rate
+        axis = self.mountings[name].turned(self.attitudes[run]).input_axis
         return Series(
             accelerometer=name,
             run=self.runs[run],
@@ -88,7 +88,7 @@ class World:
             count=np.ones_like(times),
             spacing=1.0 / self.sampling_rate,
             error=np.zeros_like(times) if error is None else error,
-            jitter=self.noise.timing * self.radius * power / math.sqrt(2.0),
+            jitter=jitter_of(self.noise.timing, self.radius, rate, 2, axis),
         )
 
     def strobed(self, run: int, name: str) -> StrobedMotion:

@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import ArrayLike
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
@@ -148,7 +149,9 @@ class Series:
         )
 
 
-def jitter_of(timing: float, radius: float, rate: Rate, order: int) -> Rate:
+def jitter_of(
+    timing: float, radius: float, rate: Rate, order: int, axis: ArrayLike | None = None
+) -> Rate:
     """Return what noise of the time stamps adds to each sample: its slope's rms times the noise.
 
     Parameters
@@ -161,5 +164,9 @@ def jitter_of(timing: float, radius: float, rate: Rate, order: int) -> Rate:
         Of the spindle, rad/s: a number or an array.
     order
         How often the observable integrates the specific force.
+    axis
+        Input axis, east-north-up: what turns is level, so that its level part alone counts.
+        Absent: it is level.
     """
-    return timing * radius * abs(rate) ** (3 - order) / math.sqrt(2.0)
+    level = 1.0 if axis is None else float(np.linalg.norm(np.asarray(axis)[:2]))
+    return timing * level * radius * abs(rate) ** (3 - order) / math.sqrt(2.0)
