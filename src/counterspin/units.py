@@ -9,7 +9,8 @@ with a relative drift in 1/s. The site's gravity g is one, so that coefficients 
 Where the site's gravity is given, m/s^2 and g convert into each other.
 
 - `UNITS`, `BASES`: every unit, and the dimensions; `ADVICE`, `advice`: which to write for what
-- `unit_factor`: the factor from one unit to another; `check_unit`: a unit alone
+- `unit_factor`: the factor from one unit to another; `check_unit`: a unit alone; `same_unit`:
+  whether two are one
 """
 
 from __future__ import annotations
@@ -174,6 +175,22 @@ def check_unit(unit: str) -> str:
     if not 0.0 < factor < math.inf:
         raise ValueError(wrong)
     return written
+
+
+def same_unit(unit: str, other: str, *, gravity: float | None = None) -> bool:
+    """Return whether two units are one, however they are written.
+
+    Parameters
+    ----------
+    unit, other
+        As written.
+    gravity
+        The site's gravity in m/s^2, for g and m/s^2.
+    """
+    try:
+        return math.isclose(unit_factor(unit, check_unit(other), gravity=gravity), 1.0)
+    except ValueError:
+        return False
 
 
 def advice(wanted: str) -> tuple[str, str]:

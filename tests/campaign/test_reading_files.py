@@ -116,6 +116,12 @@ def test_noise_is_that_which_the_readings_state_or_the_true_one(tmp_path):
         assert abs(off.mean()) < 5.0 * u / 20.0
 
 
+def test_a_table_that_is_not_plain_is_not_simulated(tmp_path):
+    text = TEXT.replace('file = "tables', 'delimiter = ","\nfile = "tables')
+    with pytest.raises(CampaignError, match=r"readings\.delimiter: a simulated table is plain"):
+        simulate(campaign(tmp_path / "own", text), tmp_path / "made")
+
+
 def test_repeats_in_a_table_are_as_many_as_before(tmp_path):
     own = campaign(tmp_path / "own", TEXT.replace('"mA", u =', '["mA", "again"], u ='))
     rows = "".join(f"{i * 30},,{'' if i else 1},2e-6,{i * 30} deg\n" for i in range(12))

@@ -99,7 +99,49 @@ def test_decimals_may_be_parted_by_commas(tmp_path):
     assert second.value == pytest.approx(3.0 / 1.25)
 
 
+#: As the recorder of a German laboratory writes it.
+GERMAN = (
+    "Pr\xfcfstand 3\nLage;Winkel;Strom\n;deg;uA\nP1;0,0;1250,5\nP2;90,0;0,5\nP3;180,0;-1249,5\n"
+)
+GERMAN_KEYS = (
+    'columns = { name = "Lage", attitude = "Winkel", reading = "Strom" }\ndecimal = ","\n'
+    'encoding = "latin-1"\n'
+)
+
+
+@pytest.mark.parametrize("said", ["", 'skip_lines = 1\nunits_row = true\ndelimiter = ";"\n'])
+def test_a_table_is_written_as_records_may_be(tmp_path, said):
+    """Lines before the names and a row of units are found, as in records, or said."""
+    (tmp_path / "r.csv").write_bytes(GERMAN.replace("uA", "mA").encode("latin-1"))
+    found = read(tmp_path, f'[readings]\nfile = "r.csv"\n{GERMAN_KEYS}{said}').readings
+    assert [reading.name for reading in found] == ["P1", "P2", "P3"]
+    assert [reading.value * 1.25 for reading in found] == pytest.approx([1250.5, 0.5, -1249.5])
+
+
+def test_a_row_of_units_is_compared_with_what_is_said(tmp_path):
+    (tmp_path / "r.csv").write_bytes(GERMAN.encode("latin-1"))
+    with pytest.raises(CampaignError, match='column "Strom" is in uA by the row of units, but in '):
+        read(tmp_path, f'[readings]\nfile = "r.csv"\n{GERMAN_KEYS}')
+
+
+def test_a_sheet_may_have_rows_before_its_names(tmp_path):
+    rows = [["Messung", 7], ["angle", "mA"], ["deg", "mA"], [0, 1.25], [90, 0.0]]
+    write_workbook(tmp_path / "r.xlsx", {"Tumble": rows})
+    text = f'[readings]\nfile = "r.xlsx"\n{SIMPLE}\nskip_lines = 1\nunits_row = true\n'
+    assert [reading.value for reading in read(tmp_path, text).readings] == [1.0, 0.0]
+
+
 SLIPS = {
+    "decimal commas that show": (
+        "angle;mA\n0,5;1,25\n30,5;1,0\n60,5;0,5\n",
+        SIMPLE,
+        'readings.decimal: is missing: r.csv has decimal commas; write decimal = ","',
+    ),
+    "a decimal comma beside words": (
+        "angle;what;note;mA\nlevel;up;-;1,25\n",
+        SIMPLE,
+        """line 2".mA: '1,25' has a decimal comma; write decimal = "," in [readings]""",
+    ),
     "no rows": ("angle,mA\n", SIMPLE, "readings.file: r.csv has no rows below the names"),
     "a motion that is none": (
         "angle,how,mA\n0,static,1\n90,arms,2\n",

@@ -11,6 +11,7 @@ import numpy as np
 import polars as pl
 import pytest
 from scipy.io import savemat
+from workbooks import write_workbook
 
 import counterspin as cs
 from counterspin import cli
@@ -177,6 +178,44 @@ def test_the_input_s_cells_stay_as_they_are(folder):
     table = pl.read_csv("out.csv", infer_schema=False)
     assert table["a"].to_list() == ["1.50", "0.00100"]
     assert table["note"].to_list() == ["b; c", None]
+
+
+#: As the recorder of a German laboratory writes it.
+GERMAN = "Pr\xfcfling 7\nQx;t\ng;s\n1,250;0,5\n-2,500;1,5\n3,000;2,5\n"
+
+
+def test_a_german_table_is_corrected_and_stays_one(folder, capsys):
+    Path("in.csv").write_bytes(GERMAN.encode("latin-1"))
+    said = ["--skip-lines=1", "--delimiter=;", "--decimal=,", "--encoding=latin-1", "--units-row"]
+    for more in ([], said):
+        words = ["result.json", "in.csv", "--accelerometer=Qx", "--overwrite", *more]
+        assert run(*words, "-o", "out.csv") == 0
+        assert run(*words, "-o", "out.parquet") == 0
+        report = " ".join(capsys.readouterr().out.split())
+        assert "read with names in line 2, a row of units, cells parted by semi" in report
+        lines = Path("out.csv").read_text(encoding="utf-8").splitlines()
+        assert lines[0] == "Qx;t;Qx_corrected;Qx_corrected_u"
+        assert [line.split(";")[0] for line in lines[1:]] == ["1,250", "-2,500", "3,000"]
+        table = pl.read_parquet("out.parquet")
+        expected = apply(result(), "Qx", [1.25, -2.5, 3.0]).corrected
+        assert table["Qx"].to_list() == [1.25, -2.5, 3.0]
+        assert table["Qx_corrected"].to_numpy() == pytest.approx(expected, abs=1e-15)
+        for line, value in zip(lines[1:], expected, strict=True):
+            assert float(line.split(";")[2].replace(",", ".")) == pytest.approx(value, abs=1e-15)
+    assert run(*words, "--unit=mg", "-o", "out.csv") == 1
+    assert "is in 'g' by the file's row of units, but in 'mg' by --unit" in capsys.readouterr().err
+
+
+def test_a_sheet_is_chosen_and_its_row_of_units_is_no_row(folder):
+    rows = [["East"], ["g"], [1.25], [-2.5], [3.0]]
+    write_workbook(folder / "in.xlsx", {"before": rows[:2], "A": [["about"], *rows], "B": rows})
+    words = ["result.json", "in.xlsx", "--accelerometer=Qx", "-o", "out.parquet", "--overwrite"]
+    assert run(*words) == 1
+    expected = apply(result(), "Qx", [1.25, -2.5, 3.0]).corrected
+    for sheet in "AB":
+        assert run(*words, "--sheet", sheet) == 0
+        found = pl.read_parquet("out.parquet")["East_corrected"].to_numpy()
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_a_missing_number_leaves_its_row_empty(folder, capsys):

@@ -54,6 +54,14 @@ def test_what_is_said_is_taken():
     assert found(lines, delimiter=",") is None
 
 
+def test_a_decimal_comma_makes_no_second_column():
+    """1,25 below one name is one number, and so it is in quotation marks."""
+    alone = found(["East", "0,0050", "1,0070", "-1,0005"])
+    assert (alone.names, alone.decimal) == (("East",), ",")
+    quoted = found(["Time,East", *['"0,5","1,25"'] * 3])
+    assert (quoted.names, quoted.delimiter, quoted.decimal) == (("Time", "East"), ",", ",")
+
+
 def test_a_delimiter_behind_each_row_makes_a_column_without_a_name():
     layout = found(["x", "a;b;c", *[f"{row};" for row in ROWS]])
     assert layout.names == ("a", "b", "c", "")

@@ -10,10 +10,11 @@ from record_files import ANGLE, SIGNAL, TIME, read, refusal, table
 from workbooks import write_workbook
 
 from counterspin.errors import DamagedFileError, RecordError
+from counterspin.records.dialect import Dialect
 from counterspin.records.excel_file import excel_table
 from counterspin.records.isolation import is_isolated
 from counterspin.records.record import ColumnSpec
-from counterspin.records.tables import places, read_table
+from counterspin.records.tables import places, read_small_table
 
 ROWS = [
     ["position", "deg", "mA"],
@@ -28,7 +29,7 @@ def test_a_sheet_has_names_numbers_and_text(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"Notes": [["hello"]], "Tumble": ROWS})
     assert is_isolated(path)
     for sheet in (None, "Tumble"):  # the other one has no rows below its names
-        table = read_table(path, sheet)
+        table = read_small_table(path, Dialect(sheet=sheet))[0].frame
         assert table.columns == ROWS[0]
         assert table["deg"].to_list() == [0.0, 30.5, 60.0, 90.0]
         # To the last digit, though a column of text and numbers is one of text.
@@ -41,16 +42,16 @@ def test_a_sheet_has_names_numbers_and_text(tmp_path):
 def test_which_sheet_must_be_clear(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"before": ROWS, "after": ROWS})
     with pytest.raises(RecordError, match="the sheets 'before', 'after' hold rows; name one"):
-        read_table(path)
+        read_small_table(path)
     with pytest.raises(RecordError, match="there is no sheet 'aftr'; it has 'before', 'after'"):
-        read_table(path, "aftr")
+        read_small_table(path, Dialect(sheet="aftr"))
 
 
 def test_a_damaged_workbook_is_told(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS})
     path.write_bytes(path.read_bytes()[:600])
     with pytest.raises(DamagedFileError, match=r"r\.xlsx: this is no workbook, or a damaged one"):
-        read_table(path)
+        read_small_table(path)
 
 
 def test_what_unpacks_to_more_than_a_table_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
@@ -66,7 +67,7 @@ def test_what_unpacks_to_more_than_a_table_is_refused_before_it_is_unpacked(tmp_
 def test_a_cell_far_out_takes_no_memory_but_its_readers(tmp_path):
     path = write_workbook(tmp_path / "r.xlsx", {"Tumble": ROWS}, {"B5": "XFD1048576"})
     with pytest.raises(DamagedFileError, match="asks for more memory than it may have"):
-        read_table(path)
+        read_small_table(path)
 
 
 def test_without_its_reader_the_extra_is_named(tmp_path, monkeypatch):

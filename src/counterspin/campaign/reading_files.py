@@ -28,6 +28,7 @@ from counterspin.campaign.readings_table import (
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import load_document
 from counterspin.campaign.toml_text import write_document
+from counterspin.errors import CampaignError
 from counterspin.input import read_file
 from counterspin.units import unit_factor
 
@@ -175,7 +176,14 @@ def filled_table(
         return None
     settings = ReadingsSettings.model_validate(raw["readings"])
     path = campaign.folder / settings.file
-    frame, *_ = load_table(path, settings.sheet)
+    plain = settings.model_copy(update={"decimal": None, "sheet": None}).dialect
+    said = [key for key, value in vars(plain).items() if value is not None]
+    if said:
+        raise CampaignError(
+            str(campaign.path),
+            [f"readings.{key}: a simulated table is plain; leave it out" for key in said],
+        )
+    frame = load_table(path, settings.dialect)[0].frame
     outputs = {name: a.output for name, a in campaign.accelerometers.items()}
     table = ReadingsTable(settings, outputs, Problems(raw))
     columns, beside = table.of("reading"), table.of("u")

@@ -10,20 +10,26 @@ from __future__ import annotations
 
 import datetime
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic import Field
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.readings import BLANK, Output, ReadingAxes
-from counterspin.campaign.settings import SettingsSection, Text, exact
+from counterspin.campaign.settings import SettingsSection, TableDialect, Text, exact
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.station import MotionKind
-from counterspin.units import unit_factor
+from counterspin.records.dialect import Dialect
+from counterspin.units import same_unit, unit_factor
+
+if TYPE_CHECKING:
+    from counterspin.records.tables import FiledTable
 
 #: A column's name, or those of the repeats of one reading.
 _Repeats = str | list[str]
@@ -52,12 +58,14 @@ _WITH_COMMA: Final = r"^\s*[+-]?\d*,\d+([eE][+-]?\d+)?\s*$"
 _UTC: Final = datetime.UTC
 
 
-class ReadingsSettings(SettingsSection):
+class _TableFile(SettingsSection):
+    file: Text
+
+
+# The fields of the last base come first.
+class ReadingsSettings(TableDialect, _TableFile):
     """[readings]: a table in place of many [[runs]]."""
 
-    file: Text
-    sheet: Text | None = None
-    decimal: Literal[".", ","] = "."
     columns: dict[str, _Repeats | dict[str, _Repeats]] = Field(min_length=1)
     motion: MotionKind = "static"
     about: Text = "north"
@@ -94,16 +102,23 @@ def read_table(
     if settings is None:
         return
     loaded = problems.attempt(
-        ("readings", "file"), load_table, folder / settings.file, settings.sheet
+        ("readings", "file"), load_table, folder / settings.file, settings.dialect
     )
     if loaded is None:
         return
-    frame, places, checksums[folder / settings.file] = loaded
+    table, places, checksums[folder / settings.file] = loaded
+    frame = table.frame
     if frame.is_empty():
         problems.add(("readings", "file"), f"{settings.file} has no rows below the names")
         return
-    if settings.decimal == ",":
-        frame = _with_points(frame)
+    if settings.decimal is None and table.decimal == ",":
+        problems.add(
+            ("readings", "decimal"),
+            f'is missing: {settings.file} has decimal commas; write decimal = ","',
+        )
+        return
+    if table.units:
+        ReadingsTable(settings, accelerometers, problems).check_units(table.units)
     yield from runs_of(
         settings, frame.columns, frame.iter_rows(named=True), accelerometers, problems, places
     )
@@ -152,23 +167,28 @@ def runs_of(
             yield run, path
 
 
-def load_table(path: Path, sheet: str | None) -> tuple[Any, list[str], str]:
-    """Return a table, where its rows stand, and its checksum; ValueError if it is none."""
+def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str]:
+    """Return a table, where its rows stand, and its checksum; ValueError if it is none.
+
+    Where it is said that decimals are parted by commas, its numbers have points.
+    """
     from counterspin.records.tables import is_workbook, read_small_table
 
     if path.suffix.lower() not in (".csv", ".txt", ".tsv", ".parquet", ".xlsx"):
         raise ValueError(f"{path.name}: a table of readings is .csv, .parquet or .xlsx")
-    if sheet is not None and not is_workbook(path):
+    if dialect.sheet is not None and not is_workbook(path):
         raise ValueError(f"{path.name}: only a workbook (.xlsx) has sheets")
     try:
-        frame, places, checksum = read_small_table(path, sheet)
+        table, places, checksum = read_small_table(path, dialect)
     except RecordError as error:
         raise ValueError(str(error).rstrip(".")) from error
-    if frame.height > _MOST_ROWS:
+    if (rows := table.frame.height) > _MOST_ROWS:
         raise ValueError(
-            f"{path.name} has {frame.height} rows; a table of readings has at most {_MOST_ROWS}"
+            f"{path.name} has {rows} rows; a table of readings has at most {_MOST_ROWS}"
         )
-    return frame, places, checksum
+    if dialect.decimal == ",":
+        table = replace(table, frame=_with_points(table.frame))
+    return table, places, checksum
 
 
 @frozen
@@ -240,6 +260,25 @@ class ReadingsTable:
                 said = did_you_mean(column, names)
                 problems.add(path, f'{self.settings.file} has no column "{column}"' + said)
 
+    def check_units(self, units: Mapping[str, str]) -> None:
+        """Note columns that are in other units by the table's row of units."""
+        stated = {
+            self.columns.get("attitude"): self.settings.attitude_unit,
+            self.columns.get("rate"): self.settings.rate_unit,
+        }
+        for key in ("reading", "u"):
+            for name, columns in self.of(key).items():
+                output = self.accelerometers.get(name)
+                stated |= dict.fromkeys(columns, output.unit if output else "g")
+        for column, unit in stated.items():
+            own = units.get(column or "")
+            if own and not same_unit(own, unit):
+                self.problems.add(
+                    ("readings", "columns"),
+                    f'{self.settings.file}: column "{column}" is in {own} by the row of units, but '
+                    f"in {unit} by the description",
+                )
+
     def run(self, row: Mapping[str, Any], index: int, path: KeyPath) -> dict[str, Any]:
         """Return a row as a run would be written; mistakes are noted."""
         settings, columns = self.settings, self.columns
@@ -301,15 +340,25 @@ class ReadingsTable:
                 # Not all readings need have been repeated as often.
                 continue
             number = _as_number(value)
+            if number is None:
+                self._refuse_comma(value, (*path, column))
             written.append(_words(value) if number is None else f"{number!r}{spread} {unit}")
         written = written or [f"{BLANK}{spread} {unit}"] * len(columns)
         return written[0] if len(columns) == 1 and written else written
 
     def _number(self, value: Any, path: KeyPath) -> float | None:
         number = None if value is None else _as_number(value)
-        if value is not None and number is None:
+        if value is not None and number is None and not self._refuse_comma(value, path):
             self.problems.add(path, f"{value!r} is not a number")
         return number
+
+    def _refuse_comma(self, value: Any, path: KeyPath) -> bool:
+        """Note a number whose decimals are parted by a comma, which nobody has said."""
+        comma = isinstance(value, str) and re.match(_WITH_COMMA, value) is not None
+        if comma:
+            said = 'has a decimal comma; write decimal = "," in [readings]'
+            self.problems.add(path, f"{value!r} {said}")
+        return comma
 
 
 def _with_points(frame: Any) -> Any:

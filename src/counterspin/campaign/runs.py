@@ -76,9 +76,8 @@ def recording_of(settings: RecordsSettings | None) -> Recording:
     """Return how records are read; None: there are none."""
     if settings is None:
         return Recording(Channel("", 1.0, "s"), None)
-    dialect = Dialect(**{key: getattr(settings, key) for key in Dialect.__dataclass_fields__})
     angle = None if settings.angle is None else _angle(settings.angle)
-    return Recording(_time(settings.time), angle, dialect)
+    return Recording(_time(settings.time), angle, settings.dialect)
 
 
 def _time(settings: TimeChannel) -> Channel:

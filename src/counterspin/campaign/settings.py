@@ -34,6 +34,7 @@ from counterspin.campaign.quantity import Quantity, parse
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import unit_factor
 
@@ -327,17 +328,32 @@ class AngleChannel(_Channel):
         return self
 
 
-class RecordsSettings(SettingsSection):
-    """[records]: how to read every run's file."""
+class TableDialect(SettingsSection):
+    """How a table is written, as far as a person says it: of records and of readings alike."""
 
-    time: TimeChannel
-    angle: AngleChannel | None = None
     skip_lines: Annotated[int, Field(ge=0)] | None = None
     delimiter: Literal[",", ";", "\t"] | None = None
     decimal: Literal[".", ","] | None = None
     encoding: Annotated[str, AfterValidator(_encoding)] | None = None
     units_row: bool | None = None
     sheet: Text | None = None
+
+    @property
+    def dialect(self) -> Dialect:
+        """The same, as files are read."""
+        keys = Dialect.__dataclass_fields__
+        return Dialect(**{key: getattr(self, key) for key in keys if hasattr(self, key)})
+
+
+class _TimeAndAngle(SettingsSection):
+    time: TimeChannel
+    angle: AngleChannel | None = None
+
+
+# The fields of the last base come first.
+class RecordsSettings(TableDialect, _TimeAndAngle):
+    """[records]: how to read every run's file."""
+
     group: Text | None = None
     timing_offset: Annotated[Quantity, _uncertain("s")] | None = None
     reference: Literal["platform", "own velocity"] = "platform"

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Parameter
+from cyclopts.validators import Number
 
 from counterspin.cli.words import OutputFolder, group
 from counterspin.errors import CampaignError
@@ -19,6 +20,8 @@ class Forces:
 
     Parameters
     ----------
+    column
+        The column to correct; may be left out where only one is possible.
     unit
         Unit of the table's forces: g, m/s^2, mg.
     pendulous
@@ -31,6 +34,7 @@ class Forces:
         Apply even a result of the equations as printed, whose K_II is half the true one.
     """
 
+    column: Annotated[str | None, Parameter(name="--input")] = None
     unit: str = "g"
     pendulous: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
     output_axis: Annotated[str | None, Parameter(allow_leading_hyphen=True)] = None
@@ -38,7 +42,39 @@ class Forces:
     force: bool = False
 
 
-_ALONE = Forces()
+@group
+@frozen
+class Written:
+    """How the file is written, where it does not show; as [records] of a campaign says it.
+
+    Parameters
+    ----------
+    skip_lines
+        Lines before the names of the columns.
+    delimiter
+        Between its cells.
+    decimal
+        In its numbers.
+    encoding
+        Of its text, such as latin-1.
+    units_row
+        Whether a row of units stands below the names.
+    sheet
+        Of an Excel file.
+    group
+        Of an HDF5 or TDMS file, or the structure of a MATLAB file.
+    """
+
+    skip_lines: Annotated[int | None, Parameter(validator=Number(gte=0))] = None
+    delimiter: Literal[",", ";", "tab"] | None = None
+    decimal: Literal[".", ","] | None = None
+    encoding: str | None = None
+    units_row: bool | None = None
+    sheet: str | None = None
+    group: str | None = None
+
+
+_ALONE, _PLAIN = Forces(), Written()
 
 
 def apply(
@@ -48,8 +84,8 @@ def apply(
     *,
     accelerometer: str,
     output: OutputFolder,
-    column: Annotated[str | None, Parameter(name="--input")] = None,
     forces: Forces = _ALONE,
+    written: Written = _PLAIN,
     overwrite: bool = False,
 ) -> None:
     """Correct indicated specific force for a calibrated accelerometer.
@@ -64,8 +100,6 @@ def apply(
         Which of the result's accelerometers it is.
     output
         File to write: the table and two more columns, corrected force and its uncertainty.
-    column
-        The column to correct; may be left out where only one is possible.
     overwrite
         Replace an earlier corrected file; never another file.
     """
@@ -73,20 +107,23 @@ def apply(
     from counterspin.correction.apply import ApplyOptions
     from counterspin.correction.apply_file import apply_file
     from counterspin.correction.page import render_application
+    from counterspin.records.dialect import Dialect
     from counterspin.reports.text import report_console
 
+    keys = vars(written) | {"delimiter": "\t" if written.delimiter == "tab" else written.delimiter}
     done = apply_file(
         Result.read(result),
         accelerometer,
         file,
         output,
-        column=column,
+        column=forces.column,
         options=ApplyOptions(
             unit=forces.unit,
             pendulous=forces.pendulous,
             output_axis=forces.output_axis,
             others=parse_others(forces.others),
             force=forces.force,
+            dialect=Dialect(**keys),
         ),
         overwrite=overwrite,
     )

@@ -24,6 +24,7 @@ from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import TERMS, Mounting
 from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
+from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.units import unit_factor
 
 _SOURCE: Final = "apply"  #: what the command's own refusals begin with
@@ -92,6 +93,8 @@ class ApplyOptions:
         their columns, by name; a_P and a_O then follow from all of them, corrected as well.
     force
         Whether a result of the equations as printed, with half the K_II, may be applied.
+    dialect
+        How a file is written, as far as it does not show: as [records] of a campaign says it.
     """
 
     unit: str = "g"
@@ -99,6 +102,7 @@ class ApplyOptions:
     output_axis: Force | None = None
     others: Mapping[str, npt.ArrayLike] = field(default_factory=dict)
     force: bool = False
+    dialect: Dialect = TO_BE_FOUND
 
 
 def apply(

@@ -23,7 +23,7 @@ from counterspin.frozen import frozen
 from counterspin.output import FileKind, holds, reserve, write_open, write_whole
 from counterspin.physics.inversion import NotInvertibleError
 from counterspin.records.tables import locate, read_numbers, read_table
-from counterspin.units import unit_factor
+from counterspin.units import same_unit, unit_factor
 
 #: Ending of the output -> what parts its cells; None for Parquet.
 _SEPARATORS: Final[Mapping[str, str | None]] = {
@@ -68,6 +68,8 @@ class CorrectedFile:
         The row with the largest indication in size.
     correction
         The corrected values themselves.
+    found
+        How the file is written, where that is not plain.
     """
 
     path: Path
@@ -80,6 +82,7 @@ class CorrectedFile:
     at_one_g: Level
     at_largest: Level
     correction: Correction
+    found: str = ""
 
 
 def apply_file(
@@ -136,22 +139,24 @@ def apply_file(
     others: dict[str, Any] = dict(options.others)
     for name in (accelerometer, *others):
         instrument_of(result, name)  # a wrong name is refused before the file is searched for it
-    table = read_table(source)
+    table = read_table(source, options.dialect)
+    frame = table.frame
     given: dict[str, Any] = {
         name: text
         for name in ("pendulous", "output_axis")
         if (text := getattr(options, name)) is not None
     }
-    used = [text for text in (*given.values(), *others.values()) if text in table.columns]
-    column = column or _guessed(source, table, accelerometer, used)
-    names = {column, *used, *others.values()}
-    values = read_numbers(source, sorted(names))
+    used = [text for text in (*given.values(), *others.values()) if text in frame.columns]
+    column = column or _guessed(source, frame, accelerometer, used)
+    names = sorted({column, *used, *others.values()})
+    values = read_numbers(source, names, options.dialect)
+    _check_units(source, {name: table.units.get(name, "") for name in names}, options.unit)
     new = (f"{column}_corrected", f"{column}_corrected_u")
     for name in new:
-        if name in table.columns:
+        if name in frame.columns:
             raise CampaignError(str(source), [f"has a column '{name}' already; was it corrected?"])
     forces: dict[str, Any] = {
-        name: values[text] if text in values else _constant(name, text, table.columns)
+        name: values[text] if text in values else _constant(name, text, frame.columns)
         for name, text in given.items()
     }
     columns = {name: values[text] for name, text in others.items()}
@@ -160,15 +165,26 @@ def apply_file(
             result, accelerometer, values[column], replace(options, others=columns, **forces)
         )
     except NotInvertibleError as error:
-        where = locate(source, error.row)
+        where = locate(source, error.row, options.dialect)
         raise CounterspinError(f"{source}, {where}: the indication {error.reason}") from error
     report = _report(output, column, values[column], correction, result.inputs.gravity)
+    report = replace(report, found=table.found)
     added = [
         pl.Series(name, array).fill_nan(None)
         for name, array in zip(new, (correction.corrected, correction.u), strict=True)
     ]
-    write_whole(output, _writer(table.with_columns(added), _SEPARATORS[suffix]))
+    write_whole(output, _writer(frame.with_columns(added), suffix, table.decimal))
     return report
+
+
+def _check_units(source: Path, units: Mapping[str, str], stated: str) -> None:
+    """Raise RecordError where the file's row of units has another unit than the one stated."""
+    for name, own in units.items():
+        if own and not same_unit(own, stated):
+            raise RecordError(
+                f"{source}: column '{name}' is in '{own}' by the file's row of units, but in "
+                f"'{stated}' by `unit`; all forces must be in one unit, which `unit` says."
+            )
 
 
 def _guessed(source: Path, table: pl.DataFrame, accelerometer: str, used: list[str]) -> str:
@@ -226,17 +242,24 @@ def _report(
     )
 
 
-def _writer(table: pl.DataFrame, separator: str | None) -> Callable[[Path], object]:
-    if separator is not None:
-        return lambda path: write_open(path, partial(table.write_csv, separator=separator))
-    typed = pl.DataFrame([_typed(column) for column in table.get_columns()])
-    return lambda path: write_open(path, typed.write_parquet)
+def _writer(frame: pl.DataFrame, suffix: str, decimal: str) -> Callable[[Path], object]:
+    """Return what writes a table; new numbers of a file of text as its others are written."""
+    separator = _SEPARATORS[suffix]
+    if separator is None:
+        typed = pl.DataFrame([_typed(column, decimal) for column in frame.get_columns()])
+        return lambda path: write_open(path, typed.write_parquet)
+    comma = decimal == ","
+    separator = ";" if comma and separator == "," else separator
+    write = partial(frame.write_csv, separator=separator, decimal_comma=comma)
+    return lambda path: write_open(path, write)
 
 
-def _typed(column: pl.Series) -> pl.Series:
+def _typed(column: pl.Series, decimal: str) -> pl.Series:
     """Return a column of text as numbers where it holds nothing else; CSV cells are text so far."""
     if column.dtype != pl.String:
         return column
     clean = column.str.strip_chars().replace("", None)
+    if decimal == ",":
+        clean = clean.str.replace(",", ".", literal=True)
     numbers = clean.cast(pl.Float64, strict=False)
     return numbers if numbers.null_count() == clean.null_count() else column

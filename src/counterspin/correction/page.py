@@ -20,12 +20,13 @@ def render_application(done: CorrectedFile) -> Report:
     def at(level: Level) -> str:
         return f"{format_number(level.u, 2)} {unit} at {format_number(level.indicated, 6)} {unit}"
 
+    read = f" It was read with {done.found}." if done.found else ""
     missing = f"; {done.missing} of them lack a number and stay empty" if done.missing else ""
     blocks: list[Block] = [
         Heading(f"Wrote {done.path}"),
         Paragraph(
             f"{done.rows} rows of {done.column}, from {format_number(done.low, 6)} to "
-            f"{format_number(done.high, 6)} {unit}{missing}."
+            f"{format_number(done.high, 6)} {unit}{missing}.{read}"
         ),
         Paragraph(
             f"Largest correction {format_number(done.most.correction, 6)} {unit}, at "

@@ -99,8 +99,12 @@ class ColumnFile(ABC):
         The first time stamp, ns; None as long as it is unknown.
     found
         How the file is written, where that is not plain.
+    delimiter, decimal
+        What parts cells and decimals in a file of text.
     """
 
+    delimiter = ","
+    decimal = "."
     units: Mapping[str, str]
     units_row: bool
     stamps: frozenset[str]

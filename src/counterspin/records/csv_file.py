@@ -97,7 +97,7 @@ class CsvFile(ColumnFile):
                 f"{self.path}, line {layout.header}: the first line must name the columns, "
                 f"but it holds numbers: {line[:60]}"
             )
-        self._separator, self._decimal = layout.delimiter, layout.decimal
+        self.delimiter, self.decimal = layout.delimiter, layout.decimal
         self._before_rows, self.names = layout.before_rows, list(layout.names)
         self.units = dict(zip(layout.names, layout.units, strict=True))
         self.units_row = layout.units_row
@@ -152,8 +152,8 @@ class CsvFile(ColumnFile):
         }
         return pl.scan_csv(
             plain_path(self.path) if self._content is None else self._content,
-            separator=self._separator,
-            decimal_comma=self._decimal == ",",
+            separator=self.delimiter,
+            decimal_comma=self.decimal == ",",
             has_header=False,  # read above: blanks around the names are no part of them
             skip_lines=self._before_rows,
             comment_prefix="#" if comments else None,
@@ -239,7 +239,7 @@ class CsvFile(ColumnFile):
             )
         hint = ""
         if _is_number(cell.replace(",", ".")):
-            hint = " Write numbers with a decimal point, not a comma."
+            hint = ' Write numbers with a decimal point, or state `decimal=","`.'
         raise RecordError(
             f"{self.path}, {self.locate(row)}: column '{column}' holds the text '{cell[:40]}' "
             f"where a number belongs.{hint}"
@@ -250,7 +250,7 @@ class CsvFile(ColumnFile):
         import polars as pl
 
         text = pl.col(name).str.strip_chars()
-        if self._decimal == ",":
+        if self.decimal == ",":
             text = text.str.replace_all(".", "_", literal=True).str.replace(",", ".", literal=True)
         return text.cast(pl.Float64(), strict=False)
 
@@ -282,12 +282,15 @@ class CsvFile(ColumnFile):
                 continue
             if line.count('"') % 2:
                 opened = 0 if opened else number
-            elif not opened and line.count(self._separator) >= len(self.names):
-                width = len(next(csv.reader([line], delimiter=self._separator)))
+            elif not opened and line.count(self.delimiter) >= len(self.names):
+                width = len(next(csv.reader([line], delimiter=self.delimiter)))
                 if width > len(self.names):
+                    hint = ""
+                    if self.delimiter == "," and width == 2 * len(self.names):
+                        hint = " Commas part cells or decimals; export with semicolons or tabs."
                     raise RecordError(
                         f"{self.path}, line {number}: the line has {width} cells, "
-                        f"the header names {len(self.names)}."
+                        f"the header names {len(self.names)}.{hint}"
                     )
         if opened:
             raise RecordError(

@@ -163,7 +163,7 @@ def find_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
         parted = [(number, split(line, delimiter)) for number, line in lines]
         for decimal in [dialect.decimal] if dialect.decimal else (".", ","):
             found = find_rows(parted, dialect, decimal)
-            if found is None or delimiter == decimal:
+            if found is None:
                 continue
             score, layout = found
             if best is None or score > best[0]:
@@ -262,11 +262,14 @@ def find_rows(
     if head is None:
         return None
     (header, names), below = head
+    rows = table[begin:end]
+    if any(_is_number(cell, decimal) for _, cells in rows for cell in cells[len(names) :]):
+        return None  # a number that no name stands above is the rest of one: 1,25 has no two cells
     # A delimiter at the end of every row makes an empty cell that has no name.
     names = [*names, *[""] * (width - len(names))]
     units = [file_unit(cell) or "" for cell in [*below, *[""] * (len(names) - len(below))]]
     units = [unit or bracketed_unit(name) for unit, name in zip(units, names, strict=True)]
-    numbers = sum(sum(_is_number(cell, decimal) for cell in cells) for _, cells in table[begin:end])
+    numbers = sum(sum(_is_number(cell, decimal) for cell in cells) for _, cells in rows)
     before = table[begin][0] - 1
     layout = Layout(header, before, tuple(names), tuple(units), bool(below), "", decimal)
     return numbers, layout

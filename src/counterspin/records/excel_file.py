@@ -15,7 +15,13 @@ from typing import TYPE_CHECKING, Any, BinaryIO, Final
 from counterspin.errors import DamagedFileError, RecordError, installing
 from counterspin.input import read_file
 from counterspin.records.column_file import ColumnFile, quoted, record_errors
-from counterspin.records.dialect import EMPTY_WORDS, HEAD_LINES, Dialect, find_rows
+from counterspin.records.dialect import (
+    EMPTY_WORDS,
+    HEAD_LINES,
+    TO_BE_FOUND,
+    Dialect,
+    find_rows,
+)
 from counterspin.records.pieces import Columns
 from counterspin.records.stamps import nanoseconds
 
@@ -27,15 +33,18 @@ _UNPACKED_BYTES: Final = 100_000_000
 _UNPACKED_PER_BYTE: Final = 50
 
 
-def excel_table(path: Path, sheet: str | None = None, content: bytes | None = None) -> pl.DataFrame:
+def excel_table(
+    path: Path, dialect: Dialect = TO_BE_FOUND, content: bytes | None = None
+) -> pl.DataFrame:
     """Return one sheet of a workbook, cells of text remaining text.
 
     Parameters
     ----------
     path
         The workbook.
-    sheet
-        The sheet's name; None: the only one that has rows.
+    dialect
+        Which sheet, or the only one that has rows; rows before the names, none as long as nothing
+        is said; and whether a row of units is to be passed over.
     content
         What is in the file; None: it is read.
 
@@ -47,16 +56,20 @@ def excel_table(path: Path, sheet: str | None = None, content: bytes | None = No
     """
     with record_errors(path):
         content = read_file(path) if content is None else content
-        book, sheet = _sheet_of(path, sheet, content)
+        book, sheet = _sheet_of(path, dialect.sheet, content)
         import polars as pl
 
+        head = {
+            "header_row": dialect.skip_lines or 0,
+            "skip_rows": 1 if dialect.units_row else None,
+        }
         # A type that is guessed from the first rows breaks on a column that looks whole there.
-        table: pl.DataFrame = book.load_sheet(sheet, schema_sample_rows=None).to_polars()
+        table: pl.DataFrame = book.load_sheet(sheet, schema_sample_rows=None, **head).to_polars()
         mixed = [name for name, kind in table.schema.items() if kind == pl.String()]
         if mixed:
             # Among text the reader rounds numbers to nine decimals.
             kinds: dict[str | int, Any] = dict.fromkeys(mixed, "float")
-            numbers = book.load_sheet(sheet, dtypes=kinds).to_polars().select(mixed)
+            numbers = book.load_sheet(sheet, dtypes=kinds, **head).to_polars().select(mixed)
             exact = numbers.cast(pl.String())
             table = table.with_columns(exact[name].fill_null(table[name]) for name in mixed)
         return table
@@ -163,7 +176,9 @@ class ExcelFile(ColumnFile):
         yield columns
 
     def _table(self) -> pl.DataFrame:
-        return excel_table(self.path, self._sheet, self.content())
+        layout = self._layout
+        place = Dialect(skip_lines=layout.header - 1, units_row=layout.units_row, sheet=self._sheet)
+        return excel_table(self.path, place, self.content())
 
     def locate(self, row: int) -> str:
         """Say in which row of the sheet a data row stands."""

@@ -21,7 +21,7 @@ from counterspin.input import FileIdentity
 from counterspin.records.amplitude import Swing
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.report import RecordReport
-from counterspin.units import check_unit, unit_factor
+from counterspin.units import same_unit, unit_factor
 
 if TYPE_CHECKING:
     from counterspin.records.column_file import ColumnFile
@@ -88,17 +88,11 @@ class ColumnSpec:
             except ValueError as error:
                 raise RecordError(f"{where} is in '{own}' by the file: {error}.") from None
             return replace(self, factor=math.copysign(factor, self.factor), unit=own)
-        if own and file.units_row:
-            stated = check_unit(self.unit)
-            try:
-                same = math.isclose(unit_factor(own, stated, gravity=self.gravity), 1.0)
-            except ValueError:
-                same = False
-            if not same:
-                raise RecordError(
-                    f"{where} is in '{own}' by the file's row of units, but in '{self.unit}' by "
-                    "the campaign."
-                )
+        if own and file.units_row and not same_unit(own, self.unit, gravity=self.gravity):
+            raise RecordError(
+                f"{where} is in '{own}' by the file's row of units, but in '{self.unit}' by "
+                "the campaign."
+            )
         return self
 
 

@@ -1,7 +1,7 @@
 """A record file as a table, for those who add columns to it.
 
-- `read_table`: all columns as they stand; `read_small_table`: with the rows' places, and the
-  checksum of what was read
+- `read_table`: all columns as they stand, and how they are written (`FiledTable`);
+  `read_small_table`: with the rows' places, and the checksum of what was read
 - `read_numbers`: some of them as numbers; `read_scaled`: in SI
 - `is_workbook`: whether a file has sheets
 - `locate`, `places`: where a row, or each of them, stands in the file
@@ -10,15 +10,16 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.frozen import frozen
 from counterspin.input import read_file
-from counterspin.records.column_file import record_errors
+from counterspin.records.column_file import ColumnFile, record_errors
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.excel_file import excel_table
 from counterspin.records.formats import open_columns
@@ -31,37 +32,61 @@ if TYPE_CHECKING:
     import polars as pl
 
 
-def read_table(path: Path, sheet: str | None = None) -> pl.DataFrame:
+@frozen(eq=False)
+class FiledTable:
+    """A file's columns, and how they are written.
+
+    Attributes
+    ----------
+    frame
+        Cells of text as they stand.
+    units
+        Column -> its unit by a row of units, in plain signs; empty without such a row.
+    delimiter, decimal
+        What parts cells and decimals in a file of text.
+    found
+        How the file is written, where that is not plain.
+    """
+
+    frame: pl.DataFrame
+    units: Mapping[str, str]
+    delimiter: str
+    decimal: str
+    found: str
+
+
+def read_table(path: Path, dialect: Dialect = TO_BE_FOUND) -> FiledTable:
     """Return a whole file as it stands, cells of text remaining text.
 
     Parameters
     ----------
     path
-        A record file, or a workbook of Excel.
-    sheet
-        Of a workbook; None: the only one that has rows.
+        A record file, of any format.
+    dialect
+        How it is written, as far as that is known.
 
     Raises
     ------
     RecordError
         The file cannot be read, or is not a table.
     """
-    if is_workbook(path):
-        return isolated(excel_table, path, sheet)
-    return isolated(_table, path)
+    return isolated(_table, path, dialect)
 
 
-def read_small_table(path: Path, sheet: str | None = None) -> tuple[pl.DataFrame, list[str], str]:
+def read_small_table(
+    path: Path, dialect: Dialect = TO_BE_FOUND
+) -> tuple[FiledTable, list[str], str]:
     """Return a table, where each of its rows stands, and the SHA-256 of what was read.
 
     Parameters
     ----------
-    path, sheet
-        As `read_table`.
+    path, dialect
+        As `read_table`; but in a workbook the names stand in the first row, unless it is said how
+        many are before them.
 
     Returns
     -------
-    DataFrame, list, str
+    FiledTable, list, str
         The last such as ``sha256:9f86...``.
 
     Raises
@@ -69,7 +94,7 @@ def read_small_table(path: Path, sheet: str | None = None) -> tuple[pl.DataFrame
     RecordError
         As `read_table`.
     """
-    return isolated(_small_table, path, sheet)
+    return isolated(_small_table, path, dialect)
 
 
 def is_workbook(path: Path) -> bool:
@@ -77,7 +102,9 @@ def is_workbook(path: Path) -> bool:
     return path.suffix.lower() == ".xlsx"
 
 
-def read_numbers(path: Path | MemoryTable, names: Sequence[str]) -> Columns:
+def read_numbers(
+    path: Path | MemoryTable, names: Sequence[str], dialect: Dialect = TO_BE_FOUND
+) -> Columns:
     """Return columns of numbers, NaN where a cell is empty, of a file in any dialect.
 
     Raises
@@ -85,7 +112,7 @@ def read_numbers(path: Path | MemoryTable, names: Sequence[str]) -> Columns:
     RecordError
         The file cannot be read, lacks a column or has no rows, or a cell holds text.
     """
-    return isolated(_numbers, path, list(names))
+    return isolated(_numbers, path, list(names), dialect)
 
 
 def read_scaled(
@@ -101,11 +128,11 @@ def read_scaled(
     return isolated(_scaled, path, list(columns), dialect)
 
 
-def locate(path: Path | MemoryTable, row: int) -> str:
+def locate(path: Path | MemoryTable, row: int, dialect: Dialect = TO_BE_FOUND) -> str:
     """Say where data row `row` (counted from 0) stands in the file."""
     if isinstance(path, Path) and is_workbook(path):
         return f"row {row + 1} below the names"
-    return isolated(_locate, path, row)
+    return isolated(_locate, path, row, dialect)
 
 
 def places(path: Path, rows: int) -> list[str]:
@@ -115,21 +142,27 @@ def places(path: Path, rows: int) -> list[str]:
     return isolated(_places, path, rows)
 
 
-def _table(path: Path) -> pl.DataFrame:
-    with open_columns(path) as file:
-        return file.table()
+def _table(path: Path, dialect: Dialect) -> FiledTable:
+    with open_columns(path, dialect) as file:
+        return _filed(file)
 
 
-def _small_table(path: Path, sheet: str | None) -> tuple[pl.DataFrame, list[str], str]:
+def _filed(file: ColumnFile) -> FiledTable:
+    units = file.units if file.units_row else {}
+    return FiledTable(file.table(), units, file.delimiter, file.decimal, file.found)
+
+
+def _small_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str]:
     if is_workbook(path):
         with record_errors(path):
             content = read_file(path)
-        frame = excel_table(path, sheet, content)
-        return frame, _sheet_places(frame.height), _checksum(content)
-    with open_columns(path) as file:
+        frame = excel_table(path, dialect, content)
+        plain = FiledTable(frame, {}, ColumnFile.delimiter, ColumnFile.decimal, "")
+        return plain, _sheet_places(frame.height), _checksum(content)
+    with open_columns(path, dialect) as file:
         # On leaving, the file must still be what it was when it was opened.
-        frame = file.table()
-        return frame, file.places(frame.height), _checksum(file.content())
+        table = _filed(file)
+        return table, file.places(table.frame.height), _checksum(file.content())
 
 
 def _checksum(content: bytes) -> str:
@@ -140,8 +173,8 @@ def _sheet_places(rows: int) -> list[str]:
     return [f"row {row + 1} below the names" for row in range(rows)]
 
 
-def _numbers(path: Path | MemoryTable, names: list[str]) -> Columns:
-    with open_columns(path) as file:
+def _numbers(path: Path | MemoryTable, names: list[str], dialect: Dialect) -> Columns:
+    with open_columns(path, dialect) as file:
         file.require(names)
         return file.whole(names)
 
@@ -160,8 +193,8 @@ def _scaled(path: Path | MemoryTable, columns: list[ColumnSpec], dialect: Dialec
         ]
 
 
-def _locate(path: Path | MemoryTable, row: int) -> str:
-    with open_columns(path) as file:
+def _locate(path: Path | MemoryTable, row: int, dialect: Dialect) -> str:
+    with open_columns(path, dialect) as file:
         return file.locate(row)
 
 
