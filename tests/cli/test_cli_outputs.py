@@ -3,10 +3,11 @@
 import shutil
 import subprocess
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from campaigns import SMALL, write
+from campaigns import SMALL, changed, write
 from results import result
 
 from certificates import write_lab
@@ -62,6 +63,8 @@ def desk(tmp_path_factory):
     assert cli.main(["history", f"{folder}/r.json", "--json", f"{folder}/history.json"]) == 0
     assert cli.main(["report", f"{folder}/r.json", "-o", f"{folder}/report.md"]) == 0
     assert cli.main(["plan", "--init", f"{folder}/PLAN.toml"]) == 0
+    plan = folder / "PLAN.toml"
+    plan.write_text(changed(plan.read_text("utf-8"), ("runs = 14", "runs = 2")), "utf-8")
     return folder
 
 
@@ -167,6 +170,26 @@ def test_a_result_that_cannot_be_written_is_printed_all_the_same(here, capsys):
     told = capsys.readouterr()
     assert "full.json: cannot be written" in told.err
     assert "K_II" in told.out
+
+
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["plan", "PLAN.toml", "-o", "new"], "new/campaign.toml"),
+        (["compare", "r.json", "r.json", "--report", "new.md"], "new.md"),
+        (["history", "r.json", "--figure", "new.svg"], "new.svg"),
+    ],
+    ids=lambda part: part[0] if isinstance(part, list) else part,
+)
+def test_files_are_written_before_anything_is_printed(words, name, here, monkeypatch):
+    class Full:
+        def __getattr__(self, name):
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(sys, "stdout", Full())
+    with suppress(Exception):
+        cli.main(words)
+    assert (here / name).exists()
 
 
 @pytest.mark.parametrize("way", ["full", "broken"])

@@ -227,6 +227,19 @@ def test_files_of_somebody_else_are_not_replaced(campaign, tmp_path, name):
     assert (tmp_path / name).read_text() == "mine"
 
 
+def test_trials_of_somebody_else_beside_a_study_are_not_replaced(campaign, tmp_path):
+    folder = StudyFolder(tmp_path, keep_trials=True, overwrite=True)
+    for _ in range(2):
+        study(campaign, trials=100, output=folder)
+    trials = tmp_path / "trials.parquet"
+    for mine in (b"mine", pl.DataFrame({"time_s": [0.0]}).write_parquet):
+        trials.write_bytes(mine) if isinstance(mine, bytes) else mine(trials)
+        before = trials.read_bytes()
+        with pytest.raises(CounterspinError, match=r"trials\.parquet exists and is not of a study"):
+            study(campaign, trials=100, output=folder)
+        assert trials.read_bytes() == before
+
+
 @pytest.mark.parametrize("name", ["z.svg", "bias-platform.svg"])
 def test_a_study_is_not_gone_on_with_over_somebody_elses_figure(campaign, begun, name):
     (begun / name).write_text("mine")

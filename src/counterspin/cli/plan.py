@@ -92,15 +92,14 @@ def plan(
             planned = search(file, curves=figures is not None, progress=advance)
         result = planned.result
     with saved.written(result):
+        written = None if output is None else write_campaign(planned, output)
+        drawn = figures and save_figures(result, figures, overwrite=saved.overwrite)
         report_console().print(render_plan(result))
-    if output is not None:
-        written = write_campaign(planned, output)
-        if result.readings:
-            say("", f"Wrote {written}. Put what is read in the place of each ?, then:")
-            say(f"  counterspin calibrate {shell_word(output)}")
-            return
+    if output is not None and result.readings:
+        say("", f"Wrote {written}. Put what is read in the place of each ?, then:")
+        say(f"  counterspin calibrate {shell_word(output)}")
+    elif output is not None and written is not None:
         say("", f"Wrote {written}. Record its runs, or try them:")
         say(f"  counterspin simulate {shell_word(written)} -o {shell_word(output / 'simulated')}")
-    if figures is not None:
-        drawn = save_figures(result, figures, overwrite=saved.overwrite)
+    if drawn:
         say("", f"Wrote {', '.join(path.name for path in drawn)} to {figures}.")

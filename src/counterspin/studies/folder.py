@@ -26,6 +26,9 @@ _TRIALS: Final = "trials.parquet"
 _PROGRESS: Final = "progress.npz"
 _PARTS: Final = "progress"
 
+#: Endings of the columns of a trial.
+_OF_A_COEFFICIENT: Final = (".truth", ".estimate", ".u")
+
 #: No sum of a study comes near it, in any unit; squares of it can still be added.
 _LARGEST_SUM: Final = 1e100
 
@@ -72,6 +75,9 @@ class StudyFolder:
             *(self.place / "z.svg", self.place / "coverage.svg"),
             *sorted(self.place.glob("bias-*.svg")),
         ]
+        trials = self.place / _TRIALS
+        if self.keep_trials and trials.exists() and not _holds_trials(trials):
+            raise _not_of_a_study(trials)
         begun = (self.place / _PROGRESS).exists()
         if (self.place / _RESULT).exists() or self.resume or (begun and self.overwrite):
             if any(figure.exists() for figure in figures):
@@ -84,11 +90,9 @@ class StudyFolder:
                 f"{self.place}: holds a study that was begun; go on with it by `resume=True`, "
                 "name another folder, or give it up by `overwrite=True`"
             )
-        for path in (self.place / _TRIALS, self.place / _PARTS, *figures):
+        for path in (trials, self.place / _PARTS, *figures):
             if path.exists():
-                raise CounterspinError(
-                    f"{path} exists and is not of a study; it is not replaced: name another folder"
-                )
+                raise _not_of_a_study(path)
 
     def write(self, result: StudyResult, ledger: Ledger) -> None:
         """Write the result, and the trials where they were kept."""
@@ -99,6 +103,21 @@ class StudyFolder:
         write_whole(self.place / _TRIALS, lambda part: _parquet(part, names, ledger))
 
 
+def _not_of_a_study(path: Path) -> CounterspinError:
+    return CounterspinError(
+        f"{path} exists and is not of a study; it is not replaced: name another folder"
+    )
+
+
+def _holds_trials(path: Path) -> bool:
+    """Return whether a file has the columns that `_parquet` writes."""
+    try:
+        first, *others = pl.read_parquet_schema(path)
+    except (OSError, ValueError, pl.exceptions.PolarsError):
+        return False
+    return first == "trial" and all(name.endswith(_OF_A_COEFFICIENT) for name in others)
+
+
 def _parquet(path: Path, names: list[str], ledger: Ledger) -> None:
     """Write one row a trial: its number, and truth, estimate and u of each coefficient."""
     batches = np.flatnonzero(ledger.done)
@@ -107,9 +126,9 @@ def _parquet(path: Path, names: list[str], ledger: Ledger) -> None:
     )
     columns = {"trial": pl.Series(number)}
     for place, name in enumerate(names):
-        for part, word in enumerate(("truth", "estimate", "u")):
+        for part, word in enumerate(_OF_A_COEFFICIENT):
             values = [ledger.values[int(b)][place, part] for b in batches]
-            columns[f"{name}.{word}"] = pl.Series(np.concatenate(values))
+            columns[f"{name}{word}"] = pl.Series(np.concatenate(values))
     pl.DataFrame(columns).write_parquet(path)
 
 
