@@ -4,6 +4,8 @@
 
 - `mutations`: of bytes, of text, of trees (TOML, JSON, XML) and of tables
 - `formats`: every format that is read: files to begin with, how they are mutated, who reads them
+- `format`: what a format is; `requests`, `connections`: what is asked of the application;
+  `asking`: how, and what must hold of its answers and files
 - `native`: record files of the formats that native code reads
 - `hunt`: tries cases, judges what comes of them, keeps what is found
 - `tracing`: programs stopped at system calls

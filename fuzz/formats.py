@@ -1,6 +1,5 @@
 """Every format that counterspin reads: files to begin with, how they are changed, who reads them.
 
-- `Format`: one of them
 - `formats`: all, with the files that they need beside them written to a folder
 - `command`: a command of the command line that must not fail without words
 
@@ -54,7 +53,8 @@ from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.records.tables import read_numbers, read_table
 from counterspin.studies.description import read_study
 from counterspin.studies.study import study
-from fuzz import ROOT, native
+from fuzz import ROOT, connections, native, requests
+from fuzz.format import Format
 from fuzz.mutations import (
     mutate_bytes,
     mutate_table,
@@ -64,26 +64,6 @@ from fuzz.mutations import (
     write_json,
     write_toml,
 )
-
-
-@dataclass(frozen=True)
-class Format:
-    """A format and its reader.
-
-    Attributes
-    ----------
-    suffix
-        Of the file's name.
-    make
-        Draws a file's content.
-    use
-        Reads the file; raises a CounterspinError or nothing.
-    """
-
-    suffix: str
-    make: Callable[[Random], bytes]
-    use: Callable[[Path], object]
-
 
 # What files begin as
 
@@ -519,6 +499,8 @@ FORMATS: dict[str, Entry] = {
     "readings-csv": Entry(readings_csv),
     "record-csv": Entry(record_csv, 0.6),
     "record-export": Entry(record_export, 0.4),
+    "requests": Entry(requests.application, 0.3),
+    "connections": Entry(connections.connections, 0.1),
     "certificate-pdf": Entry(certificate_pdf, 0.5, native=True),
     "readings-parquet": Entry(readings_parquet, native=True),
     "readings-excel": Entry(readings_excel, native=True),

@@ -1,22 +1,30 @@
 """No file makes counterspin fail without words: cases that once did, and a few new ones."""
 
+import json
 import subprocess
 import sys
 from random import Random
 
 import pytest
 from fuzz import ROOT
+from fuzz.asking import SECRET
 from fuzz.formats import FORMATS, Format, command, formats
 from fuzz.hunt import content, hunt, judge
 from fuzz.kills import Command, Trial, kill_all
+from fuzz.requests import request_of, valid_requests
 from fuzz.tracing import Runner, possible
+
+from counterspin.application.interface import ENDPOINTS, Nothing
+from counterspin.errors import CounterspinError
 
 CASES = sorted((ROOT / "tests" / "cases").glob("*/*.case"))
 
 #: Cases of the short run: of documents, and of records, whose reader starts again after many.
 DOCUMENTS, RECORDS = 200, 4
 #: Formats of which a case takes long.
-SLOW = ("calibration", "study-progress")
+SLOW = ("calibration", "study-progress", "requests", "connections")
+#: Cases of requests to the application, and of connections to its server.
+ASKED = {"requests": 30, "connections": 12}
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +66,18 @@ def test_a_few_new_cases_of_each_format(bench):
         assert "refused" in verdicts
 
 
+@pytest.mark.parametrize("name", ASKED)
+def test_the_application_answers_whatever_is_asked(bench, name):
+    form, path = bench(name)
+    verdicts = set()
+    for number in range(ASKED[name]):
+        path.write_bytes(content(name, form, 2, number))
+        verdict, words = judge(form, path)
+        assert verdict != "found", f"seed 2, number {number}\n{words}"
+        verdicts.add(verdict)
+    assert verdicts == {"accepted", "refused"}
+
+
 def fail(path):
     return 1 / len(path.read_bytes())
 
@@ -78,6 +98,42 @@ def test_the_judge_finds_what_is_wrong(tmp_path, monkeypatch, use, words):
     verdict, said = judge(Format(".x", lambda rng: b"", use), path)
     assert verdict == ("found" if words else "accepted")
     assert words in said
+
+
+def touch_outside(desk, _):
+    """Stands for a request that reads beside the folder."""
+    return (desk.folder.root.parent / "outside" / "secret.toml").read_text()
+
+
+def leave_half(desk, _):
+    """Stands for one that fails in the middle of a file."""
+    (desk.folder.root / ".half").write_text("x")
+    raise CounterspinError("no space")
+
+
+@pytest.mark.parametrize(
+    ("respond", "words"),
+    [
+        (touch_outside, "outside was touched"),
+        (leave_half, "has changed ['.half']"),
+        (lambda desk, _: 1 / 0, "ZeroDivisionError"),
+        (lambda desk, _: {"told": SECRET}, "what is outside was told"),
+        (lambda desk, _: desk.file("nowhere"), ""),
+    ],
+)
+def test_an_answer_that_is_wrong_is_found(bench, monkeypatch, respond, words):
+    form, path = bench("requests")
+    monkeypatch.setitem(ENDPOINTS, ("GET", "folder"), (Nothing, respond))
+    path.write_text(json.dumps([request_of("GET", "/api/folder", {})]))
+    verdict, said = judge(form, path)
+    assert verdict == ("found" if words else "refused")
+    assert words in said
+
+
+def test_every_request_is_hunted(bench):
+    _, path = bench("requests")
+    valid = valid_requests(path.parent / "template").values()
+    assert ENDPOINTS.keys() <= {(method, where.removeprefix("/api/")) for method, where, _ in valid}
 
 
 def test_a_command_that_fails_without_words_is_found(monkeypatch):

@@ -105,7 +105,7 @@ class ResultFile(ResultPart):
 
         def recognises(path: Path) -> bool:
             try:
-                document = json.loads(path.read_bytes())
+                document = json.loads(read_file(path))
             except (ValueError, RecursionError):
                 return False
             return isinstance(document, dict) and needed <= set(document)

@@ -4,26 +4,17 @@ import shutil
 import warnings
 
 import pytest
-from campaigns import SMALL, write
+from served import write_folder
 
 from counterspin.application.desk import Desk
 from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import Door
 from counterspin.application.server import application
-from counterspin.calibration.calibrate import calibrate
-from counterspin.campaign.simulation import simulate
 
 with warnings.catch_warnings():
     # It asks for the successor of httpx, which is not among our pins.
     warnings.simplefilter("ignore")
     from starlette.testclient import TestClient
-
-#: Shorter than the other tests' campaign: nobody asks here what comes out.
-SHORT = (
-    SMALL.replace("revolutions = 20", "revolutions = 6")
-    .replace("[site]", '[campaign]\ndate = "2026-01-12"\n\n[site]')
-    .replace("[accelerometers.Qx]", '[accelerometers.Qx]\nserial_number = "17"')
-)
 
 PORT = 8765
 
@@ -31,11 +22,7 @@ PORT = 8765
 @pytest.fixture(scope="session")
 def made(tmp_path_factory):
     """Return a folder with a campaign, "three", its records and its result."""
-    folder = tmp_path_factory.mktemp("served")
-    plan = write(tmp_path_factory.mktemp("plan"), SHORT, "plan.toml")
-    simulate(plan, folder / "three")
-    calibrate(folder / "three").write(folder / "three" / "result.json")
-    return folder
+    return write_folder(tmp_path_factory.mktemp("served"), tmp_path_factory.mktemp("plan"))
 
 
 @pytest.fixture

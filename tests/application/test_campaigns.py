@@ -1,10 +1,13 @@
 """The folder's campaigns, with the state of each."""
 
+import json
 import os
 import time
 
 import pytest
 from campaigns import SMALL, write
+
+from counterspin.application.campaigns import as_json
 
 
 def state(page, name="three"):
@@ -103,3 +106,20 @@ def test_what_cannot_be_answered_is_told_in_a_sentence(page, method, path, said,
     answered = page.request(method, path, content=said)
     assert answered.status_code == status
     assert "Traceback" not in answered.text
+
+
+def test_what_is_no_text_and_no_number_can_be_told():
+    told = as_json({"name": "\udcff.json", "u": [1.0, float("inf"), float("nan")]})
+    assert json.loads(told) == {"name": "\udcff.json", "u": [1.0, None, None]}
+    assert told.isascii()
+
+
+def test_a_pipe_and_a_name_that_is_no_text_are_passed_over(page, folder):
+    os.mkfifo(folder / "three" / "pipe.json")
+    with open(os.path.join(os.fsencode(folder), b"\xff.json"), "w") as file:  # noqa: PTH118, PTH123
+        file.write("{}")
+    assert state(page) in ("good", "reservations")
+    # A name that no file can have is told in words.
+    for asked in ({"name": "\ud800"}, {"name": "a/" * 2000}):
+        told = page.post("/api/campaign", content=json.dumps(asked))
+        assert told.status_code == 403, told.text

@@ -1,14 +1,15 @@
 """Exports that are brought: guessed, asked, and a campaign of them."""
 
 import pytest
+from served import ANSWERS
 
+from counterspin.application.drafts import place_for
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.exports.description import draft, write_description
 from exports import EXPORTS, campaign_folder, write_records
 
 RUNS = ("slow", "middle", "fast")
-ANSWERS = {"gravity": "9.8066 m/s^2", "latitude": "45.75 deg", "radius": "2.5 m"}
 COUNTED = {"sampling_rate": "20 Hz"}
 
 
@@ -96,4 +97,15 @@ def test_what_is_no_record_or_would_replace_one_is_not_taken(page, folder):
 def test_a_file_that_does_not_arrive_leaves_nothing(page, folder, monkeypatch):
     monkeypatch.setattr("counterspin.application.guard.FILE_BYTES", 1000)
     assert bring(page, "new/a.csv", (b"x" * 100 for _ in range(20))).status_code == 413
-    assert list((folder / "new").iterdir()) == []
+    assert not (folder / "new").exists()
+
+
+def test_folders_that_were_made_for_it_go_too(desk, folder):
+    first, second = place_for(desk, "far/away/a.csv"), place_for(desk, "far/b.csv")
+    first.end()
+    assert [path.name for path in (folder / "far").iterdir()] == [second.part.name]
+    second.end()
+    assert (folder / "far").is_dir()  # it was there when the second one came
+    third = place_for(desk, "three/a.csv")
+    third.end()
+    assert (folder / "three").is_dir()

@@ -37,6 +37,7 @@ def served(tmp_path):
         "a/campaign.toml\0",
         "a/con. ",
         "a/dot.",
+        "a/" * 2000 + "x",
     ],
 )
 def test_no_name_leads_out(served, name):
@@ -74,6 +75,8 @@ def test_what_is_no_text_or_too_much_is_refused(served):
         served.read("a/odd.toml")
     with pytest.raises(CounterspinError, match="a pipe"):
         served.read("a/pipe.toml")
+    with pytest.raises(CounterspinError, match="is no text"):
+        served.write("a/new.toml", "\ud800", "")
 
 
 def test_an_edit_of_an_older_version_is_refused_and_told_what_there_is(served):

@@ -112,4 +112,14 @@ def test_large_requests_are_refused_whatever_they_say_of_their_length(page, monk
     pieces = (b"x" * 100 for _ in range(20))
     assert page.post("/api/jobs", content=pieces).status_code == 413
     assert page.post("/api/jobs", json={"name": "nowhere"}).status_code == 404
-    assert page.get(FOLDER, headers={"Content-Length": "-1"}).status_code == 413
+    for length in ("-1", "1e3", "", "²"):
+        assert page.get(FOLDER, headers={"Content-Length": length.encode()}).status_code == 413
+
+
+def test_what_nobody_has_foreseen_is_an_answer_too(page, monkeypatch):
+    monkeypatch.setattr("counterspin.application.server.answer", lambda *_: 1 / 0)
+    told = page.get(FOLDER)
+    assert (told.status_code, told.json()["error"][:34]) == (
+        500,
+        "internal error (ZeroDivisionError:",
+    )

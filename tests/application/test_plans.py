@@ -75,3 +75,17 @@ def test_an_example_and_what_is_no_plan(page, folder):
     assert page.post("/api/plan", json={"name": "a.csv"}).status_code == 422
     query = {"name": "three/campaign.toml"}
     assert page.get("/api/plan", params=query).status_code == 422
+
+
+def test_a_plan_that_cannot_be_made_changes_no_file(planned, folder, monkeypatch):
+    file = folder / "PLAN.toml"
+    before = file.read_text()
+    said = {"name": "PLAN.toml", "moved": {"total_time": 1.0}, "folder": "planned"}
+    assert planned.post("/api/planned", json=said).status_code == 422
+    assert file.read_text() == before
+    assert not (folder / "planned").exists()
+    # Nor does one whose folder cannot be made.
+    monkeypatch.setattr("counterspin.application.plans.plan", lambda _: None)
+    said |= {"moved": {"total_time": 600.0}, "folder": "three/slow.csv"}
+    assert planned.post("/api/planned", json=said).status_code == 422
+    assert file.read_text() == before

@@ -24,6 +24,13 @@ def test_it_prints_its_link_serves_this_machine_alone_and_ends_with_ctrl_c(tmp_p
             assert b"counterspin" in answer.read()
         with pytest.raises(urllib.error.HTTPError, match="401"):
             urllib.request.urlopen(f"http://127.0.0.1:{port}/api/folder", timeout=30)
+        for cut in (
+            b"POST /api/session HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\nx",
+            b"\0",
+        ):
+            with socket.create_connection(("127.0.0.1", port), timeout=30) as other:
+                other.sendall(cut)
+                assert other.recv(1 << 16).startswith(b"HTTP/1.1 4")
         # It listens on one address of the loopback, and on no other.
         with pytest.raises(OSError, match="refused"):
             socket.create_connection(("127.0.0.2", port), timeout=5)
@@ -43,3 +50,9 @@ def test_a_port_that_is_taken_and_a_folder_that_is_not_there(tmp_path, capsys):
     assert cli.main(["serve", str(tmp_path), "--port", "99999"]) == 1
     assert cli.main(["serve", str(tmp_path / "nowhere")]) == 1
     assert "no such folder" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["a" * 5000 + ".js", "..%2fserver.js", "%00.js", "%ff.css", ".js"])
+def test_a_file_of_the_page_that_is_none_is_not_there(page, name):
+    assert page.get(f"/assets/{name}").status_code == 404
+    assert page.get("/api/folder/").status_code == 404

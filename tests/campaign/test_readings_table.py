@@ -91,6 +91,14 @@ def test_rows_with_nothing_in_them_are_none(tmp_path):
     assert len(of_csv(tmp_path, "angle,mA\n0,1.25\n,\n90,0\n")) == 2
 
 
+def test_a_table_of_no_accelerometer_is_told(tmp_path):
+    (tmp_path / "r.csv").write_text("angle,mA\n0,1\n", encoding="utf-8")
+    text = f'{place()}[readings]\nfile = "r.csv"\n{SIMPLE}\n'
+    (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+    with pytest.raises(CampaignError, match="accelerometers"):
+        read_campaign(tmp_path)
+
+
 def test_decimals_may_be_parted_by_commas(tmp_path):
     table = "Lage;Winkel;U\nhoch, links;0,5;-1,25e-1\nhoch;-,5;3\n"
     keys = 'columns = { name = "Lage", attitude = "Winkel", reading = "U" }\ndecimal = ","'

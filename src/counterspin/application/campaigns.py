@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
@@ -260,5 +261,19 @@ def begin_campaign(desk: Desk, name: str, test: Test) -> dict[str, Any]:
 
 
 def as_json(value: Any) -> str:
-    """Return an answer as JSON; what is infinite or no number becomes null."""
-    return json.dumps(value, allow_nan=False, ensure_ascii=False, separators=(",", ":"))
+    """Return an answer as JSON; what is infinite or no number becomes null.
+
+    In ASCII: a file may have a name that is no text, of which UTF-8 cannot be made.
+    """
+    try:
+        return json.dumps(value, allow_nan=False, separators=(",", ":"))
+    except ValueError:
+        return json.dumps(_finite(value), allow_nan=False, separators=(",", ":"))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _finite(one) for key, one in value.items()}
+    return [_finite(one) for one in value] if isinstance(value, list | tuple) else value

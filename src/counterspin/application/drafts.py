@@ -1,6 +1,6 @@
 """Exports of a recorder that are dragged in: what is guessed of them, and the campaign they make.
 
-- `place_for`: where a file goes that is brought; `arrived`: it is all there
+- `place_for`: where a file goes that is brought, an `Arrival`; `arrived`: it is all there
 - `drafted`: what its files show, and what they do not say
 - `begin_drafted`: the campaign, with what was answered
 """
@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,14 +19,41 @@ from counterspin.application.desk import Desk, Remembered
 from counterspin.application.folder import OutsideError
 from counterspin.errors import CounterspinError
 from counterspin.exports.description import Draft, draft, write_description
+from counterspin.frozen import frozen
 from counterspin.output import make_folder
 from counterspin.records.formats import RECORD_FORMATS
 
 _DRAFTS: Final = Remembered(2)
 
 
-def place_for(desk: Desk, name: str) -> tuple[Path, Path]:
-    """Return where a file goes that is brought, and a new file beside it that takes its bytes.
+@frozen
+class Arrival:
+    """A file that is being brought.
+
+    Attributes
+    ----------
+    path
+        Where it goes.
+    part
+        A new file beside it that takes its bytes.
+    folders
+        Those that were made for it, the innermost first.
+    """
+
+    path: Path
+    part: Path
+    folders: tuple[Path, ...]
+
+    def end(self) -> None:
+        """Remove what a file that did not arrive has left."""
+        self.part.unlink(missing_ok=True)
+        for folder in self.folders:
+            with suppress(OSError):  # something is in it
+                folder.rmdir()
+
+
+def place_for(desk: Desk, name: str) -> Arrival:
+    """Return the places of a file that is brought.
 
     Raises
     ------
@@ -39,13 +67,14 @@ def place_for(desk: Desk, name: str) -> tuple[Path, Path]:
         known = ", ".join(RECORD_FORMATS)
         raise OutsideError(f"{name}: only records are taken here; they end in {known}")
     _refuse_another(path, name)
+    folders = tuple(folder for folder in path.parents if not folder.exists())
     make_folder(path.parent)
     try:
         handle, part = tempfile.mkstemp(prefix=".", suffix=path.suffix, dir=path.parent)
     except OSError as error:
         raise CounterspinError(f"{name}: cannot be written ({error.strerror})") from error
     os.close(handle)
-    return path, Path(part)
+    return Arrival(path, Path(part), folders)
 
 
 def _refuse_another(path: Path, name: str) -> None:
@@ -53,11 +82,12 @@ def _refuse_another(path: Path, name: str) -> None:
         raise CounterspinError(f"{name} exists, and is not replaced; name another folder")
 
 
-def arrived(desk: Desk, path: Path, part: Path) -> dict[str, Any]:
+def arrived(desk: Desk, arrival: Arrival) -> dict[str, Any]:
     """Give a file that is all there its name; CounterspinError if another one has it by now."""
+    path = arrival.path
     _refuse_another(path, desk.folder.name(path))
-    part.chmod(0o644)
-    part.rename(path)
+    arrival.part.chmod(0o644)
+    arrival.part.rename(path)
     return {"name": desk.folder.name(path), "bytes": path.stat().st_size}
 
 

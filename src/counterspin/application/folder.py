@@ -27,6 +27,9 @@ from counterspin.output import make_folder, write_whole
 _MAX_DEPTH: Final = 5
 _MAX_FOLDERS: Final = 2000
 
+#: Most folders of a name; each of thousands would be looked up through all above it.
+_MOST_PARTS: Final = 30
+
 #: Most bytes of a text that is shown to be edited.
 TEXT_BYTES: Final = 1_000_000
 
@@ -85,6 +88,8 @@ class ServedFolder:
             Relative to the folder, with slashes; empty: the folder itself.
         """
         parts = PurePosixPath(name).parts
+        if len(parts) > _MOST_PARTS:
+            raise OutsideError(f"{name!r} has more than {_MOST_PARTS} folders")
         odd = any(not part or part[0] == "." or part[-1] in ". " for part in parts)
         if odd or name.startswith("/") or any(c in name for c in "\\:\0\n\r"):
             raise OutsideError(f"{name!r} is no name of a file in this folder")
@@ -166,7 +171,10 @@ class ServedFolder:
             If it cannot be written.
         """
         path = self.path(name)
-        data = text.encode("utf-8")
+        try:
+            data = text.encode("utf-8")
+        except UnicodeEncodeError as error:
+            raise CounterspinError(f"{name}: what it is to hold is no text") from error
         with self._writing:
             now = self.read(name)
             if now.version != seen:

@@ -23,6 +23,7 @@ from http.cookies import CookieError, SimpleCookie
 from typing import Final
 
 from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
@@ -158,7 +159,7 @@ class Guard:
             if path != SESSION and not self._door.admits(headers):
                 yield 401, "Open the link that `counterspin serve` printed; it holds the key."
         length = headers.get("content-length", "0")
-        if not length.isdigit() or int(length) > _most(path):
+        if not (length.isascii() and length.isdigit()) or int(length) > _most(path):
             yield 413, _too_large(path)
 
     async def _limited(self, scope: Scope, receive: Receive, send: Send) -> None:
@@ -181,10 +182,16 @@ class Guard:
 
         try:
             await self._app(scope, receive_limited, send_noted)
+        except ClientDisconnect:
+            return  # who asked has gone; nobody waits for an answer
         except _TooLargeError:
             if not begun:
                 why = _too_large(scope["path"])
                 await JSONResponse({"error": why}, 413)(scope, receive, send)
+        except Exception as error:  # no traceback for a user
+            if not begun:
+                why = f"internal error ({type(error).__name__}: {error})"
+                await JSONResponse({"error": why}, 500)(scope, receive, send)
 
 
 class _TooLargeError(Exception):

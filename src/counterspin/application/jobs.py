@@ -103,8 +103,11 @@ class Jobs:
             over = [n for n, j in self._jobs.items() if j.state not in ("waiting", "running")]
             for number in over[:-_MAX_FINISHED_JOBS]:
                 del self._jobs[number]
-        threading.Thread(target=self._work, args=(job, words), daemon=True).start()
+        self._start(job, words)
         return job
+
+    def _start(self, job: Job, words: tuple[Any, ...]) -> None:
+        threading.Thread(target=self._work, args=(job, words), daemon=True).start()
 
     def stop(self, number: int) -> Job:
         """End a job; CounterspinError if there is none of that number."""

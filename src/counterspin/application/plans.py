@@ -19,9 +19,10 @@ from counterspin.application.commands import plan_command
 from counterspin.application.desk import Desk, Remembered
 from counterspin.application.editing import changed
 from counterspin.calibration.joint_parts import unit_of
-from counterspin.campaign.toml_file import load_document
+from counterspin.campaign.toml_file import load_document, parse_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
+from counterspin.output import make_folder
 from counterspin.physics.accelerometer import TERMS
 from counterspin.planning.design import Limits
 from counterspin.planning.plan import plan, refuse_other_campaign, write_campaign, write_example
@@ -251,8 +252,10 @@ def begin_planned(desk: Desk, name: str, moved: Mapping[str, float], folder: str
             text = changed(
                 text, ["limits", key], f"{written:g} {limit.unit}" if limit.unit else written
             )
+    # Planned before anything is written: a plan that cannot be made changes no file.
+    planned = plan(parse_document(text.encode("utf-8"), name))
+    make_folder(place)
     if text != before.text:
         desk.folder.write(name, text, before.version)
-    planned = plan(file)
     write_campaign(planned, place)
     return {"name": desk.folder.name(place), "command": plan_command(file, place)}

@@ -79,17 +79,16 @@ def application(desk: Desk, door: Door) -> Starlette:
         begun = await run_in_threadpool(answered, desk, lambda: drafts.place_for(desk, name))
         if isinstance(begun, Answer):
             return _response(begun)
-        path, part = begun
         try:
-            with part.open("wb") as file:
+            with begun.part.open("wb") as file:
                 async for piece in request.stream():
                     await run_in_threadpool(file.write, piece)
-            made = await run_in_threadpool(answered, desk, lambda: drafts.arrived(desk, path, part))
+            made = await run_in_threadpool(answered, desk, lambda: drafts.arrived(desk, begun))
             return _response(made if isinstance(made, Answer) else Answer(200, made))
         except OSError as error:
             return _response(Answer(422, {"error": f"{name}: cannot be written: {error.strerror}"}))
         finally:
-            part.unlink(missing_ok=True)
+            begun.end()
 
     async def page(request: Request) -> Response:
         return _page_file(request.path_params.get("file", "index.html"))
@@ -99,7 +98,7 @@ def application(desk: Desk, door: Door) -> Starlette:
         yield
         await run_in_threadpool(desk.close)
 
-    return Starlette(
+    served = Starlette(
         routes=[
             Route(SESSION, session, methods=["POST"]),
             Route(FILES, files, methods=["POST"]),
@@ -110,13 +109,17 @@ def application(desk: Desk, door: Door) -> Starlette:
         middleware=[Middleware(Guard, door=door)],
         lifespan=lifespan,
     )
+    # An address with a slash too many is no other page's.
+    served.router.redirect_slashes = False
+    return served
 
 
 def _response(made: Answer) -> Response:
     content = as_json(made.content) if made.kind == "application/json" else made.content
     headers = {}
     if made.name is not None:
-        headers["Content-Disposition"] = f"attachment; filename*=UTF-8''{quote(made.name, safe='')}"
+        name = quote(made.name, safe="", errors="surrogateescape")
+        headers["Content-Disposition"] = f"attachment; filename*=UTF-8''{name}"
     return Response(content, made.status, headers, media_type=made.kind)
 
 
@@ -130,8 +133,10 @@ def _page_file(name: str) -> Response:
         return JSONResponse({"error": "There is no such page."}, 404)
     if name in made:
         return Response(made[name](), media_type=kind)
-    file = resources.files("counterspin.application") / "assets" / name
-    if "/" in name or not file.is_file():
+    assets = resources.files("counterspin.application") / "assets"
+    # Found among those that there are: what is asked for is never made a path.
+    file = next((one for one in assets.iterdir() if one.name == name), None)
+    if file is None:
         return JSONResponse({"error": "There is no such page."}, 404)
     return Response(file.read_text(encoding="utf-8"), media_type=kind)
 
@@ -199,7 +204,8 @@ def server_of(desk: Desk, door: Door) -> uvicorn.Server:
     """Return the server of a folder, which is run with a socket that listens at the door."""
     config = uvicorn.Config(
         application(desk, door),
-        log_level="error",
+        # What goes wrong is answered. That a request's end was no HTTP is nothing to be told.
+        log_level="critical",
         access_log=False,
         server_header=False,
         proxy_headers=False,

@@ -13,6 +13,7 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -221,7 +222,8 @@ class ReadingsTable:
         if given is None:
             return {}
         if not isinstance(given, dict):
-            given = {next(iter(self.accelerometers)): given}
+            # Where no accelerometer is described, that is the mistake.
+            given = dict.fromkeys(islice(self.accelerometers, 1), given)
         return {name: [c] if isinstance(c, str) else c for name, c in given.items()}
 
     def check(self, names: Sequence[str]) -> None:
