@@ -19,11 +19,10 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
-from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.server import ServerState
 
 from counterspin.application.folder import ServedFolder
-from counterspin.application.server import server_of
+from counterspin.application.server import _Connection, server_of
 from fuzz.asking import DOOR, HOST, SECRET, Desk, RequestRefusedError, Watched, asking
 from fuzz.format import Format
 from fuzz.mutations import mutate_bytes
@@ -163,9 +162,9 @@ class _Server:
         self.config.loaded_app = app
         self.state = ServerState()
 
-    def connect(self) -> H11Protocol:
+    def connect(self) -> _Connection:
         """Return the server's side of a new connection."""
-        made = H11Protocol(self.config, self.state, {}, asyncio.get_running_loop())
+        made = _Connection(self.config, self.state, {}, asyncio.get_running_loop())
         made.connection_made(_Wire())
         return made
 
@@ -182,16 +181,18 @@ async def _hold(desk: Desk, watched: Watched, asked: dict[str, Any]) -> list[byt
     raised: list[str] = []
     with asking(desk, raised) as app, watched.looking():
         server = _Server(desk, app)
-        held = {}
+        held: dict[int, _Connection] = {}
+        left: set[int] = set()
         for number, part in asked["pieces"]:
             if number not in held:
                 held[number] = server.connect()
             # Nothing at all would be its end.
-            if part and not held[number].transport.is_closing():
+            if part and number not in left and not held[number].transport.is_closing():
                 held[number].data_received(part.encode("latin-1"))
             await asyncio.sleep(0)
             if asked["ends"][str(number)] == "leave at once" and number % 2:
                 held[number].connection_lost(None)
+                left.add(number)
         for number, end in asked["ends"].items():
             if end == "wait":
                 continue

@@ -24,13 +24,13 @@ def test_it_prints_its_link_serves_this_machine_alone_and_ends_with_ctrl_c(tmp_p
             assert b"counterspin" in answer.read()
         with pytest.raises(urllib.error.HTTPError, match="401"):
             urllib.request.urlopen(f"http://127.0.0.1:{port}/api/folder", timeout=30)
-        for cut in (
-            b"POST /api/session HTTP/1.1\r\nHost: x\r\nTransfer-Encoding: chunked\r\n\r\nx",
-            b"\0",
-        ):
+        # What is no HTTP is refused, before an answer or after it, and says nothing here.
+        chunked = b"Host: 127.0.0.1:%d\r\nTransfer-Encoding: chunked\r\n\r\n" % port
+        for asked, told in ((b"\0", b"400"), (b"GET / HTTP/1.1\r\n" + chunked, b"200")):
             with socket.create_connection(("127.0.0.1", port), timeout=30) as other:
-                other.sendall(cut)
-                assert other.recv(1 << 16).startswith(b"HTTP/1.1 4")
+                other.sendall(asked)
+                assert other.recv(1 << 16).startswith(b"HTTP/1.1 " + told)
+                other.sendall(b"no length\r\n")
         # It listens on one address of the loopback, and on no other.
         with pytest.raises(OSError, match="refused"):
             socket.create_connection(("127.0.0.2", port), timeout=5)

@@ -18,12 +18,14 @@ from typing import Any, Final
 from urllib.parse import quote
 
 import uvicorn
+from h11 import LocalProtocolError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from counterspin.application import drafts
 from counterspin.application.campaigns import as_json
@@ -200,10 +202,21 @@ def _load(desk: Desk) -> None:
     part([bars], title="Title")
 
 
+class _Connection(H11Protocol):
+    """A connection that is closed where what comes is no HTTP, and was answered already."""
+
+    def data_received(self, data: bytes) -> None:
+        try:
+            super().data_received(data)
+        except LocalProtocolError:
+            self.transport.close()
+
+
 def server_of(desk: Desk, door: Door) -> uvicorn.Server:
     """Return the server of a folder, which is run with a socket that listens at the door."""
     config = uvicorn.Config(
         application(desk, door),
+        http=_Connection,
         # What goes wrong is answered. That a request's end was no HTTP is nothing to be told.
         log_level="critical",
         access_log=False,
