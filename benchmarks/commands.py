@@ -13,35 +13,13 @@ import subprocess
 import tempfile
 from pathlib import Path
 
+from header import EAST, NORTH, header
 from process import COUNTERSPIN, PYTHON, interleaved
 from table import Table, script
 
-DESCRIPTION = """
-schema = 1
-[campaign]
-title = "Three rates, two accelerometers"
-[site]
-gravity = "9.8066 m/s^2"
-latitude = "45.75 deg"
-[centrifuge]
-radius = "2.5 m"
-[records]
-time = { column = "time_s", unit = "s" }
-angle = { column = "angle_rad", unit = "rad" }
-[accelerometers.Qx]
-input_axis = "east"
-pendulous_axis = "down"
-bias = "0.00503 ± 2e-6 g"
-scale_factor = "1.00197 ± 5e-6 g/g"
-displacement = { column = "east_m", unit = "m" }
-[accelerometers.Qy]
-input_axis = "north"
-pendulous_axis = "down"
-bias = "0.003743 ± 2e-6 g"
-scale_factor = "0.99882 ± 5e-6 g/g"
-displacement = { column = "north_m", unit = "m" }
-[model]
-terms = ["K_F", "K_I", "K_II", "K_III"]
+DESCRIPTION = (
+    header("Three rates, two accelerometers", EAST, NORTH)
+    + """
 [simulation]
 sampling_rate = "50 Hz"
 revolutions = 100
@@ -60,6 +38,7 @@ K_III = "2e-6 g/g^3"
 drift = "1e-6 1/s"
 ripple = [{ harmonic = 1, ratio = 5e-7, phase = "30 deg" }]
 """
+)
 RUNS = "".join(
     f'[[runs]]\nname = "run{n}"\nrate = "{rate} rev/s"\nrecord = "run{n}.csv"\n'
     for n, rate in enumerate((0.25, 0.5, 1))

@@ -15,6 +15,8 @@ from pathlib import Path
 import numpy as np
 import polars as pl
 
+from header import EAST, header
+
 GRAVITY, EARTH_UP = 9.8066, 7.292115e-5 * math.sin(math.radians(45.75))
 RADIUS, DURATION = 2.5, 400.0
 RATES = (math.pi / 2, math.pi, 2 * math.pi)
@@ -24,29 +26,13 @@ NOISE = 0.01  # m, a sample
 ANGLE_NOISE = 1e-6  # rad
 PART = 1_000_000  # rows
 
-DESCRIPTION = """
-schema = 1
-[campaign]
-title = "Long records"
-[site]
-gravity = "9.8066 m/s^2"
-latitude = "45.75 deg"
-[centrifuge]
-radius = "2.5 m"
-[records]
-time = { column = "time_s", unit = "s" }
-angle = { column = "angle_rad", unit = "rad" }
-[accelerometers.Qx]
-input_axis = "east"
-pendulous_axis = "down"
-bias = "0.00503 ± 2e-6 g"
-scale_factor = "1.00197 ± 5e-6 g/g"
-displacement = { column = "east_m", unit = "m" }
+DESCRIPTION = (
+    header("Long records", EAST)
+    + """
 [noise]
 displacement = "0.01 m"
-[model]
-terms = ["K_F", "K_I", "K_II", "K_III"]
 """
+)
 
 RUN = """
 [[runs]]

@@ -22,34 +22,22 @@ from counterspin.application.desk import Desk
 from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import Door
 from counterspin.application.server import listening, server_of
+from header import EAST, NORTH, header
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "builders"))
 
 ROWS = (100_000, 1_000_000)
 ROUNDS = 3
 
-CAMPAIGN = """schema = 1
-[site]
-gravity = "9.8066 m/s^2"
-latitude = "45.75 deg"
-[centrifuge]
-radius = "2.5 m"
-[records]
-time = { column = "time_s", unit = "s" }
-angle = { column = "angle_rad", unit = "rad" }
-[accelerometers.Qx]
-input_axis = "east"
-pendulous_axis = "down"
-displacement = { column = "east_m", unit = "m" }
-[accelerometers.Qy]
-input_axis = "north"
-pendulous_axis = "down"
-displacement = { column = "north_m", unit = "m" }
+CAMPAIGN = (
+    header("One record", EAST, NORTH)
+    + """
 [[runs]]
 name = "run"
 rate = "0.5 rev/s"
 record = "run.csv"
 """
+)
 
 
 def make(folder: Path, rows: int) -> None:
