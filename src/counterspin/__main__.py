@@ -6,6 +6,7 @@
 import gc
 import os
 import sys
+from contextlib import AbstractContextManager, nullcontext
 
 
 def run() -> int:
@@ -21,13 +22,22 @@ def run() -> int:
     # imported that would keep it for long.
     sys.setswitchinterval(1e-4)
     try:
-        from counterspin.cli import main
+        with _head_start():
+            from counterspin.cli import main
+
+            return main()
     except KeyboardInterrupt:
-        return 130  # as `main` has it; nothing has been begun
-    try:
-        return main()
+        return 130  # as `main` has it, which is not loaded yet
     finally:
         gc.freeze()
+
+
+def _head_start() -> AbstractContextManager[None]:
+    if sys.argv[1:2] != ["calibrate"]:
+        return nullcontext()
+    from counterspin.calibration.head_start import head_start
+
+    return head_start(sys.argv[1:])
 
 
 if __name__ == "__main__":

@@ -14,18 +14,19 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
+from counterspin.calibration.head_start import checksums_of
 from counterspin.calibration.options import Method, TwoStageOptions, without_words
-from counterspin.campaign.checksums import Checksums
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError
 from counterspin.input import FileIdentity
-from counterspin.records.isolation import is_isolated, prepare
+from counterspin.records.isolation import is_isolated
 from counterspin.records.memory import MemoryTable
 from counterspin.workers import one_blas_thread
 
 if TYPE_CHECKING:
     from counterspin.calibration.observed import ObservedRun
     from counterspin.calibration.result import Result
+    from counterspin.campaign.checksums import Checksums
     from counterspin.campaign.resolved import Campaign
 
 
@@ -75,10 +76,7 @@ def calibrate(
     _refuse_mixed(method, options)
     if accept_misfit is not None and not accept_misfit.strip():
         raise CampaignError("calibrate", ["accept_misfit: give the reason in words"])
-    with Checksums() as checksums, ThreadPoolExecutor(1) as beside:
-        if isinstance(where, Path | str):
-            for record in checksums.expect(where):
-                prepare(record)
+    with checksums_of(where) as checksums, ThreadPoolExecutor(1) as beside:
         # Loaded only now: checksums need none of it, and are taken on another core meanwhile.
         from counterspin.campaign.description import Campaign, read_campaign
 

@@ -1,4 +1,4 @@
-"""Checksums of a campaign's files, taken on a thread of their own while all else goes on.
+"""Checksums of a campaign's files, taken on threads of their own while all else goes on.
 
 - `Checksums`: begun as early as the files are known by name, asked for at the end
 """
@@ -20,20 +20,23 @@ from counterspin.campaign.toml_file import description_file, load_document
 from counterspin.errors import CampaignError
 from counterspin.input import FileIdentity, open_file
 
-#: Niceness of the thread: nothing waits for a checksum before the end.
+#: How much nicer the threads are than the process: nothing waits for a checksum before the end.
 _NICENESS: Final = 10
-#: Bytes between two requests for the interpreter's lock, for which imports let others wait.
-_BUFFER_BYTES: Final = 1 << 23
+#: Files at a time: at the end, when all records are read, two cores have nothing else to do. More
+#: would send a disk from one file to another.
+_THREADS: Final = 2
+#: Bytes between two requests for the interpreter's lock, for which imports let others wait; as
+#: many as remain in a processor's cache from the disk's copy to the checksum.
+_BUFFER_BYTES: Final = 1 << 20
 
 
 class Checksums:
     """SHA-256 of files, each taken once; on leaving, what is not asked for is given up."""
 
     def __init__(self) -> None:
-        self._worker = ThreadPoolExecutor(1, initializer=_step_back)
+        self._workers = ThreadPoolExecutor(_THREADS, initializer=_step_back)
         self._taken: dict[Path, Future[tuple[str, FileIdentity | None]]] = {}
         self._given_up = threading.Event()
-        self._buffer = bytearray()  # filled with zeros by whoever needs it first, and kept
 
     def __enter__(self) -> Checksums:
         return self
@@ -45,7 +48,7 @@ class Checksums:
         trace: TracebackType | None,
     ) -> None:
         self._given_up.set()
-        self._worker.shutdown(cancel_futures=True)
+        self._workers.shutdown(cancel_futures=True)
 
     def expect(self, where: Path | str) -> list[Path]:
         """Begin with the files that a campaign seems to have, before its description is checked.
@@ -82,15 +85,14 @@ class Checksums:
     def _begin(self, files: Iterable[Path]) -> None:
         for file in files:
             if file not in self._taken:
-                self._taken[file] = self._worker.submit(self._take, file)
+                self._taken[file] = self._workers.submit(self._take, file)
 
     def _take(self, path: Path) -> tuple[str, FileIdentity | None]:
         digest = hashlib.sha256()
         try:
             with open_file(path) as file:
                 before = FileIdentity.of(file.fileno())
-                self._buffer = self._buffer or bytearray(_BUFFER_BYTES)
-                buffer = memoryview(self._buffer)
+                buffer = memoryview(bytearray(_BUFFER_BYTES))
                 while (read := file.readinto(buffer)) and not self._given_up.is_set():
                     digest.update(buffer[:read])
                 after = FileIdentity.of(file.fileno())
@@ -102,4 +104,5 @@ class Checksums:
 
 def _step_back() -> None:
     if sys.platform == "linux":
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), _NICENESS)
+        own = os.getpriority(os.PRIO_PROCESS, 0)
+        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), min(own + _NICENESS, 19))
