@@ -21,7 +21,7 @@ from counterspin.errors import CampaignError
 from counterspin.input import FileIdentity, open_file
 
 #: How much nicer the threads are than the process: nothing waits for a checksum before the end.
-_NICENESS: Final = 10
+_NICENESS: Final = 19
 #: Files at a time: at the end, when all records are read, two cores have nothing else to do. More
 #: would send a disk from one file to another.
 _THREADS: Final = 2
