@@ -1,7 +1,6 @@
 """The main job: from a campaign's folder to the coefficients and what may be said of them.
 
 - `calibrate`: the whole way, from a folder to a `Result`; `batch`: many campaigns
-- `head_start`: what is begun before all else is loaded
 - `options`: how a calibration is made
 - `observed`: records brought together with the rotation they were taken on
 - `assembly`: from observed runs to a `Result`, by either method

@@ -2,7 +2,7 @@
 
 import pytest
 
-from counterspin.calibration.head_start import checksums_of, head_start
+from counterspin.campaign.head_start import checksums_of, head_start
 
 
 @pytest.fixture
