@@ -35,7 +35,7 @@ def run() -> int:
 def _head_start() -> AbstractContextManager[None]:
     if sys.argv[1:2] != ["calibrate"]:
         return nullcontext()
-    from counterspin.campaign.head_start import head_start
+    from counterspin.campaign.checksums import head_start
 
     return head_start(sys.argv[1:])
 

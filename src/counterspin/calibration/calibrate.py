@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from counterspin.calibration.options import Method, TwoStageOptions, without_words
-from counterspin.campaign.head_start import checksums_of
+from counterspin.campaign.checksums import checksums_of
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
 from counterspin.errors import CampaignError, RecordError
 from counterspin.input import FileIdentity

@@ -19,8 +19,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `conditions`: when runs were made, and how warm it was
 - `memory`: campaigns made or changed in Python, and written as folders
 - `runs`: runs with records: how each is read, and which are left out
-- `checksums`: of a campaign's files
-- `head_start`: what a calibration begins before all else is loaded
+- `checksums`: of a campaign's files, and what else a calibration begins before all else is loaded
 - `starter`: a commented campaign to start from
 - `simulation`: records and readings of a campaign whose coefficients are known
 - `reading_truth`, `reading_simulation`, `reading_files`: what is true of simulated readings, their

@@ -1,6 +1,9 @@
 """Checksums of a campaign's files, taken on threads of their own while all else goes on.
 
 - `Checksums`: begun as early as the files are known by name, asked for at the end
+- `head_start`: begins with those of the campaign that a command line names, and with the reader's
+  process: another core is idle while the command line and the description's readers are loaded
+- `checksums_of`: those that were begun, or begun now
 """
 
 from __future__ import annotations
@@ -9,9 +12,9 @@ import hashlib
 import os
 import sys
 import threading
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Final
@@ -19,6 +22,7 @@ from typing import Final
 from counterspin.campaign.toml_file import description_file, load_document
 from counterspin.errors import CampaignError
 from counterspin.input import FileIdentity, open_file
+from counterspin.records.isolation import prepare
 
 #: How much nicer the threads are than the process: nothing waits for a checksum before the end.
 _NICENESS: Final = 19
@@ -106,3 +110,55 @@ def _step_back() -> None:
     if sys.platform == "linux":
         own = os.getpriority(os.PRIO_PROCESS, 0)
         os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), min(own + _NICENESS, 19))
+
+
+#: The campaign that was begun with and is not asked for yet, as it was named.
+_BEGUN: dict[Path, Checksums] = {}
+
+
+@contextmanager
+def head_start(words: Sequence[str]) -> Iterator[None]:
+    """Begin with the campaign that the words of a command line name; give up what is left.
+
+    Parameters
+    ----------
+    words
+        Such as ``["calibrate", "FOLDER", "--json", "FILE"]``. Where they are others, or name
+        several campaigns, nothing is begun, and what is wrong with them is for others to say.
+    """
+    named = words[1:2] if words[:1] == ["calibrate"] else []
+    alone = all(word.startswith("-") for word in words[2:3])
+    if not named or named[0].startswith("-") or not alone:
+        yield
+        return
+    with Checksums() as checksums:
+        _begin(checksums, named[0])
+        _BEGUN[Path(named[0])] = checksums
+        try:
+            yield
+        finally:
+            _BEGUN.clear()
+
+
+@contextmanager
+def checksums_of(where: object) -> Iterator[Checksums]:
+    """Return a campaign's checksums, with its files begun.
+
+    Parameters
+    ----------
+    where
+        The campaign's folder or its description; of a campaign already read nothing is begun.
+    """
+    named = Path(where) if isinstance(where, Path | str) else None
+    if named is not None and named in _BEGUN:
+        yield _BEGUN.pop(named)
+        return
+    with Checksums() as checksums:
+        if named is not None:
+            _begin(checksums, named)
+        yield checksums
+
+
+def _begin(checksums: Checksums, where: Path | str) -> None:
+    for record in checksums.expect(where):
+        prepare(record)
