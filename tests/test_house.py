@@ -163,7 +163,7 @@ def test_a_second_list_of_coefficients_would_be_found():
 
 TESTS = [path.relative_to(ROOT / "tests") for path in sorted((ROOT / "tests").rglob("test_*.py"))]
 
-#: Tests of what is no module: benchmarks, the documentation, the house, the interface, published sources.
+#: Tests of what is no module: benchmarks, documentation, house, interface, published sources.
 OF_NO_MODULE = re.compile(
     r"test_(benchmarks|docs\w*|fuzz|house|notebook_tasks|python)\.py|published/test_\w+\.py"
 )
