@@ -33,11 +33,13 @@ def run() -> int:
 
 
 def _head_start() -> AbstractContextManager[None]:
-    if sys.argv[1:2] != ["calibrate"]:
+    """Begin with the campaign to be calibrated, if the command line names one and no other."""
+    command, where, *others = [*sys.argv[1:], "", ""]
+    if command != "calibrate" or where[:1] in ("", "-") or others[0][:1] not in ("", "-"):
         return nullcontext()
     from counterspin.campaign.checksums import head_start
 
-    return head_start(sys.argv[1:])
+    return head_start(where)
 
 
 if __name__ == "__main__":

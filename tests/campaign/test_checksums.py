@@ -2,12 +2,14 @@
 
 import hashlib
 import os
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from counterspin.campaign.checksums import Checksums, checksums_of, head_start
+from counterspin.__main__ import _head_start
+from counterspin.campaign.checksums import _BEGUN, Checksums, checksums_of, head_start
 
 
 def of(data):
@@ -90,53 +92,58 @@ def test_nobody_waits_for_a_checksum_that_is_not_asked_for(tmp_path):
 
 @pytest.fixture
 def folder(tmp_path):
-    (tmp_path / "campaign.toml").write_text('[[runs]]\nrecord = "a.csv"\n', "utf-8")
+    described(tmp_path)
     (tmp_path / "a.csv").write_bytes(b"1")
     return tmp_path
 
 
-def test_what_was_begun_is_handed_over_once(folder):
-    with head_start(["calibrate", f"{folder}/", "--json", "result.json"]):
+def test_what_was_begun_early_is_handed_over_once(folder):
+    with head_start(f"{folder}/"):
         with checksums_of(folder) as first:
             assert set(first._taken) == {folder / "a.csv", folder / "campaign.toml"}
             (folder / "b.csv").write_bytes(b"2")
-            assert len(first.of([folder / "a.csv", folder / "b.csv"])) == 2
+            assert first.of([folder / "b.csv"]) == [of(b"2")]
         with checksums_of(folder) as second:
             assert second is not first
     assert first._given_up.is_set()
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        [],
-        ["calibrate"],
-        ["calibrate", "--help"],
-        ["calibrate", "--json", "{folder}"],
-        ["calibrate", "{folder}", "{folder}"],
-        ["check", "{folder}"],
-    ],
-)
-def test_other_words_begin_nothing(folder, words):
-    with head_start([word.format(folder=folder) for word in words]), checksums_of([]) as checksums:
-        assert not checksums._taken
-        with checksums_of(folder) as begun:
-            assert begun._taken
-
-
-@pytest.mark.parametrize("named", ["nowhere", "\0", "", "x" * 5000])
+@pytest.mark.parametrize("named", ["nowhere", "\0", "x" * 5000])
 def test_what_is_no_campaign_is_for_others_to_say(named):
-    with head_start(["calibrate", named]), checksums_of(named) as checksums:
-        assert all(not file.exists() for file in checksums._taken if "\0" not in str(file))
+    with head_start(named), checksums_of(named) as checksums:
+        assert not checksums._given_up.is_set()
 
 
-def test_files_of_a_campaign_that_failed_are_given_up(folder):
+def test_what_was_begun_early_is_given_up_with_the_process(folder):
     with (
         pytest.raises(KeyboardInterrupt),
-        head_start(["calibrate", str(folder)]),
+        head_start(str(folder)),
         checksums_of(folder) as checksums,
     ):
         raise KeyboardInterrupt
     assert checksums._given_up.is_set()
     with checksums_of(folder) as again:
         assert again is not checksums
+
+
+@pytest.mark.parametrize(
+    ("words", "begins"),
+    [
+        (["calibrate", "FOLDER"], True),
+        (["calibrate", "FOLDER", "--json", "result.json"], True),
+        ([], False),
+        (["calibrate"], False),
+        (["calibrate", "--help"], False),
+        (["calibrate", "FOLDER", "FOLDER"], False),
+        (["check", "FOLDER"], False),
+    ],
+)
+def test_the_words_that_begin_early(folder, monkeypatch, words, begins):
+    words = [str(folder) if word == "FOLDER" else word for word in words]
+    monkeypatch.setattr(sys, "argv", ["counterspin", *words])
+    with _head_start():
+        begun = dict(_BEGUN)
+        with checksums_of(folder) as checksums, checksums_of([]) as others:
+            assert begun == ({folder: checksums} if begins else {})
+            assert checksums._taken
+            assert not others._taken

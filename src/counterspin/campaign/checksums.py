@@ -1,8 +1,8 @@
 """Checksums of a campaign's files, taken on threads of their own while all else goes on.
 
 - `Checksums`: begun as early as the files are known by name, asked for at the end
-- `head_start`: begins with those of the campaign that a command line names, and with the reader's
-  process: another core is idle while the command line and the description's readers are loaded
+- `head_start`: begins with them, and with the reader's process, before a process has loaded
+  anything else: another core is idle meanwhile
 - `checksums_of`: those that were begun, or begun now
 """
 
@@ -12,7 +12,7 @@ import hashlib
 import os
 import sys
 import threading
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -117,23 +117,17 @@ _BEGUN: dict[Path, Checksums] = {}
 
 
 @contextmanager
-def head_start(words: Sequence[str]) -> Iterator[None]:
-    """Begin with the campaign that the words of a command line name; give up what is left.
+def head_start(where: str) -> Iterator[None]:
+    """Begin with a campaign that is about to be asked for; on leaving, give up what is left.
 
     Parameters
     ----------
-    words
-        Such as ``["calibrate", "FOLDER", "--json", "FILE"]``. Where they are others, or name
-        several campaigns, nothing is begun, and what is wrong with them is for others to say.
+    where
+        Its folder or its description. What is wrong with it is for others to say.
     """
-    named = words[1:2] if words[:1] == ["calibrate"] else []
-    alone = all(word.startswith("-") for word in words[2:3])
-    if not named or named[0].startswith("-") or not alone:
-        yield
-        return
     with Checksums() as checksums:
-        _begin(checksums, named[0])
-        _BEGUN[Path(named[0])] = checksums
+        _begin(checksums, where)
+        _BEGUN[Path(where)] = checksums
         try:
             yield
         finally:
