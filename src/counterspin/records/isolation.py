@@ -1,7 +1,8 @@
 """Reading in a process of its own, where a damaged file can crash the reader.
 
 - `isolated`: calls a function of a file, in the reader's process where its format asks for that
-- `is_isolated`: whether a file asks for it
+- `apart`: the same, and large files of text are read there too
+- `is_apart`: whether a file is
 - `prepare`: starts that process before it is needed
 
 The readers of Parquet, HDF5, MATLAB and Excel files are native code, which a flipped bit can
@@ -9,7 +10,8 @@ crash, send round in circles or make ask for all memory. So those files are read
 which is started once, kept, and given up a minute after its last file or after one that it made
 nothing of. On Linux a process in between forks it, so that after a damaged file another, with all
 that takes long to load, is there at once. What it hands back is small where a record is reduced to
-block means. CSV is read here.
+block means. Text can do no harm and is read here; but where it is long, and little comes back, the
+process at hand loads what it needs next while another one reads.
 """
 
 from __future__ import annotations
@@ -48,6 +50,10 @@ _NATIVE: Final = {
     ".tdms": ("nptdms", "polars"),  # may be absent
     ".pdf": ("pypdf",),
 }
+#: The libraries that read text.
+_TEXT: Final = ("polars",)
+#: Text of so many bytes takes longer to read than the reader's process takes to start.
+_LONG_TEXT_BYTES: Final = 1 << 24
 #: Those that start threads when they are loaded: what has them does not fork.
 _THREADED: Final = ("polars",)
 #: Seconds without work after which the reader's process ends.
@@ -87,25 +93,41 @@ def isolated(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -
     RecordError
         As the function does, or if the reader's process did not survive the file.
     """
-    if isinstance(path, Path) and (suffix := path.suffix.lower()) in _NATIVE:
-        reply = _READER.ask(suffix, path, (_directory(), function, (path, *args)))
-        if isinstance(reply, BaseException):
-            raise reply
-        if reply is not None:
-            value: R = reply[0]
-            return value
+    if isinstance(path, Path) and path.suffix.lower() in _NATIVE:
+        return _elsewhere(function, path, *args)
     return function(path, *args)
 
 
-def is_isolated(path: Path | MemoryTable) -> bool:
-    """Return whether a file's format asks for the reader's process."""
-    return isinstance(path, Path) and path.suffix.lower() in _NATIVE
+def apart(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
+    """Return ``function(path, *args)``, which is small; as `isolated`, and of long text too."""
+    return _elsewhere(function, path, *args) if is_apart(path) else function(path, *args)
+
+
+def is_apart(path: Path | MemoryTable) -> bool:
+    """Return whether a file's format asks for the reader's process, or its length is worth it."""
+    if not isinstance(path, Path):
+        return False
+    try:
+        return path.suffix.lower() in _NATIVE or path.stat().st_size >= _LONG_TEXT_BYTES
+    except (OSError, ValueError):
+        return False  # reading says what is wrong
 
 
 def prepare(path: Path) -> None:
-    """Start the reader's process, if a file asks for it and it does not run; wait for nothing."""
-    if is_isolated(path):
+    """Start the reader's process, if a file is read there and it does not run; wait for nothing."""
+    if is_apart(path):
         _READER.prepare(path.suffix.lower())
+
+
+def _elsewhere(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
+    assert isinstance(path, Path)
+    reply = _READER.ask(path.suffix.lower(), path, (_directory(), function, (path, *args)))
+    if isinstance(reply, BaseException):
+        raise reply
+    if reply is None:
+        return function(path, *args)
+    value: R = reply[0]
+    return value
 
 
 class _Reader:
@@ -158,7 +180,7 @@ class _Reader:
         self._kill()
         if not self._startable:
             return None
-        command = [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *_NATIVE[suffix]]
+        command = [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *_NATIVE.get(suffix, _TEXT)]
         pipe = subprocess.PIPE
         try:
             self._process = subprocess.Popen(

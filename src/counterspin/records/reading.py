@@ -30,7 +30,7 @@ from counterspin.records.clock import LISTED, Clock
 from counterspin.records.column_file import ColumnFile
 from counterspin.records.dialect import TO_BE_FOUND
 from counterspin.records.formats import open_columns
-from counterspin.records.isolation import isolated
+from counterspin.records.isolation import apart, isolated
 from counterspin.records.memory import MemoryTable
 from counterspin.records.pieces import Columns, Piece, column_rows, in_pieces, piece_rows
 from counterspin.records.record import ColumnSpec, Record, RecordColumns, StatedMotion
@@ -93,7 +93,9 @@ def read_record(
             pulse_angle(pulses[0], pulses[0][:0], motion.rate, columns.angle.per_revolution)
         except ValueError as error:
             raise RecordError(f"{source}: column '{columns.angle.name}': {error}.") from None
-    return isolated(_read, record, columns, motion, block, pulses)
+    # Every sample of a long record would be much to hand over.
+    place = apart if block == "auto" else isolated
+    return place(_read, record, columns, motion, block, pulses)
 
 
 def _read(
