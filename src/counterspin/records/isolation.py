@@ -180,7 +180,8 @@ class _Reader:
         self._kill()
         if not self._startable:
             return None
-        command = [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *_NATIVE.get(suffix, _TEXT)]
+        libraries = _NATIVE.get(suffix, _TEXT)
+        command = [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *libraries]
         pipe = subprocess.PIPE
         try:
             self._process = subprocess.Popen(
