@@ -1,6 +1,7 @@
 """No file makes counterspin fail without words: cases that once did, and a few new ones."""
 
 import json
+import re
 import subprocess
 import sys
 from random import Random
@@ -9,10 +10,11 @@ import pytest
 from fuzz import ROOT
 from fuzz.asking import SECRET
 from fuzz.formats import FORMATS, Format, command, formats
-from fuzz.hunt import content, hunt, judge
-from fuzz.kills import Command, Trial, kill_all
+from fuzz.hunt import BYTES, SECONDS, content, hunt, judge
+from fuzz.kills import COMMANDS, Command, Trial, kill_all
 from fuzz.requests import request_of, valid_requests
 from fuzz.tracing import Runner, possible
+from prose import sentences, told, value_of
 
 from counterspin.application.interface import ENDPOINTS, Nothing
 from counterspin.errors import CounterspinError
@@ -215,3 +217,37 @@ def test_a_loss_would_be_found(tmp_path, monkeypatch):
         assert not trial.faults(1)
         assert any("result.json is lost or changed" in fault for fault in trial.faults(4))
         assert any("new.json is not whole" in fault for fault in trial.faults(5))
+
+
+def test_the_page_says_how_much_is_tried():
+    (seconds,) = told("bulwark", "more than {} s of processor time or")
+    (gigabytes,) = told("bulwark", "of processor time or {} GB of memory")
+    (new,) = told("bulwark", "reads all of these and {} new ones")
+    (commands,) = told("bulwark", "The kills are those of {} commands")
+    assert [value_of(number) for number in (seconds, gigabytes, new, commands)] == [
+        SECONDS,
+        BYTES / 1e9,
+        DOCUMENTS + RECORDS,
+        len(COMMANDS),
+    ]
+
+
+def test_what_the_page_says_was_tried_is_what_its_commands_try():
+    page = sentences("bulwark")
+    asked = dict.fromkeys(("DOCUMENTS", "RECORDS", "KILLS"), 0)
+    command = (
+        r"make fuzz (SEED=\d+ DOCUMENTS=\d+ RECORDS=\d+ KILLS=\d+)(?: # and so on to seed (\d+))?"
+    )
+    lines = re.findall(command, page)
+    for words, last in lines:
+        given = {key: int(number) for key, number in re.findall(r"(\w+)=(\d+)", words)}
+        seeds = int(last or given["SEED"]) - given["SEED"] + 1
+        for key in asked:
+            asked[key] += seeds * given[key]
+    documents, refused = told("bulwark", "| documents and CSV | {} | {} |")
+    (records,) = told("bulwark", "Excel and PDF | {} |")
+    (kills,) = told("bulwark", "| commands killed | {} |")
+    # A hunt that is stopped has tried fewer.
+    assert 0.999 * asked["DOCUMENTS"] < value_of(documents) <= asked["DOCUMENTS"]
+    assert value_of(refused) < value_of(documents)
+    assert [value_of(records), value_of(kills)] == [asked["RECORDS"], asked["KILLS"]]

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import counterspin as cs
+from counterspin import cli
 
 PACKAGE = Path(cs.__file__).parent
 
@@ -80,3 +81,10 @@ def test_commands_are_a_few_lines_and_files_may_be_named_by_text(tmp_path, capsy
     assert cs.read_result(str(tmp_path / "result.json")) == result
     cs.print_result(result)
     assert "K_II of Qx = 20.0" in capsys.readouterr().out
+
+
+def test_every_command_is_a_function_but_those_that_the_page_names():
+    page = (Path(__file__).parents[1] / "docs" / "python.md").read_text("utf-8")
+    without = re.search(r"Every command is a function .*?, but (.*?)\.", page, re.DOTALL)[1]
+    commands = {name for name in cli.app if not name.startswith("-")}
+    assert commands - set(cs.__all__) == set(re.findall(r"`(\w+)`", without))

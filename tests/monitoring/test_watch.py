@@ -10,6 +10,7 @@ import counterspin as cs
 from counterspin.cli import main
 from counterspin.errors import CampaignError
 from counterspin.monitoring import result as monitoring_result
+from counterspin.monitoring.following import APPENDED
 
 FAST = cs.Pace(interval=1e-3, share=1.0)
 
@@ -170,3 +171,5 @@ def test_the_page_has_every_key():
     for name, rows in tables.items():
         listed = re.findall(r"^\| `(\w+)` \|", rows, re.MULTILINE)
         assert listed == [f.alias or key for key, f in parts[name].model_fields.items()]
+    appended = page.partition("**Text** (")[2].partition(")")[0]
+    assert tuple(re.findall(r"`(\.\w+)`", appended)) == APPENDED
