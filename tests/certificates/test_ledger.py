@@ -75,6 +75,16 @@ def test_entries_that_are_gone_moved_or_made_anew_are_found(tmp_path):
     assert altered(path).startswith("entry 1 calls itself entry 2")
 
 
+def test_only_the_last_hash_tells_that_the_last_entries_are_gone(tmp_path):
+    path = tmp_path / "ledger.jsonl"
+    entered(path, 3)
+    whole = verify_ledger(path)
+    path.write_bytes(b"".join(path.read_bytes().splitlines(keepends=True)[:2]))
+    rest = verify_ledger(path)
+    assert rest.entries == whole.entries[:2]
+    assert rest.head != whole.head
+
+
 def test_an_altered_ledger_is_not_continued(tmp_path):
     path = tmp_path / "ledger.jsonl"
     entered(path, 2)

@@ -132,7 +132,7 @@ def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:
     )
     yield Paragraph(
         f"{len(verified.entries)} entries, none altered since. Hash of the last: {verified.head}. "
-        "Kept elsewhere, it shows whether all of them were written anew."
+        "Kept elsewhere, it shows whether the last ones were taken off, or all were written anew."
     )
 
 
