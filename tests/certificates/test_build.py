@@ -1,9 +1,11 @@
 """A certificate holds the result's numbers in SI, and says nothing that nobody has said."""
 
+import re
 from base64 import b64decode
 
 import numpy as np
 import pytest
+from prose import ROOT
 from results import coefficient, result, two_accelerometers
 
 from certificates import ISSUE, LAB, document, find
@@ -35,6 +37,18 @@ def test_units_as_d_si_writes_them():
     assert si_unit("rad/s/g")[0].text == r"\radian\metre\tothe{-1}\second"
     with pytest.raises(ValueError, match="furlong"):
         si_unit("furlong")
+
+
+def test_the_page_has_the_units_of_all_terms():
+    row = re.compile(r"^\| ([KKd]\w+).*? \| (\S+) \| (.*) \| `(.*)` \|$", re.MULTILINE)
+    rows = row.findall((ROOT / "docs" / "certificate.md").read_text("utf-8"))
+    assert {unit for _, unit, *_ in rows} == {term.unit for term in TERMS.values()}
+    for symbol, unit, shown, written in rows:
+        assert TERMS[symbol].unit == unit
+        assert si_unit(unit)[0].text == written
+        parts = re.findall(r"\\(metre|second|radian|one)(?:\\tothe\{(-?\d)\})?", written)
+        letters = {"metre": "m", "second": "s", "radian": "rad", "one": "1"}
+        assert " ".join(letters[name] + (f"^{n}" if n else "") for name, n in parts) == shown
 
 
 @pytest.mark.parametrize("unit", sorted({row.unit for row in [*TERMS.values()]}))
