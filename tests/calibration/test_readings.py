@@ -106,6 +106,18 @@ def test_tumble_and_arm_together_are_surer_than_each(tmp_path):
     assert abs(both["K_II"].value - TRUTH["K_II"]) < 4.0 * both["K_II"].u
 
 
+def test_the_noise_of_each_kind_of_motion_is_estimated_by_itself(tmp_path):
+    rng = np.random.default_rng(4)
+    test = arm()
+    tumbles = tumble_runs(simulated(tumble(), rng, SIGMA, truth={**TRUTH}), None)
+    arms = arm_runs(test, simulated(test, rng, 20.0 * SIGMA), None)
+    asked = model("K_F", "K_I", "K_II", "K_III", "delta_O")
+    noise = calibrated(tmp_path, asked, tumbles, arms).accelerometers["A"].noise
+    assert all(line.estimated for line in noise.values())
+    at_rest, on_the_arm = sorted(line.value for line in noise.values())
+    assert 10.0 < on_the_arm / at_rest < 40.0
+
+
 @pytest.mark.parametrize(
     ("u", "state"),
     # Nine degrees of freedom: Student's 9.1 is as rare as a normal 4.5.

@@ -1,10 +1,16 @@
 """What is in a file before anybody says what it means."""
 
+import re
+
 import numpy as np
 import pytest
+from prose import ROOT
 
 from counterspin.errors import RecordError
 from counterspin.exports.looking import look
+
+#: The numbers of the example: time, angle, east.
+EXAMPLE = [[0.0, 0.02], [0.0, 0.18], [2.5, 2.499]]
 
 
 def test_columns_with_units_stamps_and_the_rest(tmp_path):
@@ -21,6 +27,19 @@ def test_columns_with_units_stamps_and_the_rest(tmp_path):
     np.testing.assert_allclose(seen.columns[1].values, np.arange(8) + 0.25)
     assert np.isfinite(seen.columns[2].values).sum() == 1
     assert seen.others == ("note",)
+
+
+def test_the_example_of_the_page_is_read_without_a_description(tmp_path):
+    page = (ROOT / "docs" / "exports.md").read_text("utf-8")
+    (text,) = re.findall(r"^```\n(Test 12;.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    (tmp_path / "a.txt").write_text(text, encoding="utf-8")
+    time, angle, east = look(tmp_path / "a.txt").columns
+    assert [(c.name, c.unit) for c in (time, angle, east)] == [
+        ("Time", "s"),
+        ("Angle", "deg"),
+        ("East", "m"),
+    ]
+    np.testing.assert_array_equal([c.values for c in (time, angle, east)], EXAMPLE)
 
 
 def test_a_file_without_numbers(tmp_path):
