@@ -10,7 +10,7 @@ from counterspin.errors import RecordError
 from counterspin.exports.looking import look
 
 #: The numbers of the example: time, angle, east.
-EXAMPLE = [[0.0, 0.02], [0.0, 0.18], [2.5, 2.499]]
+EXAMPLE = [[0.0, 0.02, 0.04], [0.0, 0.18, 0.36], [2.5, 2.499, 2.495]]
 
 
 def test_columns_with_units_stamps_and_the_rest(tmp_path):
