@@ -43,6 +43,7 @@ def test_a_page_of_the_gallery_is_run_and_its_pictures_have_words(page):
         words = re.match(r"---\nmystnb:\n  image:\n    alt: >-\n((?:      .+\n)+)---\n", cell)
         assert words, cell
         assert len(words[1].split()) >= 10
+    assert any("tags: [remove-cell]" in cell and "assert " in cell for cell in cells)
     for cell in cells:
         code = re.sub(r"\A---\n.*?^---\n", "", cell, flags=re.MULTILINE | re.DOTALL)
         compile(code, page.name, "exec")
