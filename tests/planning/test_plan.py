@@ -456,7 +456,7 @@ MISTAKES = {
     "flicker": ([('displacement = "0.01 m"', 'displacement = "0.01 m"\nflicker = "1 ug"')],
                 "noise.flicker: a search for runs knows nothing of a bias that wanders"),
     "trend": ([('# considered = ["K_PP"]', 'considered = ["K_F.trend"]')],
-              '"K_F.trend" hangs on the time of each run, which a plan does not know'),
+              '"K_F.trend" depends on the time of each run, which a plan does not know'),
     "prior": ([('"platform.tilt" = "0 ± 0.5 arcsec"', '"platform.tilt" = "0 ± 0.5 m"')],
               "platform.tilt"),
 }  # fmt: skip

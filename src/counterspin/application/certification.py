@@ -1,4 +1,4 @@
-"""Certificates from the page, and files that are taken away.
+"""Certificates from the page, and files to be saved elsewhere.
 
 - `begin_certificate`: issues one
 - `taken_file`: a file that was made, to be saved elsewhere
@@ -16,7 +16,7 @@ from counterspin.certificates.issuing import issue_certificate
 from counterspin.errors import CounterspinError
 from counterspin.input import read_file
 
-#: Endings of what may be taken away: what this program writes.
+#: Endings of what may be saved elsewhere: what this program writes.
 _WRITTEN_SUFFIXES: Final = (".html", ".json", ".md", ".pdf", ".svg", ".toml", ".xml")
 
 
@@ -48,7 +48,7 @@ def taken_file(desk: Desk, name: str) -> tuple[str, bytes]:
     """Return a file's own name and what is in it; OutsideError of what is not made here."""
     path: Path = desk.file(name)
     if path.suffix.lower() not in _WRITTEN_SUFFIXES:
-        raise OutsideError(f"{name}: only what counterspin writes is given away here")
+        raise OutsideError(f"{name}: only files that counterspin writes can be saved from here")
     try:
         return path.name, read_file(path)
     except OSError as error:

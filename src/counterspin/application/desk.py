@@ -24,7 +24,7 @@ from counterspin.input import FileIdentity
 
 T = TypeVar("T")
 
-#: So many things are usually remembered.
+#: How many things are remembered where nothing else is said.
 _MAX_REMEMBERED: Final = 300
 
 
@@ -34,7 +34,7 @@ class Remembered:
     Parameters
     ----------
     most
-        So many things are remembered.
+        How many things are remembered.
     """
 
     def __init__(self, most: int = _MAX_REMEMBERED) -> None:
@@ -149,7 +149,7 @@ def _files(document: dict[str, Any]) -> list[str]:
 def _named(document: dict[str, Any]) -> list[tuple[str, str]]:
     """Return the files that a description names, with their keys, whatever else is wrong with it.
 
-    Every text at a key that names a file, at any depth: no such key of today or tomorrow is missed.
+    Every text at a key that names a file, at any depth: a key that is added later is not missed.
     """
     found: list[tuple[str, str]] = []
 

@@ -28,7 +28,7 @@ _DRAFTS: Final = Remembered(2)
 
 @frozen
 class Arrival:
-    """A file that is being brought.
+    """A file that is being uploaded.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Arrival:
     folders: tuple[Path, ...]
 
     def end(self) -> None:
-        """Remove what a file that did not arrive has left."""
+        """Remove what an incomplete upload has left."""
         self.part.unlink(missing_ok=True)
         for folder in self.folders:
             with suppress(OSError):  # something is in it
@@ -53,7 +53,7 @@ class Arrival:
 
 
 def place_for(desk: Desk, name: str) -> Arrival:
-    """Return the places of a file that is brought.
+    """Return the places of an uploaded file.
 
     Raises
     ------
@@ -83,7 +83,7 @@ def _refuse_another(path: Path, name: str) -> None:
 
 
 def arrived(desk: Desk, arrival: Arrival) -> dict[str, Any]:
-    """Give a file that is all there its name; CounterspinError if another one has it by now."""
+    """Give a complete upload its name; CounterspinError if another file has it by now."""
     path = arrival.path
     _refuse_another(path, desk.folder.name(path))
     arrival.part.chmod(0o644)

@@ -4,8 +4,8 @@
 - `FileVersion`: what a file held when somebody looked
 - `ChangedMeanwhileError`: somebody else has changed it since
 
-A name leads out of the folder by no way: not by ``..``, not as an absolute name, not by a link.
-Hidden files (a temporary file among them) are none of the folder's.
+No name leads out of the folder: not by ``..``, not as an absolute name, not by a link. Hidden
+files, temporary ones among them, do not count as the folder's.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from typing import Any, Final, Literal
 from counterspin.calibration.options import Method
 from counterspin.errors import CounterspinError
 
-#: So many jobs that are over are remembered.
+#: How many finished jobs are remembered.
 _MAX_FINISHED_JOBS: Final = 50
 
 JobState = Literal["waiting", "running", "done", "failed", "stopped"]

@@ -77,7 +77,7 @@ class LiveViews:
             return view.told
 
     def _forget(self) -> None:
-        """End what nobody looks at, until nothing is followed."""
+        """Stop following what nobody looks at, until nothing is followed."""
         while True:
             time.sleep(UNSEEN_SECONDS / 5.0)
             with self._lock:
@@ -88,7 +88,7 @@ class LiveViews:
                     return
 
     def close(self) -> None:
-        """Follow none any longer."""
+        """Stop following all of them."""
         with self._lock:
             for view in self._views.values():
                 _ended(view)

@@ -43,7 +43,7 @@ CONTRADICTION_SIGMAS: Final = 6.0
 #: Residuals so many times as large as the noise: the uncertainty is not of these records.
 RESIDUAL_RATIO_LIMIT: Final = 2.0
 
-#: Share of u^2 from which noise that the records do not show is spoken of.
+#: Share of u^2 above which noise that the records do not show is mentioned.
 _HIDDEN_SHARE: Final = 0.5
 
 #: Largest credible white noise of an inertial accelerometer, g/Hz^0.5.

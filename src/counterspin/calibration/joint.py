@@ -229,9 +229,9 @@ def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> li
         said = f"The records do not determine {symbol}, and nothing is known of it beforehand."
         if symbol in ("K_F", "K_II", *SQUARES) and only_at_rest(view.campaign):
             said += (
-                " At 1 g the squares of the specific forces add up to one, so that in no positions "
-                "can K_F - K_II - K_PP - K_OO in common be seen: state what is known of K_PP and "
-                "K_OO, or test at other forces."
+                " At 1 g the squares of the specific forces add up to one, so that no set of "
+                "positions tells K_II, K_PP and K_OO together from K_F: state what is known of "
+                "K_PP and K_OO, or test at other forces."
             )
         return said
 

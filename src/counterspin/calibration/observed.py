@@ -115,7 +115,7 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
                 f"{earlier.name} and {run.name}). A record counts once: remove one of the runs, or "
                 "give its own record."
             )
-        # When a run was made may hang on how long those before it lasted.
+        # When a run was made may depend on how long those before it lasted.
         lengths[run.name] = float(record.time[-1])
         yield observe_run(campaign, run, record, conditions_of(campaign, lengths)[run.name])
 

@@ -45,8 +45,8 @@ from counterspin.records.mean import mean_of_record
 #: Terms that no position at 1 g tells from K_II and K_F: the squares' sum is that of gravity.
 SQUARES: Final = ("K_PP", "K_OO")
 
-#: As many positions that are off may each be a mistake; more, and more than this share of all, are
-#: the model's.
+#: Up to so many positions that are off may each be a mistake. More, and more than this share of
+#: all, point to the model.
 _MAX_LONE_POSITIONS: Final = 3
 _MAX_LONE_SHARE: Final = 0.25
 
@@ -451,8 +451,8 @@ def outlying_readings(name: str, parts: Sequence[AccelerometerReadings]) -> list
         worst = max(found, key=lambda one: abs(one[2]))
         finding = _outlying(part, name, *worst)
         text = (
-            f"{len(found)} of {part.readings.size} {part.words} are off the model, so that it is "
-            f"the model which lacks something. {finding.text}"
+            f"{len(found)} of {part.readings.size} {part.words} are off the model: so many "
+            f"point to the model and not to single readings. {finding.text}"
         )
         findings.append(finding.model_copy(update={"text": text}))
     return findings

@@ -51,9 +51,9 @@ _NO_RESIDUALS = (
 
 #: No coefficient is larger in g-units; its powers would be beyond all numbers.
 _LARGEST_COEFFICIENT: Final = 1e30
-#: No sample is so large that the normal distribution has a farther quantile for it.
+#: No quantile of the normal distribution lies farther out, however many samples there are.
 _FARTHEST_QUANTILE: Final = 30.0
-#: Fewer degrees of freedom no estimate has.
+#: No estimate has fewer degrees of freedom.
 _FEWEST_DOF: Final = 0.1
 
 

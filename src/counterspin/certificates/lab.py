@@ -202,7 +202,7 @@ class Lab(SettingsSection):
         if symbol not in self.cmc:
             return None
         if symbol not in TERMS:
-            raise ValueError(f"no term is called so{did_you_mean(symbol, TERMS)}")
+            raise ValueError(f'no term is called "{symbol}"{did_you_mean(symbol, TERMS)}')
         stated = parse(self.cmc[symbol], TERMS[symbol].unit, gravity=gravity)
         if stated.value <= 0.0 or stated.u:
             raise ValueError("must be one positive number, the expanded uncertainty for 95 %")

@@ -38,7 +38,7 @@ _AXES: Final = {
 _TURNS: Final = {2.0 * np.pi: "rad", 360.0: "deg", 1.0: "rev"}
 #: Relative size within which a revolution's numbers are those of a unit.
 _UNIT_TOLERANCE: Final = 0.02
-#: Steps of time are even within this part of the usual one, nearly all.
+#: Time counts as even where nearly all steps are the usual one within this part of it.
 _EVEN_STEP_PART: Final = 0.5
 _GRAVITY: Final = 9.80665
 

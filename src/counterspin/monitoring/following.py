@@ -32,7 +32,7 @@ APPENDED: Final = tuple(e for e, opens in RECORD_FORMATS.items() if opens is Csv
 #: Rows that show how a file is written. They stand before new ones when these are read.
 _FIRST_ROWS: Final = 20
 
-#: From so many lines on a file that cannot be read is no longer one that has only begun.
+#: A file that has this many lines and cannot be read has not just begun.
 _BEGINNING: Final = HEAD_LINES + _FIRST_ROWS
 
 #: Bytes before the new ones that must still be what they were.

@@ -28,10 +28,10 @@ from counterspin.reports.text import Report
 
 _LINES: Final = 6  #: of a budget
 
-#: Deviations from which on a fit that estimates a fault nearly always finds it (5 % each way).
+#: Deviations above which a fit that estimates a fault nearly always finds it (5 % each way).
 _DETECTION_DEVIATIONS: Final = 4.0
 
-#: u with what is left out is said beside the answer from so many times u on.
+#: u with what is left out stands beside the answer where it is this many times u or more.
 _NOTED_GROWTH: Final = 1.05
 
 #: How limits are changed that are no sizes.

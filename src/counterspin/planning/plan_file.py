@@ -160,7 +160,7 @@ def read_plan(path: Mapping[str, Any] | Path | str) -> Plan:
 
 
 def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
-    """Note terms that hang on when runs are made, or on how warm it is: nobody knows yet.
+    """Note terms that depend on when runs are made or how warm it is: nobody knows that yet.
 
     Returns whether there are any.
     """
@@ -172,7 +172,7 @@ def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
             if row is not None and row.condition != "force":
                 problems.add(
                     ("model", key, index),
-                    f'"{name}" hangs on the {row.condition} of each run, which a plan does not '
+                    f'"{name}" depends on the {row.condition} of each run, which a plan does not '
                     "know; leave it out here, add it to the campaign that the plan makes, and "
                     "check that one",
                 )

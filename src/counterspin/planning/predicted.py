@@ -32,7 +32,7 @@ from counterspin.planning.result import (
 )
 from counterspin.planning.watching import watch
 
-#: Probability of failing the test of the residuals from which on a fault counts as noticed.
+#: Probability of failing the test of the residuals above which a fault counts as noticed.
 _DETECTION_PROBABILITY: Final = 0.95
 
 

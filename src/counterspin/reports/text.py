@@ -24,7 +24,7 @@ from counterspin.reports.typography import speakable, typeset_block, visible
 #: Columns of plain text, where there is no terminal to ask.
 _PLAIN_WIDTH: Final = 100
 
-#: What claims to be narrower is none that anybody reads: ``COLUMNS=0`` is left over from a script.
+#: Nobody reads a terminal that claims to be narrower: ``COLUMNS=0`` is left over from a script.
 _NARROWEST_COLUMNS: Final = 10
 
 #: Characters between two columns.

@@ -34,7 +34,7 @@ from counterspin.studies.tally import summarise
 from counterspin.studies.work import Ledger, expected_duration, run_batches, work
 from counterspin.workers import ALONE, Workers, one_blas_thread, worker_pool
 
-#: From how many hours of work on a user is told before it begins.
+#: Hours of work above which a user is told before it begins.
 _LONG_HOURS: Final = 0.5
 
 #: More trials than this would take days, and their ledger much of the memory.

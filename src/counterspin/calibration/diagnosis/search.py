@@ -49,10 +49,10 @@ from counterspin.reports.numbers import format_number
 #: Share of good campaigns in which a prior, or another alternative, is blamed all the same.
 _FALSE_ALARMS: Final = 0.5 * SIGNIFICANCE
 
-#: Probability by chance from which on the alternatives are tried.
+#: Probability by chance below which the alternatives are tried.
 _SUSPICION_P: Final = 0.01
 
-#: Shift of a run left out, or of the two-stage method, from which on they are.
+#: Shift of a run left out, or of the two-stage method, above which they are tried.
 _SUSPICION_SHIFT: Final = 3.0
 
 #: Causes that are looked for, one after the other.
@@ -61,7 +61,8 @@ _MAX_CAUSES: Final = 3
 #: Chi-square by which an explanation must be better than another to exclude it.
 _DECISIVE_CHI2: Final = 6.0
 
-#: Part of the first cause's size below which another may come of its being known to first order.
+#: Part of the first cause's size below which a further cause may only show that the first is
+#: known to first order.
 _FIRST_ORDER_PART: Final = 0.03
 
 #: How often a cause's columns are worked out again for its size.
@@ -76,7 +77,7 @@ _DECISIVE_PART: Final = 0.003
 #: Steps that are tried in each record, and again about the best of them.
 _STEPS: Final = 24
 
-#: What is more to be expected comes first, where the records cannot tell.
+#: The likelier kinds come first, for where the records cannot tell.
 _KINDS_BY_PLAUSIBILITY: Final = (
     mistakes.CORIOLIS,  # which is all or nothing, and so seldom as large by chance
     "prior",

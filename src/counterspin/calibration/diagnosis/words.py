@@ -244,7 +244,7 @@ def _shown(value: float, u: float, unit: str) -> str:
 
 
 def _mistaken(found: float, stated: float) -> str:
-    """Say by which mistake a number would be off as it is; nothing where by none that is usual."""
+    """Name the usual mistake that would make a number this far off; empty if there is none."""
     if found == 0.0 or stated == 0.0:
         return ""
     for factor, words in _RATIO_MISTAKES:

@@ -16,7 +16,7 @@ from counterspin.frozen import frozen
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
 from counterspin.reports.numbers import field_unit, format_share, format_uncertainty
 
-#: More curves than this in one plot are not told apart: the runs then take several plots.
+#: More curves than this in one plot cannot be told apart: the runs then take several plots.
 _MAX_CURVES: Final = 6
 
 #: Residuals are drawn in the unit in which they are mostly small numbers.

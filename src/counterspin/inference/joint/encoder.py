@@ -34,7 +34,7 @@ SYMBOLS: Final = tuple(f"encoder.{part}" for part in SLOW) + tuple(
     f"encoder.ripple{n}.{phase}" for n in range(1, MAX_HARMONICS + 1) for phase in ("cos", "sin")
 )
 
-#: Square of a term's norm in a record from which on it is considered, and from which on estimated.
+#: Square of a term's norm in a record above which it is considered, and above which estimated.
 _CONSIDERED_NORM_SQUARED: Final = 1e-5
 _ESTIMATED_NORM_SQUARED: Final = 1e-2
 

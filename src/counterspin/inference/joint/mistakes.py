@@ -39,7 +39,7 @@ JUMP: Final = "jump"  #: step of a record, in its unit
 CORIOLIS: Final = "coriolis"  #: part of the error velocity that is wrongly taken into account
 SLOPE: Final = "slope"  #: change of a record's slope, in its unit and 1/s
 
-#: Part of the error velocity of which it can still be said that it is all.
+#: Largest estimate of the part of the error velocity, which is all or nothing.
 _WHOLE_VELOCITY_PART: Final = 1.2
 
 #: Terms of accelerometers and platform.

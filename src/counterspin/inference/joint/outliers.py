@@ -22,7 +22,7 @@ FALSE_ALARMS: Final = 0.01
 _MEDIAN_REACH: Final = 32
 _NEAR_MEDIAN_REACH: Final = 4
 
-#: Ratio of the scales below which it does.
+#: Ratio of the scales below which the second serves.
 _CALM_RATIO: Final = 0.8
 
 #: A step this much longer than usual is a gap.
