@@ -31,6 +31,9 @@ _LONG: Final = re.compile(
 #: The most characters of a line.
 _LINE_LENGTH: Final = 3000
 
+#: The most characters of a library's complaint, or of a file's own words, that a message repeats.
+REASON_LENGTH: Final = 150
+
 #: As many lines at the beginning and at the end of a message are shown.
 _END_LINES: Final = 20
 

@@ -9,7 +9,7 @@ import shutil
 import numpy as np
 import polars as pl
 import pytest
-from campaigns import PLACE, runs
+from campaigns import PLACE, changed, runs
 from scipy.special import stdtrit
 
 from counterspin.calibration.calibrate import calibrate
@@ -63,13 +63,6 @@ TRUTH = {
     "Qx": {"K_F": 0.005031, "K_I": 1.001974, "K_II": 2.7e-5, "K_III": 3.4e-6},
     "Qy": {"K_F": 0.0037, "K_I": 0.9988, "K_II": -3.3e-5, "K_III": 0.0},
 }
-
-
-def changed(text, *changes):
-    for old, new in changes:
-        assert old in text, old
-        text = text.replace(old, new)
-    return text
 
 
 def without(text, *patterns):

@@ -1,28 +1,25 @@
 """What the tests of planning share."""
 
 import tomllib
-from functools import cache
+from functools import cache, partial
 
 import pytest
+from campaigns import changed, write
 
 from counterspin.planning.plan import plan, write_example
 
 
 @pytest.fixture
-def starter(tmp_path):
+def written(tmp_path):
+    """Return what writes a plan, changed by pairs of text."""
+    return lambda text, *pairs: write(tmp_path, changed(text, *pairs), "PLAN.toml")
+
+
+@pytest.fixture
+def starter(tmp_path, written):
     """Return what changes the example plan: pairs of text, found and put in its place."""
     original = write_example(tmp_path / "starter.toml").read_text(encoding="utf-8")
-
-    def changed(*pairs):
-        text = original
-        for old, new in pairs:
-            assert old in text
-            text = text.replace(old, new)
-        file = tmp_path / "PLAN.toml"
-        file.write_text(text, encoding="utf-8")
-        return file
-
-    return changed
+    return partial(written, original)
 
 
 @cache

@@ -20,5 +20,7 @@ is done by a click is a command too, and the page says which.
 - `commands`: what a click does, as the words of a command line
 - `interface`: what the page may ask, by name
 
+Throughout, `desk` is what is served, and `name` is a file or a campaign's folder within it.
+
 The page itself stands in the folder "assets": modules as a browser reads them, no build step.
 """

@@ -175,15 +175,7 @@ def _state(desk: Desk, path: Path, line: dict[str, Any]) -> str:
 
 
 def campaign_overview(desk: Desk, name: str) -> dict[str, Any]:
-    """Return all that the page of one campaign needs.
-
-    Parameters
-    ----------
-    desk
-        What is served.
-    name
-        The campaign's folder.
-    """
+    """Return all that the page of one campaign needs."""
     path = desk.description(name)
     files = sorted(file.name for file in path.parent.iterdir() if file.is_file())
     line = _line(desk, name, list(_results(desk, path.parent, files)))
@@ -227,8 +219,6 @@ def begin_calibration(
 
     Parameters
     ----------
-    desk
-        What is served.
     name
         The campaign's folder.
     output

@@ -25,8 +25,6 @@ def begin_certificate(desk: Desk, result: str, lab: str, output: str) -> dict[st
 
     Parameters
     ----------
-    desk
-        What is served.
     result, lab
         Their files.
     output

@@ -19,15 +19,7 @@ from counterspin.certificates.lab import write_example
 
 
 def description(desk: Desk, name: str) -> dict[str, Any]:
-    """Return a campaign's description: text, version, form, what it says, what is wrong.
-
-    Parameters
-    ----------
-    desk
-        What is served.
-    name
-        The campaign's folder.
-    """
+    """Return a campaign's description: text, version, form, what it says, what is wrong."""
     path = desk.description(name)
     seen = desk.folder.read(desk.folder.name(path))
     told = checked_campaign(desk, path, seen.text).shown()
@@ -43,8 +35,6 @@ def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
 
     Parameters
     ----------
-    desk
-        What is served.
     file
         ``LAB.toml``.
     result

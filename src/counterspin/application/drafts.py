@@ -101,8 +101,6 @@ def drafted(desk: Desk, names: Sequence[str]) -> dict[str, Any]:
 
     Parameters
     ----------
-    desk
-        What is served.
     names
         The files, in the order of the runs.
     """
@@ -120,8 +118,6 @@ def begin_drafted(
 
     Parameters
     ----------
-    desk
-        What is served.
     folder
         Of the campaign.
     names

@@ -289,8 +289,6 @@ def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) 
 
     Parameters
     ----------
-    desk
-        What is served.
     method, name
         What is asked.
     said

@@ -18,15 +18,7 @@ from counterspin.reports.typography import typeset_block
 
 
 def judged(desk: Desk, name: str, run: str) -> dict[str, Any]:
-    """Return the judgement of a run's record as HTML, whether it is good, and the command.
-
-    Parameters
-    ----------
-    desk
-        What is served.
-    name, run
-        The campaign's folder, and the run.
-    """
+    """Return the judgement of a run's record as HTML, whether it is good, and the command."""
     campaign = desk.campaign(name)
     records = [found.record for found in campaign.runs if found.name == run]
     if not records:
@@ -45,8 +37,6 @@ def followed(desk: Desk, name: str, goal: str) -> dict[str, Any]:
 
     Parameters
     ----------
-    desk
-        What is served.
     name
         The campaign's folder.
     goal

@@ -66,8 +66,6 @@ def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str
 
     Parameters
     ----------
-    desk
-        What is served.
     kind
         Of what it is.
     names

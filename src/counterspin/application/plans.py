@@ -80,8 +80,6 @@ def plan_overview(desk: Desk, name: str) -> dict[str, Any]:
 
     Parameters
     ----------
-    desk
-        What is served.
     name
         The plan's file.
     """
@@ -150,8 +148,6 @@ def tried_plan(desk: Desk, name: str, moved: Mapping[str, float]) -> dict[str, A
 
     Parameters
     ----------
-    desk
-        What is served.
     name
         The plan's file.
     moved
@@ -224,8 +220,6 @@ def begin_planned(desk: Desk, name: str, moved: Mapping[str, float], folder: str
 
     Parameters
     ----------
-    desk
-        What is served.
     name
         The plan's file.
     moved

@@ -55,15 +55,7 @@ class SeenRecord:
 
 
 def record_overview(desk: Desk, name: str, run: str) -> dict[str, Any]:
-    """Return a record's columns, rows, first and last time, and what is used of it.
-
-    Parameters
-    ----------
-    desk
-        What is served.
-    name, run
-        The campaign's folder, and the run.
-    """
+    """Return a record's columns, rows, first and last time, and what is used of it."""
     campaign, found = _run(desk, name, run)
     record = _record(desk, campaign, found)
     return {
@@ -86,8 +78,6 @@ def record_window(
 
     Parameters
     ----------
-    desk
-        What is served.
     name, run
         The campaign's folder, and the run.
     window

@@ -214,27 +214,33 @@ class Result(ShownResult):
 
     def plot_residuals(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the residuals over time, a picture a run; `axes` as for `reports.shown.on_axes`."""
-        from counterspin.calibration.notebook.plots import residual_pictures
+        from counterspin.calibration.pages.pictures import residuals_over_time
 
-        return self._drawn(residual_pictures(self, self._name(accelerometer)), axes)
+        name = self._name(accelerometer)
+        shown = residuals_over_time(name, self.accelerometers[name], self.runs)
+        return self._drawn([*shown], axes)
 
     def plot_spectrum(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the spectrum of the whitened residuals."""
-        from counterspin.calibration.notebook.plots import spectrum_pictures
+        from counterspin.calibration.pages.pictures import residual_spectra
 
-        return self._drawn(spectrum_pictures(self, self._name(accelerometer)), axes)
+        name = self._name(accelerometer)
+        shown = residual_spectra(name, self.accelerometers[name], self.runs)
+        return self._drawn([*shown], axes)
 
     def plot_budget(
         self, accelerometer: str | None = None, coefficient: str = "K_II", *, axes: Any = None
     ) -> list[Any]:
         """Draw what the uncertainty of a coefficient consists of."""
-        from counterspin.calibration.notebook.plots import budget_pictures
+        from counterspin.calibration.pages.pictures import budget_bars
 
-        return self._drawn(budget_pictures(self, self._name(accelerometer), coefficient), axes)
+        name = self._name(accelerometer)
+        bars = budget_bars(name, self.accelerometers[name], coefficient)
+        return self._drawn([] if bars is None else [bars], axes)
 
     def plot_displacement(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw what was recorded less the reference, and the fit, a picture a run."""
-        from counterspin.calibration.notebook.plots import displacement_pictures
+        from counterspin.calibration.notebook.residuals import displacement_pictures
 
         return self._drawn(displacement_pictures(self.residuals(self._name(accelerometer))), axes)
 

@@ -73,7 +73,7 @@ from counterspin.campaign.toml_file import (
 )
 from counterspin.campaign.truth import TRUTH_TABLES, resolve_simulation
 from counterspin.errors import CampaignError
-from counterspin.physics.accelerometer import TERMS, Mounting
+from counterspin.physics.accelerometer import COMMON_NAMES, TERMS, Mounting
 from counterspin.physics.motion import Site
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import check_unit, unit_factor
@@ -452,12 +452,11 @@ class _DescriptionReader:
         priors = {symbol: getattr(table, symbol) for symbol in TERMS}
         if table.sensitivity_prior is not None:
             priors["K_I"] = self._sensitivity_prior(name, table)
-        aliases = {"bias": "K_F", "scale_factor": "K_I"}
-        for key, symbol in ({symbol: symbol for symbol in TERMS} | aliases).items():
+        for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
             if (prior := getattr(table, key)) is not None:
                 path = ("accelerometers", name, key)
                 self.problems.attempt(path, about_nominal, symbol, prior)
-        for key, symbol in aliases.items():
+        for key, symbol in COMMON_NAMES.items():
             value = getattr(table, key)
             if value is not None and priors[symbol] is not None:
                 self.problems.add(

@@ -20,6 +20,8 @@ from counterspin.campaign.readings import Output, Reading
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import CentrifugeSettings, exact
 from counterspin.campaign.toml_file import flat_keys
+from counterspin.campaign.truth import TRUTH_MARGIN
+from counterspin.physics.accelerometer import COMMON_NAMES
 from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import OWN_TERMS
 
@@ -29,12 +31,6 @@ _READING: Final = "reading"
 
 #: Term that records show too, and its place in [truth.centrifuge].
 _STRETCH: Final = "centrifuge.stretch"
-
-#: Keys of an accelerometer's own words -> the coefficient.
-_ALIASES: Final = {"bias": "K_F", "scale_factor": "K_I"}
-
-#: A true value may be this many times its largest credible size.
-_TRUTH_MARGIN: Final = 5.0
 
 #: Why a record at rest cannot be simulated.
 _NO_LENGTH: Final = "a record at rest that is simulated needs a duration"
@@ -83,7 +79,7 @@ def _in_g_units(
     """Return an accelerometer's truth with the terms' own names and units."""
     own: dict[str, Any] = {}
     for key, text in table.items():
-        symbol = _ALIASES.get(key, key)
+        symbol = COMMON_NAMES.get(key, key)
         if symbol in own or (symbol != key and symbol in table):
             problems.add((*path, key), f"is {symbol}, given too; keep one")
         own[symbol] = text
@@ -206,9 +202,9 @@ def unfit_readings(campaign: Campaign) -> list[str]:
     for symbol, value in truth.machine.items():
         row, _ = machine_term(symbol) or (None, "")
         assert row is not None
-        if not math.fabs(value) <= _TRUTH_MARGIN * row.limit:
+        if not math.fabs(value) <= TRUTH_MARGIN * row.limit:
             problems.append(
-                f"truth.machine, {symbol}: {value:.6g} {row.unit} is more than {_TRUTH_MARGIN:g} "
+                f"truth.machine, {symbol}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} "
                 f"times the largest credible size, {row.limit:.6g} {row.unit}; check its unit"
             )
     return problems

@@ -162,7 +162,6 @@ def resolve_specifications(
     *,
     problems: Problems,
     gravity: float | None,
-    path: Path = ("specification",),
 ) -> Specifications | None:
     """Return what the table [specification] says, or None with its mistakes noted.
 
@@ -177,9 +176,8 @@ def resolve_specifications(
         Where mistakes are noted.
     gravity
         The site's, m/s^2.
-    path
-        Path of the table.
     """
+    path = ("specification",)
     before = len(problems.lines)
     keys = SpecificationSettings.model_fields
     settings = problems.check(

@@ -47,8 +47,8 @@ _SHARED_TABLES: Final[Mapping[str, type[SettingsSection]]] = {
     "encoder": EncoderTruthSettings,
 }
 
-#: A true coefficient may be this many times its largest credible size.
-_TRUTH_MARGIN: Final = 5.0
+#: A true value may be this many times its largest credible size.
+TRUTH_MARGIN: Final = 5.0
 #: Relative change of the rate by ripple and drift together stays below this.
 _MAX_RATE_CHANGE: Final = 0.5
 #: Highest ripple harmonic that is simulated.
@@ -217,9 +217,9 @@ def _incredible(
     place: str, symbol: str, value: float, limits: Mapping[str, float]
 ) -> Iterator[str]:
     row = term(symbol)
-    if abs(value - row.nominal) > _TRUTH_MARGIN * limits[symbol]:
+    if abs(value - row.nominal) > TRUTH_MARGIN * limits[symbol]:
         yield (
-            f"{place}: {value:.6g} {row.unit} is more than {_TRUTH_MARGIN:g} times the largest "
+            f"{place}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} times the largest "
             f"credible size, {limits[symbol]:.6g} {row.unit}"
             + (f" about {row.nominal:g}" if row.nominal else "")
             + f'; check its unit, or raise "{symbol}" in [model.limits]'

@@ -9,16 +9,13 @@ import io
 from pathlib import Path
 from typing import Any, Final
 
-from counterspin.errors import CounterspinError, RecordError, installing
+from counterspin.errors import REASON_LENGTH, CounterspinError, RecordError, installing
 from counterspin.input import read_file
 from counterspin.records.isolation import isolated
 
 _PYPDF_MISSING: Final = (
     f"reading a PDF needs the package pypdf, which is not installed: {installing('signature')}"
 )
-
-#: Characters of a library's complaint that a message repeats.
-_REASON_LENGTH: Final = 150
 
 
 def read_document(path: Path) -> bytes:
@@ -56,7 +53,7 @@ def _attached(path: Path) -> bytes:
     except MemoryError:
         raise
     except Exception as error:  # whatever pypdf and zlib raise on a damaged file
-        reason = str(error)[:_REASON_LENGTH] or type(error).__name__
+        reason = str(error)[:REASON_LENGTH] or type(error).__name__
         raise RecordError(f"{path}: is not a PDF, or is damaged ({reason})") from error
     if len(found) != 1:
         held = "no XML file is" if not found else f"{len(found)} XML files are"

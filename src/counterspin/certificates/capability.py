@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Final
 
 from counterspin.calibration.notebook.si_estimate import si_estimate
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, Correlation
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.lab import Lab
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.accelerometer import COMMON_NAMES, TERMS
 from counterspin.physics.si_units import to_si
 from counterspin.reports.numbers import field_unit, format_uncertainty
-
-#: What an accelerometer indicates in its own unit -> the coefficient of which it is made.
-_OF_OUTPUT: Final = {"bias": "K_F", "scale_factor": "K_I"}
 
 
 def with_capability(result: Result, lab: Lab) -> Result:
@@ -51,7 +47,7 @@ def with_capability(result: Result, lab: Lab) -> Result:
                     for symbol, c in accelerometer.coefficients.items()
                 },
                 "output": {
-                    key: _times(c, factors.get(f"{name}.{_OF_OUTPUT.get(key)}", 1.0))
+                    key: _times(c, factors.get(f"{name}.{COMMON_NAMES.get(key)}", 1.0))
                     for key, c in accelerometer.output.items()
                 },
                 "correlation": _weaker(

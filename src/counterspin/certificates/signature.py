@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from counterspin.certificates.elements import NAMESPACES, Element
 from counterspin.certificates.schema import parse
-from counterspin.errors import CounterspinError, RecordError, installing
+from counterspin.errors import REASON_LENGTH, CounterspinError, RecordError, installing
 from counterspin.frozen import frozen
 from counterspin.input import read_file
 
@@ -27,9 +27,6 @@ _STATED: Final = f"{_SIGNATURE}//{_NAMESPACE}X509Certificate"
 #: The smallest keys: RSA by NIST SP 800-131A, elliptic curves likewise; bits.
 _RSA_BITS: Final = 2048
 _CURVE_BITS: Final = 256
-
-#: Characters of what a certificate or a library says that a message repeats.
-_REASON_LENGTH: Final = 150
 
 _SIGNXML_MISSING: Final = (
     f"signatures need the package signxml, which is not installed: {installing('signature')}"
@@ -241,7 +238,7 @@ def _whose(root: Any, certificate: Path) -> str:
         pass  # the document was changed after the other signer had signed it
     except Exception:  # whatever signxml and cryptography raise
         return "the signature itself was changed"
-    subject = stated.subject.rfc4514_string()[:_REASON_LENGTH]
+    subject = stated.subject.rfc4514_string()[:REASON_LENGTH]
     return f"it is that of another signer ({subject}), not of the holder of {certificate}"
 
 

@@ -41,6 +41,9 @@ FALSE_ALARMS: Final = 0.002
 #: Below this probability a departure is called one. It is shared among all tests of a fit.
 SIGNIFICANCE: Final = 0.01
 
+#: Part of a column, squared, that the fit must leave of it for anything to be tested.
+LEAST_PART_LEFT: Final = 1e-9
+
 #: The share of it that is each side's of the whole fit's chi-square; the runs have the other half.
 CHI_SQUARE_SIGNIFICANCE: Final = SIGNIFICANCE / 4.0
 

@@ -35,7 +35,10 @@ _PRIOR_LEFT: Final = 0.9
 _NEGLIGIBLE: Final = 0.1
 
 #: Terms whose columns agree this well are taken together, whatever their priors.
-_TWIN_AGREEMENT: Final = 1.0 - 1e-6
+TWIN_AGREEMENT: Final = 1.0 - 1e-6
+
+#: Terms whose columns correlate by more are near-collinear (IEEE Std 836: "bucking").
+NEAR_COLLINEAR: Final = 0.95
 
 
 @frozen
@@ -97,9 +100,11 @@ def assess(
     symbols: Sequence[str],
     *,
     nominal: npt.ArrayLike | None = None,
-    bucking: float = 0.95,
 ) -> Assessment:
     """Decide which unknowns are determined and name the sets that are confounded.
+
+    Pairs of unknowns are named where their correlation, before their own priors, exceeds
+    `NEAR_COLLINEAR` and their combination is known at least twice as well as they are.
 
     Parameters
     ----------
@@ -110,9 +115,6 @@ def assess(
     nominal
         What must be added to the estimates to get the coefficients named (1 for K_I where its
         unknown is K_I - 1), shape (p,); zeros by default. It enters the values of combinations.
-    bucking
-        Pairs of unknowns are named where their correlation, before their own priors, exceeds
-        this and their combination is known at least twice as well as they are.
 
     Returns
     -------
@@ -171,18 +173,18 @@ def assess(
         )
 
     loose = [i for i in range(free.size) if np.linalg.norm(root[i]) >= problem.limits[i]]
-    behind = _separate(root, problem.limits, loose, range(free.size), bucking)
+    behind = _separate(root, problem.limits, loose, range(free.size))
     confounded = [describe(weights) for weights in behind]
     place = {symbols[k]: i for i, k in enumerate(free.tolist())}
     named = _connected([[place[name] for name in item.terms] for item in confounded])
 
-    alike = problem.alike(bucking)
-    twins = _connected([pair for pair, size in alike.items() if size > _TWIN_AGREEMENT])
+    alike = problem.alike()
+    twins = _connected([pair for pair, size in alike.items() if size > TWIN_AGREEMENT])
     for group in [*twins, *map(list, alike)]:
         if any(set(group) <= set(terms) for terms in named):
             continue
         own = problem.root(without_priors=group)
-        for weights in _separate(own, problem.limits, group, group, bucking):
+        for weights in _separate(own, problem.limits, group, group):
             item = describe(weights)
             # Where priors decide more than the pair's combination, it says nothing.
             if group in twins or item.u < 0.5 * np.max(np.abs(item.weights) * np.sqrt(variance)):
@@ -235,7 +237,7 @@ class _Problem:
         # Two columns that point the same way have estimates that work against each other.
         return float(np.clip(-cosine[worst], -1.0, 1.0))
 
-    def alike(self, threshold: float) -> dict[tuple[int, int], float]:
+    def alike(self) -> dict[tuple[int, int], float]:
         """Pairs that the data see one by one but hardly tell apart, before their own priors.
 
         Returns
@@ -254,7 +256,9 @@ class _Problem:
         inner = np.abs(np.sum(columns[:, :, 0] * columns[:, :, 1], axis=1))
         np.divide(inner, norms[:, 0] * norms[:, 1], out=cosine, where=seen)
         return {
-            pair: float(size) for pair, size in zip(pairs, cosine, strict=True) if size > threshold
+            pair: float(size)
+            for pair, size in zip(pairs, cosine, strict=True)
+            if size > NEAR_COLLINEAR
         }
 
     def _inside(self, sets: npt.NDArray[np.intp]) -> Array:
@@ -282,7 +286,6 @@ def _separate(
     limits: Array,
     loose: Sequence[int],
     candidates: Sequence[int],
-    bucking: float,
 ) -> list[Array]:
     """Find the combinations that are determined although their terms are not.
 
@@ -306,7 +309,7 @@ def _separate(
 
     def explained(i: int) -> bool:
         rest = np.linalg.norm(left(i))
-        return bool(rest < limits[i] and rest**2 < (1.0 - bucking**2) * size[i] ** 2)
+        return bool(rest < limits[i] and rest**2 < (1.0 - NEAR_COLLINEAR**2) * size[i] ** 2)
 
     for i in sorted(loose, reverse=True):
         if not explained(i):

@@ -192,6 +192,10 @@ def direction(value: str | Sequence[float]) -> Array:
     return vec / length
 
 
+#: What files call the terms that everybody knows by a name.
+COMMON_NAMES: Final = {"bias": "K_F", "scale_factor": "K_I"}
+
+
 @frozen
 class Mounting:
     """Where an accelerometer's axes point.

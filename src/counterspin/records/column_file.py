@@ -13,7 +13,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, BinaryIO, Self
 
-from counterspin.errors import CounterspinError, DamagedFileError, RecordError
+from counterspin.errors import REASON_LENGTH, CounterspinError, DamagedFileError, RecordError
 from counterspin.input import FileIdentity
 from counterspin.records.pieces import Columns, column_rows, joined
 
@@ -26,8 +26,6 @@ if TYPE_CHECKING:
 _UNPACKED_RATIO = 200
 #: Bytes that the values of any file may take.
 _UNPACKED_BYTES = 64_000_000
-#: Characters of a library's complaint that a message repeats.
-_REASON_LENGTH = 150
 
 
 @contextmanager
@@ -64,7 +62,7 @@ def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
 
 def _damage_words(path: Path, where: str, error: BaseException) -> str:
     text = next(iter(str(error).splitlines()), "") or type(error).__name__
-    text = text.rstrip(".") if len(text) <= _REASON_LENGTH else text[:_REASON_LENGTH] + "..."
+    text = text.rstrip(".") if len(text) <= REASON_LENGTH else text[:REASON_LENGTH] + "..."
     return f"{path}: the file is damaged{where}: {text}."
 
 

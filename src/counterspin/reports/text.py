@@ -46,22 +46,20 @@ class _Console(Console):
         raise BrokenPipeError
 
 
-def report_console(file: TextIO | None = None, *, error: bool = False) -> Console:
+def report_console(file: TextIO | None = None) -> Console:
     """Return a console for reports.
 
     Parameters
     ----------
     file
         Where it writes; None: standard output.
-    error
-        Standard error in place of standard output.
 
     Returns
     -------
     Console
         As wide as the terminal; 100 columns where there is none, unless ``COLUMNS`` says else.
     """
-    made = _Console(file=file, stderr=error, highlight=False, emoji=False)
+    made = _Console(file=file, highlight=False, emoji=False)
     if made.width < _NARROWEST_COLUMNS or (not made.is_terminal and "COLUMNS" not in os.environ):
         made.width = _PLAIN_WIDTH
     return made

@@ -224,19 +224,17 @@ def summarise(tally: Tally, batches: Array) -> Summary:
     )
 
 
-def binomial_interval(hits: float, trials: float, level: float = 0.95) -> tuple[float, float]:
-    """Return the Clopper-Pearson interval of a share (Biometrika 26, 404, 1934).
+def binomial_interval(hits: float, trials: float) -> tuple[float, float]:
+    """Return the 95 % Clopper-Pearson interval of a share (Biometrika 26, 404, 1934).
 
     Parameters
     ----------
     hits, trials
         How many of how many.
-    level
-        Of the interval; it holds the true share at least so often.
     """
     from scipy.special import betaincinv
 
-    tail = 0.5 * (1.0 - level)
+    tail = 0.025
     hits = round(hits)
     low = 0.0 if hits == 0 else float(betaincinv(hits, trials - hits + 1.0, tail))
     high = 1.0 if hits >= trials else float(betaincinv(hits + 1.0, trials - hits, 1.0 - tail))

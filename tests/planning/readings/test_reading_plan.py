@@ -77,21 +77,6 @@ time = "2 min"
 [limits]"""
 
 
-@pytest.fixture
-def written(tmp_path):
-    """Return what writes a plan, changed by pairs of text."""
-
-    def make(text, *pairs):
-        for old, new in pairs:
-            assert old in text
-            text = text.replace(old, new)
-        file = tmp_path / "PLAN.toml"
-        file.write_text(text, encoding="utf-8")
-        return file
-
-    return make
-
-
 def u_of(result, symbol):
     return result.accelerometers["A"].coefficients[symbol].u
 

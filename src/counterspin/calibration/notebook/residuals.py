@@ -3,6 +3,7 @@
 - `RunResiduals`: of one accelerometer in one run
 - `residuals_of`: of all of a fit
 - `choose`: of one accelerometer, of one run
+- `displacement_pictures`: what was recorded and what was fitted, as pictures
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.reports.blocks import Picture, Plot, PlotSeries
 
 if TYPE_CHECKING:
     import polars as pl
@@ -108,3 +110,22 @@ def choose(
         known = ", ".join(f"{left.accelerometer} in {left.run}" for left in residuals)
         raise KeyError(f"no residuals of {accelerometer} in {run}; there are those of {known}")
     return chosen
+
+
+def displacement_pictures(residuals: Sequence[RunResiduals]) -> list[Picture]:
+    """Return what was recorded less the reference, and the fit through it, a picture a run."""
+    words = {"m": "displacement", "m/s": "velocity", "m/s^2": "specific force"}
+    return [
+        Plot(
+            title=f"Error of the {words[left.unit]}: {left.accelerometer} in {left.run}",
+            x_label="time, s",
+            y_label=f"recorded less reference, {left.unit}",
+            series=(
+                PlotSeries(
+                    "recorded", tuple(left.time), tuple(left.error), kind="points", colour=0
+                ),
+                PlotSeries("fitted", tuple(left.time), tuple(left.fitted), colour=1),
+            ),
+        )
+        for left in residuals
+    ]

@@ -19,7 +19,7 @@ from counterspin.campaign.settings import OBSERVABLES, DocumentSettings
 from counterspin.campaign.terms import DEFAULT_TERMS
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.errors import CampaignError, CounterspinError
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.accelerometer import COMMON_NAMES, TERMS
 
 #: Short names of keys that are changed often.
 SHORT: Final[Mapping[str, KeyPath]] = {
@@ -42,9 +42,9 @@ _SECTIONS: Final = tuple(
 )
 
 #: Keys of an accelerometer that are priors of a term -> the term.
-_PRIOR_KEYS: Final = {"bias": "K_F", "scale_factor": "K_I", "sensitivity_prior": "K_I"} | {
-    symbol: symbol for symbol in TERMS
-}
+_PRIOR_KEYS: Final = (
+    COMMON_NAMES | {"sensitivity_prior": "K_I"} | {symbol: symbol for symbol in TERMS}
+)
 
 
 def change_campaign(campaign: Campaign, changes: Mapping[str, Any]) -> Campaign:

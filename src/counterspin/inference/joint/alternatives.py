@@ -20,22 +20,19 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
-from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
+from counterspin.inference.diagnostics import LEAST_PART_LEFT
 from counterspin.inference.distributions import student_cdf
 from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.relaxed import widened
 from counterspin.inference.least_squares import Solution
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import SHARED_TERMS
-
-#: Part of a column, squared, that the unknowns must leave of it for anything to be tested.
-_LEAST_PART_LEFT: Final = 1e-9
 
 
 @frozen
@@ -166,7 +163,7 @@ def scores(fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: b
     held = beside_fit(fit, alternatives)
     columns, residual = held.columns, held.residual
     norms = np.sum(columns**2, axis=0)
-    there = norms > _LEAST_PART_LEFT * held.before
+    there = norms > LEAST_PART_LEFT * held.before
     norms = np.where(there, norms, np.inf)
     product = columns.T @ residual
     gain = product**2 / norms

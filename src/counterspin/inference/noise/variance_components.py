@@ -50,6 +50,9 @@ _DETECTION_LOG_RATIO: Final = 4.0
 _WHITE: Final = "white"
 _WALK: Final = "random_walk"
 
+#: Relative step of a noise variance: central differences of logarithms err by its square.
+_STEP: Final = 1e-2
+
 #: What noise may consist of, in the order of `VarianceComponents.covariance`.
 COMPONENTS: Final = (_WHITE, _WALK, "flicker", "bias_walk")
 
@@ -206,7 +209,6 @@ def effective_dof(variance: ArrayLike, gradient: ArrayLike, covariance: ArrayLik
 def effective_dof_of(
     coefficient_variances: Callable[[NoiseModel], ArrayLike],
     components: VarianceComponents,
-    step: float = 1e-2,
 ) -> Array:
     """Satterthwaite's degrees of freedom, from the coefficients' variances at other noise levels.
 
@@ -217,8 +219,6 @@ def effective_dof_of(
         estimate and twice for each estimated component.
     components
         The estimated noise.
-    step
-        Relative step of a noise variance; central differences of logarithms err by its square.
 
     Returns
     -------
@@ -233,14 +233,14 @@ def effective_dof_of(
         level = getattr(noise, name)
         up, down = (
             np.asarray(
-                coefficient_variances(replace(noise, **{name: level * math.exp(sign * step / 2)})),
+                coefficient_variances(replace(noise, **{name: level * math.exp(sign * _STEP / 2)})),
                 float,
             )
             for sign in (1, -1)
         )
         slope = np.zeros_like(variance)
         known = (up > 0) & (down > 0)
-        slope[known] = np.log(up[known] / down[known]) / (2 * step)
+        slope[known] = np.log(up[known] / down[known]) / (2 * _STEP)
         gradient[:, k] = slope * variance / level**2
     return effective_dof(variance, gradient, components.covariance)
 

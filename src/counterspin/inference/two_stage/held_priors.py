@@ -9,16 +9,13 @@ estimated too, and each prior is left out in turn (Baarda's w-test).
 from __future__ import annotations
 
 import math
-from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.inference.diagnostics import LEAST_PART_LEFT
 from counterspin.inference.two_stage.second_stage import SecondStage
-
-#: Part of a prior's row, squared, that nothing else may follow for it to be tested.
-_LEAST_PART_LEFT: Final = 1e-9
 
 
 @frozen
@@ -67,7 +64,7 @@ def held_priors(second: SecondStage) -> list[HeldPrior]:
     rows = np.vstack([runs, beside])[:, free]
     target = np.append(second.misfit, ahead[known] / spread[known])
     followed, sizes, _ = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), full_matrices=False)
-    followed = followed[:, sizes > _LEAST_PART_LEFT * sizes.max(initial=0.0)]
+    followed = followed[:, sizes > LEAST_PART_LEFT * sizes.max(initial=0.0)]
 
     def left_of(column: Array) -> Array:
         return np.asarray(column - followed @ (followed.T @ column))
@@ -84,7 +81,7 @@ def held_priors(second: SecondStage) -> list[HeldPrior]:
             column[second.sigma.size + int(np.flatnonzero(known == k)[0])] = 1.0 / spread[k]
         own = left_of(column)
         square = float(own @ own)
-        if square > _LEAST_PART_LEFT * float(column @ column):
+        if square > LEAST_PART_LEFT * float(column @ column):
             held.append(
                 HeldPrior(
                     symbol,

@@ -29,6 +29,7 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference import least_squares
 from counterspin.inference.blocks import reduce_block
+from counterspin.inference.identifiability import NEAR_COLLINEAR, TWIN_AGREEMENT
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest, credible_limit
 from counterspin.physics import as_printed, observation
@@ -38,9 +39,6 @@ from counterspin.physics.shared_terms import term
 
 #: Rates closer than this (relative) do not help to tell unknowns apart.
 _SAME_RATE_WITHIN: Final = 1e-3
-
-#: Terms whose effects agree this well over the runs are one.
-_ALIKE_CORRELATION: Final = 1.0 - 1e-6
 
 #: An effect below this many sigma(b2), at the term's largest credible size, is nothing to name.
 _SMALLEST_VISIBLE: Final = 0.5
@@ -95,7 +93,7 @@ class SecondStage:
         Effective degrees of freedom of each unknown's noise part (Welch-Satterthwaite over the
         runs), shape (p,); infinite where sigma is given.
     near_collinear
-        Pairs of columns whose correlation in the data is beyond 0.95, with it.
+        Pairs of columns whose correlation in the data exceeds `NEAR_COLLINEAR`, with it.
     misfit
         Each run's b2 less the model's, in units of its standard uncertainty, shape (runs,).
     ignored
@@ -198,7 +196,7 @@ class SecondStage:
             size = float(np.linalg.norm(whitened))
             along = float(column @ whitened)
             seen = size * term(other).limit > _SMALLEST_VISIBLE
-            if seen and abs(along) > _ALIKE_CORRELATION * size * float(np.linalg.norm(column)):
+            if seen and abs(along) > TWIN_AGREEMENT * size * float(np.linalg.norm(column)):
                 alike[other] = along / float(column @ column)
         return alike
 
@@ -405,5 +403,5 @@ def _near_collinear(symbols: Sequence[str], design: Array) -> tuple[tuple[str, s
         (symbols[i], symbols[j], float(cosine[i, j]))
         for i in range(len(symbols))
         for j in range(i + 1, len(symbols))
-        if abs(cosine[i, j]) > 0.95
+        if abs(cosine[i, j]) > NEAR_COLLINEAR
     )
