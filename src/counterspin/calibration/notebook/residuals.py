@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.reports.blocks import Picture, Plot, PlotSeries
 
 if TYPE_CHECKING:
     import polars as pl
 
     from counterspin.inference.joint.fit import JointFit
+    from counterspin.reports.blocks import Picture
 
 
 @frozen(eq=False)
@@ -114,6 +114,8 @@ def choose(
 
 def displacement_pictures(residuals: Sequence[RunResiduals]) -> list[Picture]:
     """Return what was recorded less the reference, and the fit through it, a picture a run."""
+    from counterspin.reports.blocks import Plot, PlotSeries
+
     words = {"m": "displacement", "m/s": "velocity", "m/s^2": "specific force"}
     return [
         Plot(
