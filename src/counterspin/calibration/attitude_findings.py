@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.calibration.findings import not_determined
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.joint.unknowns import Unknown
@@ -30,11 +31,7 @@ def shared_findings(coefficients: Mapping[Unknown, Coefficient], longest: float)
         if unknown.symbol in TERMS:
             continue
         if c.value is None:
-            text = (
-                f"The records do not determine {unknown.name}, and nothing is known of it "
-                "beforehand."
-            )
-            findings.append(Finding(code="not-determined", subject=unknown.name, text=text))
+            findings.append(not_determined(unknown.name, unknown.name))
         if unknown.symbol.startswith("platform.drift") and c.value is not None:
             findings += _large_drift(unknown.symbol, c, longest)
     return findings

@@ -7,6 +7,7 @@ numbers of the result itself, ranks them and sets the states; pages only draw th
 - `from_numbers`: the findings that follow from the numbers of one accelerometer
 - `refusal`: why a result may not be certified or applied
 - `hidden_noise`: the finding that most of u is noise that the records do not show
+- `not_determined`: the finding that nothing is known of a coefficient
 - `lack_of_fit`: the finding that residuals are not noise; `equivalent_deviations`: its size
 - `supports`: what speaks for a result
 - `CONTRADICTION_SIGMAS`, `RESIDUAL_RATIO_LIMIT`, `LARGEST_WALK`: the limits
@@ -234,6 +235,12 @@ def hidden_noise(name: str, share: float) -> list[Finding]:
         "in [noise]; else record longer runs."
     )
     return [Finding(code="hidden-noise", subject=f"{name}.K_II", text=text, size=share)]
+
+
+def not_determined(subject: str, symbol: str, data: str = "records", more: str = "") -> Finding:
+    """Return the finding that data do not determine a coefficient; `more` is what to do."""
+    text = f"The {data} do not determine {symbol}, and nothing is known of it beforehand.{more}"
+    return Finding(code="not-determined", subject=subject, text=text)
 
 
 def lack_of_fit(name: str, sentences: Sequence[str], residual: Residual) -> Finding:

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from counterspin.calibration.attitude_findings import large_tilts, shared_findings
 from counterspin.calibration.diagnosis.causes import Cause
 from counterspin.calibration.diagnosis.search import causes_of
+from counterspin.calibration.findings import not_determined
 from counterspin.calibration.joint_checks import (
     compare,
     hidden_walk,
@@ -225,18 +226,18 @@ def _accelerometer(
 
 
 def _undetermined(view: AccelerometerView, own: Mapping[str, Coefficient]) -> list[Finding]:
-    def text(symbol: str) -> str:
-        said = f"The records do not determine {symbol}, and nothing is known of it beforehand."
-        if symbol in ("K_F", "K_II", *SQUARES) and only_at_rest(view.campaign):
-            said += (
-                " At 1 g the squares of the specific forces add up to one, so that no set of "
-                "positions tells K_II, K_PP and K_OO together from K_F: state what is known of "
-                "K_PP and K_OO, or test at other forces."
-            )
-        return said
-
+    at_rest = only_at_rest(view.campaign)
+    squares = (
+        " At 1 g the squares of the specific forces add up to one, so that no set of positions "
+        "tells K_II, K_PP and K_OO together from K_F: state what is known of K_PP and K_OO, or "
+        "test at other forces."
+    )
     return [
-        Finding(code="not-determined", subject=f"{view.name}.{symbol}", text=text(symbol))
+        not_determined(
+            f"{view.name}.{symbol}",
+            symbol,
+            more=squares if at_rest and symbol in ("K_F", "K_II", *SQUARES) else "",
+        )
         for symbol, c in own.items()
         if c.value is None
     ]

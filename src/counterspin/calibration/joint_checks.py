@@ -56,29 +56,29 @@ def jackknife(view: AccelerometerView) -> list[Jackknife]:
     return [_jackknife(run, shifts.get(run), u) for run in runs]
 
 
-def _jackknife(run: str, found: RunLeftOut | None, u: float) -> Jackknife:
-    if found is None:
+def _jackknife(run: str, without: RunLeftOut | None, u: float) -> Jackknife:
+    if without is None:
         return Jackknife(run=run, value=None, shift=None, z=None)
     # Where the run says next to nothing of K_II, both are what rounding leaves of them.
-    compared = found.variance > (_LEAST_SHARE * u) ** 2
+    compared = without.variance > (_LEAST_SHARE * u) ** 2
     return Jackknife(
         run=run,
-        value=found.value,
-        shift=found.shift,
-        z=found.shift / math.sqrt(found.variance) if compared else None,
-        dof=countable(found.dof) if compared else None,
+        value=without.value,
+        shift=without.shift,
+        z=without.shift / math.sqrt(without.variance) if compared else None,
+        dof=countable(without.dof) if compared else None,
     )
 
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
     """Return what the tests of an accelerometer's residuals found: one finding for all records."""
-    found = readings_fit(view.name, view.readings)
+    findings = readings_fit(view.name, view.readings)
     if not view.has_records:
-        return found
+        return findings
     tests = view.diagnostics
     if tests.findings:
-        found.insert(0, lack_of_fit(view.name, tests.findings, residual(view)))
-    return [*found, *_noise_that_differs(view)]
+        findings.insert(0, lack_of_fit(view.name, tests.findings, residual(view)))
+    return [*findings, *_noise_that_differs(view)]
 
 
 def _noise_that_differs(view: AccelerometerView) -> list[Finding]:
@@ -136,10 +136,10 @@ def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Compari
     index = view.k_ii
     if index is None:
         return None
-    found = {} if walk_is_stated(view.campaign) else view.estimate.components
+    components = {} if walk_is_stated(view.campaign) else view.estimate.components
     try:
         other, stage = two_stage.k_ii(
-            view.campaign, observed, view.accelerometer, TwoStageOptions(), found
+            view.campaign, observed, view.accelerometer, TwoStageOptions(), components
         )
     except (NotIdentifiableError, RecordError):
         return None

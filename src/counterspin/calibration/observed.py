@@ -18,6 +18,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.conditions import conditions_of
+from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import Accelerometer, Campaign, Run
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.errors import RecordError
@@ -106,15 +107,11 @@ def observe(campaign: Campaign) -> Iterator[ObservedRun]:
     first_with: dict[bytes, Run] = {}
     lengths: dict[str, float] = {}
     for run in campaign.runs:
-        source, record = campaign.record_at(run.record), read_run(campaign, run)
+        record = read_run(campaign, run)
         samples = _samples_digest(record)
         earlier = first_with.setdefault(samples, run)
         if earlier is not run:
-            raise RecordError(
-                f"{source}: holds the same samples as {campaign.record_at(earlier.record)} (runs "
-                f"{earlier.name} and {run.name}). A record counts once: remove one of the runs, or "
-                "give its own record."
-            )
+            raise recorded_twice(campaign, earlier, run)
         # When a run was made may depend on how long those before it lasted.
         lengths[run.name] = float(record.time[-1])
         yield observe_run(campaign, run, record, conditions_of(campaign, lengths)[run.name])
@@ -142,6 +139,15 @@ def read_run(campaign: Campaign, run: Run) -> Record:
     }
     columns, motion = record_columns(campaign, run), StatedMotion(run.rate, swings)
     return read_record(campaign.record_at(run.record), columns, motion)
+
+
+def recorded_twice(campaign: Campaign, earlier: Run | Reading, run: Run | Reading) -> RecordError:
+    """Return the error that a run's record has the same samples as that of an earlier one."""
+    first, second = (one.record and campaign.record_at(one.record) for one in (earlier, run))
+    return RecordError(
+        f"{second}: holds the same samples as {first} (runs {earlier.name} and {run.name}). A "
+        "record counts once: remove one of the runs, or give its own record."
+    )
 
 
 def _samples_digest(record: Record) -> bytes:

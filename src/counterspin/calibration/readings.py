@@ -19,6 +19,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.calibration.findings import CONTRADICTION_SIGMAS, lack_of_fit
+from counterspin.calibration.observed import recorded_twice
 from counterspin.calibration.result_parts import (
     Coefficient,
     Finding,
@@ -29,7 +30,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.campaign.reading_groups import groups_of
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import Campaign
-from counterspin.errors import CampaignError, NotIdentifiableError, RecordError
+from counterspin.errors import CampaignError, NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail, student_cdf
@@ -223,7 +224,7 @@ class AccelerometerReadings:
             z = np.where(np.isfinite(dof), outer, z)
         others = np.maximum(dof - 1.0, 1.0)
         p = np.array([2.0 * student_cdf(*each) for each in zip(others, -np.abs(z), strict=True)])
-        found: list[tuple[str, float, float]] = []
+        far_off: list[tuple[str, float, float]] = []
         said: dict[int, float] = {}
         for i in np.flatnonzero(p < SIGNIFICANCE / z.size):
             places, size = every[i].places, abs(float(z[i]))
@@ -232,8 +233,8 @@ class AccelerometerReadings:
                 continue
             said |= dict.fromkeys(places, size)
             names = list(dict.fromkeys(self.readings.names[place] for place in places))
-            found.append((", ".join(names), every[i].residual, float(z[i])))
-        return found
+            far_off.append((", ".join(names), every[i].residual, float(z[i])))
+        return far_off
 
 
 def with_readings(
@@ -372,11 +373,7 @@ def _averaged(campaign: Campaign) -> Iterator[Reading]:
         )
         earlier = first_with.setdefault(mean.digest, reading) if mean.digest else reading
         if earlier.record is not None and earlier.name != reading.name:
-            raise RecordError(
-                f"{source}: holds the same samples as {campaign.record_at(earlier.record)} (runs "
-                f"{earlier.name} and {reading.name}). A record counts once: remove one of the "
-                "runs, or give its own record."
-            )
+            raise recorded_twice(campaign, earlier, reading)
         yield replace(reading, value=mean.value / g, u=mean.u / g)
 
 
@@ -444,14 +441,14 @@ def outlying_readings(name: str, parts: Sequence[AccelerometerReadings]) -> list
     """Return a finding for each position that stands out, or one where many of a motion do."""
     findings = []
     for part in parts:
-        found = part.outlying()
-        if len(found) <= max(_MAX_LONE_POSITIONS, _MAX_LONE_SHARE * part.readings.size):
-            findings += [_outlying(part, name, *one) for one in found]
+        far_off = part.outlying()
+        if len(far_off) <= max(_MAX_LONE_POSITIONS, _MAX_LONE_SHARE * part.readings.size):
+            findings += [_outlying(part, name, *one) for one in far_off]
             continue
-        worst = max(found, key=lambda one: abs(one[2]))
+        worst = max(far_off, key=lambda one: abs(one[2]))
         finding = _outlying(part, name, *worst)
         text = (
-            f"{len(found)} of {part.readings.size} {part.words} are off the model: so many "
+            f"{len(far_off)} of {part.readings.size} {part.words} are off the model: so many "
             f"point to the model and not to single readings. {finding.text}"
         )
         findings.append(finding.model_copy(update={"text": text}))

@@ -18,6 +18,7 @@ from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
     equivalent_deviations,
     hidden_noise,
+    not_determined,
 )
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.joint_problem import exact_terms, left_out_of
@@ -155,11 +156,7 @@ def _undetermined(
     name: str, second: SecondStage, coefficients: Mapping[str, Coefficient]
 ) -> list[Finding]:
     return [
-        Finding(
-            code="not-determined",
-            subject=f"{name}.{symbol}",
-            text=f"The runs do not determine {symbol}, and nothing is known of it beforehand.",
-        )
+        not_determined(f"{name}.{symbol}", symbol, "runs")
         for symbol in second.symbols
         if coefficients[symbol].value is None
     ]

@@ -22,6 +22,7 @@ from counterspin.arrays import Array
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import read_campaign
+from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.reading_files import filled_description, filled_table
 from counterspin.campaign.reading_simulation import simulate_mean_record, stream, true_readings
 from counterspin.campaign.reading_truth import unfit_readings
@@ -158,12 +159,7 @@ def _refuse_unfit(campaign: Campaign) -> None:
 
 def _simulated_in_memory(campaign: Campaign) -> Campaign:
     """Return a campaign with simulated records and readings."""
-    source = campaign.source
-    if source is None:
-        raise CounterspinError(
-            f"{campaign.path}: the campaign was changed by other means than `change`, so that no "
-            "description of it is known; make the change with `change`"
-        )
+    source = source_of(campaign)
     if "readings" in source.document:
         raise CampaignError(
             str(campaign.path), ["readings: a table of readings is simulated into a folder only"]

@@ -196,16 +196,16 @@ def certificate(
     original = result if isinstance(result, Result) else Result.read(result)
     data, specifications = read_lab(lab, original)
     names = data.certified(original)
-    found = judge_result(original)
+    judged = judge_result(original)
     if despite is not None:
-        if found.state != "contradicted":
+        if judged.state != "contradicted":
             raise CampaignError(
                 "certificate",
                 ["`despite`: the records do not contradict this result; leave it out"],
             )
-        found = found.model_copy(update={"accepted_misfit": despite})
+        judged = judged.model_copy(update={"accepted_misfit": despite})
     try:
-        check_certifiable(found, names)
+        check_certifiable(judged, names)
     except RecordError as error:
         if isinstance(result, Result):
             raise
@@ -215,31 +215,31 @@ def certificate(
     issue = _issue(data, original, amended, signed=signer is not None)
     if issue.draft and signer is not None:
         raise CampaignError("the laboratory's data", [_EXAMPLE])
-    judged = with_capability(found, data)
+    certified = with_capability(judged, data)
     if specifications is not None:
-        judged = with_conformity(judged, specifications)
-    verdicts = {name: judged.accelerometers[name].conformity for name in names}
+        certified = with_conformity(certified, specifications)
+    verdicts = {name: certified.accelerometers[name].conformity for name in names}
     if amended is not None:
-        new = to_bytes(dcc_document(found, data, issue, verdicts, None, original))
+        new = to_bytes(dcc_document(judged, data, issue, verdicts, None, original))
         issue = replace(issue, amended=with_changes(amended, old, new))
-    pages = _pages(data, found, issue, verdicts)
-    root = dcc_document(found, data, issue, verdicts, pages, original)
+    pages = _pages(data, judged, issue, verdicts)
+    root = dcc_document(judged, data, issue, verdicts, pages, original)
     xml = to_bytes(root if signer is None else sign(root, signer))
     if schema is not None:
         check_schema(xml, schema, f"certificate {issue.identifier}")
     return Certificate(
         identifier=issue.identifier,
         accelerometers=names,
-        notes=[*_notes(data, found, issue), *_signer_notes(signer, issue)],
+        notes=[*_notes(data, judged, issue), *_signer_notes(signer, issue)],
         xml=xml,
         ledger=_ledger(data, lab),
         entry={"identifier": issue.identifier, "sha256": checksum_of(xml)}
         | ({} if amended is None else {"amends": amended.identifier}),
         signed_by=data.persons[0].name,
-        reason=_reason(issue.amended, found),
+        reason=_reason(issue.amended, judged),
         result=None if isinstance(result, Result) else Path(result),
         draft=issue.draft,
-        pages=lambda: _pages(data, found, issue, verdicts, attach=xml),
+        pages=lambda: _pages(data, judged, issue, verdicts, attach=xml),
     )
 
 

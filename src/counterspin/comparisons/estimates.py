@@ -125,7 +125,8 @@ def estimates_of(
     if stated is not None and known:
         correlation = stated[list(symbols)]
     sources = {
-        source: _scaled(found, factor) for source, found in _sources(result, name, symbols).items()
+        source: _scaled(shared, factor)
+        for source, shared in _sources(result, name, symbols).items()
     }
     return Estimates(
         symbols=tuple(symbols),
@@ -143,22 +144,22 @@ def _scaled(source: SharedSource, factor: Array) -> SharedSource:
 
 def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, SharedSource]:
     accelerometer = result.accelerometers[name]
-    found: dict[str, SharedSource] = {}
+    sources: dict[str, SharedSource] = {}
     for place, symbol in enumerate(symbols):
         for line in accelerometer.budget.get(symbol, ()):
             match = _LINE.fullmatch(line.source)
             if match is None or line.u is None or line.sensitivity is None:
                 continue
-            source = found.get(match["name"])
+            source = sources.get(match["name"])
             if source is None:
-                source = found[match["name"]] = SharedSource(
+                source = sources[match["name"]] = SharedSource(
                     estimated=match["kind"] == "prior",
                     stated=(_value(result, name, match["name"]), line.u),
                     moves=np.zeros(len(symbols)),
                     of_run=any(match["name"].startswith(f"{run}.") for run in result.runs),
                 )
             source.moves[place] = line.sensitivity * line.u
-    return found
+    return sources
 
 
 def _value(result: Result, name: str, source: str) -> float | None:
@@ -173,5 +174,5 @@ def _value(result: Result, name: str, source: str) -> float | None:
         return stated[source]
     if source in accelerometer.known:
         return accelerometer.known[source].value
-    found = accelerometer.coefficients.get(source)
-    return None if found is None or found.estimated else found.value
+    coefficient = accelerometer.coefficients.get(source)
+    return None if coefficient is None or coefficient.estimated else coefficient.value

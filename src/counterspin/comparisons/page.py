@@ -144,14 +144,14 @@ def _table(compared: Compared, own: Sequence[ComparedCoefficient]) -> Table:
     for coefficient in own:
         unit, factor = field_unit(coefficient.unit)
         label = f"{coefficient.term}, {unit}"
-        for result, found in zip(compared.results, coefficient.estimates, strict=True):
-            if found.value is None or found.u is None:
+        for result, estimate in zip(compared.results, coefficient.estimates, strict=True):
+            if estimate.value is None or estimate.u is None:
                 quiet.add(len(rows))
                 rows.append((label, result.name, NOT_DETERMINED, "", ""))
             else:
-                value = format_estimate(found.value * factor, found.u * factor)
-                z = "" if found.z is None else f"{found.z:.2f}"
-                rows.append((label, result.name, value, _difference(found, factor), z))
+                value = format_estimate(estimate.value * factor, estimate.u * factor)
+                z = "" if estimate.z is None else f"{estimate.z:.2f}"
+                rows.append((label, result.name, value, _difference(estimate, factor), z))
             label = ""
     return Table(
         columns=(
@@ -166,10 +166,10 @@ def _table(compared: Compared, own: Sequence[ComparedCoefficient]) -> Table:
     )
 
 
-def _difference(found: ComparedEstimate, factor: float) -> str:
-    if found.difference is None or found.u_difference is None:
+def _difference(estimate: ComparedEstimate, factor: float) -> str:
+    if estimate.difference is None or estimate.u_difference is None:
         return ""
-    difference, u = found.difference * factor, found.u_difference * factor
+    difference, u = estimate.difference * factor, estimate.u_difference * factor
     return format_estimate(difference, u) if u else format_number(difference)
 
 
@@ -179,13 +179,13 @@ def _pictures(own: list[ComparedCoefficient]) -> Iterator[Block]:
         if coefficient.term != "K_II":
             continue
         unit, factor = field_unit(coefficient.unit)
-        found = [
+        points = [
             (float(place), e.value * factor, e.u * factor)
             for place, e in enumerate(coefficient.estimates, 1)
             if e.value is not None and e.u is not None
         ]
-        if len(found) > 1:
-            x, y, u = (tuple(numbers) for numbers in zip(*found, strict=True))
+        if len(points) > 1:
+            x, y, u = (tuple(numbers) for numbers in zip(*points, strict=True))
             yield Plot(
                 title=f"K_II of {coefficient.accelerometer} in each result",
                 x_label="result, in the order of the table",

@@ -170,25 +170,25 @@ def apply(
     if missing:
         raise CampaignError(_SOURCE, _needed(accelerometer, missing))
     columns = [np.asarray(values, dtype=np.float64) * factor for values in indications.values()]
-    found = correct(instruments, np.stack(columns, axis=1), known)
+    forces = correct(instruments, np.stack(columns, axis=1), known)
     applied = [result.accelerometers[name] for name in indications]
     return Correction(
-        corrected=found.force[:, 0] / factor,
-        u=found.u[:, 0] / factor,
+        corrected=forces.force[:, 0] / factor,
+        u=forces.u[:, 0] / factor,
         unit=options.unit,
         dof=min(
-            (c.dof for one in applied for c in _terms(one).values() if c.dof is not None),
+            (c.dof for own in applied for c in _terms(own).values() if c.dof is not None),
             default=math.inf,
         ),
-        notes=tuple(_note(name, one) for name, one in zip(indications, applied, strict=True)),
+        notes=tuple(_note(name, own) for name, own in zip(indications, applied, strict=True)),
         warnings=(
             *_accepted(judged),
             *(
                 warning
-                for name, one, column in zip(indications, applied, columns, strict=True)
+                for name, own, column in zip(indications, applied, columns, strict=True)
                 for warning in (
-                    *_left_out(name, one),
-                    *_contradictory(name, one),
+                    *_left_out(name, own),
+                    *_contradictory(name, own),
                     *_stretched(result, name, column),
                 )
             ),
@@ -229,8 +229,8 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
     if name not in result.accelerometers:
         there = ", ".join(result.accelerometers)
         raise CampaignError(_SOURCE, [f"the result has no accelerometer {name!r}; it has {there}"])
-    found = result.accelerometers[name]
-    if placed and found.axes is None:
+    accelerometer = result.accelerometers[name]
+    if placed and accelerometer.axes is None:
         raise CampaignError(
             _SOURCE,
             [
@@ -238,36 +238,42 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
                 "earlier version. Calibrate again, or give the force along the axes instead"
             ],
         )
-    mounting = Mounting(tuple(found.axes)) if placed and found.axes else _ALONE
-    terms = {s: c for s, c in _terms(found).items() if c.value is not None}
+    mounting = Mounting(tuple(accelerometer.axes)) if placed and accelerometer.axes else _ALONE
+    terms = _determined(accelerometer)
     values = {s: float(c.value) for s, c in terms.items() if c.value is not None}
     if not values:
         raise CampaignError(_SOURCE, [f"the result has no coefficient of {name} with a value"])
-    covariance = _covariance(found, terms)
+    covariance = _covariance(accelerometer, terms)
     if not _possible(covariance):
         # However the errors are related, (sum of n parts)^2 is at most n times their squares' sum.
         covariance = len(terms) * np.diag(np.diag(covariance))
     return CalibratedAccelerometer(name, mounting, values, covariance)
 
 
-def _terms(found: AccelerometerResult) -> dict[str, Coefficient]:
-    return {s: c for s, c in {**found.known, **found.coefficients}.items() if s in TERMS}
+def _terms(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
+    known = {**accelerometer.known, **accelerometer.coefficients}
+    return {symbol: c for symbol, c in known.items() if symbol in TERMS}
 
 
-def _covariance(found: AccelerometerResult, terms: Mapping[str, Coefficient]) -> Array:
+def _determined(accelerometer: AccelerometerResult) -> dict[str, Coefficient]:
+    return {symbol: c for symbol, c in _terms(accelerometer).items() if c.value is not None}
+
+
+def _covariance(accelerometer: AccelerometerResult, terms: Mapping[str, Coefficient]) -> Array:
     symbols = list(terms)
     u = np.array([c.u or 0.0 for c in terms.values()])
     covariance = np.diag(u**2)
-    related = found.correlation.terms if found.correlation else []
+    stated = accelerometer.correlation
+    related = stated.terms if stated else []
     estimated = [s for s in symbols if terms[s].estimated]
-    for one in estimated:
-        i = symbols.index(one)
+    for symbol in estimated:
+        i = symbols.index(symbol)
         for other in estimated:
-            if found.correlation and one != other and one in related and other in related:
+            if stated and symbol != other and {symbol, other} <= {*related}:
                 j = symbols.index(other)
-                r = found.correlation.matrix[related.index(one)][related.index(other)]
+                r = stated.matrix[related.index(symbol)][related.index(other)]
                 covariance[i, j] = r * u[i] * u[j]
-        for line in found.budget.get(one, []):
+        for line in accelerometer.budget.get(symbol, []):
             # An estimate and the prior that moved it: sensitivity x u^2.
             source = line.source.removesuffix(" (prior)").removesuffix(" (considered)")
             if source in terms and source not in estimated and line.sensitivity is not None:
@@ -282,11 +288,9 @@ def _possible(covariance: Array) -> bool:
     return bool(np.all(np.sum(root**2, axis=1) <= np.diag(covariance) * (1.0 + _ROUNDING)))
 
 
-def _contradictory(name: str, found: AccelerometerResult) -> list[str]:
+def _contradictory(name: str, accelerometer: AccelerometerResult) -> list[str]:
     """Return a warning where the result states a covariance that no coefficients could have."""
-    if _possible(
-        _covariance(found, {s: c for s, c in _terms(found).items() if c.value is not None})
-    ):
+    if _possible(_covariance(accelerometer, _determined(accelerometer))):
         return []
     return [
         f"{name}: the correlations in the result contradict each other, as versions "
@@ -315,22 +319,22 @@ def _needed(
     accelerometer: str, missing: Sequence[tuple[CalibratedAccelerometer, str, tuple[str, ...]]]
 ) -> list[str]:
     problems = []
-    for one, axis, symbols in missing:
+    for instrument, axis, symbols in missing:
         words, option = _AXES[axis]
         verb = "needs" if len(symbols) == 1 else "need"
-        if one.name == accelerometer:
+        if instrument.name == accelerometer:
             ways = f'give `{option}`: a column, or a constant such as `{option}="-1 g"`'
         else:
             ways = "give `pendulous` or `output_axis` of the accelerometer to be corrected"
         problems.append(
-            f"{', '.join(symbols)} of {one.name} {verb} the specific force along its {words} "
-            f"axis; {ways}, or name an accelerometer that senses it with `others`"
+            f"{', '.join(symbols)} of {instrument.name} {verb} the specific force along its "
+            f"{words} axis; {ways}, or name an accelerometer that senses it with `others`"
         )
     return problems
 
 
-def _note(name: str, found: AccelerometerResult) -> str:
-    terms = {s: c for s, c in _terms(found).items() if c.value is not None}
+def _note(name: str, accelerometer: AccelerometerResult) -> str:
+    terms = _determined(accelerometer)
     estimated = ", ".join(s for s, c in terms.items() if c.estimated)
     beforehand = ", ".join(s for s, c in terms.items() if not c.estimated)
     parts = [f"as estimated: {estimated}"] if estimated else []
@@ -338,8 +342,8 @@ def _note(name: str, found: AccelerometerResult) -> str:
     return f"{name}: applied {'; '.join(parts) or 'nothing'}."
 
 
-def _left_out(name: str, found: AccelerometerResult) -> list[str]:
-    terms = _terms(found)
+def _left_out(name: str, accelerometer: AccelerometerResult) -> list[str]:
+    terms = _terms(accelerometer)
     warnings = []
     unknown = [symbol for symbol, c in terms.items() if c.value is None]
     if unknown:

@@ -102,12 +102,12 @@ def draft(files: Sequence[Path], *, progress: Callable[[int, int], None] | None 
     """
     if not files:
         raise CampaignError("init", ["name the files of the runs"])
-    found = []
+    guessed = []
     for file in files:
-        found.append(guess_file(look(file)))
+        guessed.append(guess_file(look(file)))
         if progress is not None:
-            progress(len(found), len(files))
-    guesses = tuple(found)
+            progress(len(guessed), len(files))
+    guesses = tuple(guessed)
     common = agreed(guesses)
     sense = _sense(common)
     return Draft(
@@ -305,9 +305,9 @@ def _sense(common: FileGuess) -> str | None:
     for signal in common.signals:
         if signal.phase is not None and signal.axis is not None and signal.observable:
             phases.setdefault(signal.observable, {})[signal.axis] = signal.phase
-    for found in phases.values():
-        if "east" in found and "north" in found:
-            ahead = math.remainder(found["east"] - found["north"], 2.0 * math.pi)
+    for phase in phases.values():
+        if "east" in phase and "north" in phase:
+            ahead = math.remainder(phase["east"] - phase["north"], 2.0 * math.pi)
             if abs(abs(ahead) - math.pi / 2.0) < 0.3:
                 return _SENSES[0] if ahead > 0.0 else _SENSES[1]
     return None

@@ -273,13 +273,13 @@ def solve_readings(
     known = np.array([unknown.prior_mean for unknown in model.unknowns])
     limits = np.array([unknown.limit for unknown in model.unknowns])
     estimate = point = known
-    noise = [_first_noise(one) for one in readings]
+    noise = [_first_noise(group) for group in readings]
     # What is considered is in the residuals too. Noise is therefore found beside it, as if it were
     # estimated with its prior; else it would be taken for noise.
     plain = Unknowns(model.unknowns)
-    relaxed = any(one.u is None for one in readings) and bool(model.considered or model.inputs)
+    relaxed = any(group.u is None for group in readings) and bool(model.considered or model.inputs)
     for _ in range(_ROUNDS):
-        parts = [_Part.of(one, model, point) for one in readings]
+        parts = [_Part.of(group, model, point) for group in readings]
         # The columns hold while only the noise is another.
         for _ in range(_NOISE_ROUNDS):
             weighted = [part.with_noise(size) for part, size in zip(parts, noise, strict=True)]
@@ -290,8 +290,8 @@ def solve_readings(
                 followed = [part.relaxed() for part in weighted]
                 found = solve_relaxed([*beside, *blocks], model)
             noise = [
-                _noise_again(one, part, found, plain, own)
-                for one, part, own in zip(readings, followed, before, strict=True)
+                _noise_again(group, part, found, plain, own)
+                for group, part, own in zip(readings, followed, before, strict=True)
             ]
             changes = (abs(new / old - 1.0) for new, old in zip(noise, before, strict=True))
             if max(changes) < _TOLERANCE:
@@ -308,7 +308,7 @@ def solve_readings(
             "machine priors, or state the standard uncertainties of the readings"
         )
     judged = [
-        judge(one, part, solution, model) for one, part in zip(readings, weighted, strict=True)
+        judge(group, part, solution, model) for group, part in zip(readings, weighted, strict=True)
     ]
     freedom = tuple(each.freedom for each in judged)
     return ReadingsFit(
@@ -317,8 +317,8 @@ def solve_readings(
         tuple(part.sigma for part in weighted),
         tuple(noise),
         tuple(
-            part.freedom(found) + _freedom_of_repeats(one) if one.u is None else math.inf
-            for one, part in zip(readings, followed, strict=True)
+            part.freedom(found) + _freedom_of_repeats(group) if group.u is None else math.inf
+            for group, part in zip(readings, followed, strict=True)
         ),
         freedom,
         tuple(each.residuals for each in judged),
@@ -342,7 +342,7 @@ class Judged:
     positions: tuple[Position, ...]
 
 
-def judge(one: Readings, part: _Part, solution: Solution, model: Unknowns) -> Judged:
+def judge(group: Readings, part: _Part, solution: Solution, model: Unknowns) -> Judged:
     """Return how readings fit a solution that has followed them, perhaps with others beside.
 
     Parameters
@@ -352,14 +352,14 @@ def judge(one: Readings, part: _Part, solution: Solution, model: Unknowns) -> Ju
     solution, model
         The solution and its model.
     """
-    single = [part.position((place,), solution, model) for place in range(one.size)]
+    single = [part.position((place,), solution, model) for place in range(group.size)]
     return Judged(
         part.freedom(solution),
         part.left(solution, model),
         part.squares(solution, model),
         np.array([each.standardised for each in single]),
         np.array([each.of_noise for each in single]),
-        tuple(part.position(places, solution, model) for places in one.read_again),
+        tuple(part.position(places, solution, model) for places in group.read_again),
     )
 
 
@@ -375,7 +375,7 @@ def blocks_at(readings: Sequence[Readings], model: Unknowns, estimate: Array) ->
     estimate
         Where the derivatives are taken: the unknowns less nominal, shape (p,).
     """
-    return [_Part.of(one, model, estimate).with_noise(math.nan).block() for one in readings]
+    return [_Part.of(group, model, estimate).with_noise(math.nan).block() for group in readings]
 
 
 def rows_at(
@@ -389,7 +389,7 @@ def rows_at(
         For each group of n readings the columns of the unknowns and of the considered terms,
         shapes (n, p) and (n, q).
     """
-    parts = [_Part.of(one, model, estimate).with_noise(math.nan) for one in readings]
+    parts = [_Part.of(group, model, estimate).with_noise(math.nan) for group in readings]
     return [(part.design / part.sigma[:, None], part.fixed / part.sigma[:, None]) for part in parts]
 
 
@@ -406,31 +406,31 @@ class _Part:
     sigma: Array  # (n,), g, both together
 
     @classmethod
-    def of(cls, one: Readings, model: Unknowns, estimate: Array) -> _Part:
+    def of(cls, group: Readings, model: Unknowns, estimate: Array) -> _Part:
         """Return the columns at an estimate."""
         everything = [*model.unknowns, *model.considered]
         at = np.append(estimate, [term.prior_mean for term in model.considered])
         own = {
             index: unknown.symbol
             for index, unknown in enumerate(everything)
-            if unknown.owner in ("", one.accelerometer)
+            if unknown.owner in ("", group.accelerometer)
         }
         machine = {
             symbol: float(at[index])
             for index, symbol in own.items()
-            if not everything[index].owner and one.acting(symbol).any()
+            if not everything[index].owner and group.acting(symbol).any()
         }
-        stations = one.stations_with(machine)
-        products = mean_products(stations, one.site)
-        effective = np.tile([row.nominal for row in TERMS.values()], (one.size, 1))
-        columns = np.zeros((one.size, len(everything)))
+        stations = group.stations_with(machine)
+        products = mean_products(stations, group.site)
+        effective = np.tile([row.nominal for row in TERMS.values()], (group.size, 1))
+        columns = np.zeros((group.size, len(everything)))
         for index, symbol in own.items():
             if symbol in TERMS:
-                place, lever = _SYMBOLS.index(symbol), np.ones(one.size)
+                place, lever = _SYMBOLS.index(symbol), np.ones(group.size)
             elif everything[index].owner:
                 row, _ = machine_term(symbol) or (None, "")
                 assert row is not None
-                place, lever = _SYMBOLS.index(row.multiplies), one.lever(symbol)
+                place, lever = _SYMBOLS.index(row.multiplies), group.lever(symbol)
             else:
                 continue
             columns[:, index] = products[:, place] * lever
@@ -441,8 +441,8 @@ class _Part:
             return found
 
         def slope_of(symbol: str, step: float) -> Array:
-            both = [*one.moved(stations, symbol, step), *one.moved(stations, symbol, -step)]
-            more, less = np.split(mean_products(both, one.site), 2)
+            both = [*group.moved(stations, symbol, step), *group.moved(stations, symbol, -step)]
+            more, less = np.split(mean_products(both, group.site), 2)
             return slope(more, less, step)
 
         for index, symbol in own.items():
@@ -451,21 +451,21 @@ class _Part:
         fixed = [*columns[:, len(model.unknowns) :].T]
         for name in model.inputs or ():
             if name not in _INPUT_STEPS:
-                fixed.append(np.zeros(one.size))
+                fixed.append(np.zeros(group.size))
                 continue
             step = _INPUT_STEPS[name]
-            ahead, behind = (_with_input(one, name, s, machine) for s in (step, -step))
+            ahead, behind = (_with_input(group, name, s, machine) for s in (step, -step))
             fixed.append(slope(ahead.products(machine), behind.products(machine), step))
         perfect = np.sum(products * effective, axis=1) - columns @ at
-        head = np.zeros(one.size)
-        if one.u_head.any():
-            head = np.abs(slope_of("head.zero", _HEAD_STEP)) * one.u_head
+        head = np.zeros(group.size)
+        if group.u_head.any():
+            head = np.abs(slope_of("head.zero", _HEAD_STEP)) * group.u_head
         return cls(
             columns[:, : len(model.unknowns)],
-            np.column_stack(fixed or [np.empty((one.size, 0))]),
-            one.value - perfect,
-            one.u,
-            one.repeats,
+            np.column_stack(fixed or [np.empty((group.size, 0))]),
+            group.value - perfect,
+            group.u,
+            group.repeats,
             head,
             head,
         )
@@ -550,51 +550,51 @@ def _spread(model: Unknowns) -> Array:
     return np.array(known, dtype=np.float64)
 
 
-def _with_input(one: Readings, name: str, change: float, machine: Mapping[str, float]) -> Readings:
+def _with_input(group: Readings, name: str, by: float, machine: Mapping[str, float]) -> Readings:
     """Return readings with an input changed; a mounting whose radius is a term keeps its own."""
     if name == "site.gravity":
-        return replace(one, site=replace(one.site, gravity=one.site.gravity + change))
+        return replace(group, site=replace(group.site, gravity=group.site.gravity + by))
     if name == "site.latitude":
-        return replace(one, site=replace(one.site, latitude=one.site.latitude + change))
+        return replace(group, site=replace(group.site, latitude=group.site.latitude + by))
     return replace(
-        one,
+        group,
         stations=tuple(
             station
             if f"centrifuge.radius.{mounting}" in machine
-            else replace(station, radius=station.radius + change)
-            for station, mounting in zip(one.stations, one.mountings, strict=True)
+            else replace(station, radius=station.radius + by)
+            for station, mounting in zip(group.stations, group.mountings, strict=True)
         ),
     )
 
 
-def _first_noise(one: Readings) -> float:
+def _first_noise(group: Readings) -> float:
     """Return a noise to begin with: a millionth of the largest indication."""
-    return 1e-6 * float(np.max(np.abs(one.value), initial=1e-3))
+    return 1e-6 * float(np.max(np.abs(group.value), initial=1e-3))
 
 
-def _freedom_of_repeats(one: Readings) -> float:
+def _freedom_of_repeats(group: Readings) -> float:
     """Return the degrees of freedom that repeats at one setting have among themselves."""
-    return float(np.sum(one.repeats - 1.0))
+    return float(np.sum(group.repeats - 1.0))
 
 
 def _noise_again(
-    one: Readings, part: _Part, solution: Solution, model: Unknowns, own: float
+    group: Readings, part: _Part, solution: Solution, model: Unknowns, own: float
 ) -> float:
     """Return the noise that the residuals show; its fixed point is the REML estimate."""
-    if one.u is not None:
+    if group.u is not None:
         return 1.0
     left_over = 1.0 - part.leverages(solution)
-    again = _freedom_of_repeats(one)
+    again = _freedom_of_repeats(group)
     if left_over.sum() + again < 0.5:
         raise NotIdentifiableError(
-            f"{one.accelerometer}: {one.size} readings ({one.motion}) without a stated uncertainty "
-            "cannot tell their noise beside the unknowns; state it, or take more readings than "
-            "there are unknowns"
+            f"{group.accelerometer}: {group.size} readings ({group.motion}) without a stated "
+            "uncertainty cannot tell their noise beside the unknowns; state it, or take more "
+            "readings than there are unknowns"
         )
     # Where the head's part is known, the score of the rest: each reading by the share that it has.
     share = (own / part.sigma) ** 2 / part.repeats
     left = part.left(solution, model) / part.sigma
-    squares = float(share @ left**2) + float(one.scatter.sum()) / own**2
+    squares = float(share @ left**2) + float(group.scatter.sum()) / own**2
     size = own * math.sqrt(squares / (float(share @ left_over) + again))
     # Readings without any noise, such as simulated ones, must not end in a division by zero.
     return max(size, _LEAST_BESIDE_HEAD * float(np.sqrt(np.mean(part.head**2))), 1e-15)

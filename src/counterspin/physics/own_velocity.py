@@ -92,7 +92,7 @@ def of_own_velocity(site: Site, errors: Sequence[AxisError]) -> list[Array]:
         Of each accelerometer, at its times.
     """
     took = _along(site, errors, coriolis(site))
-    return [one.error - part for one, part in zip(errors, took, strict=True)]
+    return [record.error - part for record, part in zip(errors, took, strict=True)]
 
 
 def coriolis(site: Site) -> Array:
@@ -109,18 +109,18 @@ def unseen(errors: Sequence[AxisError]) -> Array:
 
 
 def _axes(errors: Sequence[AxisError]) -> Array:
-    axes = [one.input_axis for one in errors if one.observable in NAVIGATED]
+    axes = [record.input_axis for record in errors if record.observable in NAVIGATED]
     return np.reshape(axes, (len(axes), 3))
 
 
 def _along(site: Site, errors: Sequence[AxisError], acting: Array) -> list[Array]:
     """Return the Coriolis part of each error, from d = d(recorded) - integral of acting @ d."""
-    navigated = [one for one in errors if one.observable in NAVIGATED]
+    navigated = [record for record in errors if record.observable in NAVIGATED]
     if not navigated:
-        return [np.zeros(one.time.size) for one in errors]
-    grid = np.unique(np.concatenate([one.time for one in navigated]))
+        return [np.zeros(record.time.size) for record in errors]
+    grid = np.unique(np.concatenate([record.time for record in navigated]))
     recorded = np.linalg.pinv(_axes(errors), rcond=_RECORDED_PART) @ [
-        _moved(one, grid) for one in navigated
+        _moved(record, grid) for record in navigated
     ]
     moved, term = recorded, recorded
     for _ in range(_TERMS):
@@ -129,18 +129,18 @@ def _along(site: Site, errors: Sequence[AxisError], acting: Array) -> list[Array
     velocity = coriolis(site) @ moved
     shown = {"velocity": velocity, "displacement": _integral(grid, velocity)}
     return [
-        np.interp(one.time, grid, one.input_axis @ shown[one.observable])
-        if one.observable in NAVIGATED
-        else np.zeros(one.time.size)
-        for one in errors
+        np.interp(record.time, grid, record.input_axis @ shown[record.observable])
+        if record.observable in NAVIGATED
+        else np.zeros(record.time.size)
+        for record in errors
     ]
 
 
-def _moved(one: AxisError, grid: Array) -> Array:
+def _moved(record: AxisError, grid: Array) -> Array:
     """Return an accelerometer's error in position since the start of the record, m."""
-    there = np.isfinite(one.error)
-    time, error = one.time[there], one.error[there]
-    if one.observable == "velocity":
+    there = np.isfinite(record.error)
+    time, error = record.time[there], record.error[there]
+    if record.observable == "velocity":
         error = _integral(time, error[None])[0]
     moved: Array = np.interp(grid, time, error - error[0])
     return moved
@@ -153,9 +153,9 @@ def _integral(time: Array, values: Array) -> Array:
     then costs next to nothing, for across it the error is not straight.
     """
     result = np.empty_like(values)
-    for row, one in enumerate(values):
-        smooth = Polynomial.fit(time, one, min(_DEGREE, time.size - 1))
-        rest, whole = one - smooth(time), smooth.integ(lbnd=float(time[0]))
+    for row, curve in enumerate(values):
+        smooth = Polynomial.fit(time, curve, min(_DEGREE, time.size - 1))
+        rest, whole = curve - smooth(time), smooth.integ(lbnd=float(time[0]))
         steps = 0.5 * np.diff(time) * (rest[1:] + rest[:-1])
         result[row] = whole(time) + np.append(0.0, np.cumsum(steps))
     return result

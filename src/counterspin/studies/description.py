@@ -25,6 +25,7 @@ from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.machine import expand, symbols_shown
+from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.reading_truth import unfit_readings
 from counterspin.campaign.resolved import Campaign
@@ -37,7 +38,7 @@ from counterspin.campaign.toml_file import (
     load_document,
 )
 from counterspin.campaign.truth import unfit
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS
 from counterspin.studies.draws import OTHERS, RADIUS, Varying
@@ -151,12 +152,7 @@ def read_study(path: Path | str | Campaign) -> StudyDescription:
         With every mistake found, each with the path of its key.
     """
     if isinstance(path, Campaign):
-        if path.source is None:
-            raise CounterspinError(
-                f"{path.path}: the campaign was changed by other means than `change`, so that no "
-                "description of it is known; make the change with `change`"
-            )
-        file, raw = path.path, dict(path.source.document)
+        file, raw = path.path, dict(source_of(path).document)
         problems = Problems(raw)
         document: Mapping[str, Any] = raw
         where = path.folder / DESCRIPTION_NAME

@@ -76,14 +76,14 @@ class ReadingsEngine:
 
     def _trial(self, draws: Draws, generator: np.random.Generator) -> tuple[Array, Array, Array]:
         model = self.request.model
-        found = None
+        estimated = None
         if self.records is not None:
-            found = estimate(self.records.series(draws, generator), model, self.request.noise)
-        found, _ = with_groups(found, model, self._read(draws, generator))
-        rows, unknowns = list(self.rows), found.fit.model.unknowns
+            estimated = estimate(self.records.series(draws, generator), model, self.request.noise)
+        estimated, _ = with_groups(estimated, model, self._read(draws, generator))
+        rows, unknowns = list(self.rows), estimated.fit.model.unknowns
         nominal = np.array([unknowns[place].nominal for place in rows])
-        solution = found.fit.solution
-        return solution.estimate[rows] + nominal, solution.u[rows], found.dof[rows]
+        solution = estimated.fit.solution
+        return solution.estimate[rows] + nominal, solution.u[rows], estimated.dof[rows]
 
     def _read(self, draws: Draws, generator: np.random.Generator) -> list[Readings]:
         """Return the readings of one trial."""
@@ -111,8 +111,8 @@ class ReadingsEngine:
                 one = replace(one, scatter=scatter * variances)
             elif np.isfinite(self.scattered[at]).any():
                 dof = np.where(np.isfinite(self.scattered[at]), self.scattered[at], 1.0)
-                found = self.noise[at] * np.sqrt(2.0 * generator.standard_gamma(0.5 * dof) / dof)
-                one = replace(one, u=np.where(np.isfinite(self.scattered[at]), found, group.u))
+                sigma = self.noise[at] * np.sqrt(2.0 * generator.standard_gamma(0.5 * dof) / dof)
+                one = replace(one, u=np.where(np.isfinite(self.scattered[at]), sigma, group.u))
             read.append(one)
         return read
 

@@ -62,12 +62,12 @@ def _columns(module: Any, given: Given) -> Found:
     site = Site(float(whole["gravity"]), float(whole["latitude"]), earth_rate)
     trajectory = Trajectory(_spindle(motion), float(whole["radius"]), site)
     times = np.array(motion["times"], np.float64)
-    found = dict[str, Any]()
+    answer = dict[str, Any]()
     for name, symbols in integrals_asked(given).items():
         mounting = getattr(accelerometer, name)
         table = module.columns(trajectory, mounting, symbols, times, given["observable"])
-        found |= {f"{s} of {name}": column for s, column in zip(symbols, table.T, strict=True)}
-    return found
+        answer |= {f"{s} of {name}": column for s, column in zip(symbols, table.T, strict=True)}
+    return answer
 
 
 def _angle(_: Any, given: Given) -> Found:
@@ -135,14 +135,14 @@ def _fit(module: Any, given: Given) -> Found:
         design = np.vander(np.array(given["x"], float), given["polynomial"] + 1, increasing=True)
     else:
         design = np.array(given["design"], float)
-    found = module.fit(design, np.array(given["y"], float), given.get("sigma"))
+    answer = module.fit(design, np.array(given["y"], float), given.get("sigma"))
     return {
-        "estimate": found.estimate,
-        "u": found.u,
-        "sigma": found.sigma,
-        "chi2": found.chi2,
-        "dof": found.dof,
-        "covariance": found.covariance[0, -1],
+        "estimate": answer.estimate,
+        "u": answer.u,
+        "sigma": answer.sigma,
+        "chi2": answer.chi2,
+        "dof": answer.dof,
+        "covariance": answer.covariance[0, -1],
     }
 
 
@@ -155,8 +155,8 @@ def _solve(module: Any, given: Given) -> Found:
         for key in ("prior_mean", "prior_sd", "considered_sd")
         if key in given
     }
-    found = module.solve([block], **known)
-    return {"estimate": found.estimate, "u": np.sqrt(np.diag(found.covariance))}
+    answer = module.solve([block], **known)
+    return {"estimate": answer.estimate, "u": np.sqrt(np.diag(answer.covariance))}
 
 
 def _effective_dof(module: Any, given: Given) -> Found:
@@ -179,8 +179,8 @@ def _first_stage(module: Any, given: Given) -> Found:
 
     time = np.arange(float(given["strobes"]))
     error = np.polynomial.polynomial.polyval(time, given["coefficients"])
-    found = module.first_stage(Strobes(time, error, np.ones(time.size), 0), given["sigma"])
-    return {"coefficients": found.coefficients, "u_b2": found.u_b2}
+    answer = module.first_stage(Strobes(time, error, np.ones(time.size), 0), given["sigma"])
+    return {"coefficients": answer.coefficients, "u_b2": answer.u_b2}
 
 
 def _walk(module: Any, given: Given) -> Found:
@@ -189,8 +189,8 @@ def _walk(module: Any, given: Given) -> Found:
 
 def _flicker(module: Any, given: Given) -> Found:
     lag = np.array(given["lag"])
-    found = module.flicker_autocovariance(lag, given["low"], given["high"])
-    return {"autocovariance": found}
+    answer = module.flicker_autocovariance(lag, given["low"], given["high"])
+    return {"autocovariance": answer}
 
 
 def _acceptance_limits(module: Any, given: Given) -> Found:
@@ -201,10 +201,10 @@ def _acceptance_limits(module: Any, given: Given) -> Found:
 def _judge(module: Any, given: Given) -> Found:
     """Verdict as a number: 1 pass, 0 undecided, -1 fail."""
     item = (given[key] for key in ("value", "u", "dof", "low", "high"))
-    found = module.judge(*item, module.DecisionRule(**given["rule"]))
-    verdict = {"pass": 1.0, "undecided": 0.0, "fail": -1.0}[found.verdict]
-    rest = {} if found.risk is None else {"risk": found.risk}
-    return {"verdict": verdict, "guard_band": found.guard_band, **rest}
+    answer = module.judge(*item, module.DecisionRule(**given["rule"]))
+    verdict = {"pass": 1.0, "undecided": 0.0, "fail": -1.0}[answer.verdict]
+    rest = {} if answer.risk is None else {"risk": answer.risk}
+    return {"verdict": verdict, "guard_band": answer.guard_band, **rest}
 
 
 def _random_walk(module: Any, given: Given) -> Found:
@@ -213,11 +213,11 @@ def _random_walk(module: Any, given: Given) -> Found:
     stated = document(given["file"])
     time, velocity = (np.array(stated[key], np.float64) for key in ("time", "velocity"))
     line = np.stack([np.ones_like(time), time], axis=1)
-    found = module.estimate([RecordData(time, 1, line, velocity)], white=given.get("white"))
-    levels = {"white": found.white, "random_walk": found.random_walk}
+    answer = module.estimate([RecordData(time, 1, line, velocity)], white=given.get("white"))
+    levels = {"white": answer.white, "random_walk": answer.random_walk}
     if "white" in given:
         return levels
-    both, alone = (found.log_likelihoods[key] for key in (("white", "random_walk"), ("white",)))
+    both, alone = (answer.log_likelihoods[key] for key in (("white", "random_walk"), ("white",)))
     return levels | {"gain": both - alone}
 
 
@@ -251,14 +251,14 @@ def _quotients(given: Given) -> tuple[dict[str, Any], Array]:
 
 def _si_estimate(module: Any, given: Given) -> Found:
     asked = _quotients(given)[0] if "observations" in given else {"": given}
-    found = dict[str, Any]()
+    answer = dict[str, Any]()
     for name, one in asked.items():
         gravity = module.StatedGravity(**one["gravity"])
         estimate = module.si_estimate(one["value"], one["u"], one["unit"], one.get("dof"), gravity)
-        found |= {name or "value": estimate.value, f"u({name})" if name else "u": estimate.u}
+        answer |= {name or "value": estimate.value, f"u({name})" if name else "u": estimate.u}
         if estimate.dof is not None:
-            found["dof"] = estimate.dof
-    return found
+            answer["dof"] = estimate.dof
+    return answer
 
 
 def _si_covariance(module: Any, given: Given) -> Found:
@@ -276,12 +276,12 @@ def _si_covariance(module: Any, given: Given) -> Found:
         for name, one in asked.items()
     }
     correlation = Correlation(terms=list(asked), matrix=related.tolist())
-    found = dict[str, Any]()
+    answer = dict[str, Any]()
     for one, other in combinations(asked, 2):
         together = module.covariance(correlation, estimates, one, other)
         u = estimates[one].u * estimates[other].u if "observations" in given else 1.0
-        found[f"{one}, {other}"] = together / u
-    return found
+        answer[f"{one}, {other}"] = together / u
+    return answer
 
 
 def _forecast(module: Any, given: Given) -> Found:
@@ -304,21 +304,21 @@ def _forecast(module: Any, given: Given) -> Found:
             "runs": runs,
         }
     )
-    found = module.forecast(campaign)
-    estimated = [unknown.symbol for unknown in found.fit.model.unknowns]
-    u = np.sqrt(np.diag(found.fit.solution.covariance))
+    answer = module.forecast(campaign)
+    estimated = [unknown.symbol for unknown in answer.fit.model.unknowns]
+    u = np.sqrt(np.diag(answer.fit.solution.covariance))
     return {symbol: u[estimated.index(symbol)] for symbol in ("K_F", "K_I")}
 
 
 def _individuals(module: Any, given: Given) -> Found:
-    found = module.individuals(given["values"])
-    low, high = found.limits()
-    return {"centre": found.centre, "mean_range": found.mean_range, "low": low, "high": high}
+    answer = module.individuals(given["values"])
+    low, high = answer.limits()
+    return {"centre": answer.centre, "mean_range": answer.mean_range, "low": low, "high": high}
 
 
 def _weighted_mean(module: Any, given: Given) -> Found:
-    found = module.weighted_mean(given["values"], given["u"])
-    return {"value": found.value, "u": found.u}
+    answer = module.weighted_mean(given["values"], given["u"])
+    return {"value": answer.value, "u": answer.u}
 
 
 def _en_score(module: Any, given: Given) -> Found:

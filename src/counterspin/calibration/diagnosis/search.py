@@ -134,21 +134,23 @@ def _causes(
     causes: list[Cause] = []
     first = 0.0
     for _ in range(_MAX_CAUSES):
-        found = _best(now, priors, others, given)
-        if found is None or (causes and found.size < _FIRST_ORDER_PART * first):
+        explained = _best(now, priors, others, given)
+        if explained is None or (causes and explained.size < _FIRST_ORDER_PART * first):
             break
-        first = first or found.size
-        after, found = _put_right(now, found, views)
+        first = first or explained.size
+        after, explained = _put_right(now, explained, views)
         if not given:
             # Beside the noise that is left without it, other causes may be told from it.
             calmer = replace(now, fit=now.fit.with_noise(after.fit.noise))
             again = _best(calmer, priors, others, given)
             if again is not None:
-                after, found = _put_right(now, again, views)
-            if not _is_clear(now, found):
+                after, explained = _put_right(now, again, views)
+            if not _is_clear(now, explained):
                 break
-        described = Explanation(campaign, now.fit, found.head, found.value, found.u).described()
-        causes.append(_cause(described, found, views, now, after))
+        described = Explanation(
+            campaign, now.fit, explained.head, explained.value, explained.u
+        ).described()
+        causes.append(_cause(described, explained, views, now, after))
         now = after
     if given and not campaign.readings:
         causes += [cause for view in views for cause in _noise(replace(view, estimate=now))]
@@ -248,7 +250,7 @@ def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alter
 
 
 @frozen
-class _Found:
+class _Explained:
     """The best explanation, and those that are as good."""
 
     head: Alternative
@@ -262,7 +264,7 @@ class _Found:
 
 def _best(
     now: Estimate, priors: Sequence[Alternative], others: Sequence[Alternative], given: bool
-) -> _Found | None:
+) -> _Explained | None:
     """Return what explains most, if it is more than chance; None if nothing does."""
     every = (*priors, *others)
     held = scores(now.fit, every, noise_given=given)
@@ -308,7 +310,7 @@ def _tests(held: Scores, place: int) -> int:
     return max(tests, 1)
 
 
-def _with_rivals(held: Scores, place: int, given: bool) -> _Found:
+def _with_rivals(held: Scores, place: int, given: bool) -> _Explained:
     every, best = held.alternatives, float(held.size[place]) ** 2
     least = max(best * (1.0 - _DECISIVE_PART) - _DECISIVE_CHI2, 0.0)
     as_good = [k for k in range(len(every)) if held.size[k] ** 2 > least and _credible(held, k)]
@@ -317,7 +319,7 @@ def _with_rivals(held: Scores, place: int, given: bool) -> _Found:
         place
     ]
     first, *rivals = sorted(as_good, key=lambda k: (_KINDS_BY_PLAUSIBILITY.index(every[k].kind), k))
-    return _Found(
+    return _Explained(
         every[first],
         float(held.value[first]),
         float(held.u[first]),
@@ -328,19 +330,19 @@ def _with_rivals(held: Scores, place: int, given: bool) -> _Found:
     )
 
 
-def _is_clear(now: Estimate, found: _Found) -> bool:
+def _is_clear(now: Estimate, explained: _Explained) -> bool:
     """Return whether a cause is more than chance with noise that the records do not show."""
-    variance = found.u**2
-    if not found.head.columns:
+    variance = explained.u**2
+    if not explained.head.columns:
         # Of a column the fit with it has said so already. The shift of priors is the sum of their
         # distances from the estimates, each weighted with the inverse of its own variance.
         gain = np.zeros(len(now.fit.model.unknowns))
-        for place, moved in found.head.priors.items():
+        for place, moved in explained.head.priors.items():
             spread = now.fit.model.unknowns[place].prior[1]
             gain[place] = moved * variance / spread**2 if spread > 0.0 else 0.0
         variance += float(gain @ unseen_covariance(now.fit, now.components) @ gain)
-    size = abs(found.value) / math.sqrt(variance)
-    return math.erfc(size / math.sqrt(2.0)) * found.tests < _FALSE_ALARMS
+    size = abs(explained.value) / math.sqrt(variance)
+    return math.erfc(size / math.sqrt(2.0)) * explained.tests < _FALSE_ALARMS
 
 
 def _credible(held: Scores, place: int) -> bool:
@@ -352,21 +354,21 @@ def _credible(held: Scores, place: int) -> bool:
 
 
 def _put_right(
-    now: Estimate, found: _Found, views: Sequence[AccelerometerView]
-) -> tuple[Estimate, _Found]:
+    now: Estimate, explained: _Explained, views: Sequence[AccelerometerView]
+) -> tuple[Estimate, _Explained]:
     """Return the estimate with a cause allowed for, and the cause as it is then."""
     requests = noise_of(views[0].campaign)
-    head = found.head
+    head = explained.head
     if not head.columns:
         unknowns = list(now.fit.model.unknowns)
         for place, moved in head.priors.items():
             value, u = unknowns[place].prior
-            unknowns[place] = replace(unknowns[place], prior=(value + moved * found.value, u))
+            unknowns[place] = replace(unknowns[place], prior=(value + moved * explained.value, u))
         model = replace(now.fit.model, unknowns=tuple(unknowns))
-        return _again(now, replace(now.fit, model=model).with_noise({}), requests), found
-    value, after = found.value, now
+        return _again(now, replace(now.fit, model=model).with_noise({}), requests), explained
+    value, after = explained.value, now
     for _ in range(_REFINEMENTS):
-        limit = 10.0 * math.hypot(value, found.u)
+        limit = 10.0 * math.hypot(value, explained.u)
         own = Unknown("", head.name, NO_PRIOR, limit)
         after = replace(now, fit=extended(now.fit, [own], [head.columns]))
         value = float(after.fit.solution.estimate[-1])
@@ -377,7 +379,7 @@ def _put_right(
     after = _again(now, after.fit, requests)
     solution = after.fit.solution
     u = float(solution.u[-1])
-    return after, replace(found, head=head, value=float(solution.estimate[-1]), u=u)
+    return after, replace(explained, head=head, value=float(solution.estimate[-1]), u=u)
 
 
 def _again(now: Estimate, fit: JointFit, requests: Mapping[str, NoiseRequest]) -> Estimate:
@@ -391,13 +393,13 @@ def _again(now: Estimate, fit: JointFit, requests: Mapping[str, NoiseRequest]) -
 
 def _cause(
     described: Described,
-    found: _Found,
+    explained: _Explained,
     views: Sequence[AccelerometerView],
     before: Estimate,
     after: Estimate,
 ) -> Cause:
     campaign = views[0].campaign
-    concerned = _concerned(found.head, views, before)
+    concerned = _concerned(explained.head, views, before)
     text = described.text
     moved = 0.0
     for view in views:
@@ -406,20 +408,20 @@ def _cause(
                 continue
             shift = float(after.fit.solution.estimate[place] - before.fit.solution.estimate[place])
             moved = max(moved, abs(shift) / float(view.fit.solution.u[place]))
-    if found.rivals:
+    if explained.rivals:
         names = [
             Explanation(campaign, before.fit, other, 1.0, 1.0).described().name
-            for other in found.rivals[:_MAX_RIVALS]
+            for other in explained.rivals[:_MAX_RIVALS]
         ]
         text += f" The records would fit as well with another {' or '.join(names)}."
-    far = normal_equivalent(found.size, found.dof) > CONTRADICTION_SIGMAS
-    contradicts = far and (moved > 1.0 or found.head.kind == "prior")
+    far = normal_equivalent(explained.size, explained.dof) > CONTRADICTION_SIGMAS
+    contradicts = far and (moved > 1.0 or explained.head.kind == "prior")
     return Cause(
         Finding(
             code=described.code,
             subject=described.subject,
             text=text,
-            size=found.size,
+            size=explained.size,
             contradicts=contradicts,
         ),
         concerned,

@@ -14,11 +14,12 @@ from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.memory.documents import patched, plain
 from counterspin.campaign.memory.making import give_records, resolved_in_memory
+from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import OBSERVABLES, DocumentSettings
 from counterspin.campaign.terms import DEFAULT_TERMS
 from counterspin.campaign.toml_file import flat_keys
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import COMMON_NAMES, TERMS
 
 #: Short names of keys that are changed often.
@@ -49,12 +50,7 @@ _PRIOR_KEYS: Final = (
 
 def change_campaign(campaign: Campaign, changes: Mapping[str, Any]) -> Campaign:
     """Return a campaign with named changes; see `Campaign.change`."""
-    source = campaign.source
-    if source is None:
-        raise CounterspinError(
-            f"{campaign.path}: the campaign was changed by other means before, so that no "
-            "description of it is known; make all changes with `change`"
-        )
+    source = source_of(campaign)
     document = copy.deepcopy(dict(source.document))
     label = source.label if source.file is None else f"{source.file}, changed in memory"
     problems = Problems(document)

@@ -14,9 +14,9 @@ from typing import Any, Final
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.memory.documents import differences
 from counterspin.campaign.memory.making import record_name, resolved_in_memory
-from counterspin.campaign.memory.source import Source
+from counterspin.campaign.memory.source import Source, source_of
 from counterspin.campaign.resolved import Campaign
-from counterspin.errors import CampaignError, CounterspinError
+from counterspin.errors import CampaignError
 from counterspin.records.memory import MemoryTable
 
 #: What all must have in common -> its key in the description.
@@ -43,14 +43,14 @@ def join_campaigns(campaigns: Sequence[Campaign]) -> Campaign:
     ]
     if problems:
         raise CampaignError("join", problems)
-    document = copy.deepcopy(dict(_source(first).document))
+    document = copy.deepcopy(dict(source_of(first).document))
     if not all(_same_simulation(first, other) for other in campaigns[1:]):
         for key in ("truth", "simulation"):
             document.pop(key, None)
     runs: list[dict[str, Any]] = []
     tables: dict[Path, MemoryTable] = {}
     for place, campaign in enumerate(campaigns, 1):
-        for run in copy.deepcopy(_source(campaign).document.get("runs", [])):
+        for run in copy.deepcopy(source_of(campaign).document.get("runs", [])):
             if "truth" not in document:
                 run.pop("truth", None)
             run["name"] = _distinct(run["name"], place, [other["name"] for other in runs])
@@ -72,15 +72,6 @@ def join_campaigns(campaigns: Sequence[Campaign]) -> Campaign:
     return resolved_in_memory(Source(document), tables, first.folder, Problems(document))
 
 
-def _source(campaign: Campaign) -> Source:
-    if campaign.source is None:
-        raise CounterspinError(
-            f"{campaign.path}: the campaign was changed by other means than `change`, so that no "
-            "description of it is known; make the change with `change`"
-        )
-    return campaign.source
-
-
 def _apart(first: Campaign, other: Campaign, place: int) -> Iterator[str]:
     """Yield what two campaigns would have to have in common, and have not."""
     words = f"is not the same in campaign {place}"
@@ -96,25 +87,25 @@ def _apart(first: Campaign, other: Campaign, place: int) -> Iterator[str]:
         if unequal:
             yield f"accelerometers.{name}: {words} ({', '.join(unequal)})"
     for section in ("model", "centrifuge"):
-        one, two = (_source(c).document.get(section, {}) for c in (first, other))
+        one, two = (source_of(c).document.get(section, {}) for c in (first, other))
         for key in differences(one, two, (section,)):
             if key != "centrifuge.radius":
                 yield f"{key}: {words}"
     for number, campaign in ((1, first), (place, other)):
-        if "readings" in _source(campaign).document:
+        if "readings" in source_of(campaign).document:
             yield f"readings: campaign {number} has a table of readings; write them as [[runs]]"
 
 
 def _said(campaign: Campaign, key: str) -> str:
     """Return what a description says at a key."""
-    value: Any = _source(campaign).document
+    value: Any = source_of(campaign).document
     for part in key.split("."):
         value = value.get(part) if isinstance(value, Mapping) else None
     return "nothing" if value is None else str(value)
 
 
 def _same_simulation(first: Campaign, other: Campaign) -> bool:
-    one, two = (_source(c).document for c in (first, other))
+    one, two = (source_of(c).document for c in (first, other))
     return all(one.get(key) == two.get(key) for key in ("truth", "simulation"))
 
 

@@ -1,7 +1,7 @@
 """Where a campaign came from, so that a result can say it.
 
 - `Source`: the description that a campaign was resolved from
-- `keep`: gives a campaign its source
+- `keep`: gives a campaign its source; `source_of`: returns it
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from counterspin.campaign.memory.documents import differences
 from counterspin.campaign.toml_text import write_document
+from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 
 if TYPE_CHECKING:
@@ -72,6 +73,16 @@ class Source:
         if self.checksum is not None and not self.in_memory:
             return self.checksum
         return f"sha256:{hashlib.sha256(self.text.encode()).hexdigest()}"
+
+
+def source_of(campaign: Campaign) -> Source:
+    """Return what a campaign came from; CounterspinError where nothing is known of it."""
+    if campaign.source is None:
+        raise CounterspinError(
+            f"{campaign.path}: the campaign was changed by other means than `change`, so that no "
+            "description of it is known; make all changes with `change`"
+        )
+    return campaign.source
 
 
 def keep(campaign: Campaign, source: Source) -> Campaign:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from counterspin.campaign.memory.making import record_name
+from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.simulation import WRITERS
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
@@ -22,12 +23,7 @@ from counterspin.records.memory import MemoryTable
 
 def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = False) -> Path:
     """Write a campaign; see `Campaign.write`."""
-    source = campaign.source
-    if source is None:
-        raise CounterspinError(
-            f"{campaign.path}: the campaign was changed by other means than `change`, so that no "
-            "description of it is known; make the change with `change`"
-        )
+    source = source_of(campaign)
     folder = Path(folder)
     document = dict(source.document)
     targets: dict[Path, Path | MemoryTable] = {}

@@ -140,7 +140,7 @@ def estimate(
     likelihood = RestrictedLikelihood.of(records, prior_rows, prior_values)
     floor = quantisation**2 / 12
     wanted = tuple(name for name, given in ((_WHITE, white), (_WALK, random_walk)) if given is None)
-    found: dict[tuple[str, ...], _Maximum] = {}
+    maxima: dict[tuple[str, ...], _Maximum] = {}
     for chosen in _subsets(wanted):
         rules = _Rules(
             floor=floor,
@@ -148,15 +148,15 @@ def estimate(
             walk=None if _WALK in chosen else (random_walk or 0.0) ** 2,
         )
         if rules.possible:
-            found[chosen] = _maximise(likelihood, rules)
-    if not found:
+            maxima[chosen] = _maximise(likelihood, rules)
+    if not maxima:
         raise ValueError("noise: all components are given as zero, so rows cannot be weighted")
 
-    kept = max(found, key=lambda names: found[names].value - KEEPING_GAIN / 2 * len(names))
-    best = found[kept]
+    kept = max(maxima, key=lambda names: maxima[names].value - KEEPING_GAIN / 2 * len(names))
+    best = maxima[kept]
     unseen = None
     if _WALK in wanted and _WALK not in kept and best.rules.walk == 0:
-        unseen = _unseen(likelihood, found[kept], found[(*kept, _WALK)].rules)
+        unseen = _unseen(likelihood, maxima[kept], maxima[(*kept, _WALK)].rules)
     return VarianceComponents(
         white=math.sqrt(max(best.white - floor, 0.0)) if white is None else white,
         random_walk=math.sqrt(best.walk) if random_walk is None else random_walk,
@@ -164,7 +164,7 @@ def estimate(
         covariance=_covariance(likelihood, best),
         estimated=kept,
         dropped=tuple(name for name in wanted if name not in kept),
-        log_likelihoods={names: maximum.value for names, maximum in found.items()},
+        log_likelihoods={names: maximum.value for names, maximum in maxima.items()},
         degrees_of_freedom=likelihood.freedom(best.log_scale, best.ratio),
         evaluations=likelihood.evaluations,
         converged=best.converged,

@@ -108,14 +108,14 @@ def estimate_wandering(
         prior_rows=prior_rows,
         prior_values=prior_values,
     )
-    found: dict[tuple[str, ...], tuple[dict[str, float], float]] = {}
+    maxima: dict[tuple[str, ...], tuple[dict[str, float], float]] = {}
 
     def best(names: Sequence[str]) -> float:
         """Return the restricted likelihood of a choice of components, less what each costs."""
         key = tuple(name for name in COMPONENTS if name in names)
-        if key not in found:
-            found[key] = search.maximum(key, base)
-        return found[key][1] - 0.5 * KEEPING_GAIN * len(key)
+        if key not in maxima:
+            maxima[key] = search.maximum(key, base)
+        return maxima[key][1] - 0.5 * KEEPING_GAIN * len(key)
 
     # White noise is there where the bias wanders, and the wander that was asked for is taken where
     # the records cannot tell it from a walk of the velocity: it leaves more open.
@@ -127,7 +127,7 @@ def estimate_wandering(
         [*always, *some] for size in range(len(others) + 1) for some in combinations(others, size)
     ]
     chosen = tuple(name for name in COMPONENTS if name in max(choices, key=best))
-    variances, _ = found[chosen]
+    variances, _ = maxima[chosen]
     spreads = {}
     for name in [name for name in chosen if name in _WANDER]:
         variances, spreads[name] = search.averaged(name, variances, base)
@@ -148,7 +148,7 @@ def estimate_wandering(
         covariance=covariance,
         estimated=chosen,
         dropped=tuple(name for name in free if name not in chosen),
-        log_likelihoods={names: value for names, (_, value) in found.items()},
+        log_likelihoods={names: value for names, (_, value) in maxima.items()},
         degrees_of_freedom=likelihood.freedom(log_scale, ratios),
         evaluations=likelihood.evaluations,
         converged=converged,
@@ -160,9 +160,9 @@ def estimate_wandering(
 def _with(
     base: VarianceComponents,
     dropped: tuple[str, ...],
-    found: dict[tuple[str, ...], tuple[dict[str, float], float]],
+    maxima: dict[tuple[str, ...], tuple[dict[str, float], float]],
 ) -> VarianceComponents:
-    values = {names: value for names, (_, value) in found.items()}
+    values = {names: value for names, (_, value) in maxima.items()}
     return replace(base, dropped=dropped, log_likelihoods={**base.log_likelihoods, **values})
 
 
@@ -204,14 +204,19 @@ class _Search:
         searched = [name for name in names if not (profiled and name == "white")]
 
         def variances(logs: Array) -> dict[str, float]:
-            found = dict(zip(searched, np.exp(logs).tolist(), strict=True))
+            estimated = dict(zip(searched, np.exp(logs).tolist(), strict=True))
             if profiled:
-                scale = self.likelihood.best_scale(self.point({**known, "white": 1.0, **found})[1])
+                scale = self.likelihood.best_scale(
+                    self.point({**known, "white": 1.0, **estimated})[1]
+                )
                 white = max(math.exp(scale), floor)
-                found = {"white": white, **{name: white * part for name, part in found.items()}}
-            elif "white" in found:
-                found["white"] = max(found["white"], floor)
-            return {**known, **found}
+                estimated = {
+                    "white": white,
+                    **{name: white * part for name, part in estimated.items()},
+                }
+            elif "white" in estimated:
+                estimated["white"] = max(estimated["white"], floor)
+            return {**known, **estimated}
 
         if not searched:
             only = variances(np.empty(0))
