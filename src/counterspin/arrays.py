@@ -6,6 +6,7 @@
 - `in_parts`: fewer rows that have the same R
 - `triangular_root`: of a covariance that is known by a factor
 - `semidefinite_root`: of a covariance that is known by its elements
+- `SIGMA_OF_MAD`: from a median absolute deviation to a standard deviation
 """
 
 from __future__ import annotations
@@ -18,6 +19,9 @@ import numpy.typing as npt
 
 #: Every array of this package holds floats unless its docstring says else.
 Array = npt.NDArray[np.float64]
+
+#: Standard deviation of a Gaussian over its median absolute deviation.
+SIGMA_OF_MAD: Final = 1.4826
 
 #: Rows that one QR takes at a time: a cache's worth, three times faster than all rows at once.
 QR_ROWS: Final = 512

@@ -17,6 +17,7 @@ import math
 
 import numpy as np
 
+from counterspin.arrays import SIGMA_OF_MAD
 from counterspin.frozen import frozen
 
 #: Fewest samples from which one revolution's amplitude is taken.
@@ -30,9 +31,6 @@ _CHANGE_RATIO = 2.0
 
 #: Standard deviations of a noisy wave by which it may miss the motion's beside that.
 _DEVIATIONS = 5.0
-
-#: Standard deviation of a Gaussian over its median absolute deviation.
-_MAD = 1.4826
 
 #: Amplitudes of three revolutions differ by less than this factor where they are steady.
 _STEADY_RATIO = 1.2
@@ -258,7 +256,7 @@ def against_reference(fitted: Waves, swing: Swing, has_angle: bool) -> str | Non
 def _spread(fitted: Waves, mean: complex) -> float:
     """Return the standard deviation of the median wave, from what the revolutions differ by."""
     turns = len(fitted.amplitude)
-    between = _MAD * float(np.median(np.abs(fitted.amplitude - mean)))
+    between = SIGMA_OF_MAD * float(np.median(np.abs(fitted.amplitude - mean)))
     samples = np.maximum(fitted.last - fitted.first + 1, 1)
     within = float(np.median(fitted.deviation * np.sqrt(2.0 / samples)))
     return math.hypot(between, within) * math.sqrt(0.5 * math.pi / turns)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from counterspin.arrays import aligned
+from counterspin.arrays import SIGMA_OF_MAD, aligned
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.clock_faults import jump_words, rate_words
@@ -26,7 +26,6 @@ from counterspin.records.spikes import median, middle
 #: Most gaps, and most rows of each kind of finding, that are listed; all are counted.
 LISTED = 100
 _TURN = 2 * math.pi
-_MAD = 1.4826
 #: Robust standard deviations that a step of the angle may stray from its neighbours.
 _STRAY_SDS = 10.0
 #: Steps of the angle that stand off are taken for the encoder's own, whatever their size, if they
@@ -385,7 +384,9 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
     if len(apart) <= max(4, _COMMON_PART * len(size)):
         # An encoder's step shows again and again, a jump once: it must not excuse itself.
         quantum = min(quantum, _ENCODER_STEP_RAD)
-    return _STRAY_SDS * _MAD * middle(size) + 3 * quantum + rounding if len(size) else rounding
+    return (
+        _STRAY_SDS * SIGMA_OF_MAD * middle(size) + 3 * quantum + rounding if len(size) else rounding
+    )
 
 
 def _wrap(angle: np.ndarray) -> np.ndarray:

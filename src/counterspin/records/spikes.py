@@ -18,7 +18,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from counterspin.arrays import aligned
+from counterspin.arrays import SIGMA_OF_MAD, aligned
 
 #: Samples in a window.
 WINDOW_SAMPLES = 128
@@ -40,8 +40,6 @@ _IGNORED_UNEVENNESS = 1e-4
 #: that is more, in rad of spindle angle (the curvature then costs 5e-7 of the wave).
 _SHIFT_STEPS = 0.3
 _SHIFT_RAD = 1e-3
-#: MAD to standard deviation of Gaussian data.
-_MAD = 1.4826
 
 
 @np.errstate(invalid="ignore")  # samples that are no numbers make residuals that are none
@@ -214,7 +212,7 @@ def _screen(
     if not len(sample):
         return np.zeros(len(rest)), broken, 0.0
     centre = middle(sample)
-    scale = _MAD * middle(np.abs(sample - centre))
+    scale = SIGMA_OF_MAD * middle(np.abs(sample - centre))
     if max(judged.max() - centre, centre - judged.min()) <= _SCREEN_SDS * scale:
         return np.zeros(len(rest)), broken, scale  # no window needs its own peak: the usual case
     return np.maximum(rest.max(axis=1) - centre, centre - rest.min(axis=1)), broken, scale
@@ -278,7 +276,7 @@ def _robust_fit(
     def spread(residuals: np.ndarray) -> np.ndarray:
         size = np.sort(np.where(have, np.abs(residuals), np.inf), axis=1)
         median: np.ndarray = np.take_along_axis(size, middle[:, None], axis=1)[:, 0]
-        floored: np.ndarray = np.maximum(_MAD * median, tiny)
+        floored: np.ndarray = np.maximum(SIGMA_OF_MAD * median, tiny)
         return floored
 
     # Fewer functions withstand more outliers: the first ones part these from the rest, then all

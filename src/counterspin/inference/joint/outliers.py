@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array
+from counterspin.arrays import SIGMA_OF_MAD, Array
 from counterspin.inference.distributions import student_quantile
 
 #: Expected number of good samples of a whole series that Gaussian noise loses.
@@ -27,9 +27,6 @@ _CALM_RATIO: Final = 0.8
 
 #: A step this much longer than usual is a gap.
 _GAP_STEPS: Final = 1.5
-
-#: Standard deviation of a Gaussian over its median absolute deviation.
-_MAD: Final = 1.4826
 
 #: Degrees of freedom of that scale for each independent sample.
 _MAD_EFFICIENCY: Final = 0.37
@@ -105,7 +102,7 @@ def _beside_a_gap(place: Array, reach: int) -> npt.NDArray[np.bool_]:
 
 def _scale(signed: Array) -> float:
     """Return the robust standard deviation."""
-    return _MAD * float(np.median(np.abs(signed)))
+    return SIGMA_OF_MAD * float(np.median(np.abs(signed)))
 
 
 def _apart(residuals: Array, reach: int) -> Array:
@@ -137,7 +134,7 @@ def _scales_of_ends(values: Array) -> Array:
     windows = np.lib.stride_tricks.sliding_window_view(values, 16)
     near, far = (np.median(windows[:, part], axis=1) for part in (slice(4, 10), slice(10, 16)))
     missed = windows[:, :4] - near[:, None] - (near - far)[:, None] * _AHEAD
-    return _MAD * np.median(np.abs(missed / np.sqrt(1.0 + _AHEAD_VARIANCE)), axis=0)
+    return SIGMA_OF_MAD * np.median(np.abs(missed / np.sqrt(1.0 + _AHEAD_VARIANCE)), axis=0)
 
 
 def _of_pairs(values: Array, apart: range) -> tuple[Array, float]:
