@@ -36,7 +36,8 @@ def test_what_is_installed_is_said():
     assert there.checksum == installation().checksum
 
 
-def test_an_altered_installation_does_not_pass(monkeypatch):
+def test_an_altered_installation_does_not_pass(monkeypatch, tmp_path, capsys):
+    from counterspin.cli import main
     from counterspin.validation import validate as validating
 
     altered = installation().model_copy(update={"altered": ["errors.py"], "recorded": 400})
@@ -44,3 +45,6 @@ def test_an_altered_installation_does_not_pass(monkeypatch):
     dossier = validate(chosen=[])
     assert not dossier.passed
     assert "errors.py" in repr(dossier)
+    monkeypatch.setattr(validating, "cases", lambda: ())
+    assert main(["validate", "-o", str(tmp_path / "d")]) == 1
+    assert "altered or missing: errors.py; install it again" in capsys.readouterr().err

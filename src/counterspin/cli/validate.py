@@ -35,4 +35,8 @@ def validate(*, output: OutputFolder, schema: Path | None = None, overwrite: boo
     if dossier.failed:
         raise CounterspinError(f"reference cases failed: {'; '.join(dossier.failed)}")
     if not dossier.passed:
-        raise CounterspinError("files of the installation are altered or missing: install it again")
+        there = dossier.installation
+        named = ", ".join([*there.altered, *there.missing])
+        raise CounterspinError(
+            f"files of the installation are altered or missing: {named}; install it again"
+        )
