@@ -320,8 +320,8 @@ def test_verdicts_in_the_words_of_the_schema(tmp_path, rule, verdict, high, word
     said = {"conditionalPass": "conditional pass", "conditionalFail": "conditional fail"}
     words = [said.get(w, w) for w in word] or [verdict]
     assert f"K_II of Qx, specified as <= {high} g/g^2: {words[0]}." in lines
-    assert "Probability to conform 90.0 %" in lines
-    assert ("guard band 2e-9 g/g^2" in lines) == (rule == "guarded")
+    assert "Probability of conforming: 90.0 %" in lines
+    assert ("guard band 0.0020 ug/g^2" in lines) == (rule == "guarded")
     assert ("probability needed 0.95" in lines) == (rule == "probability")
 
 
@@ -348,7 +348,7 @@ def test_what_the_procedure_is_and_what_the_customer_supplied(tmp_path):
         for name in ("What was known beforehand", "Data supplied by the customer")
     )
     assert known[0].text == (
-        "Known beforehand, for Qx: K_I (u = 5.0e-6 g/g), supplied by the customer."
+        "Known beforehand, for Qx: K_I, standard uncertainty 5.0e-6 g/g, supplied by the customer."
     )
     assert "the laboratory does not answer for them" in supplied[0].text
 

@@ -47,6 +47,12 @@ def test_the_same_result_gives_the_same_bytes(desk, capsys):
     assert find((desk / "a.xml").read_bytes(), "//dcc:issueDate")[0].text == "2027-01-15"
 
 
+def test_a_certificate_without_the_conditions_says_so(desk, capsys):
+    write_lab(desk, LAB.partition("[conditions]")[0])
+    _, out, _ = command(capsys, "r.json", "LAB.toml", "-o", "a.xml")
+    assert "No temperature is stated (conditions.temperature)" in out
+
+
 def test_the_pdf_holds_the_xml_byte_for_byte(desk, capsys):
     for name in ("c.xml", "c.pdf"):
         assert command(capsys, "r.json", "LAB.toml", "-o", name)[0] == 0
@@ -58,6 +64,11 @@ def test_the_pdf_holds_the_xml_byte_for_byte(desk, capsys):
     for words in ("Calibration certificate", "Kalibrierlabor", "0815", "Rückgeführt auf das SI."):
         assert words in text
     assert "27.0000 ± 0.0020 µg/g²" in " ".join(text.split())
+    assert "20.50 ± 0.49 °C (U, k = 1.96)" in " ".join(text.split())
+    # Every statement of the XML stands on the pages, under the same name.
+    names = [e.text for e in find(data, "//dcc:statement/dcc:name/dcc:content")]
+    assert {"Measurement uncertainty", "Units", "Metrological traceability", "Remarks"} <= {*names}
+    assert [name for name in names if f"\n{name.partition(',')[0]}\n" not in text] == []
 
 
 def test_the_laboratory_s_specification_goes_before_the_campaign_s(desk, capsys):

@@ -80,18 +80,34 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
         yield Paragraph(typeset(line), "warning")
     yield from _results(lab, result, stated)
     yield Heading("Statements")
-    yield Paragraph(typeset(wording.uncertainty_statement()))
-    yield Paragraph(typeset(wording.unit_statement(result.inputs.gravity)))
-    yield Paragraph(lab.certificate.traceability)
+    yield from _part(wording.UNCERTAINTY, typeset(wording.uncertainty_statement()))
+    yield from _part(wording.UNITS, typeset(wording.unit_statement(result.inputs.gravity)))
+    yield from _part(wording.TRACEABILITY, settings.traceability)
+    yield from _conformity(stated, verdicts)
+    yield from _part(wording.REMARKS, *settings.remarks)
+    yield from _part(wording.SCOPE, wording.scope_statement())
+
+
+def _part(name: str, *lines: str) -> Iterator[Block]:
+    """Yield a statement of some lines under its name; nothing without any."""
+    if lines:
+        yield Heading(name, 3)
+    yield from map(Paragraph, lines)
+
+
+def _conformity(stated: Result, verdicts: Verdicts) -> Iterator[Block]:
+    said = list[Paragraph]()
     for name, by_symbol in verdicts.items():
         for symbol, judged in by_symbol.items():
             coefficient = stated.accelerometers[name].coefficients.get(symbol)
             word = wording.verdict(symbol, name, judged, coefficient)
-            said = f"{word} {wording.decision_rule(judged)}"
-            yield Paragraph(said, "plain" if judged.verdict == "pass" else "warning")
-    for remark in lab.certificate.remarks:
-        yield Paragraph(remark)
-    yield Paragraph(wording.scope_statement())
+            text = typeset(f"{word} {wording.decision_rule(judged)}")
+            # A sign and its number stay on one line.
+            text = text.replace("< ", "<\u00a0").replace("> ", ">\u00a0").replace("<= ", "≤\u00a0")
+            said.append(Paragraph(text, "plain" if judged.verdict == "pass" else "warning"))
+    if said:
+        yield Heading(wording.CONFORMITY, 3)
+    yield from said
 
 
 def _results(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
@@ -109,17 +125,19 @@ def _results(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
         + (", also between accelerometers." if len(names) > 1 and stated.correlation else "."),
         "quiet",
     )
-    for line in capability_lines(result, stated, lab):
-        yield Paragraph(typeset(line))
+    yield from _part(wording.CAPABILITY, *map(typeset, capability_lines(result, stated, lab)))
+    rests = list[Paragraph]()
     for name in names:
         for line in rests_on(result.accelerometers[name]):
-            yield Paragraph(typeset(wording.plainly(f"{name}: {line}")))
-        for line in wording.known_beforehand(name, result, settings):
-            yield Paragraph(typeset(line))
+            rests.append(Paragraph(typeset(wording.plainly(f"{name}: {line}"))))
         for line in result.accelerometers[name].warnings:
-            yield Paragraph(typeset(f"Warning: {wording.plainly(line)}"), "warning")
-    for line in wording.customer_lines(settings):
-        yield Paragraph(line)
+            rests.append(Paragraph(typeset(f"Warning: {wording.plainly(line)}"), "warning"))
+    if rests:
+        yield Heading(wording.RESTS_ON, 3)
+    yield from rests
+    known = (line for name in names for line in wording.known_beforehand(name, result, settings))
+    yield from _part(wording.KNOWN, *map(typeset, known))
+    yield from _part(wording.SUPPLIED, *wording.customer_lines(settings))
 
 
 def _administration(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
@@ -134,8 +152,7 @@ def _administration(lab: Lab, issue: Issue) -> Iterator[tuple[str, str]]:
     yield "Calibrated", f"{' to '.join(days)}, place: {settings.place}"
     if lab.conditions.temperature is not None:
         temperature = lab.conditions.temperature
-        expanded = coverage_factor(None) * temperature.u
-        yield "Temperature", f"{format_estimate(temperature.value, expanded or None)} °C"
+        yield "Ambient temperature", _with_expanded(temperature.value, temperature.u, "°C")
     yield "Issued", issue.date.date().isoformat()
     for place, person in enumerate(lab.persons):
         signs = ", signs" if place == 0 else ""
@@ -163,7 +180,8 @@ def _circumstances(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
 def _with_expanded(value: float, u: float, unit: str) -> str:
     if not u:
         return f"{format_number(value, 9)} {unit}"
-    return f"{format_estimate(value, coverage_factor(None) * u, unit)} (U)"
+    k = coverage_factor(None)
+    return f"{format_estimate(value, k * u, unit)} (U, k = {factor(k)})"
 
 
 def _address(contact: Contact) -> str:

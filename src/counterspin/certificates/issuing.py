@@ -271,6 +271,11 @@ def _notes(lab: Lab, result: Result, issue: Issue) -> Iterator[str]:
         yield f"Not certified, as certificate.accelerometers has it: {', '.join(left_out)}."
     if (day := issue.date.date()) < lab.certificate.end:
         yield f"The day of issue, {day}, lies before certificate.end, {lab.certificate.end}."
+    if lab.conditions.temperature is None:
+        yield (
+            "No temperature is stated (conditions.temperature): a certificate states the "
+            "conditions that influence its results (ISO/IEC 17025 7.8.4.1 b)."
+        )
     if keys := example_keys(lab):
         yield f"It is a draft. Still the example's: {', '.join(keys)}."
 

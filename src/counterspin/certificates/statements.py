@@ -54,7 +54,7 @@ def statements(
         _traceability(lab),
         dcc(
             "statement",
-            text("name", "Measurement uncertainty"),
+            text("name", wording.UNCERTAINTY),
             dcc("norm", "JCGM 100:2008"),
             dcc("norm", "JCGM 102:2011"),
             rich("declaration", wording.uncertainty_statement()),
@@ -62,18 +62,18 @@ def statements(
         ),
         dcc(
             "statement",
-            text("name", "Units"),
+            text("name", wording.UNITS),
             rich("declaration", wording.unit_statement(gravity)),
             dcc("nonSIDefinition", f"1 g = {gravity!r} m/s^2, the local gravity of the site"),
             dcc("nonSIUnit", "g"),
         ),
-        *_said("Calibration and measurement capability", *raised, norm="ILAC-P14:09/2020"),
+        *_said(wording.CAPABILITY, *raised, norm="ILAC-P14:09/2020"),
         *_said(
-            "What was known beforehand",
+            wording.KNOWN,
             *(line for name in names for line in wording.known_beforehand(name, result, settings)),
         ),
         *_said(
-            "Data supplied by the customer",
+            wording.SUPPLIED,
             *wording.customer_lines(settings),
             language=settings.language,
             norm="ISO/IEC 17025:2017",
@@ -83,7 +83,7 @@ def statements(
         *_conformity(lab, result, verdicts),
         dcc(
             "statement",
-            text("name", "Scope"),
+            text("name", wording.SCOPE),
             dcc("norm", "ISO/IEC 17025:2017"),
             rich("declaration", wording.scope_statement()),
         ),
@@ -92,7 +92,7 @@ def statements(
         texts.append(
             dcc(
                 "statement",
-                text("name", "Remarks"),
+                text("name", wording.REMARKS),
                 rich("declaration", *lab.certificate.remarks, language=lab.certificate.language),
             )
         )
@@ -116,7 +116,7 @@ def _traceability(lab: Lab) -> Element:
     settings = lab.certificate
     return dcc(
         "statement",
-        text("name", "Metrological traceability"),
+        text("name", wording.TRACEABILITY),
         dcc("traceable", "true"),
         rich("declaration", settings.traceability, language=settings.language),
     )
@@ -138,7 +138,7 @@ def _assumptions(lab: Lab, result: Result) -> Iterator[Element]:
         if lines := list(rests_on(result.accelerometers[name])):
             yield dcc(
                 "statement",
-                text("name", f"What the result rests on, accelerometer {name}"),
+                text("name", f"{wording.RESTS_ON}, accelerometer {name}"),
                 rich("declaration", *map(wording.plainly, lines)),
                 refId=item_id(lab, result, name),
             )
@@ -152,7 +152,7 @@ def _conformity(lab: Lab, result: Result, verdicts: Verdicts) -> Iterator[Elemen
             word = wording.conformity_word(judged, coefficient)
             yield dcc(
                 "statement",
-                text("name", f"Conformity, {symbol} of {name}"),
+                text("name", f"{wording.CONFORMITY}, {symbol} of {name}"),
                 dcc("norm", "JCGM 106:2012"),
                 rich(
                     "declaration",

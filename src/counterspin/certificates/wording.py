@@ -9,6 +9,7 @@
 - `not_determined`: coefficients that are not certified
 - `is_determined`: whether a coefficient is certified
 - `conformity_word`, `decision_rule`, `verdict`: conformity
+- `UNCERTAINTY`, `UNITS` and so on: what the statements are called
 - `plainly`: a sentence of the calibration, in which ± has another meaning
 """
 
@@ -72,6 +73,18 @@ CUSTOMER_DISCLAIMER: Final = (
     "laboratory does not answer for them."
 )
 
+# What the statements are called, in the XML and on the pages.
+UNCERTAINTY: Final = "Measurement uncertainty"
+UNITS: Final = "Units"
+TRACEABILITY: Final = "Metrological traceability"
+CAPABILITY: Final = "Calibration and measurement capability"
+RESTS_ON: Final = "What the result rests on"
+KNOWN: Final = "What was known beforehand"
+SUPPLIED: Final = "Data supplied by the customer"
+CONFORMITY: Final = "Conformity"
+REMARKS: Final = "Remarks"
+SCOPE: Final = "Scope"
+
 #: Words of DCC as people write them.
 _CONDITIONAL: Final = {"conditionalPass": "conditional pass", "conditionalFail": "conditional fail"}
 
@@ -91,8 +104,9 @@ def uncertainty_statement() -> str:
         "multiplied by the coverage factor k stated beside it, evaluated by the GUM (JCGM 100). "
         "k is that of Student's t-distribution for the effective degrees of freedom "
         "(Welch-Satterthwaite), or of the normal distribution where these are infinite, for a "
-        f"coverage probability of {format_share(COVERAGE)}. In the XML, numbers have all digits of "
-        "the computation; "
+        f"coverage probability of {format_share(COVERAGE)}. Effects that the model does not have "
+        "are in neither U nor probabilities of conforming; those that could matter are named under "
+        f'"{RESTS_ON}". In the XML, numbers have all digits of the computation; '
         "significantDigit is the power of ten of the last digit that the uncertainty supports. "
         "The ellipsoidal region is the set of all d with d' V^-1 d <= k^2 about the estimates, V "
         "being the covariance matrix of the standard uncertainties, for the same probability of "
@@ -124,7 +138,7 @@ def scope_statement() -> str:
 
 def plainly(sentence: str) -> str:
     """Return a sentence of the calibration as a certificate says it, where ± precedes U alone."""
-    return sentence.replace(" ± ", ", u = ")
+    return sentence.replace(" ± ", ", u = ").replace("and so not in u;", "and so not in U:")
 
 
 # The method
@@ -182,7 +196,9 @@ def known_beforehand(name: str, result: Result, settings: CertificateSettings) -
     said = []
     for symbol, line in lines.items():
         unit, scale = field_unit(line.unit)
-        size = f" (u = {format_uncertainty(line.u * scale)} {unit})" if line.u else ""
+        size = ""
+        if line.u:
+            size = f", standard uncertainty {format_uncertainty(line.u * scale)} {unit}"
         whose = ", supplied by the customer" if symbol.rpartition(" ")[2] in supplied else ""
         said.append(f"Known beforehand, for {name}: {symbol}{size}{whose}.")
     return said
@@ -277,7 +293,8 @@ def decision_rule(judged: Conformity) -> str:
     """Return the decision rule of a verdict."""
     text = f"Decision rule: {_RULES[judged.rule]}"
     if judged.guard_band:
-        text += f"; guard band {format_number(judged.guard_band)} {judged.unit}"
+        unit, scale = field_unit(judged.unit)
+        text += f"; guard band {format_uncertainty(judged.guard_band * scale)} {unit}"
     if judged.needed is not None:
         text += f"; probability needed {format_number(judged.needed)}"
     return f"{text}."
@@ -310,8 +327,8 @@ def verdict(
     text = f"{symbol} of {name}, specified as {judged.specification}: {said}"
     text += f" ({judged.reason})." if judged.reason else "."
     if judged.probability is not None:
-        text += f" Probability to conform {format_probability(judged.probability)}"
+        text += f" Probability of conforming: {format_probability(judged.probability)}"
         if judged.risk is not None:
-            text += f", that the verdict is wrong {format_probability(judged.risk)}"
+            text += f"; of this verdict being wrong: {format_probability(judged.risk)}"
         text += "."
     return text
