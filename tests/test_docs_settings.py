@@ -2,14 +2,19 @@
 
 import re
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
+from counterspin.campaign.memory.changes import SHORT
 from counterspin.campaign.readings import ReadingRunSettings
 from counterspin.campaign.readings_table import _COLUMNS, ReadingsSettings
 from counterspin.certificates import lab
 from counterspin.physics.machine import MACHINE_TERMS
 from counterspin.planning import plan_sections
+from counterspin.studies import description
+from counterspin.studies.choice import EngineName
+from counterspin.studies.noise import NOISE_LEVELS
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = {
@@ -110,3 +115,19 @@ def test_terms_of_the_machine_are_all_listed_with_their_units():
     assert {symbol: unit for symbol, unit in listed.items() if unit != "per K"} == {
         symbol: row.unit for symbol, row in MACHINE_TERMS.items() if "per" not in listed[symbol]
     }
+
+
+def test_what_may_vary_in_a_study_is_listed():
+    page = (DOCS / "study.md").read_text("utf-8")
+    assert set(re.findall(r"`(noise\.\w+)`", page)) == set(NOISE_LEVELS)
+    (kinds,) = re.findall(r"A distribution is (.*?);", page)
+    assert tuple(re.findall(r"`(\w+)`", kinds)) == description._KINDS
+    options = re.search(r"^\| engine \|.*?\n\n", page, re.MULTILINE | re.DOTALL)[0]
+    assert set(re.findall(r"--engine (\w+)", options)) <= set(get_args(EngineName))
+
+
+def test_short_names_of_changes_are_listed():
+    page = (DOCS / "python.md").read_text("utf-8")
+    table = page.partition("| name | changes |")[2].partition("\n\n")[0]
+    first, second = re.findall(r"^\| (`.*?) \|", table, re.MULTILINE)[:2]
+    assert set(re.findall(r"`(\w+)`", first + second)) == set(SHORT)

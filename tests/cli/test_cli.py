@@ -1,17 +1,25 @@
 """The command line: words to calls, errors to one paragraph and a status."""
 
 import errno
+import inspect
 import json
+import re
 import shlex
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
 
 from counterspin import cli
+from counterspin.calibration.pages import publishing
+from counterspin.certificates import issuing
+from counterspin.cli.validate import validate
+from counterspin.reports import charts
 from counterspin.reproduction.demo import demo
+from counterspin.validation.validate import DOSSIER_FILES
 
 #: Where the command is installed: beside the interpreter.
 BESIDE = str(Path(sys.executable).parent)
@@ -23,6 +31,26 @@ def test_every_command_explains_itself(command, capsys):
     assert cli.main([command, "--help"]) == 0
     shown = capsys.readouterr().out
     assert shown.startswith(f"Usage: counterspin {command}")
+
+
+@pytest.mark.parametrize(
+    ("command", "option", "endings"),
+    [
+        ("certificate", "output", issuing.FORMATS),
+        ("report", "output", publishing.FORMATS),
+        ("compare", "report", publishing.FORMATS),
+        ("history", "figure", charts._METADATA),
+    ],
+)
+def test_help_names_the_endings_that_are_written(command, option, endings):
+    text = inspect.getdoc(getattr(import_module(f"counterspin.cli.{command}"), command))
+    said = re.search(rf"^{option}\n((?:    .*\n?)+)", text, re.MULTILINE)[1]
+    assert sorted(re.findall(r"\.[a-z]+\b", said)) == sorted(endings)
+
+
+def test_help_names_the_files_of_a_dossier():
+    for name in DOSSIER_FILES:
+        assert name in inspect.getdoc(validate)
 
 
 @pytest.mark.parametrize(

@@ -76,7 +76,7 @@ def certificate(
     lab
         What the laboratory says: LAB.toml.
     output
-        The certificate: .xml, or .pdf with the XML attached (PDF/A-3).
+        The certificate: .xml, or .pdf with the XML attached (PDF/A-3a).
     init
         In place of all else: write a commented example of LAB.toml to this file.
     verify

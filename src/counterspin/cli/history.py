@@ -29,7 +29,7 @@ def history(
     reliability
         Probability with which it is to be in specification until it is due again.
     figure
-        Draw a control chart of one instrument: .svg, .png or .pdf.
+        Draw a control chart of each instrument: .svg, .png or .pdf.
     """
     from counterspin.histories.history import history as run
     from counterspin.histories.page import history_plots, render_history

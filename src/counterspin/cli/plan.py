@@ -50,7 +50,8 @@ def plan(
     init
         In place of a plan: write a commented example to this file.
     output
-        Folder for the planned campaign's campaign.toml, ready for recording and for `simulate`.
+        Folder, without a campaign.toml as yet, for that of the planned campaign, ready for
+        recording and for `simulate`.
     figures
         Folder for figures: u against time, against the highest rate, and its sources.
     """

@@ -9,7 +9,7 @@ from counterspin.errors import CounterspinError, installing
 
 
 def serve(directory: Path, /, *, port: int = 0, browser: bool = True) -> None:
-    """Open a page of this machine alone: campaigns, results, plans, certificates.
+    """Open a page that only this machine reaches: campaigns, results, plans, certificates.
 
     Parameters
     ----------

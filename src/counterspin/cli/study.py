@@ -71,7 +71,7 @@ def study(
     keep_trials
         Write every trial to trials.parquet in that folder.
     resume
-        Go on with the study that was begun in that folder.
+        Continue the study that was begun in that folder.
     """
     from counterspin.reports.progress import work_progress
     from counterspin.reports.text import report_console

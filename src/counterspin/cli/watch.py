@@ -31,7 +31,7 @@ def watch(
     """Follow records while they grow: rate, ripple, residuals, and the u reached so far.
 
     Ends when every run is as long as the campaign states, or with Ctrl-C. Nothing is kept beside
-    the records: started again, it goes on.
+    the records: started again, it reads them and continues.
 
     Parameters
     ----------
