@@ -71,7 +71,7 @@ ROWS = {
         ("unless there are {} rows for each", 1.0 / reading.FURTHER_REVOLUTIONS_A_ROW),
         ("a record shorter than {} of that", assembly.COMPLETE_PART),
         ("the Allan deviation is {} B", math.sqrt(2.0 * math.log(2.0) / math.pi)),
-        ("more than {} times the largest credible size", truth._TRUTH_MARGIN),
+        ("more than {} times the largest credible size", truth.TRUTH_MARGIN),
         ("a ripple above harmonic {},", truth._MAX_RIPPLE_HARMONIC),
         ("a rate that changes by {}.", truth._MAX_RATE_CHANGE),
     ],
