@@ -252,6 +252,17 @@ MISTAKES = (
         state="",
     ),
     Mistake(
+        "K_III of 2e-4 g/g^3 left out, twice what is credible",
+        "term-missing Qx.K_III",
+        truth=((K_II, f'{K_II}\nK_III = "2e-4 g/g^3"'),),
+        state="reservations",
+    ),
+    Mistake(
+        "scale of the fastest record off by 1.5 %, which looks like such a K_III",
+        "wrong-scale fast.Qx",
+        records=multiplied("fast", EAST, 0.985),
+    ),
+    Mistake(
         "a jump of 2 cm in one record",
         "jump slow.Qy",
         records=added("slow", NORTH, step(0.02, 0.7)),

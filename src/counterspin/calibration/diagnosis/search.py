@@ -74,6 +74,9 @@ _MAX_RIVALS: Final = 3
 #: And the part of it, for what an alternative does is known to first order.
 _DECISIVE_PART: Final = 0.003
 
+#: How many times its largest credible size a term may have where nothing credible explains as much.
+_OUTSIZE: Final = 10.0
+
 #: Steps that are tried in each record, and again about the best of them.
 _STEPS: Final = 24
 
@@ -251,13 +254,13 @@ def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alter
 
 @frozen
 class _Explained:
-    """The best explanation, and those that are as good."""
+    """The best explanation, and those that are as good, each with the estimate of its parameter."""
 
     head: Alternative
     value: float
     u: float
     size: float
-    rivals: tuple[Alternative, ...]
+    rivals: tuple[tuple[Alternative, float], ...]
     tests: int
     dof: float | None
 
@@ -283,7 +286,29 @@ def _best(
         place = _largest(held, _KINDS_OF_PRIORS)
         if not _is_significant(held, place):
             return None
-    return _with_rivals(held, place, given)
+    return _with_rivals(held, _outsized(held, place), given)
+
+
+def _outsized(held: Scores, place: int) -> int:
+    """Return the term larger than credible that explains more than the best one, or that one.
+
+    It is asked only where the best credible one is more than chance, so that nothing is blamed in
+    more good campaigns.
+    """
+    sizes = [size if _is_outsized(held, k) else 0.0 for k, size in enumerate(held.size.tolist())]
+    largest = int(np.argmax(sizes))
+    return largest if _least_as_good(sizes[largest] ** 2) > held.size[place] ** 2 else place
+
+
+def _is_outsized(held: Scores, place: int) -> bool:
+    other = held.alternatives[place]
+    size = abs(float(held.value[place]))
+    return other.kind == "term" and other.limit < size <= _OUTSIZE * other.limit
+
+
+def _least_as_good(best: float) -> float:
+    """Return the least gain in chi-square that is as good as the best one."""
+    return max(best * (1.0 - _DECISIVE_PART) - _DECISIVE_CHI2, 0.0)
 
 
 def _largest(held: Scores, kinds: Sequence[str] = _KINDS_BY_PLAUSIBILITY) -> int:
@@ -311,20 +336,28 @@ def _tests(held: Scores, place: int) -> int:
 
 
 def _with_rivals(held: Scores, place: int, given: bool) -> _Explained:
-    every, best = held.alternatives, float(held.size[place]) ** 2
-    least = max(best * (1.0 - _DECISIVE_PART) - _DECISIVE_CHI2, 0.0)
-    as_good = [k for k in range(len(every)) if held.size[k] ** 2 > least and _credible(held, k)]
+    every = held.alternatives
+    least = _least_as_good(float(held.size[place]) ** 2)
+    as_good = [
+        k
+        for k in range(len(every))
+        if held.size[k] ** 2 > least and (_credible(held, k) or _is_outsized(held, k))
+    ]
     # Steps differ by where they are only: the best one stands for those of its record.
     as_good = [k for k in as_good if k == place or every[k].kind not in _KINDS_WITH_A_TIME] or [
         place
     ]
-    first, *rivals = sorted(as_good, key=lambda k: (_KINDS_BY_PLAUSIBILITY.index(every[k].kind), k))
+
+    def plausible(k: int) -> tuple[bool, int, int]:
+        return _is_outsized(held, k), _KINDS_BY_PLAUSIBILITY.index(every[k].kind), k
+
+    first, *rivals = sorted(as_good, key=plausible)
     return _Explained(
         every[first],
         float(held.value[first]),
         float(held.u[first]),
         float(held.size[first]),
-        tuple(every[k] for k in rivals),
+        tuple((every[k], float(held.value[k])) for k in rivals),
         _tests(held, first),
         None if given else held.dof,
     )
@@ -410,8 +443,8 @@ def _cause(
             moved = max(moved, abs(shift) / float(view.fit.solution.u[place]))
     if explained.rivals:
         names = [
-            Explanation(campaign, before.fit, other, 1.0, 1.0).described().name
-            for other in explained.rivals[:_MAX_RIVALS]
+            Explanation(campaign, before.fit, other, value, 1.0).described().name
+            for other, value in explained.rivals[:_MAX_RIVALS]
         ]
         text += f" The records would fit as well with another {' or '.join(names)}."
     far = normal_equivalent(explained.size, explained.dof) > CONTRADICTION_SIGMAS

@@ -132,14 +132,24 @@ class Explanation:
         return Described(code="wrong-input", subject=known.symbol, text=text, name=known.words)
 
     def _term(self) -> Described:
-        name = self.other.name
+        name, limit = self.other.name, self.other.limit
         text = (
             f"{name} of {self._estimate(unit_of(self.other.symbol))} would explain the records; "
-            "the model leaves it out. Add it to the terms, or say what is known of it."
+            "the model leaves it out. "
         )
-        return Described(
-            code="term-missing", subject=name, text=text, name=f"{name}, which is left out"
-        )
+        called = f"{name}, which is left out"
+        if abs(self.value) > limit:
+            shown, factor = field_unit(unit_of(self.other.symbol))
+            most = f"{format_number(limit * factor, 3)} {shown}"
+            text += (
+                f"That is more than the {most} that is credible of it, but nothing credible "
+                "explains as much. If it may be so large, add it to the terms and state its limit; "
+                "or else look for a mistake that does the like."
+            )
+            called += " and would be larger than is credible"
+        else:
+            text += "Add it to the terms, or say what is known of it."
+        return Described(code="term-missing", subject=name, text=text, name=called)
 
     @property
     def _place(self) -> str:
