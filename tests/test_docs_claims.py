@@ -167,7 +167,11 @@ NUMBERS = [
     ),
     ("physics", "A trend ({} µg/min is typical)", [60e6 * CONDITION_TERMS["K_F.trend"].typical]),
     ("physics", "at $K_I = {}$ a difference of {} %", [1.002, 100 * (1.002 - 1)]),
-    ("arm", "is {} of the force at pi rad/s", [2 * EARTH_RATE * math.sin(math.pi / 4) / math.pi]),
+    (
+        "arm",
+        "the Earth's rate adds {} of the force at pi rad/s",
+        [2 * EARTH_RATE * math.sin(math.pi / 4) / math.pi],
+    ),
     (
         "arm",
         "The stretch of the arm, {} per m/s^2, is {} g/g^2",
