@@ -232,12 +232,13 @@ def results_table(
             k = coverage_factor(c.dof)
             in_g, k_in_g = wording.shown_in_g(c, k), factor(k)
         k = coverage_factor(estimate.dof)
+        unit = "" if estimate.unit.words == "1" else estimate.unit.words
         rows.append(
             (
                 symbol,
                 in_g,
                 k_in_g,
-                format_estimate(estimate.value, k * estimate.u, estimate.unit.words),
+                format_estimate(estimate.value, k * estimate.u, unit),
                 factor(k),
                 "infinite" if estimate.dof is None else format_count(estimate.dof),
             )

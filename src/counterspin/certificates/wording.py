@@ -39,6 +39,9 @@ from counterspin.reports.numbers import (
     format_uncertainty,
 )
 
+#: ``(a ± b) x 1e4``: value, uncertainty, power.
+_TIMES_POWER: Final = re.compile(r"\((\S+) ± (\S+)\) (x 1e-?\d+)")
+
 #: How a budget names what a prior contributes.
 _PRIOR: Final = " (prior)"
 
@@ -138,7 +141,8 @@ def scope_statement() -> str:
 
 def plainly(sentence: str) -> str:
     """Return a sentence of the calibration as a certificate says it, where ± precedes U alone."""
-    return sentence.replace(" ± ", ", u = ").replace("and so not in u;", "and so not in U:")
+    apart = _TIMES_POWER.sub(r"\1 \3, u = \2 \3", sentence)
+    return apart.replace(" ± ", ", u = ").replace("and so not in u;", "and so not in U:")
 
 
 # The method
@@ -254,9 +258,10 @@ def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
     row = TERMS.get(symbol)
     words = "" if row is None else f"{row.words[:1].upper()}{row.words[1:]}"
     what = "" if row is None else f"{words} ({row.ieee} in IEEE Std 1293); "
+    words = si_unit(coefficient.unit)[0].words
+    here = "as a pure number" if words == "1" else f"in {words}"
     return (
-        f"{what}{symbol} = {shown_in_g(coefficient, k)} (U, k = {factor(k)}); stated here in "
-        f"{si_unit(coefficient.unit)[0].words}."
+        f"{what}{symbol} = {shown_in_g(coefficient, k)} (U, k = {factor(k)}); stated here {here}."
     )
 
 
