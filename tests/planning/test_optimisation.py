@@ -246,6 +246,29 @@ def test_limits_are_kept():
     assert 1 <= len(design.types) <= 5
 
 
+#: Limits that the best plan of the day is not within.
+NARROWER = {
+    "rate": replace(DAY, rate=(0.1 * FAST, 0.7 * FAST)),
+    "settings": replace(DAY, settings=(0.3 * FAST, 0.8 * FAST), rate=(0.3 * FAST, 0.8 * FAST)),
+    "runs": replace(DAY, runs=4),
+    "longest run": replace(DAY, longest_run=60.0),
+    "time": replace(DAY, total_time=300.0, longest_run=300.0),
+    "different rates": replace(DAY, fewest_rates=3),
+    "kinds of run": replace(DAY, types=(RunType("level", -1),)),
+}
+
+
+@pytest.mark.parametrize("narrower", NARROWER)
+def test_a_start_outside_of_the_limits_leads_to_a_plan_within_them(predictor, free, narrower):
+    limits = NARROWER[narrower]
+    assert DAY.hold(free.design)
+    assert not limits.hold(free.design)
+    found = optimise(predictor, limits, K_II, start=free.design)
+    assert limits.hold(found.design)
+    assert found.value >= free.value - 1e-6
+    assert found.efficiency > 0.8
+
+
 @pytest.mark.parametrize(("fewest", "word"), [(2, "two rates"), (4, "four")])
 def test_as_many_different_rates_as_there_must_be(predictor, free, fewest, word):
     limits = replace(DAY, fewest_rates=fewest, revolutions=5.0)

@@ -25,6 +25,9 @@ _DIFFERENT_RATE_RATIO: Final = 1.25
 #: Relative distance by which rounding may bring different rates nearer.
 _ROUNDING: Final = 1e-4
 
+#: Part by which a plan may be beyond a limit that it touches.
+_TOUCHING: Final = 1e-6
+
 #: Relative step of the derivatives of a run's information, by central differences.
 _RELATIVE_STEP: Final = 1e-5
 
@@ -130,6 +133,27 @@ class Limits:
         return (
             float(np.sum(design.duration + self.overhead(design.rate)))
             + max(0, attitudes - 1) * self.attitude_change
+        )
+
+    def nearest(self, rate: Array) -> Array:
+        """Return the available rates that are nearest to some, shape (n,), rad/s."""
+        if not self.settings:
+            return np.clip(rate, *self.rate)
+        settings = np.array(self.settings)
+        ratio: Array = np.abs(np.log(rate[:, None] / settings))
+        nearest: Array = settings[np.argmin(ratio, axis=1)]
+        return nearest
+
+    def hold(self, design: Design) -> bool:
+        """Return whether a campaign is within all of them, to rounding."""
+        return bool(
+            set(design.types) <= set(self.types)
+            and len(design.types) <= self.runs
+            and np.allclose(self.nearest(design.rate), design.rate, rtol=_TOUCHING, atol=0.0)
+            and np.all(design.revolutions > self.revolutions * (1.0 - _TOUCHING))
+            and np.all(design.duration < self.longest_run * (1.0 + _TOUCHING))
+            and self.time(design) < self.total_time * (1.0 + _TOUCHING)
+            and len(self.runs_apart(design.rate)) >= self.fewest_rates
         )
 
     @property

@@ -24,7 +24,7 @@ from counterspin.arrays import Array
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.planning.design import Criterion, Design, Limits, Predictor, RunType
-from counterspin.planning.polishing import fitted_into, polish, shortened
+from counterspin.planning.polishing import brought_within, fitted_into, polish, shortened
 from counterspin.planning.relaxation import Relaxed, relax
 
 #: Smallest relative gain of u (or of time) for which a plan is changed.
@@ -85,7 +85,8 @@ def optimise(
         A predictor in which considered terms are estimated; None: there are none.
     start
         A plan to start from too, for a problem that is near one already solved; with it only
-        this and the best relaxed start are looked at.
+        this and the best relaxed start are looked at. What of it is outside the limits is brought
+        within them.
 
     Returns
     -------
@@ -110,8 +111,8 @@ def optimise(
         if best is not None and relaxed.bound > best[0] - _GAIN:
             break  # nor can those that follow be better
         starts = list(_whole(relaxed, allowed))
-        if start is not None and set(start.types) <= set(allowed.types):
-            starts = [start, *starts[:1]]
+        if start is not None and (near := brought_within(start, allowed)) is not None:
+            starts = [near, *starts[:1]]
         if not starts:
             continue
         polished = _best_of(predictor, allowed, criterion, starts)

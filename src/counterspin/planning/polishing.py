@@ -2,7 +2,8 @@
 
 - `polish`: the smallest criterion within the limits
 - `shortened`: the least time that keeps targets
-- `fitted_into`: lengths scaled into the time there is, rates as different as they must be
+- `fitted_into`: lengths scaled into the time there is, rates as different as they must be;
+  `brought_within`: a design with all that is outside the limits brought within them
 """
 
 from __future__ import annotations
@@ -16,6 +17,24 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.planning.design import Criterion, Design, Limits, Predictor
+
+
+def brought_within(design: Design, limits: Limits) -> Design | None:
+    """Return a design that is within the limits as it is, or the like of it that is; or None.
+
+    Its longest runs are kept, each at the nearest rate that there is, with the lengths scaled into
+    the time. None: there is no such design, or it has kinds of run that are not available.
+    """
+    if limits.hold(design):
+        return design
+    if not set(design.types) <= set(limits.types):
+        return None
+    kept = np.sort(np.argsort(-design.duration, kind="stable")[: limits.runs])
+    rate = limits.nearest(design.rate[kept])
+    types = tuple(design.types[index] for index in kept)
+    duration = design.duration[kept]
+    fitted = fitted_into(Design(types, rate, duration * rate / (2.0 * math.pi)), limits)
+    return fitted if fitted is not None and limits.hold(fitted) else None
 
 
 def fitted_into(design: Design, limits: Limits) -> Design | None:
