@@ -77,6 +77,16 @@ def test_wrapped_angles(tmp_path, wrap, rate, hole):
     assert record.report.rate == pytest.approx(rate, rel=1e-6)
 
 
+def test_turns_of_an_exact_angle_are_no_step_of_its_encoder(tmp_path):
+    """Of a long record every sixth step is looked at, and of these every turn happens to be one."""
+    columns = table(n=3432, step=2.0 * math.pi / RATE / 132.0)
+    exact = (np.arange(3432) + 5.2) * 2.0 * math.pi / 132.0
+    columns[ANGLE] = np.mod(exact, 2 * math.pi)
+    record = read(write(tmp_path / "run.parquet", columns))
+    assert record.report.block == 2
+    np.testing.assert_allclose(record.angle, 0.5 * (exact[:-1:2] + exact[1::2]), rtol=1e-9)
+
+
 def test_wrapped_degrees_and_a_rate_a_little_off(tmp_path):
     columns = table(n=200_000, step=0.03, rate=1.03 * RATE)
     columns[ANGLE] = np.mod(np.degrees(columns[ANGLE]), 360.0)

@@ -180,7 +180,7 @@ class Clock:
             return None
         sample = advance[:: max(1, len(advance) // 512)]
         usual = middle(sample)
-        tolerance = _tolerance(sample - usual, angle)
+        tolerance = _tolerance(_wrap(sample - usual), angle)
         # Where the angle has been wrapped, and the turns to add from there on.
         breaks, turns = np.zeros(1, dtype=int), np.zeros(1)
         if not (low >= usual - tolerance and high <= usual + tolerance):
