@@ -87,6 +87,18 @@ def test_turns_of_an_exact_angle_are_no_step_of_its_encoder(tmp_path):
     np.testing.assert_allclose(record.angle, 0.5 * (exact[:-1:2] + exact[1::2]), rtol=1e-9)
 
 
+def test_counts_are_no_outliers_beside_a_gap(tmp_path):
+    """210.1 counts a row: one row in ten turns by one more, and across a gap it is 0.1 more."""
+    count = 2.0 * math.pi / 2**14
+    columns = table(step=210.1 * count / RATE)
+    columns[TIME] = np.arange(1000) * 210.1 * count / RATE
+    columns[ANGLE] = np.round(np.arange(1000) * 210.1) * count
+    holed = {name: np.delete(values, [300, 700]) for name, values in columns.items()}
+    record = read(write(tmp_path / "run.csv", holed), swings={})
+    assert record.report.gap_count == 2
+    assert record.report.outliers[ANGLE] == 0
+
+
 def test_wrapped_degrees_and_a_rate_a_little_off(tmp_path):
     columns = table(n=200_000, step=0.03, rate=1.03 * RATE)
     columns[ANGLE] = np.mod(np.degrees(columns[ANGLE]), 360.0)

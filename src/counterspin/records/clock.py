@@ -384,6 +384,11 @@ def _tolerance(strays: np.ndarray, angle: np.ndarray) -> float:
     if len(apart) <= max(4, _COMMON_PART * len(size)):
         # An encoder's step shows again and again, a jump once: it must not excuse itself.
         quantum = min(quantum, _ENCODER_STEP_RAD)
+    # Beside a gap, or by an uneven clock, strays may be less than the step, which is common too.
+    rare = int(_COMMON_PART * len(size)) + 4
+    if rare < len(size):
+        common = float(np.partition(size, -rare)[-rare])
+        quantum = max(quantum, min(common, _ENCODER_STEP_RAD))
     return (
         _STRAY_SDS * SIGMA_OF_MAD * middle(size) + 3 * quantum + rounding if len(size) else rounding
     )

@@ -24,7 +24,7 @@ from counterspin.inference.joint.outliers import outlying
 from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.rotation import find_rotation
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import ROTATION, Unknowns
+from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.inference.noise import variance_components
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import lengthened
@@ -141,7 +141,7 @@ def estimate(
     outliers = [np.zeros(record.time.size, dtype=bool) for record in series]
     fit = solve_joint(prepared, plain, rough)
     if reject:
-        fit = _reject(fit, requests, outliers)
+        fit = _reject(fit, series, requests, outliers)
     prepared = fit.prepared
     noise, components = _noise(prepared, plain, requests)
     fit = fit.with_noise(noise)
@@ -158,7 +158,15 @@ def estimate(
     if model.inputs or moved:
         whole = replace(whole, inputs=model.inputs)
         prepared = fit.prepared_for(whole, scale_factors)
+        if model.inputs:
+            noise, components = _noise(prepared, whole, requests)
         fit = solve_joint(prepared, whole, noise)
+    if reject and whole is not plain:
+        # What stands out of a wave that only this model has.
+        clean = _reject(fit, series, requests, outliers)
+        if clean is not fit:
+            noise, components = _noise(clean.prepared, whole, requests)
+            fit = clean.with_noise(noise)
     dof = _effective_dof(fit, components)
     fit, dof = _with_unseen(fit, components, dof)
     return Estimate(fit, components, dof, tuple(outliers), series)
@@ -215,9 +223,14 @@ def _scale_factors(
     return factors
 
 
-def _reject(fit: JointFit, requests: Mapping[str, NoiseRequest], outliers: list[Rows]) -> JointFit:
+def _reject(
+    fit: JointFit,
+    series: Sequence[Series],
+    requests: Mapping[str, NoiseRequest],
+    outliers: list[Rows],
+) -> JointFit:
     """Leave outliers out, refitting until there are none; marks them in `outliers`."""
-    places = [(part.series.time, np.sqrt(part.series.count)) for part in fit.prepared]
+    places = [(record.time, np.sqrt(record.count)) for record in series]
     for _ in range(_ROUNDS):
         further = []
         for index, (part, mask) in enumerate(zip(fit.prepared, outliers, strict=True)):
@@ -266,8 +279,9 @@ def _noise(
 def _components(
     prepared: Sequence[Prepared], model: Unknowns, request: NoiseRequest
 ) -> VarianceComponents:
-    # Considered terms are unknowns here, or what they do to the records would be taken for noise.
-    every, p = (*model.unknowns, *model.considered), len(model.unknowns)
+    # What is considered is unknown here, or what it does to the records would be taken for noise.
+    inputs = [Unknown("", name, (0.0, u), 1.0) for name, u in (model.inputs or {}).items()]
+    every, p = (*model.unknowns, *model.considered, *inputs), len(model.unknowns)
     places = [(*part.unknowns, *(p + place for place in part.considered)) for part in prepared]
     used = sorted({index for own in places for index in own})
     records = [

@@ -16,7 +16,7 @@ from counterspin.errors import ConvergenceError
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import ROTATION, Unknowns
+from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 
 _ROUNDS: Final = 20  #: of Gauss and Newton's iteration
@@ -60,9 +60,12 @@ def find_rotation(
         If the iteration does not settle.
     """
     turned = _guessed(series)
+    # What turns the output by a right angle, such as a misalignment of which nothing is known, is
+    # as good as a start angle; a step to any size of it would not be small.
+    held = replace(model, unknowns=tuple(map(_credible, model.unknowns)))
     for _ in range(_ROUNDS):
-        prepared = prepare_columns(turned, model, scale_factors)
-        solution = solve_joint(prepared, model, rough).solution
+        prepared = prepare_columns(turned, held, scale_factors)
+        solution = solve_joint(prepared, held, rough).solution
         change: dict[str, dict[str, float]] = {}
         for unknown, value in zip(model.unknowns, solution.estimate, strict=True):
             if unknown.symbol in ROTATION:
@@ -77,6 +80,13 @@ def find_rotation(
         "the rotation could not be found from the displacement: the nominal rate is too far off; "
         "record the spindle's angle, or state the rate more closely"
     )
+
+
+def _credible(unknown: Unknown) -> Unknown:
+    """Return an unknown of which nothing is known with its largest credible size for a prior."""
+    if unknown.symbol in ROTATION or math.isfinite(unknown.prior[1]):
+        return unknown
+    return replace(unknown, prior=(unknown.nominal, unknown.limit))
 
 
 def _guessed(series: Sequence[Series]) -> tuple[Series, ...]:
