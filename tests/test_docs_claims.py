@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from prose import ROOT, agrees, sentences, told, value_of
 
+import counterspin as cs
 from counterspin.calibration import (
     assembly,
     attitude_findings,
@@ -31,7 +32,7 @@ from counterspin.physics import angle_error
 from counterspin.physics.accelerometer import QX, TERMS
 from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.motion import EARTH_RATE
-from counterspin.physics.observation import parabola
+from counterspin.physics.observation import columns, parabola
 from counterspin.physics.shared_terms import DEGREE_PER_HOUR, SHARED_TERMS
 from counterspin.records import reduction, spikes
 from counterspin.reproduction import plan as paper
@@ -210,6 +211,19 @@ def test_roughly():
     assert k_yy / k_zx == pytest.approx(value_of(times), rel=0.1)
 
 
+@pytest.mark.parametrize("angles", [(0.0, 0.0), (90.0, 0.0), (0.0, 90.0), (20.0, 30.0)])
+def test_compliance_in_azimuth_is_the_column_of_k_oo_in_every_attitude(angles):
+    east, up = np.radians(angles)
+    about_east = [[1, 0, 0], [0, np.cos(east), -np.sin(east)], [0, np.sin(east), np.cos(east)]]
+    about_up = [[np.cos(up), -np.sin(up), 0], [np.sin(up), np.cos(up), 0], [0, 0, 1]]
+    site = cs.Site(gravity=9.8, latitude=math.radians(45.0))
+    trajectory = cs.Trajectory(cs.Spindle(math.pi), PLAN[0], site)
+    times, terms = np.linspace(0.0, 30.0, 31), ["K_OO", "platform.compliance.zy"]
+    attitude = np.array(about_up) @ np.array(about_east)
+    k_oo, compliance = columns(trajectory, QX, terms, times, attitude=attitude).T
+    np.testing.assert_allclose(compliance, k_oo, rtol=1e-12, atol=1e-12)
+
+
 # What long studies have found ---------------------------------------------------------------------
 
 
@@ -283,6 +297,15 @@ def test_intervals_with_a_noise_that_is_found_are_rather_too_long():
             length = 1.0 / row["normal_rms"]["K_F"]
             assert "about twice as long as they need be" in sentences("methods")
             assert length == pytest.approx(2.0, abs=0.35)
+
+
+def test_u_is_right_where_the_noise_is_stated_or_shows():
+    (near,) = told("methods", "1 lies within {} of every band")
+    study = runpy.run_path(str(ROOT / "docs" / "coverage.py"))
+    rows = [row for row in study["TABLE"].load() if not row.hidden]
+    assert len(rows) > 10
+    for row in rows:
+        assert abs(row.normal - 1.0) < row.normal_band + value_of(near), row
 
 
 def test_no_share_of_good_campaigns_is_larger_than_is_told():
