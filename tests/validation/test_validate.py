@@ -17,8 +17,12 @@ from counterspin.validation import validate as validating
 from counterspin.validation.cases import case, cases
 from counterspin.validation.validate import DOSSIER_FILES, check, validate
 
-#: What gives numbers; the check of the schema says yes or no, and is tried on its own.
-KERNELS = sorted({one.kernel for one in cases() if not one.kernel.endswith(":check_schema")})
+#: What says yes or no, and is tried on its own.
+CHECKS = (
+    "counterspin.certificates.schema:check_schema",
+    "counterspin.certificates.signature:verify",
+)
+KERNELS = sorted({one.kernel for one in cases()} - {*CHECKS})
 SCHEMA_CASE = "a certificate and the schema of DCC"
 REQUIREMENTS = {
     "physics",
@@ -50,16 +54,18 @@ def test_every_case_passes(dossier):
     assert all(one.numbers > 0 and one.source and one.limit is not None for one in run)
 
 
-@needs_schema
-def test_the_schema_s_case_is_run_where_there_is_one(monkeypatch):
-    from counterspin.certificates import schema
-
-    chosen = [case(SCHEMA_CASE)]
-    (found,) = validate(schema=SCHEMA, chosen=chosen).cases
-    assert (found.state, found.numbers) == ("passed", 4)
+@pytest.mark.parametrize("kernel", [pytest.param(CHECKS[0], marks=needs_schema), CHECKS[1]])
+def test_a_check_that_lets_all_pass_or_none_is_named(kernel, monkeypatch):
+    chosen = [one for one in cases() if one.kernel == kernel]
+    assert [one.state for one in validate(schema=schema(), chosen=chosen).cases] == ["passed"]
+    module, _, name = kernel.partition(":")
     for wrong in (lambda *_: None, raises):
-        monkeypatch.setattr(schema, "check_schema", wrong)
-        assert validate(schema=SCHEMA, chosen=chosen).failed == [SCHEMA_CASE]
+        monkeypatch.setattr(import_module(module), name, wrong)
+        assert validate(schema=schema(), chosen=chosen).failed == [chosen[0].name]
+
+
+def schema():
+    return SCHEMA if SCHEMA.exists() else None
 
 
 def raises(*_):

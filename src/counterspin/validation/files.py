@@ -2,6 +2,7 @@
 
 - `read_record`: rows of a record; `joint_fit`: the coefficients of a campaign
 - `read_back`: a result through its certificate; `check_schema`: the certificate and the schema
+- `verify`: a signature
 - `NotAvailableError`: a package or the schema is not there
 """
 
@@ -87,6 +88,28 @@ def check_schema(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
 
     wrong = [re.sub(old, new, made, flags=re.DOTALL) for old, new in _FAULTS]
     return {"as made": conforms(made), "altered": [conforms(one) for one in wrong]}
+
+
+def verify(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
+    """Return whether a signature counts, of the document as it is, altered, and of another."""
+    if find_spec("signxml") is None:
+        raise NotAvailableError("signxml is not installed, which verifies signatures")
+    folder = DATA / given["folder"]
+    signed = (folder / "signed.xml").read_bytes()
+
+    def counts(document: bytes, signer: str) -> float:
+        try:
+            module.verify(document, folder / signer, "the document of the case")
+        except RecordError:
+            return 0.0
+        return 1.0
+
+    altered = signed.replace(b"K-2026-0117", b"K-2026-0118")
+    return {
+        "as signed": counts(signed, "signer.pem"),
+        "altered": counts(altered, "signer.pem"),
+        "of another signer": counts(signed, "other.pem"),
+    }
 
 
 def read_back(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:

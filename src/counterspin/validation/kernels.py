@@ -360,6 +360,7 @@ _ASKED: Final[Mapping[str, Callable[[Any, Given], Found]]] = {
     "forecast": _forecast,
     "read_certificate": files.read_back,
     "check_schema": files.check_schema,
+    "verify": files.verify,
     "si_estimate": _si_estimate,
     "covariance": _si_covariance,
     "to_si": _number("to_si", "si"),
