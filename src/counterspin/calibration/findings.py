@@ -9,7 +9,8 @@ numbers of the result itself, ranks them and sets the states; pages only draw th
 - `hidden_noise`: the finding that most of u is noise that the records do not show
 - `not_determined`: the finding that nothing is known of a coefficient
 - `lack_of_fit`: the finding that residuals are not noise; `equivalent_deviations`: its size
-- `supports`: what speaks for a result
+- `supports`: what speaks for a result; `methods_agree`, `level_of_kinds`: when methods agree and
+  kinds of test do
 - `CONTRADICTION_SIGMAS`, `RESIDUAL_RATIO_LIMIT`, `LARGEST_WALK`: the limits
 """
 
@@ -23,8 +24,10 @@ from counterspin.calibration.diagnosis.causes import Cause, below_causes, merged
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
+    Comparison,
     Finding,
     Jackknife,
+    KindOfTest,
     Residual,
     State,
 )
@@ -198,10 +201,8 @@ def from_numbers(
     excess = _times_noise(accelerometer.residual) or 1.0
     excess = excess if excess > RESIDUAL_RATIO_LIMIT else 1.0
     yield from _disagreeing_run(name, accelerometer.jackknife, excess, accelerometers)
-    if (
-        accelerometer.two_stage is not None
-        and (z := abs(accelerometer.two_stage.z) / excess) > AGREEMENT
-    ):
+    if (beside := accelerometer.two_stage) is not None and not methods_agree(beside, excess):
+        z = abs(beside.z) / excess
         yield Finding(
             code="methods-disagree",
             subject=f"{name}.K_II",
@@ -338,6 +339,16 @@ def _rarity(line: Jackknife) -> float:
 # What speaks for a result
 
 
+def level_of_kinds(kinds: Sequence[KindOfTest]) -> float:
+    """Return the probability below which a test of the kinds fails; all share the significance."""
+    return SIGNIFICANCE / sum(1 + len(kind.without) for kind in kinds)
+
+
+def methods_agree(comparison: Comparison, excess: float = 1.0) -> bool:
+    """Return whether the two methods agree; `excess`: the residuals' size over the noise's."""
+    return abs(comparison.z) / excess <= AGREEMENT
+
+
 def supports(accelerometer: AccelerometerResult) -> Iterator[str]:
     """Yield what speaks for a result, in clauses without a full stop."""
     residual = accelerometer.residual
@@ -348,5 +359,5 @@ def supports(accelerometer: AccelerometerResult) -> Iterator[str]:
     worst = _worst(accelerometer.jackknife)
     if worst is not None and _rarity(worst) <= AGREEMENT:
         yield "no run drives the result"
-    if accelerometer.two_stage is not None and abs(accelerometer.two_stage.z) <= AGREEMENT:
+    if accelerometer.two_stage is not None and methods_agree(accelerometer.two_stage):
         yield "the two-stage method agrees"

@@ -16,6 +16,7 @@ from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
     RESIDUAL_RATIO_LIMIT,
     equivalent_deviations,
+    level_of_kinds,
 )
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.joint_view import AccelerometerView
@@ -23,7 +24,6 @@ from counterspin.calibration.readings import SQUARES, AccelerometerReadings, res
 from counterspin.calibration.result_parts import Coefficient, Finding, KindOfTest, Shift
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
-from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail, normal_cdf
 from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.fit import JointFit
@@ -188,7 +188,6 @@ def _disagreement(
     All tests of all kinds share the significance. Where residuals are far beyond the noise that was
     stated, which is a finding of its own, the differences are taken to be too large by as much.
     """
-    tests = sum(1 + len(kind.without) for kind in kinds)
     sizes = [abs(shift.z) / excess for kind in kinds for shift in kind.without.values()]
     sizes += [
         equivalent_deviations(chi_square_tail(kind.dof, kind.chi2 / excess**2))
@@ -196,7 +195,7 @@ def _disagreement(
         if kind.p is not None
     ]
     size = max(sizes, default=0.0)
-    if 2.0 * normal_cdf(-size) >= SIGNIFICANCE / tests:
+    if 2.0 * normal_cdf(-size) >= level_of_kinds(kinds):
         return []
     # Without the one of the largest chi-square the others are least at odds among themselves.
     kind = max(kinds, key=lambda kind: kind.chi2)

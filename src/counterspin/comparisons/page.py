@@ -19,7 +19,6 @@ from counterspin.comparisons.result import (
     ComparedCoefficient,
     ComparedEstimate,
 )
-from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.output import FileKind, holds, reserve, write_text, write_whole
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.numbers import (
@@ -48,8 +47,7 @@ def comparison_blocks(compared: Compared) -> Iterator[Block]:
     """Yield whether the results agree, their values and differences, and what changed."""
     yield Heading(_TITLE, 1)
     for agreement in compared.agreements:
-        good = agreement.p is None or agreement.p >= SIGNIFICANCE
-        yield Paragraph(in_words(compared, agreement), "answer" if good else "warning")
+        yield Paragraph(in_words(compared, agreement), "answer" if agreement.agrees else "warning")
     for name in dict.fromkeys(c.accelerometer for c in compared.coefficients):
         yield Heading(name)
         own = [c for c in compared.coefficients if c.accelerometer == name]
@@ -79,7 +77,7 @@ def in_words(compared: Compared, agreement: AgreementOfTwo) -> str:
         return f"{whose} determine no coefficient both ({records})."
     if agreement.p is None:
         return f"{whose} cannot differ by chance ({records}): a difference is what was changed."
-    agree = "agree" if agreement.p >= SIGNIFICANCE else "do not agree"
+    agree = "agree" if agreement.agrees else "do not agree"
     words = (
         f"chi-square {format_number(agreement.chi2)} with {agreement.dof} "
         f"{'degree' if agreement.dof == 1 else 'degrees'} of freedom, "

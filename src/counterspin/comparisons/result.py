@@ -15,6 +15,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
 
+from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.reports.numbers import field_unit
 from counterspin.reports.shown import ShownResult
 from counterspin.results import ResultPart
@@ -99,6 +100,11 @@ class AgreementOfTwo(ResultPart):
     p: float | None
     shared: list[str]
     assumed: list[str]
+
+    @property
+    def agrees(self) -> bool:
+        """Whether their differences are such as chance makes."""
+        return self.p is None or self.p >= SIGNIFICANCE
 
 
 class Change(ResultPart):

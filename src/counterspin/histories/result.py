@@ -156,6 +156,11 @@ class LaboratoryPair(ResultPart):
     difference: float
     e_n: float
 
+    @property
+    def agrees(self) -> bool:
+        """Whether the two agree within their expanded uncertainties."""
+        return abs(self.e_n) <= 1.0
+
 
 class InstrumentHistory(ResultPart):
     """One instrument's results, oldest first.

@@ -12,6 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+from counterspin.calibration.findings import methods_agree
 from counterspin.calibration.pages.kinds import kind_blocks
 from counterspin.calibration.pages.left_out import left_out_blocks, left_out_sentence
 from counterspin.calibration.pages.motions import table_of_tests
@@ -25,7 +26,6 @@ from counterspin.calibration.result_parts import (
     NoiseLine,
     ReadingResult,
 )
-from counterspin.inference.diagnostics import AGREEMENT
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
 from counterspin.physics.shared_terms import SHARED_TERMS
@@ -264,7 +264,7 @@ def _noise(noise: dict[str, NoiseLine], gravity: float) -> str:
 
 def _comparison(comparison: Comparison, coefficient: Coefficient | None) -> str:
     unit, factor = field_unit(coefficient.unit if coefficient else "")
-    agree = "they agree" if abs(comparison.z) <= AGREEMENT else "they do not agree"
+    agree = "they agree" if methods_agree(comparison) else "they do not agree"
     value = format_estimate(comparison.value * factor, comparison.u * factor, unit)
     difference = format_estimate(
         comparison.difference * factor, comparison.u_difference * factor, unit

@@ -8,8 +8,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
+from counterspin.calibration.findings import level_of_kinds
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, KindOfTest
-from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.reports.blocks import Block, Column, Paragraph, Table
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact, format_number
 
@@ -42,7 +42,9 @@ def kind_blocks(accelerometer: AccelerometerResult) -> Iterator[Block]:
             if symbol in accelerometer.coefficients
         ),
     )
-    yield Paragraph("Each kind of test against the others: " + "; ".join(map(_words, kinds)) + ".")
+    level = level_of_kinds(kinds)
+    words = "; ".join(_words(kind, level) for kind in kinds)
+    yield Paragraph("Each kind of test against the others: " + words + ".")
 
 
 def _has(kind: KindOfTest, symbol: str) -> bool:
@@ -56,10 +58,10 @@ def _cell(coefficient: Coefficient | None) -> str:
     return format_compact(coefficient.value * factor, (coefficient.u or 0.0) * factor)
 
 
-def _words(kind: KindOfTest) -> str:
+def _words(kind: KindOfTest, level: float) -> str:
     if kind.p is None:
         return f"{kind.kind}: nothing that the others predict"
-    verdict = "agrees" if kind.p >= SIGNIFICANCE else "does not agree"
+    verdict = "agrees" if kind.p >= level else "does not agree"
     text = (
         f"{kind.kind}: {verdict} (chi-square/dof {format_number(kind.chi2 / kind.dof, 3)}, "
         f"p = {format_number(kind.p, 2)}"
