@@ -8,12 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from counterspin.physics.accelerometer import QX, TERMS
+from counterspin.physics.accelerometer import QX, QY, QZ, TERMS
 from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.inputs import UNCERTAIN_INPUTS
 from counterspin.physics.machine import MACHINE_TERMS
-from counterspin.physics.observation import parabola
+from counterspin.physics.motion import Site, Trajectory
+from counterspin.physics.observation import columns, parabola
 from counterspin.physics.shared_terms import DEGREE_PER_HOUR, OWN_TERMS, SHARED_TERMS
+from counterspin.physics.spindle import Spindle
 
 PAGE = (Path(__file__).parents[1] / "docs" / "physics.md").read_text(encoding="utf-8")
 
@@ -111,3 +113,55 @@ def test_equivalent_errors_of_k_ii(words, symbol, size):
         at_rate = (QX, rate, 2.5, 9.8)
         cells.append(f"{abs(parabola(symbol, *at_rate) / parabola('K_II', *at_rate)) * size:.1e}")
     assert [words, *cells] in rows_between("equivalents")
+
+
+def evaluated(formula, **values):
+    """Return the value of a formula in LaTeX: powers, fractions, sines, cosines of R, w, g, t."""
+    text = formula.strip().strip("$").replace(r"\Bigl[", "(").replace(r"\Bigr]", ")")
+    text = re.sub(r"\\[dt]frac(\d)(\d+|\{\d+\})", r"(\1/\2)", text).replace("/{", "/(")
+    text = re.sub(r"\(/?(\d)/\((\d+)\}\)", r"(\1/\2)", text)
+    text = re.sub(r"\\dfrac\{([^{}]*)\}\{([^{}]*)\}", r"((\1)/(\2))", text)
+    text = re.sub(r"\\(sin|cos) (\d?)wt", r"\1(\2wt)", text)
+    tokens = re.findall(r"sin|cos|\d+|[Rwgt()+\-/]|\^\d+", text)
+    assert "".join(tokens) == text.replace(" ", ""), text
+    line = ""
+    for before, token in zip(["(", *tokens], tokens, strict=False):
+        operand = re.match(r"[\w(]", token) and not token.startswith("^")
+        factor = operand and before not in "(+-/" and before not in ("sin", "cos")
+        line += ("*" if factor else "") + token.replace("^", "**")
+    return eval(line, {"sin": np.sin, "cos": np.cos, **values})
+
+
+def test_closed_forms_are_those_of_the_columns():
+    table = PAGE.partition("## Closed forms at constant rate")[2].partition("## Which terms")[0]
+    rows = [
+        [cell.strip() for cell in line.strip("|").split(" | ")]
+        for line in table.splitlines()
+        if line.startswith("| K_")
+    ]
+    numbers = {"R": 2.5, "w": 3.0, "g": 9.8}
+    trajectory = Trajectory(Spindle(3.0), 2.5, Site(9.8, 0.8, earth_rate=0.0))
+    times = np.linspace(0.0, 40.0, 81)
+    checked = []
+    for terms, column, parabolas in rows:
+        for symbol in (s for s in terms.replace(" − 1", "").split(", ") if s in OWN_TERMS):
+            if column.startswith("$") and "t_0" not in column:
+                got = columns(trajectory, QX, [symbol], times)[:, 0]
+                expected = evaluated(column, t=times, **numbers)
+                np.testing.assert_allclose(got, expected, atol=1e-11 * max(abs(expected)))
+                checked.append(symbol)
+            if "t_0" not in parabolas:
+                expected = evaluated(parabolas.partition(";")[0], **numbers)
+                assert parabola(symbol, QX, 3.0, 2.5, 9.8) == pytest.approx(expected, rel=1e-13)
+                checked.append(symbol)
+    assert {"K_F", "K_I", "K_II", "K_III", "K_IP", "K_IO", "K_OO", "K_PO", "K_4"} <= set(checked)
+    assert len(checked) > 18
+
+
+def test_directions_of_the_accelerometers():
+    rows = re.findall(r"^\| (Q[xyz])(?: \(Eq\. 8\))? \| (\w+) \| (\w+) \| (\w+) \|$", PAGE, re.M)
+    assert [name for name, *_ in rows] == ["Qx", "Qy", "Qz"]
+    vectors = {"east": [1, 0, 0], "north": [0, 1, 0], "up": [0, 0, 1]}
+    vectors |= {"down": [0, 0, -1], "west": [-1, 0, 0]}
+    for (_, *names), mounting in zip(rows, (QX, QY, QZ), strict=True):
+        np.testing.assert_array_equal(mounting.matrix, [vectors[name] for name in names])
