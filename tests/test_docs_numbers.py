@@ -31,7 +31,7 @@ from counterspin.monitoring import observing
 from counterspin.physics import conditions, gravity, motion, shared_terms
 from counterspin.planning import design, plan_file, requirements, search
 from counterspin.records import clock, excel_file, reading, reduction
-from counterspin.studies import result, study, surrogate, tally
+from counterspin.studies import description, result, study, surrogate, tally
 
 DOCS = Path(__file__).parents[1] / "docs"
 ARCSEC = math.radians(1.0) / 3600.0
@@ -93,6 +93,7 @@ ROWS = {
         ("u would grow by {}; where", math.hypot(1.0, requirements._TOLERABLE_PART_OF_U) - 1.0),
     ],
     "study": [
+        ("only the noise varies, and {} analyses compete", len(description._DEFAULT)),
         ("share of trials whose {}, {} and {} % intervals", *(100.0 * p for p in tally.LEVELS)),
         ("hold the truth in {} to {} % of", *(100.0 * p for p in result._GOOD_COVERAGE)),
         ("must not exceed {} of what it claims", result._LARGEST_BIAS),

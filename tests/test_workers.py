@@ -1,5 +1,7 @@
 """Who does work that is shared out."""
 
+import logging
+
 import frames
 import numpy as np  # noqa: F401 -- whose library takes the threads
 import pytest
@@ -108,3 +110,11 @@ def test_so_does_a_study(monkeypatch):
     monkeypatch.setattr(study_module, "prepare", lambda *a: seen.append(threads()) or prepare(*a))
     study_module.study(make_campaign(frames.small()), trials=2, seed=1)
     assert (seen, threads()) == ([{1}], {2})
+
+
+def test_a_library_s_log_is_silent_while_its_errors_are_ours_to_tell(caplog):
+    log = logging.getLogger("library")
+    with workers._without_log("library"):
+        log.error("Traceback")
+    log.error("afterwards")
+    assert caplog.messages == ["afterwards"]

@@ -9,6 +9,7 @@
 from __future__ import annotations
 
 import importlib
+import logging
 import os
 import signal
 import threading
@@ -262,6 +263,18 @@ class _DaskExecutor(Executor):
 
 
 @contextmanager
+def _without_log(name: str) -> Iterator[None]:
+    """Keep a library's tracebacks off the terminal: what happened is told in one sentence."""
+    logger = logging.getLogger(name)
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+@contextmanager
 def _on_cluster(address: str) -> Iterator[WorkerPool]:
     try:
         from distributed import Client, KilledWorker
@@ -272,7 +285,7 @@ def _on_cluster(address: str) -> Iterator[WorkerPool]:
         client: Any = Client(address, timeout=_SCHEDULER_TIMEOUT, set_as_default=False)
     except (OSError, ValueError) as error:
         raise CounterspinError(silent) from error
-    with client:
+    with _without_log("distributed.client"), client:
         try:
             client.wait_for_workers(1, timeout=_FIRST_WORKER_TIMEOUT)
         except TimeoutError as error:
