@@ -12,7 +12,7 @@ from certificates import ISSUE, LAB, document, find
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Conformity
 from counterspin.certificates.administrative import Issue
-from counterspin.certificates.build import check_certifiable
+from counterspin.certificates.build import SCHEMA_VERSION, check_certifiable
 from counterspin.certificates.coverage import coverage_factor, region_factor
 from counterspin.certificates.elements import NAMESPACES, clean, factor, number
 from counterspin.certificates.reading import read_certificate
@@ -37,6 +37,11 @@ def test_units_as_d_si_writes_them():
     assert si_unit("rad/s/g")[0].text == r"\radian\metre\tothe{-1}\second"
     with pytest.raises(ValueError, match="furlong"):
         si_unit("furlong")
+
+
+def test_the_page_names_the_version_of_the_schema():
+    page = (ROOT / "docs" / "certificate.md").read_text("utf-8")
+    assert re.findall(r"DCC (\d[\d.]*\d)", page) == [SCHEMA_VERSION]
 
 
 def test_the_page_has_the_units_of_all_terms():
