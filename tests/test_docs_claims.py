@@ -94,7 +94,7 @@ NUMBERS = [
     ("methods", "shifts below {} of their u, of many", [diagnostics.AGREEMENT]),
     ("methods", "within {} of the difference's u", [diagnostics.AGREEMENT]),
     ("diagnosis", "| each record, at {} times, then", [search._STEPS]),
-    ("diagnosis", "all or nothing, to {} %", [100 * (mistakes._WHOLE_VELOCITY_PART - 1)]),
+    ("diagnosis", "all of its own or none, to {} %", [100 * (mistakes._WHOLE_VELOCITY_PART - 1)]),
     (
         "diagnosis",
         "within {} of its chi-square, or within {} % of the gain",

@@ -16,6 +16,7 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import columns, parabola
 from counterspin.physics.shared_terms import DEGREE_PER_HOUR, OWN_TERMS, SHARED_TERMS
 from counterspin.physics.spindle import Spindle
+from counterspin.reproduction.plan import TABLE_1
 
 PAGE = (Path(__file__).parents[1] / "docs" / "physics.md").read_text(encoding="utf-8")
 
@@ -85,6 +86,18 @@ def test_every_typical_size_says_where_it_comes_from():
         assert source
         covered += meant
     assert sorted(covered) == sorted(known)
+
+
+def test_sizes_from_the_paper_are_parts_of_its_own():
+    parts = {"half of it": 2, "a third of it": 3, "a quarter of it": 4}
+    found = {}
+    for names, size, source in rows_between("sources"):
+        if told := re.search(r"Table 1(?: for \w+)? \(([\d.e-]+) g\S+\), ([a-z ]+ of it)", source):
+            symbol = re.search(r"K_(?:III|II|IP)\b", names)[0]
+            assert float(told[1]) == TABLE_1[symbol]
+            assert float(size.split()[0]) == pytest.approx(TABLE_1[symbol] / parts[told[2]])
+            found[symbol] = told[2]
+    assert set(found) == {"K_II", "K_III", "K_IP"}
 
 
 def test_what_navigation_grade_means_for_bias_and_drift():
