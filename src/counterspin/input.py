@@ -1,7 +1,7 @@
 """Files that are read: ordinary files, under the very name that is given.
 
 - `open_file`: a file opened for reading, or OSError if it is a folder, a pipe or a device
-- `read_file`: the bytes of a small file
+- `read_file`: the bytes of a small file; `looks_like`: what they are, for whoever wanted others
 - `FileIdentity`: tells whether what was read twice was the same
 """
 
@@ -26,6 +26,21 @@ _KINDS: Final = (
     (stat.S_ISSOCK, "a socket"),
     (stat.S_ISBLK, "a device"),
     (stat.S_ISCHR, "a device"),
+)
+
+
+#: How files of some kinds begin, and what they are.
+_BEGINNINGS: Final = (
+    (b"\x89PNG", "a picture (PNG)"),
+    (b"\xff\xd8\xff", "a picture (JPEG)"),
+    (b"%PDF", "a PDF"),
+    (b"PK\x03\x04", "a workbook of Excel, or an archive (ZIP)"),
+    (b"PAR1", "a Parquet file"),
+    (b"\x89HDF", "an HDF5 file"),
+    (b"TDSm", "a TDMS file"),
+    (b"MATLAB", "a MATLAB file"),
+    (b"<", "XML or HTML"),
+    (b"{", "JSON"),
 )
 
 
@@ -79,6 +94,21 @@ def read_file(path: Path, most: int = DOCUMENT_BYTES) -> bytes:
             if left < 0:
                 raise OSError(errno.EFBIG, f"it has more than {most} bytes", str(path))
     return b"".join(parts)
+
+
+def looks_like(content: bytes) -> str:
+    """Return what a file seems to be, for a message; empty text where nothing tells.
+
+    Parameters
+    ----------
+    content
+        Its bytes, or the first of them.
+    """
+    text = content[:1000].removeprefix(b"\xef\xbb\xbf").lstrip()
+    if not text:
+        return "an empty file"
+    words = (words for beginning, words in _BEGINNINGS if text.startswith(beginning))
+    return next(words, "")
 
 
 def _require_file(path: Path, mode: int) -> None:

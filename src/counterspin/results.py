@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticSerializationError
 
 from counterspin.errors import RecordError
-from counterspin.input import read_file
+from counterspin.input import looks_like, read_file
 from counterspin.output import FileKind, reserve, write_text
 
 #: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
@@ -122,16 +122,23 @@ class ResultFile(ResultPart):
             If the file is missing, damaged, of a newer schema or of another kind.
         """
         path = Path(path)
+        wanted = f"give the JSON file of a {cls.KIND}"
+        content = b""
         try:
-            text = read_file(path).decode("utf-8")
+            content = read_file(path)
+            text = content.decode("utf-8")
             document = json.loads(text, parse_constant=_not_a_number)
             if _HALF.search(text) and document != _escaped(document):
                 raise ValueError("a text in it holds half of a character")
         except OSError as error:
-            raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+            raise RecordError(f"{path}: cannot be read ({error.strerror}); {wanted}") from error
         except (ValueError, RecursionError) as error:
+            reason = str(error)
+            if content.lstrip()[:1] not in (b"{", b"["):
+                reason = f"it is {looks_like(content) or 'no JSON'}"
             raise RecordError(
-                f"{path}: not a {cls.KIND} file, or a damaged one ({error}); write it again"
+                f"{path}: not a {cls.KIND} file, or a damaged one ({reason}); {wanted}, or write "
+                "it again"
             ) from error
         schema = document.get("schema") if isinstance(document, dict) else None
         if isinstance(schema, int) and schema > cls.newest_schema():
@@ -144,7 +151,9 @@ class ResultFile(ResultPart):
         except ValidationError as error:
             first = error.errors()[0]
             where = "".join(f"{key}: " for key in first["loc"])
-            raise RecordError(f"{path}: not a {cls.KIND} file: {where}{first['msg']}") from error
+            raise RecordError(
+                f"{path}: not a {cls.KIND} file: {where}{first['msg']}; {wanted}"
+            ) from error
         for fault in (*result.faults(), *_odd_numbers(result.model_dump(by_alias=True), "")):
             raise RecordError(f"{path}: a damaged {cls.KIND}: {fault}")
         return result

@@ -114,6 +114,69 @@ def test_a_damaged_result(told, tmp_path):
             assert words in complaint
 
 
+#: What may be given by mistake -> what it is called.
+OTHERS = {
+    "r.json": "JSON",
+    "c.xml": "XML or HTML",
+    "p.png": "a picture (PNG)",
+    "empty": "an empty file",
+    "plan.toml": "a plan",
+    "LAB.toml": "a laboratory's data for certificates",
+    "campaign.toml": "a campaign",
+    "run.csv": "a record",
+    ".": "it is a folder",
+}
+
+#: Commands, the file that is wrong being X; what is no mistake there; what the message advises.
+WANTED = (
+    (("calibrate", "X"), ("campaign.toml", "."), "give the folder that holds campaign.toml"),
+    (("study", "X"), ("campaign.toml", "."), "give the folder that holds campaign.toml"),
+    (("watch", "X"), ("campaign.toml", "."), "give the folder that holds campaign.toml"),
+    (("plan", "X"), ("plan.toml",), "`counterspin plan --init FILE` writes a plan"),
+    (("certificate", "r.json", "X", "-o", "o.xml"), ("LAB.toml",), "--init LAB.toml` makes one"),
+    (("certificate", "--verify", "X"), ("c.xml",), "give a certificate's XML or PDF"),
+    (("compare", "r.json", "X"), ("r.json",), "give the JSON file of a result"),
+    (("rerun", "X"), ("r.json",), "give the JSON file of a result"),
+    (("ledger", "verify", "X"), ("empty", "."), "Name the ledger, or a file that is not there"),
+)
+
+
+@pytest.mark.parametrize(
+    ("words", "right", "advice"), WANTED, ids=[" ".join(w[0][:2]) for w in WANTED]
+)
+def test_a_file_of_another_kind_is_named(told, tmp_path, words, right, advice):
+    result().write(tmp_path / "r.json")
+    (tmp_path / "empty").touch()
+    (tmp_path / "p.png").write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(20))
+    (tmp_path / "c.xml").write_text("<?xml version='1.0'?>\n<a/>\n")
+    (tmp_path / "run.csv").write_text("t,x\n0,1\n1,2\n")
+    write(tmp_path, SMALL)
+    assert told("plan", "--init", "plan.toml") == (0, "")
+    assert told("certificate", "--init", "LAB.toml") == (0, "")
+    for file, called in OTHERS.items():
+        if file in right:
+            continue
+        status, complaint = told(*(file if word == "X" else word for word in words))
+        said = " ".join(complaint.split())
+        assert status in (1, 2)
+        assert said.startswith(f"counterspin: {file}: ")
+        assert advice in said
+        # Of text that is no TOML, JSON or XML those who want another say no more than that.
+        text = file in ("plan.toml", "LAB.toml", "campaign.toml", "run.csv")
+        described = words[0] in ("calibrate", "study", "watch", "plan", "certificate")
+        described &= words[1] != "--verify"
+        assert called in said or words[0] == "ledger" or (text and not described)
+
+
+def test_another_s_file_of_one_line_is_no_unfinished_ledger(told, tmp_path):
+    result().write(tmp_path / "r.json")
+    (tmp_path / "notes").write_bytes(b"mine")
+    words = ("ledger", "add", "notes", "r.json", "--who", "A. Erste", "--why", "yearly")
+    status, complaint = told(*words)
+    assert (status, (tmp_path / "notes").read_bytes()) == (1, b"mine")
+    assert "or this is no ledger" in complaint
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

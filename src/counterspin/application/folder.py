@@ -75,7 +75,8 @@ class ServedFolder:
 
     def __init__(self, root: Path) -> None:
         if not root.is_dir():
-            raise CounterspinError(f"{root}: there is no such folder to serve")
+            kind = "is a file, not a folder" if root.exists() else "there is no such folder"
+            raise CounterspinError(f"{root}: {kind}; give the folder that holds the campaigns")
         self.root = root.resolve()
         self._writing = threading.Lock()
 

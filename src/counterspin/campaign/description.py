@@ -113,7 +113,7 @@ def read_campaign(path: Path | str) -> Campaign:
         raise CampaignError(
             str(file), [f"a record, not a campaign; give the folder that holds {DESCRIPTION_NAME}"]
         )
-    raw, checksum = load_with_checksum(file, CAMPAIGN_ADVICE)
+    raw, checksum = load_with_checksum(file, CAMPAIGN_ADVICE, "campaign")
     problems = Problems(raw)
     campaign = resolve_campaign(raw, file, problems)
     if campaign is None:

@@ -15,13 +15,21 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from counterspin.errors import CampaignError
-from counterspin.input import read_file
+from counterspin.input import looks_like, read_file
 
 #: What to do where no campaign is.
 CAMPAIGN_ADVICE: Final = "`counterspin init DIR` makes a campaign to start from"
+
+#: What a TOML file may be.
+Kind = Literal["campaign", "plan", "laboratory"]
+_KINDS: Final[Mapping[Kind, str]] = {
+    "campaign": "a campaign",
+    "plan": "a plan",
+    "laboratory": "a laboratory's data for certificates",
+}
 
 #: No TOML file has more bytes.
 _TEXT_BYTES: Final = 20_000_000
@@ -48,30 +56,76 @@ def flat_keys(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return flat
 
 
-def load_document(file: Path, advice: str = CAMPAIGN_ADVICE) -> dict[str, Any]:
+def load_document(
+    file: Path, advice: str = CAMPAIGN_ADVICE, kind: Kind | None = None
+) -> dict[str, Any]:
     """Return a TOML document; as `load_with_checksum`."""
-    return load_with_checksum(file, advice)[0]
+    return load_with_checksum(file, advice, kind)[0]
 
 
-def load_with_checksum(file: Path, advice: str) -> tuple[dict[str, Any], str]:
-    """Return a TOML document and its checksum; `advice` is for a file that is not there.
+def load_with_checksum(
+    file: Path, advice: str, kind: Kind | None = None
+) -> tuple[dict[str, Any], str]:
+    """Return a TOML document and its checksum.
+
+    Parameters
+    ----------
+    file
+        The file.
+    advice
+        What to do where it is not there, or another's.
+    kind
+        What it must be; None: whatever it is. Another kind is refused here, since its reader would
+        find no more than unknown keys and missing ones.
 
     Raises
     ------
     CampaignError
-        If the file is missing, cannot be read, is not UTF-8 or not TOML.
+        If the file is missing, cannot be read, is not UTF-8, not TOML or of another kind.
     """
+    wanted = advice
+    if kind == "campaign":
+        wanted = f"give the folder that holds {DESCRIPTION_NAME}; {advice}"
     try:
         content = read_file(file, _TEXT_BYTES)
+        if kind is not None and (seen := _is_other(file, content)):
+            raise CampaignError(str(file), [f"{seen}, not {_KINDS[kind]}; {wanted}"])
     except FileNotFoundError:
         problem = f"there is no such file; {advice}"
     except OSError as error:
         problem = f"cannot be read: {error.strerror}"
+        problem += f"; {advice}" if isinstance(error, IsADirectoryError) else ""
     except ValueError as error:
         problem = f"cannot be read: {error}".partition(";")[0]  # a name with NUL
     else:
-        return parse_document(content, str(file)), f"sha256:{hashlib.sha256(content).hexdigest()}"
+        document = parse_document(content, str(file))
+        own = _kind_of(document)
+        if kind in (None, own) or own is None:
+            return document, f"sha256:{hashlib.sha256(content).hexdigest()}"
+        problem = f"{_KINDS[own]}, not {_KINDS[kind]}; {wanted}"
     raise CampaignError(str(file), [problem])
+
+
+def _is_other(file: Path, content: bytes) -> str:
+    """Return what a file is that is no TOML; empty text where it may be."""
+    seen = looks_like(content)
+    if seen or file.suffix.lower() == ".toml":
+        return seen
+    from counterspin.records.formats import RECORD_FORMATS
+
+    return "a record" if file.suffix.lower() in RECORD_FORMATS else ""
+
+
+def _kind_of(document: Mapping[str, Any]) -> Kind | None:
+    """Return what a document is by the sections that no other kind has; None if they do not say."""
+    said: set[Kind] = set()
+    if "goal" in document:
+        said.add("plan")
+    if "runs" in document or "readings" in document:
+        said.add("campaign")
+    if "laboratory" in document and "customer" in document:
+        said.add("laboratory")
+    return said.pop() if len(said) == 1 else None
 
 
 def parse_document(content: bytes, source: str) -> dict[str, Any]:

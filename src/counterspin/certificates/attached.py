@@ -39,7 +39,9 @@ def _content(path: Path) -> bytes:
     try:
         return read_file(path)
     except OSError as error:
-        raise RecordError(f"{path}: cannot be read ({error.strerror})") from error
+        raise RecordError(
+            f"{path}: cannot be read ({error.strerror}); give a certificate's XML or PDF"
+        ) from error
 
 
 def _attached(path: Path) -> bytes:

@@ -242,7 +242,8 @@ def read_lab(
         raw = plain(path, (), problems)
     else:
         source = str(path)
-        raw = load_document(Path(path), advice="`certificates.lab.write_example` makes one")
+        advice = "`certificates.lab.write_example` makes one"
+        raw = load_document(Path(path), advice, "laboratory")
         problems = Problems(raw)
     # Of a missing table, each required key is reported.
     empty: dict[str, Any] = {"persons": [{}]}

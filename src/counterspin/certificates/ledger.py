@@ -27,6 +27,11 @@ from counterspin.input import DOCUMENT_BYTES, read_file
 #: What the first entry says of the one before.
 _BEGINNING: Final = "0" * 64
 
+_NO_LEDGER: Final = (
+    "entry 1 is not as it was written, or this is no ledger; nothing from there on is to be relied "
+    "on. Name the ledger, or a file that is not there yet"
+)
+
 #: Keys of an entry, in the order in which they are written; `hash` is last.
 _KEYS: Final = ("number", "previous", "when", "who", "what", "why", "of", "hash")
 
@@ -205,11 +210,22 @@ def _verified(whole: bytes, source: str) -> VerifiedLedger:
             # The one that follows says so.
             wrong, which = "was altered after it was written, or taken out", number - 1
         if wrong is not None or content is None:
+            if content is None and number == 1:
+                raise RecordError(f"{source}: {_NO_LEDGER}")
             what = f"entry {which}" if which else "the beginning"
             raise RecordError(f"{source}: {what} {wrong}; nothing from there on is to be relied on")
         entries.append(_entry(content))
         previous = content["hash"]
+    if unfinished and not entries and not _begins_entry(unfinished):
+        # What is no entry's beginning is no writer's either, but another's file.
+        raise RecordError(f"{source}: {_NO_LEDGER}")
     return VerifiedLedger(tuple(entries), unfinished)
+
+
+def _begins_entry(line: bytes) -> bool:
+    """Return whether a line may be the beginning of the first entry."""
+    beginning = _text({"number": 1, "previous": _BEGINNING})[:-1].encode()
+    return line.startswith(beginning) or beginning.startswith(line)
 
 
 def _content(line: bytes) -> dict[str, Any] | None:

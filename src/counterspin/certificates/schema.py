@@ -19,6 +19,7 @@ from lxml import etree
 
 from counterspin.certificates.elements import DCC, NAMESPACES
 from counterspin.errors import CounterspinError, RecordError
+from counterspin.input import looks_like
 
 _XS: Final = "{http://www.w3.org/2001/XMLSchema}"
 
@@ -64,7 +65,11 @@ def parse(document: bytes, source: str) -> Any:
     try:
         root = etree.fromstring(document, parser())
     except etree.LxmlError as error:
-        raise RecordError(f"{source}: is not XML, or is damaged ({error})") from error
+        seen = "" if document.lstrip()[:1] == b"<" else looks_like(document) or "other text"
+        reason = f"it is {seen}" if seen else str(error)
+        raise RecordError(
+            f"{source}: is not XML, or is damaged ({reason}); give a certificate's XML or PDF"
+        ) from error
     if root.getroottree().docinfo.doctype:
         # Entities could stand for what nobody sees, and no certificate needs any.
         raise RecordError(f"{source}: has a document type declaration, as no certificate has")

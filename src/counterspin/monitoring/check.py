@@ -19,6 +19,7 @@ from counterspin.monitoring.observing import Observer, record_name
 from counterspin.monitoring.reaching import Fitted, fitted, reached, shown_names
 from counterspin.monitoring.result import CheckedRun, ReachedCoefficient, RunState
 from counterspin.planning.forecast import forecast
+from counterspin.records.formats import opener_of
 from counterspin.records.memory import MemoryTable, memory_table
 from counterspin.workers import one_blas_thread
 
@@ -58,8 +59,10 @@ def check(
 
 def _checked(record: object, campaign: Campaign, name: str | None) -> CheckedRun:
     file = Path(record).absolute() if isinstance(record, Path | str) else None
-    if file is not None and not file.is_file():
-        raise RecordError(f"{file}: there is no such file.")
+    if file is not None:
+        if not file.exists():
+            raise RecordError(f"{file}: there is no such file.")
+        opener_of(file)  # asked before it matters which run it is
     run = _meant(campaign, file, name)
     if file is not None:
         own = replace(run, record=file)

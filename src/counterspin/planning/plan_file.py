@@ -100,7 +100,8 @@ def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
         if problems.lines:
             raise CampaignError(str(plan_name(path)), problems.lines)
         return document
-    return load_document(Path(path), "`planning.plan.write_example` writes a plan to start from")
+    advice = "`planning.plan.write_example` writes a plan to start from"
+    return load_document(Path(path), advice, "plan")
 
 
 def plan_name(path: Mapping[str, Any] | Path | str) -> Path:

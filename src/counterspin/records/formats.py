@@ -1,6 +1,7 @@
 """Record files, whatever their format: CSV, Parquet, HDF5 and MATLAB files look alike from here.
 
-- `open_columns`: a `ColumnFile` for a file, by its ending, or for a table in memory
+- `open_columns`: a `ColumnFile` for a file, by its ending, or for a table in memory;
+  `opener_of`: what opens a file of that ending
 - `RECORD_FORMATS`: the endings
 
 A `ColumnFile` yields columns in batches of float64 arrays (an empty cell is NaN) and says where a
@@ -41,6 +42,17 @@ RECORD_FORMATS: Final[Mapping[str, Callable[[Path, BinaryIO, Dialect], ColumnFil
 }
 
 
+def opener_of(path: Path) -> Callable[[Path, BinaryIO, Dialect], ColumnFile]:
+    """Return what opens a file; RecordError if no record has its ending, or if it is a folder."""
+    opener = RECORD_FORMATS.get(path.suffix.lower())
+    if opener is None:
+        kind = "this is a folder" if path.is_dir() else "this one does not"
+        raise RecordError(
+            f"{path}: a record file ends in one of {', '.join(RECORD_FORMATS)}; {kind}."
+        )
+    return opener
+
+
 def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> ColumnFile:
     """Open a record file, as a context manager.
 
@@ -58,11 +70,7 @@ def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> Co
     """
     if isinstance(path, MemoryTable):
         return MemoryFile(path)
-    opener = RECORD_FORMATS.get(path.suffix.lower())
-    if opener is None:
-        raise RecordError(
-            f"{path}: a record file ends in one of {', '.join(RECORD_FORMATS)}; this one does not."
-        )
+    opener = opener_of(path)
     with record_errors(path), ExitStack() as stack:
         stream = stack.enter_context(open_file(path))
         if FileIdentity.of(stream.fileno()).size == 0:

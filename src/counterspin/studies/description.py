@@ -32,6 +32,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import SettingsSection, Text, exact
 from counterspin.campaign.terms import BARE_NAMES, rows_of
 from counterspin.campaign.toml_file import (
+    CAMPAIGN_ADVICE,
     DESCRIPTION_NAME,
     description_file,
     flat_keys,
@@ -159,7 +160,7 @@ def read_study(path: Path | str | Campaign) -> StudyDescription:
         campaign = _campaign(document, where, problems, ())
     else:
         file = description_file(path)
-        raw = load_document(file)
+        raw = load_document(file, CAMPAIGN_ADVICE, "campaign")
         problems = Problems(raw)
         document, where = _document(raw, file, problems)
         campaign = _campaign(document, where, problems, () if where is file else (str(where),))
@@ -210,7 +211,7 @@ def _document(
             problems.add((key,), "unknown key" + did_you_mean(key, known))
     if type(raw.get("schema")) is not int or raw["schema"] != 1:
         problems.add(("schema",), "this version of counterspin reads schema = 1")
-    return load_document(base), base
+    return load_document(base, CAMPAIGN_ADVICE, "campaign"), base
 
 
 def _campaign(

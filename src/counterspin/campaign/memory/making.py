@@ -101,7 +101,7 @@ def _source(
             raise CampaignError(source.label, problems.lines)
         return source, where
     file = description_file(description).absolute()
-    document, checksum = load_with_checksum(file, CAMPAIGN_ADVICE)
+    document, checksum = load_with_checksum(file, CAMPAIGN_ADVICE, "campaign")
     where = file.parent if folder is None else Path(folder).absolute()
     return Source(document, file, checksum, document), where
 
