@@ -13,7 +13,7 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from prose import agrees, told
+from prose import agrees, sentences, told
 
 import counterspin as cs
 from counterspin import errors, workers
@@ -22,6 +22,7 @@ from counterspin.calibration import assembly
 from counterspin.calibration.pages import pictures
 from counterspin.calibration.pages.full_report import identifier_of
 from counterspin.campaign import truth
+from counterspin.campaign.settings import exact
 from counterspin.certificates import coverage, signature
 from counterspin.comparisons import rerun
 from counterspin.histories import control, due, page, shared
@@ -31,6 +32,7 @@ from counterspin.monitoring import observing
 from counterspin.physics import conditions, gravity, motion, shared_terms
 from counterspin.planning import design, plan_file, requirements, search
 from counterspin.records import clock, excel_file, reading, reduction
+from counterspin.reproduction import plan as paper
 from counterspin.studies import description, result, study, surrogate, tally
 
 DOCS = Path(__file__).parents[1] / "docs"
@@ -187,3 +189,12 @@ def test_number(name, row):
     sentence, *values = row
     for shown, value in zip(told(name, sentence), values, strict=True):
         assert agrees(shown, value), (shown, value)
+
+
+def test_the_example_of_a_plan_has_time_radius_and_rate_of_the_paper():
+    limits = PLAN["limits"]
+    assert "has the paper's total time, radius and highest rate" in sentences("plan")
+    time = paper.STROBES * sum(2.0 * math.pi / rate for rate in paper.RATES)
+    assert exact(limits["total_time"], "s") == pytest.approx(time)
+    assert exact(limits["highest_rate"], "rad/s") == pytest.approx(max(paper.RATES))
+    assert exact(PLAN["centrifuge"]["radius"], "m") == paper.RADIUS
