@@ -24,11 +24,11 @@ from counterspin.errors import CampaignError
 from counterspin.input import FileIdentity, open_file
 from counterspin.records.isolation import prepare
 
-#: How much nicer the threads are than the process: nothing waits for a checksum before the end.
-_NICENESS: Final = 19
-#: Files at a time: at the end, when all records are read, two cores have nothing else to do. More
-#: would send a disk from one file to another.
-_THREADS: Final = 2
+#: How much nicer the threads are than the process: what is read for the result comes first, but on
+#: a machine that is busy with other work the end must not have to wait for them.
+_NICENESS: Final = 10
+#: Files at a time: when all records are read, every core is free, and a file takes but one.
+_THREADS: Final = 4
 #: Bytes between two requests for the interpreter's lock, for which imports let others wait; as
 #: many as remain in a processor's cache from the disk's copy to the checksum.
 _BUFFER_BYTES: Final = 1 << 20
