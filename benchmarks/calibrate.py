@@ -4,10 +4,11 @@
     python benchmarks/calibrate.py --full   # 1e7 rows of CSV, 1e8 of Parquet
 
 These things happen to the same files, each in a fresh process, in turn: polars sums their columns;
-their SHA-256 is taken; polars decodes them while that goes on; where there is a C++ compiler, a parser that checks nothing reads the CSV
-(`csv_limit.cpp`); counterspin reads, checks and reduces them, and identifies the rotation;
-`counterspin calibrate` does all that it does (that, checksums, joint fit, comparison with the
-two-stage method, report); the peer does what a laboratory's script would.
+their SHA-256 is taken; polars decodes them while that goes on; where there is a C++ compiler, a
+parser that checks nothing reads the CSV (`csv_limit.cpp`); counterspin reads, checks and reduces
+them, and identifies the rotation; `counterspin calibrate` does all that it does (that, checksums,
+joint fit, comparison with the two-stage method, report); the peer does what a laboratory's script
+would.
 """
 
 from __future__ import annotations
