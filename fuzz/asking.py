@@ -13,7 +13,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import signal
 import stat
 import sys
 import traceback
@@ -23,11 +22,12 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_to_bytes
 
+from served import InlineJobs
+
 from counterspin.application import interface, server
 from counterspin.application.desk import Desk as ServedDesk
 from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import SESSION, Door
-from counterspin.application.jobs import Job, Jobs, calibrate_into
 from counterspin.errors import CounterspinError
 
 #: Who is asked.
@@ -36,31 +36,6 @@ HOST = "127.0.0.1:8765"
 
 #: What stands in files beside the folder, and in no answer.
 SECRET = "counterspin-fuzz-secret"
-
-
-class _Inline(Jobs):
-    """Calibrations at once, in this process, so that a case is over when it is answered."""
-
-    def _start(self, job: Job, words: tuple[Any, ...]) -> None:
-        sent: list[Any] = []
-        before = signal.getsignal(signal.SIGINT)
-        try:
-            calibrate_into(_Told(sent), *words)  # type: ignore[arg-type]
-        finally:
-            signal.signal(signal.SIGINT, before)
-        job.state = "done" if sent[-1][0] == "done" else "failed"
-        assert "internal error" not in str(sent[-1]), sent[-1]
-        assert sent[-1][0] in ("done", "failed")
-
-
-class _Told:
-    """The end of a pipe that keeps what is sent."""
-
-    def __init__(self, sent: list[Any]) -> None:
-        self._sent = sent
-
-    def send(self, told: Any) -> None:
-        self._sent.append(told)
 
 
 class _First:
@@ -84,7 +59,7 @@ class Desk(ServedDesk):
 
     def __init__(self, folder: ServedFolder) -> None:
         super().__init__(folder)
-        self.jobs = _Inline()
+        self.jobs = InlineJobs()
         self.live = _First()  # type: ignore[assignment]
 
 

@@ -32,6 +32,7 @@ from counterspin.application.interface import ENDPOINTS
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.starter import init
 from counterspin.certificates.lab import write_example as write_lab
+from counterspin.studies.study import study
 from fuzz.asking import (
     DOOR,
     HOST,
@@ -185,6 +186,9 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
             {"kind": "result", "names": result},
             {"kind": "comparison", "names": both},
             {"kind": "history", "names": both, "term": "K_II"},
+            {"kind": "plan", "names": "PLAN.toml"},
+            {"kind": "forecast", "names": "three/campaign.toml"},
+            {"kind": "study", "names": "three/study.json"},
         ],
         "GET picture": [
             {"kind": "result", "names": result, "place": "0"},
@@ -213,6 +217,9 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
             {"name": "three"},
             {"name": "three", "output": "new.json", "method": "two-stage"},
         ],
+        "GET report": [{"name": result, "kind": "md"}],
+        "POST study": [{"name": "three", "trials": 4}],
+        "POST simulation": [{"name": "three", "folder": "new"}],
         "DELETE jobs": [{"number": 1}],
     }
     for key, some in said.items():
@@ -483,6 +490,9 @@ _DEAR = (
     "POST plan-",
     "POST planned",
     "POST jobs",
+    "POST study",
+    "POST sim",
+    "GET report",
 )
 
 
@@ -498,6 +508,7 @@ def write_served(folder: Path) -> None:
     """Write a folder with something of each kind: campaigns, results, records, plan, laboratory."""
     write_folder(folder, folder.parent / "plan")
     calibrate(folder / "three", method="two-stage").write(folder / "three" / "two-stage.json")
+    study(folder / "three", trials=4).write(folder / "three" / "study.json")
     (folder / "exports").mkdir()
     for name in ("slow.csv", "fast.csv"):
         shutil.copy(folder / "three" / name, folder / "exports" / name)

@@ -48,3 +48,14 @@ def test_what_cannot_be_certified_leaves_nothing(with_lab, folder, change, statu
 
 def test_records_are_not_given_away(page):
     assert page.get("/api/file", params={"name": "three/slow.csv"}).status_code == 403
+
+
+@pytest.mark.parametrize(
+    ("kind", "mark"), [("html", b"<!DOCTYPE html>"), ("md", b"# "), ("pdf", b"%PDF")]
+)
+def test_a_report_is_given_and_nothing_written(page, folder, kind, mark):
+    before = sorted(folder.rglob("*"))
+    told = page.get("/api/report", params={"name": "three/result.json", "kind": kind})
+    assert told.content.startswith(mark)
+    assert f"result.{kind}" in told.headers["content-disposition"]
+    assert sorted(folder.rglob("*")) == before

@@ -17,10 +17,13 @@ SHOWN = {
     "check_command": commands.check_command(PLACE, PLACE, "run 1"),
     "compare_command": commands.compare_command([PLACE, PLACE]),
     "export_command": commands.export_command(PLACE, [PLACE], {"radius": "2.5 ± 1e-5 m"}),
+    "forecast_command": commands.forecast_command(PLACE),
     "history_command": commands.history_command(PLACE, "K_I"),
     "init_command": commands.init_command(PLACE, "arm"),
     "plan_command": commands.plan_command(PLACE, PLACE),
     "report_command": commands.report_command(PLACE),
+    "simulate_command": commands.simulate_command(PLACE, PLACE),
+    "study_command": commands.study_command(PLACE, 100, PLACE),
     "watch_command": commands.watch_command(PLACE, "K_II 1e-8 g/g^2"),
 }
 
@@ -35,4 +38,5 @@ def test_the_command_line_takes_what_is_shown(shown):
     program, *words = shlex.split(shown)
     assert program == "counterspin"
     _, bound, _ = cli.app.parse_args(words, exit_on_error=False, print_error=False)
-    assert PLACE in [Path(str(value)) for value in bound.args]
+    values = [*bound.args, *bound.kwargs.values()]
+    assert PLACE in [Path(str(value)) for value in values]

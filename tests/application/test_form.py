@@ -6,6 +6,7 @@ from prose import sentences
 
 from counterspin.application.form import SECTIONS, campaign_form, lab_form, run_kinds
 from counterspin.campaign.settings import DocumentSettings
+from counterspin.campaign.truth import TRUTH_TABLES
 from counterspin.certificates.lab import Lab
 from counterspin.physics.accelerometer import TERMS
 
@@ -24,15 +25,11 @@ def field(form, *path):
     return found
 
 
-def test_every_section_is_in_the_form_or_edited_as_text():
+def test_every_section_is_in_the_form():
     keys = {f.alias or name for name, f in DocumentSettings.model_fields.items()}
-    words = sentences("application")
-    (campaign,) = re.findall(r"Sections without a form \((.*?)\)", words)
-    (laboratory,) = re.findall(r"so are (.*?) of `LAB.toml`", words)
-    of_campaign, of_laboratory = (
-        set(re.findall(r"\[(\w+)\]", text)) for text in (campaign, laboratory)
-    )
-    assert keys - {"schema"} - of_campaign == set(SECTIONS)
+    (laboratory,) = re.findall(r"edited in its text: (.*?) of `LAB.toml`", sentences("application"))
+    of_laboratory = set(re.findall(r"\[(\w+)\]", laboratory))
+    assert keys - {"schema"} == set(SECTIONS)
     assert [one["key"] for one in campaign_form()] == list(SECTIONS)
     sections = {one["key"] for one in lab_form()}
     assert set(Lab.model_fields) - {"schema_version"} - of_laboratory == sections
@@ -65,6 +62,13 @@ def test_kinds_of_values():
         ("model", "priors"): "table",
         ("accelerometers", "input_axis"): "text",
     }
+    kinds |= {
+        ("specification", "decision_rule"): "choice",
+        ("specification", "guard_factor"): "number",
+        ("simulation", "sampling_rate"): "text",
+        ("study", "trials"): "number",
+        ("study", "vary"): "table",
+    }
     assert {path: field(form, *path)["kind"] for path in kinds} == kinds
     assert field(form, "records", "reference")["choices"] == ["platform", "own velocity"]
     assert field(lab_form(), "certificate", "begin")["kind"] == "date"
@@ -78,3 +82,14 @@ def test_readings_among_the_runs_have_their_own_keys():
     document = {"runs": [{"rate": "1 rad/s"}, {"reading": "1 g"}, {"motion": "arm"}, 7]}
     assert run_kinds(document) == ["record", "reading", "reading", "record"]
     assert run_kinds({"runs": "none"}) == run_kinds({}) == []
+
+
+def test_limits_of_every_term_and_truth_of_every_table():
+    form = campaign_form()
+    limits = section(form, "specification")
+    assert [f["key"] for f in limits["of_names"]] == list(TERMS)
+    assert field(form, "specification", "K_II")["example"] == "abs <= … g/g^2"
+    truth = section(form, "truth")
+    assert {*truth["of_tables"], "machine"} == set(TRUTH_TABLES)
+    assert set(TERMS) <= {f["key"] for f in truth["fields"]}
+    assert "drift" in {f["key"] for f in truth["of_tables"]["spindle"]}

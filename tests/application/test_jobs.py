@@ -1,19 +1,8 @@
 """Calibrations in processes of their own, found again by whoever asks."""
 
 import json
-import time
 
-from counterspin.application import jobs
-
-
-def wait(page, number):
-    deadline = time.monotonic() + 60.0
-    while time.monotonic() < deadline:
-        (job,) = (job for job in page.get("/api/jobs").json() if job["number"] == number)
-        if job["state"] not in ("waiting", "running"):
-            return job
-        time.sleep(0.05)
-    raise AssertionError(job)
+from served import wait
 
 
 def test_a_calibration_is_followed_to_its_result(page, folder):
@@ -46,6 +35,6 @@ def test_one_that_fails_says_why_and_one_that_is_stopped_leaves_nothing(page, fo
 
 
 def test_a_process_that_dies_is_told(page, monkeypatch):
-    monkeypatch.setattr(jobs, "calibrate_into", exit)
+    monkeypatch.setattr("counterspin.application.campaigns.calibrate_into", exit)
     number = page.post("/api/jobs", json={"name": "three"}).json()["number"]
     assert "died" in wait(page, number)["error"]

@@ -34,7 +34,8 @@ def test_results_are_compared_and_followed(page, folder):
 @pytest.mark.parametrize(
     ("query", "status"),
     [
-        (PAGE | {"kind": "study"}, 400),
+        (PAGE | {"kind": "nothing"}, 400),
+        (PAGE | {"kind": "study"}, 422),
         (PAGE | {"names": "three/campaign.toml"}, 422),
         (PAGE | {"names": "nowhere.json"}, 404),
         (PAGE | {"names": "../served/three/result.json"}, 403),
@@ -44,3 +45,11 @@ def test_results_are_compared_and_followed(page, folder):
 )
 def test_what_is_no_page_is_refused(page, query, status):
     assert page.get("/api/page", params=query).status_code == status
+
+
+def test_a_campaign_without_records_is_forecast(page, folder):
+    (folder / "three" / "slow.csv").unlink()
+    asked = {"kind": "forecast", "names": "three/campaign.toml"}
+    told = page.get("/api/page", params=asked).json()
+    assert "u(K<sub>" in told["html"]
+    assert told["command"].startswith("counterspin plan --check ")

@@ -1,9 +1,13 @@
 """A folder as `counterspin serve` finds it: a campaign, its records and its results."""
 
+import time
 from pathlib import Path
+from types import SimpleNamespace
+from unittest.mock import patch
 
 from campaigns import SMALL, write
 
+from counterspin.application.jobs import Jobs
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.simulation import simulate
 
@@ -31,3 +35,28 @@ def write_folder(folder: Path, plan: Path) -> Path:
     simulate(write(plan, SHORT, "plan.toml"), folder / "three")
     calibrate(folder / "three").write(folder / "three" / "result.json")
     return folder
+
+
+def wait(page, number):
+    """Return a job that is over."""
+    deadline = time.monotonic() + 60.0
+    while time.monotonic() < deadline:
+        (job,) = (job for job in page.get("/api/jobs").json() if job["number"] == number)
+        if job["state"] not in ("waiting", "running"):
+            return job
+        time.sleep(0.05)
+    raise AssertionError(job)
+
+
+class InlineJobs(Jobs):
+    """Jobs that are done at once, in this process."""
+
+    def _start(self, job, work, words):
+        sent = []
+        # The server's own process keeps its Ctrl-C.
+        with patch("counterspin.application.jobs.signal.signal"):
+            work(SimpleNamespace(send=sent.append), *words)
+        kind, *why = sent[-1]
+        assert kind in ("done", "failed")
+        job.state, job.error = kind, "".join(why)
+        assert "internal error" not in job.error, job.error

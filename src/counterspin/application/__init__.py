@@ -10,13 +10,14 @@ is done by a click is a command too, and the page says which.
 - `campaigns`: the folder's campaigns and results, with their state
 - `form`, `editing`, `descriptions`: a form made of the models' keys, the text beside it, and both
   of a campaign or a laboratory
-- `jobs`: calibrations, each in a process of its own
+- `jobs`: calibrations, studies and simulations, each in a process of its own
 - `pages`: results, comparisons and histories as the reports' words and pictures
 - `record_plots`: records through a window of time
 - `drafts`: exports that are dragged in, and the campaigns that they make
 - `live`, `judging`: campaigns that are followed while their records grow; runs that are judged
 - `plans`: plans whose limits are moved
-- `certification`: certificates, and files that are taken away
+- `trying`: studies and simulations of campaigns
+- `certification`: certificates, reports, and files that are taken away
 - `commands`: what a click does, as the words of a command line
 - `interface`: what the page may ask, by name
 

@@ -17,8 +17,9 @@ from typing import Any, Final
 
 from counterspin.application.commands import calibrate_command, init_command
 from counterspin.application.desk import Desk
-from counterspin.application.jobs import Job
+from counterspin.application.jobs import Job, calibrate_into
 from counterspin.application.plans import is_plan
+from counterspin.application.trying import STUDY_NAME
 from counterspin.calibration.options import Method
 from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result import Result
@@ -181,7 +182,9 @@ def campaign_overview(desk: Desk, name: str) -> dict[str, Any]:
     line = _line(desk, name, list(_results(desk, path.parent, files)))
     text = desk.folder.read(desk.folder.name(path))
     output = path.parent / "result.json"
+    study = path.parent / STUDY_NAME
     return line | {
+        "study": desk.folder.name(study) if desk.folder.holds(study) and study.is_file() else None,
         "text": text.text,
         "version": text.version,
         "run_list": _runs(desk, name, path),
@@ -236,7 +239,7 @@ def begin_calibration(
     def make(number: int) -> Job:
         return Job(number, name, desk.folder.name(place), command)
 
-    return desk.jobs.begin(make, path, place, method, accept_misfit).shown()
+    return desk.jobs.begin(make, calibrate_into, path, place, method, accept_misfit).shown()
 
 
 def begin_campaign(desk: Desk, name: str, test: Test) -> dict[str, Any]:

@@ -1,13 +1,14 @@
-"""Certificates from the page, and files to be saved elsewhere.
+"""Certificates and reports from the page, and files to be saved elsewhere.
 
 - `begin_certificate`: issues one
+- `report_of`: a result's report
 - `taken_file`: a file that was made, to be saved elsewhere
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from counterspin.application.commands import certificate_command
 from counterspin.application.desk import Desk
@@ -40,6 +41,26 @@ def begin_certificate(desk: Desk, result: str, lab: str, output: str) -> dict[st
         "file": output,
         "command": certificate_command(*files),
     }
+
+
+def report_of(desk: Desk, result: str, kind: Literal["html", "md", "pdf"]) -> tuple[str, bytes]:
+    """Return a report's own name and what is in it; nothing is written into the folder.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    result
+        Its file.
+    kind
+        Of the report.
+    """
+    from counterspin.calibration.pages.publishing import report
+
+    found = desk.result(result)
+    with desk.drawing:
+        made = report(found, "pdf") if kind == "pdf" else report(found, kind).encode()
+    return f"{desk.file(result).stem}.{kind}", made
 
 
 def taken_file(desk: Desk, name: str) -> tuple[str, bytes]:

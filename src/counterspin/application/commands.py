@@ -51,6 +51,22 @@ def plan_command(file: Path, folder: Path | None) -> str:
     return _typed(["plan", str(file), *([] if folder is None else ["--output", str(folder)])])
 
 
+def forecast_command(campaign: Path) -> str:
+    """Return the command that says what a campaign will tell."""
+    return _typed(["plan", "--check", str(campaign)])
+
+
+def study_command(campaign: Path, trials: int, output: Path) -> str:
+    """Return the command that studies a campaign and writes what it finds."""
+    words = ["study", str(campaign), f"--trials={trials}", "--json", str(output), "--overwrite"]
+    return _typed(words)
+
+
+def simulate_command(campaign: Path, folder: Path) -> str:
+    """Return the command that makes a campaign's records in another folder."""
+    return _typed(["simulate", str(campaign), "--output", str(folder)])
+
+
 def export_command(folder: Path, files: Sequence[Path], answers: Mapping[str, str]) -> str:
     """Return the command that makes a campaign of a recorder's files."""
     said = [f"--answer={key}={answer}" for key, answer in answers.items()]

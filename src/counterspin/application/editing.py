@@ -34,11 +34,12 @@ from counterspin.campaign.toml_file import parse_document
 from counterspin.certificates.lab import read_lab
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
+from counterspin.studies.description import study_of
 
 KeyPath = Sequence[str | int]
 
 #: Sections that hold tables with headings of their own; tables within others are written in line.
-_OF_TABLES: Final = ("accelerometers", "truth", "model")
+_OF_TABLES: Final = ("accelerometers", "truth", "model", "specification", "study")
 
 
 @frozen
@@ -93,6 +94,11 @@ def checked_campaign(desk: Desk, file: Path, text: str) -> Edited:
     problems = Problems(document)
     campaign = resolve_campaign(document, file, problems)
     asked = () if campaign is None else tuple(q.text for q in questions(campaign))
+    if "study" in document and not problems.lines:
+        try:
+            study_of(document, file)
+        except CampaignError as error:
+            return Edited(text, document, _split(error.problems), asked)
     return Edited(text, document, _split(problems.lines), asked)
 
 

@@ -21,17 +21,26 @@ from counterspin.campaign.readings import ReadingRunSettings, is_reading
 from counterspin.campaign.readings_table import ReadingsSettings
 from counterspin.campaign.settings import (
     AccelerometerSettings,
+    AccelerometerTruthSettings,
     CampaignSettings,
     CentrifugeSettings,
+    CentrifugeTruthSettings,
+    EncoderTruthSettings,
     ModelSettings,
     NoiseSettings,
+    PlatformTruthSettings,
     RecordsSettings,
     RunSettings,
+    SimulationSettings,
     SiteSettings,
+    SpindleTruthSettings,
 )
+from counterspin.campaign.specification import SpecificationSettings
 from counterspin.certificates.lab import Lab
+from counterspin.physics.accelerometer import TERMS
+from counterspin.studies.description import StudySettings
 
-#: Section of ``campaign.toml`` -> its model. Of those that are not here the text is edited.
+#: Section of ``campaign.toml`` -> its model.
 SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
     "campaign": CampaignSettings,
     "site": SiteSettings,
@@ -42,10 +51,28 @@ SECTIONS: Final[Mapping[str, type[BaseModel]]] = {
     "model": ModelSettings,
     "readings": ReadingsSettings,
     "runs": RunSettings,
+    "specification": SpecificationSettings,
+    "simulation": SimulationSettings,
+    "truth": AccelerometerTruthSettings,
+    "study": StudySettings,
+}
+
+#: Tables of [truth] that are no accelerometer's -> their models.
+_TRUTH: Final[Mapping[str, type[BaseModel]]] = {
+    "spindle": SpindleTruthSettings,
+    "platform": PlatformTruthSettings,
+    "centrifuge": CentrifugeTruthSettings,
+    "encoder": EncoderTruthSettings,
+    "noise": NoiseSettings,
 }
 
 #: Sections that hold a table for each name, and those that are a list of tables.
-_REPEATED: Final = {"accelerometers": "names", "runs": "list", "persons": "list"}
+_REPEATED: Final = {
+    "accelerometers": "names",
+    "runs": "list",
+    "persons": "list",
+    "truth": "names",
+}
 
 #: Type -> how it is asked for; others as text.
 _KINDS: Final[Mapping[Any, str]] = {
@@ -69,6 +96,11 @@ def campaign_form() -> tuple[Field, ...]:
         section = _section(key, model)
         if key == "runs":
             section["of_readings"] = _fields(ReadingRunSettings)
+        if key == "specification":
+            section["of_names"] = _limits()
+            section["fields"] = section["of_names"] + section["fields"]
+        if key == "truth":
+            section["of_tables"] = {name: _fields(model) for name, model in _TRUTH.items()}
         sections.append(section)
     return tuple(sections)
 
@@ -89,6 +121,14 @@ def run_kinds(document: Mapping[str, Any]) -> list[str]:
     runs = document.get("runs")
     some = runs if isinstance(runs, list) else []
     return ["reading" if is_reading(run) else "record" for run in some]
+
+
+def _limits() -> list[Field]:
+    """Return the fields of tolerance limits, one for each term of an accelerometer."""
+    return [
+        {"key": symbol, "required": False, "kind": "text", "example": f"abs <= … {row.unit}"}
+        for symbol, row in TERMS.items()
+    ]
 
 
 def _section(key: str, model: type[BaseModel]) -> Field:
@@ -135,6 +175,8 @@ def _a_table(some: Sequence[Any]) -> bool:
 
 def _kind(base: Any, metadata: Sequence[Any]) -> Field:
     """Return how a value is asked for."""
+    if typing.get_origin(base) is Literal:
+        return {"kind": "choice", "choices": list(typing.get_args(base))}
     readers = [said.func for said in metadata if isinstance(said, PlainValidator)]
     if readers:
         of_unit = next((reader for reader in readers if isinstance(reader, partial)), None)
@@ -144,8 +186,6 @@ def _kind(base: Any, metadata: Sequence[Any]) -> Field:
     if isinstance(base, type) and issubclass(base, BaseModel):
         return {"kind": "group", "fields": _fields(base)}
     origin = typing.get_origin(base)
-    if origin is Literal:
-        return {"kind": "choice", "choices": list(typing.get_args(base))}
     return {"kind": _KINDS.get(origin or base, "text")}
 
 

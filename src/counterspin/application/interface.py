@@ -22,6 +22,7 @@ from counterspin.application import (
     pages,
     plans,
     record_plots,
+    trying,
 )
 from counterspin.application.desk import Desk
 from counterspin.application.folder import ChangedMeanwhileError, NotThereError, OutsideError
@@ -127,6 +128,24 @@ class CalibrationAsked(Named):
     output: str = "result.json"
     method: Method = "joint"
     accept_misfit: str | None = None
+
+
+class ReportAsked(Named):
+    """The report of a result, as a file of a kind."""
+
+    kind: Literal["html", "md", "pdf"]
+
+
+class StudyAsked(Named):
+    """A study of a campaign."""
+
+    trials: int
+
+
+class SimulationAsked(Named):
+    """Records of a campaign, made in a folder."""
+
+    folder: str
 
 
 class JobAsked(Asked):
@@ -257,7 +276,14 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Endpoint]] = {
             desk, asked.result, asked.lab, asked.output
         ),
     ),
-    ("GET", "file"): (Named, lambda desk, asked: _taken(desk, asked.name)),
+    ("GET", "report"): (
+        ReportAsked,
+        lambda desk, asked: _offered(*certification.report_of(desk, asked.name, asked.kind)),
+    ),
+    ("GET", "file"): (
+        Named,
+        lambda desk, asked: _offered(*certification.taken_file(desk, asked.name)),
+    ),
     ("GET", "plan"): (Named, lambda desk, asked: plans.plan_overview(desk, asked.name)),
     ("POST", "plan"): (Named, lambda desk, asked: plans.begin_plan(desk, asked.name)),
     ("POST", "plan-try"): (
@@ -275,13 +301,20 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Endpoint]] = {
             desk, asked.name, asked.output, asked.method, asked.accept_misfit
         ),
     ),
+    ("POST", "study"): (
+        StudyAsked,
+        lambda desk, asked: trying.begin_study(desk, asked.name, asked.trials),
+    ),
+    ("POST", "simulation"): (
+        SimulationAsked,
+        lambda desk, asked: trying.begin_simulation(desk, asked.name, asked.folder),
+    ),
     ("DELETE", "jobs"): (JobAsked, lambda desk, asked: desk.jobs.stop(asked.number).shown()),
 }
 
 
-def _taken(desk: Desk, name: str) -> Answer:
-    own, content = certification.taken_file(desk, name)
-    return Answer(200, content, "application/octet-stream", own)
+def _offered(name: str, content: bytes) -> Answer:
+    return Answer(200, content, "application/octet-stream", name)
 
 
 def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) -> Answer:

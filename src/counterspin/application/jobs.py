@@ -1,7 +1,8 @@
-"""Calibrations that go on while the page is used, each in a process of its own.
+"""What goes on while the page is used, each job in a process of its own.
 
 - `Jobs`: begins them, one at a time, and knows what becomes of them; `Job`: one of them
-- `calibrate_into`: what the process does
+- `tell_of`: what a process does, told to the server
+- `calibrate_into`: a calibration's
 
 A page that is loaded again finds its job; a process that is ended leaves no half result.
 """
@@ -11,6 +12,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing import get_context
@@ -19,17 +21,20 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from counterspin.calibration.options import Method
-from counterspin.errors import CounterspinError
+from counterspin.errors import CounterspinError, CounterspinWarning
 
 #: How many finished jobs are remembered.
 _MAX_FINISHED_JOBS: Final = 50
+
+#: Takes how much is done, and how much there is.
+Progress = Callable[[int, int], None]
 
 JobState = Literal["waiting", "running", "done", "failed", "stopped"]
 
 
 @dataclass
 class Job:
-    """One calibration.
+    """A calibration, a study or a simulation.
 
     Attributes
     ----------
@@ -38,13 +43,15 @@ class Job:
     campaign
         The campaign's name in the folder.
     output
-        The result's name there.
+        The result's name there, or the folder's that is filled.
     command
         The same as a command.
+    kind
+        What it is.
     state
         Where it stands.
     progress
-        Runs read, runs in all.
+        Runs or trials that are done, and all of them.
     error
         Why it failed.
     seconds
@@ -55,6 +62,7 @@ class Job:
     campaign: str
     output: str
     command: str
+    kind: Literal["calibration", "study", "simulation"] = "calibration"
     state: JobState = "waiting"
     progress: tuple[int, int] = (0, 0)
     error: str = ""
@@ -67,7 +75,7 @@ class Job:
 
 
 class Jobs:
-    """The calibrations of one server; two at once would only take each other's time."""
+    """The jobs of one server; two at once would only take each other's time."""
 
     def __init__(self) -> None:
         self._jobs: dict[int, Job] = {}
@@ -81,13 +89,15 @@ class Jobs:
         with self._lock:
             return sorted(self._jobs.values(), key=lambda job: -job.number)
 
-    def begin(self, make: Callable[[int], Job], *words: Any) -> Job:
+    def begin(self, make: Callable[[int], Job], work: Callable[..., None], *words: Any) -> Job:
         """Begin a job, or return the one that is at work on the same result already.
 
         Parameters
         ----------
         make
             Makes the job of a number.
+        work
+            What its process calls, with the end of a pipe, as `tell_of` takes it, and `words`.
         words
             What its process is given.
         """
@@ -103,11 +113,11 @@ class Jobs:
             over = [n for n, j in self._jobs.items() if j.state not in ("waiting", "running")]
             for number in over[:-_MAX_FINISHED_JOBS]:
                 del self._jobs[number]
-        self._start(job, words)
+        self._start(job, work, words)
         return job
 
-    def _start(self, job: Job, words: tuple[Any, ...]) -> None:
-        threading.Thread(target=self._work, args=(job, words), daemon=True).start()
+    def _start(self, job: Job, work: Callable[..., None], words: tuple[Any, ...]) -> None:
+        threading.Thread(target=self._work, args=(job, work, words), daemon=True).start()
 
     def stop(self, number: int) -> Job:
         """End a job; CounterspinError if there is none of that number."""
@@ -128,16 +138,14 @@ class Jobs:
         with self._turn:
             pass  # whoever was at work has ended its process
 
-    def _work(self, job: Job, words: tuple[Any, ...]) -> None:
+    def _work(self, job: Job, work: Callable[..., None], words: tuple[Any, ...]) -> None:
         with self._turn:
             if job.stop.is_set():
                 job.state = "stopped"
                 return
             job.state, begun = "running", time.monotonic()
             here, there = get_context("spawn").Pipe(duplex=False)
-            process = get_context("spawn").Process(
-                target=calibrate_into, args=(there, *words), daemon=True
-            )
+            process = get_context("spawn").Process(target=work, args=(there, *words), daemon=True)
             process.start()
             there.close()
             try:
@@ -170,6 +178,29 @@ class Jobs:
             job.error, job.state = told[0], "failed"
 
 
+def tell_of(there: Connection, work: Callable[[Progress], None]) -> None:
+    """Do something in a process of its own, and tell how far it is and how it ended.
+
+    Parameters
+    ----------
+    there
+        Takes ``("progress", done, in all)``, then ``("done",)`` or ``("failed", why)``.
+    work
+        Is given what takes its progress.
+    """
+    # Ctrl-C in the terminal is for the server, which ends its jobs.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # What a result warns of stands in it.
+    warnings.simplefilter("ignore", CounterspinWarning)
+    try:
+        work(lambda done, total: there.send(("progress", done, total)))
+        there.send(("done",))
+    except CounterspinError as error:
+        there.send(("failed", str(error)))
+    except Exception as error:
+        there.send(("failed", f"internal error ({type(error).__name__}: {error})"))
+
+
 def calibrate_into(
     there: Connection,
     campaign: Path,
@@ -177,12 +208,12 @@ def calibrate_into(
     method: Method,
     accept_misfit: str | None,
 ) -> None:
-    """Calibrate a campaign, write its result, and tell how far it is and how it ended.
+    """Calibrate a campaign and write its result.
 
     Parameters
     ----------
     there
-        Takes ``("progress", done, in all)``, then ``("done",)`` or ``("failed", why)``.
+        As of `tell_of`.
     campaign
         Its description.
     output
@@ -190,23 +221,14 @@ def calibrate_into(
     method, accept_misfit
         As for `counterspin.calibration.calibrate.calibrate`.
     """
-    from counterspin.calibration.calibrate import calibrate
-    from counterspin.calibration.result import Result
-    from counterspin.output import reserve
 
-    # Ctrl-C in the terminal is for the server, which ends its jobs.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
+    def work(progress: Progress) -> None:
+        from counterspin.calibration.calibrate import calibrate
+        from counterspin.calibration.result import Result
+        from counterspin.output import reserve
+
         reserve(output, Result.file_kind, overwrite=True)
-        result = calibrate(
-            campaign,
-            method=method,
-            accept_misfit=accept_misfit,
-            progress=lambda done, total: there.send(("progress", done, total)),
-        )
+        result = calibrate(campaign, method=method, accept_misfit=accept_misfit, progress=progress)
         result.write(output, overwrite=True)
-        there.send(("done",))
-    except CounterspinError as error:
-        there.send(("failed", str(error)))
-    except Exception as error:
-        there.send(("failed", f"internal error ({type(error).__name__}: {error})"))
+
+    tell_of(there, work)

@@ -10,13 +10,21 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from counterspin.application.commands import compare_command, history_command, report_command
+from counterspin.application.commands import (
+    compare_command,
+    forecast_command,
+    history_command,
+    plan_command,
+    report_command,
+    study_command,
+)
 from counterspin.application.desk import Desk
 from counterspin.application.folder import NotThereError
+from counterspin.campaign.toml_file import load_document
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Block, Picture
 
-Kind = Literal["result", "comparison", "history"]
+Kind = Literal["result", "comparison", "history", "plan", "forecast", "study"]
 
 
 @frozen(eq=False)
@@ -54,10 +62,43 @@ def _history(desk: Desk, names: Sequence[str], term: str) -> Page:
     return Page(f"History of {term}", list(history_blocks(found)), command)
 
 
+def _plan(desk: Desk, names: Sequence[str], _: str) -> Page:
+    from counterspin.planning.page import plan_blocks
+    from counterspin.planning.plan import plan
+
+    file = desk.file(names[0])
+    desk.require_inside(file.parent, load_document(file))
+    found = plan(file).result
+    return Page(found.title, plan_blocks(found), plan_command(file, None))
+
+
+def _forecast(desk: Desk, names: Sequence[str], _: str) -> Page:
+    from counterspin.planning.page import plan_blocks
+    from counterspin.planning.plan import check
+
+    file = desk.file(names[0])
+    desk.campaign(desk.folder.name(file.parent))
+    found = check(file)
+    return Page(found.title, plan_blocks(found), forecast_command(file.parent))
+
+
+def _study(desk: Desk, names: Sequence[str], _: str) -> Page:
+    from counterspin.studies.page import coverage_plots, render_study
+    from counterspin.studies.result import StudyResult
+
+    file = desk.file(names[0])
+    found = StudyResult.read(file)
+    blocks = [*render_study(found).blocks, *coverage_plots(found)]
+    return Page(found.title, blocks, study_command(file.parent, found.trials_asked, file))
+
+
 _MAKERS: Final[Mapping[Kind, Callable[[Desk, Sequence[str], str], Page]]] = {
     "result": _result,
     "comparison": _comparison,
     "history": _history,
+    "plan": _plan,
+    "forecast": _forecast,
+    "study": _study,
 }
 
 

@@ -98,7 +98,7 @@ def _probability(value: float) -> float:
 class SpecificationSettings(SettingsSection):
     """The keys of [specification] for the decision rule; all others are terms."""
 
-    decision_rule: Annotated[str, PlainValidator(_rule_name)] = "guarded"
+    decision_rule: Annotated[RuleName, PlainValidator(_rule_name)] = "guarded"
     guard_factor: Annotated[float, PlainValidator(_number), AfterValidator(_factor)] = 1.0
     conformance_probability: Annotated[
         float, PlainValidator(_number), AfterValidator(_probability)
@@ -209,7 +209,7 @@ def resolve_specifications(
         return None
     return Specifications(
         rule=DecisionRule(
-            settings.decision_rule,  # type: ignore[arg-type]  # checked by its validator
+            settings.decision_rule,  # checked by its validator
             settings.guard_factor,
             settings.conformance_probability,
         ),

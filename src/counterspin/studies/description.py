@@ -7,7 +7,7 @@ It stands in ``campaign.toml`` beside [truth], or in a file of its own that name
     [study]
     ...
 
-- `read_study`: either of them, all mistakes at once
+- `read_study`: either of them, all mistakes at once; `study_of`: of what such a file says
 - `StudyDescription`, `AnalysisDescription`: what comes out
 """
 
@@ -152,18 +152,28 @@ def read_study(path: Path | str | Campaign) -> StudyDescription:
     CampaignError
         With every mistake found, each with the path of its key.
     """
-    if isinstance(path, Campaign):
-        file, raw = path.path, dict(source_of(path).document)
-        problems = Problems(raw)
-        document: Mapping[str, Any] = raw
-        where = path.folder / DESCRIPTION_NAME
-        campaign = _campaign(document, where, problems, ())
-    else:
+    if not isinstance(path, Campaign):
         file = description_file(path)
-        raw = load_document(file, CAMPAIGN_ADVICE, "campaign")
-        problems = Problems(raw)
-        document, where = _document(raw, file, problems)
-        campaign = _campaign(document, where, problems, () if where is file else (str(where),))
+        return study_of(load_document(file, CAMPAIGN_ADVICE, "campaign"), file)
+    return study_of(dict(source_of(path).document), path.path, path.folder / DESCRIPTION_NAME)
+
+
+def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> StudyDescription:
+    """Read and check what a study's file says; raises as `read_study` does.
+
+    Parameters
+    ----------
+    raw
+        What it says.
+    file
+        Where that stands, or would.
+    described
+        Where the campaign is described, of one that was read; None: `raw` may name another one.
+    """
+    problems = Problems(raw)
+    document, where = (raw, described) if described else _document(raw, file, problems)
+    named = () if where in (file, described) else (str(where),)
+    campaign = _campaign(document, where, problems, named)
     section = raw.get("study", {})
     settings = problems.check(StudySettings, section, ("study",))
     if campaign is None or settings is None:

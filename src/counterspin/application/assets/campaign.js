@@ -2,66 +2,13 @@
 // One campaign: calibrate, and what came of it.
 
 import { get, send } from "./api.js";
-import { commandLine, labelled, make, say, stateMark, warning } from "./dom.js";
+import { commandLine, labelled, make, stateMark, warning } from "./dom.js";
 import { resultLines } from "./folder.js";
-import { pagePart } from "./result.js";
+import { follow } from "./job.js";
+import { pagePart, resultLinks } from "./result.js";
 import { campaignTabs } from "./tabs.js";
 
-/** @typedef {{number: number, campaign: string, output: string, command: string, state: string,
- *   progress: [number, number], error: string, seconds: number}} Job */
-
-const PAUSE = 250;
-
-/**
- * Follow a job to its end.
- * @param {Job} job
- * @param {HTMLElement} place
- * @param {() => void} done
- */
-function follow(job, place, done) {
-  const bar = make("progress", { "aria-label": "Progress of the calibration" });
-  const words = make("p", { class: "quiet", "aria-live": "polite" });
-  const stop = make("button", {
-    type: "button",
-    onclick: () => send("DELETE", "jobs", { number: job.number }),
-  }, "Stop");
-  place.replaceChildren(make("div", { class: "job" }, bar, words, stop));
-  /** @param {Job} now */
-  const show = (now) => {
-    const [read, all] = now.progress;
-    if (all && read < all) {
-      bar.max = all;
-      bar.value = read;
-    } else {
-      bar.removeAttribute("value");
-    }
-    const what = now.state === "waiting" ? "Waiting for another calibration"
-      : all && read === all ? "Estimating" : `Reading runs: ${read} of ${all || "?"}`;
-    words.textContent = `${what}, ${Math.round(now.seconds)} s`;
-  };
-  const ask = async () => {
-    if (!place.isConnected && asked++ > 4) return;
-    try {
-      /** @type {Job[]} */
-      const jobs = await get("jobs");
-      const now = jobs.find(({ number }) => number === job.number);
-      if (now && (now.state === "waiting" || now.state === "running")) {
-        show(now);
-        setTimeout(ask, PAUSE);
-      } else if (now?.state === "done") {
-        say(`Wrote ${now.output}.`);
-        done();
-      } else {
-        place.replaceChildren(warning(now?.error || "The calibration was stopped."));
-      }
-    } catch (error) {
-      place.replaceChildren(warning(/** @type {Error} */ (error).message));
-    }
-  };
-  let asked = 0;
-  show(job);
-  setTimeout(ask, PAUSE);
-}
+/** @typedef {import("./job.js").Job} Job */
 
 /**
  * How the campaign is calibrated, and the button.
@@ -97,8 +44,8 @@ function calibration(campaign, again) {
     labelled("Result's file; an earlier result is replaced", output),
     campaign.state === "contradicted"
       ? labelled("Use it although the records contradict it: why", reason) : null));
-  const running = campaign.jobs.find(/** @param {Job} job */ ({ state }) =>
-    state === "waiting" || state === "running");
+  const running = campaign.jobs.find(/** @param {Job} job */ ({ kind, state }) =>
+    kind === "calibration" && (state === "waiting" || state === "running"));
   if (running) follow(running, place, again);
   return [form, place, commandLine(campaign.command)];
 }
@@ -131,9 +78,7 @@ export async function campaignView(name) {
     // The campaign's own title stands above.
     part.querySelector("h1")?.remove();
     content.push(make("section", { "aria-label": "Result" }, part),
-      make("p", {}, make("a", { href: `#/certificate/${encodeURIComponent(newest.name)}` },
-        "Certificate of this result")),
-      commandLine(told.command));
+      resultLinks(newest.name), commandLine(told.command));
   }
   return { title: campaign.title, content };
 }

@@ -2,33 +2,14 @@
 // Results beside each other, and results over the years.
 
 import { get } from "./api.js";
-import { commandLine, labelled, make, stateMark, warning } from "./dom.js";
-import { pagePart } from "./result.js";
+import { labelled, make, stateMark } from "./dom.js";
+import { fill } from "./result.js";
 
 /** All results of the folder that can be read. */
 async function allResults() {
   const folder = await get("folder");
   const all = [...folder.campaigns.flatMap(/** @param {any} c */ (c) => c.results), ...folder.results];
   return { folder, results: all.filter((result) => result.state !== "damaged") };
-}
-
-/**
- * Draw a part into a place, or say why not.
- * @param {HTMLElement} place
- * @param {string} kind
- * @param {string[]} names
- * @param {string} [term]
- */
-async function fill(place, kind, names, term) {
-  place.replaceChildren(make("p", { class: "quiet" }, "Working."));
-  try {
-    const { told, part } = await pagePart(kind, names, term);
-    part.querySelector("h1")?.remove();
-    place.replaceChildren(part, commandLine(told.command));
-    globalThis.counterspin.draw(part);
-  } catch (error) {
-    place.replaceChildren(warning(/** @type {Error} */ (error).message));
-  }
 }
 
 /** The page on which results are compared. */

@@ -6,10 +6,10 @@ import { labelled, make, say, warning } from "./dom.js";
 
 /**
  * @typedef {string | number} Part
- * @typedef {{key: string, kind: string, required: boolean, unit?: string, choices?: any[],
+ * @typedef {{key: string, kind: string, required: boolean, unit?: string, example?: string, choices?: any[],
  *   fields?: Field[]}} Field
  * @typedef {{key: string, words: string, repeat: string | null, fields: Field[],
- *   of_readings?: Field[]}} Section
+ *   of_readings?: Field[], of_names?: Field[], of_tables?: Record<string, Field[]>}} Section
  * @typedef {{text: string, document: any, problems: {key: string, words: string}[],
  *   questions: string[], run_kinds: string[]}} Edited
  */
@@ -49,6 +49,13 @@ function typed(text, kind) {
   }
   return kind === "list" ? trimmed.split(",").map((one) => one.trim()).filter(Boolean) : trimmed;
 }
+
+/** Section -> what is asked of a table that is added. */
+const ADDED = /** @type {Record<string, string>} */ ({
+  accelerometers: "Name of another accelerometer",
+  specification: "Limits of one accelerometer alone: its name",
+  truth: "Truth of an accelerometer, or of spindle, platform, centrifuge, encoder or noise",
+});
 
 /** @param {any} choice */
 const choiceWords = (choice) => ({ "\t": "tab", " ": "blank" })[String(choice)] ?? String(choice);
@@ -240,9 +247,18 @@ export class Editor {
     this.places?.set(key, details);
     if (!repeat) {
       details.append(...this.group(section.fields, [key], value ?? {}));
+      if (section.of_names) {
+        for (const [name, one] of Object.entries(value ?? {})) {
+          if (one && typeof one === "object") {
+            details.append(this.entry(name, section.of_names, [key, name], one));
+          }
+        }
+        details.append(this.adding(key));
+      }
     } else if (repeat === "names") {
       for (const name of Object.keys(value ?? {})) {
-        details.append(this.entry(name, section.fields, [key, name], value[name]));
+        const fields = section.of_tables?.[name] ?? section.fields;
+        details.append(this.entry(name, fields, [key, name], value[name]));
       }
       details.append(this.adding(key));
     } else {
@@ -278,7 +294,8 @@ export class Editor {
    * @param {any} value
    */
   entry(title, fields, path, value) {
-    const box = make("details", { class: "entry", id: `s-${keyPath(path)}`, open: path[0] !== "runs" },
+    const box = make("details", { class: "entry", id: `s-${keyPath(path)}`, 
+      "aria-label": title, open: path[0] !== "runs" },
       make("summary", {}, title),
       ...this.group(fields, path, value ?? {}),
       make("button", { type: "button", onclick: () => this.change(path, null) }, `Remove ${title}`));
@@ -289,11 +306,11 @@ export class Editor {
   /** @param {string} key */
   adding(key) {
     const name = make("input", { autocomplete: "off", id: `new-${key}` });
-    return make("div", { class: "row" }, labelled("Name of another", name),
+    return make("div", { class: "row" }, labelled(ADDED[key] ?? "Name of another", name),
       make("button", {
         type: "button",
         onclick: () => { if (name.value.trim()) this.change([key, name.value.trim()], {}); },
-      }, "Add"));
+      }, `Add to ${key}`));
   }
 
   /**
@@ -308,7 +325,7 @@ export class Editor {
     const content = [make("div", { class: "grid" },
       ...seen.map((field) => this.field(field, [...path, field.key], value[field.key])))];
     if (others.length) {
-      content.push(make("details", { class: "more", id: `m-${keyPath(path)}` },
+      content.push(make("details", { class: "more", id: `m-${keyPath(path)}`, open: !seen.length },
         make("summary", {}, "More keys"),
         make("div", { class: "grid" },
           ...others.map((field) => this.field(field, [...path, field.key], undefined)))));
@@ -377,7 +394,7 @@ export class Editor {
       value: shown(value),
       autocomplete: "off",
       spellcheck: false,
-      placeholder: field.unit ? `… ${field.unit}` : null,
+      placeholder: field.example ?? (field.unit ? `… ${field.unit}` : null),
       "aria-required": field.required ? "true" : null,
       onchange: (/** @type {any} */ e) => this.change(path, typed(e.target.value, kind),
         kind === "date" && e.target.value ? "date" : ""),

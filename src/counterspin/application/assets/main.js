@@ -13,6 +13,7 @@ import { liveView } from "./live.js";
 import { planView, plansView } from "./plan.js";
 import { resultView } from "./result.js";
 import { runsView } from "./runs.js";
+import { tryView } from "./try.js";
 
 /**
  * A place: its address, its name in the list of places, and what is shown there.
@@ -29,6 +30,7 @@ const PLACES = [
   { path: /^\/plan\/(.*)$/, view: planView },
   { path: /^\/live\/(.*)$/, view: liveView },
   { path: /^\/runs\/(.*)$/, view: runsView },
+  { path: /^\/try\/(.*)$/, view: tryView },
   { path: /^\/certificate\/(.*)$/, view: certificateView },
   { path: /^\/campaign\/(.*)$/, view: campaignView },
   { path: /^\/description\/(.*)$/, view: descriptionView },

@@ -4,6 +4,7 @@
 import { get, send } from "./api.js";
 import { commandLine, labelled, make, say, warning } from "./dom.js";
 import { campaignAddress } from "./folder.js";
+import { fill } from "./result.js";
 
 /** The list of plans. */
 export async function plansView() {
@@ -119,12 +120,16 @@ export async function planView(name) {
     },
   }, labelled("Folder of the planned campaign", folder),
   make("button", { class: "main" }, "Write these limits and the campaign"));
+  const whole = make("div");
+  const forecast = make("details", {
+    ontoggle: () => { if (forecast.open && !whole.childNodes.length) fill(whole, "plan", [name]); },
+  }, make("summary", {}, "The plan as it is written, with its forecast in full"), whole);
   ask();
   return {
     title: plan.title,
     content: [
       make("h1", {}, plan.title), make("p", { class: "quiet" }, name),
-      make("div", { class: "sliders" }, ...sliders), wrong, answer, runs,
+      make("div", { class: "sliders" }, ...sliders), wrong, answer, runs, forecast,
       make("h2", {}, "Make it"), form, written, commandLine(plan.command),
     ],
   };

@@ -2,7 +2,7 @@
 // A result: the report's own blocks.
 
 import { get, getText } from "./api.js";
-import { commandLine, make } from "./dom.js";
+import { commandLine, make, warning } from "./dom.js";
 
 /**
  * Fetch the pictures of a page as they come near the screen.
@@ -41,6 +41,35 @@ export async function pagePart(kind, names, term) {
 }
 
 /**
+ * Draw a part into a place, or say why not.
+ * @param {HTMLElement} place
+ * @param {string} kind
+ * @param {string[]} names
+ * @param {string} [term]
+ */
+export async function fill(place, kind, names, term) {
+  place.replaceChildren(make("p", { class: "quiet" }, "Working."));
+  try {
+    const { told, part } = await pagePart(kind, names, term);
+    part.querySelector("h1")?.remove();
+    place.replaceChildren(part, commandLine(told.command));
+    globalThis.counterspin.draw(part);
+  } catch (error) {
+    place.replaceChildren(warning(/** @type {Error} */ (error).message));
+  }
+}
+
+/**
+ * What can be made of a result.
+ * @param {string} name
+ */
+export const resultLinks = (name) => make("p", { class: "links" },
+  make("a", { href: `#/certificate/${encodeURIComponent(name)}` }, "Certificate of this result"),
+  ...["html", "pdf", "md"].map((kind) => make("a", {
+    href: `/api/report?${new URLSearchParams({ name, kind })}`, download: "",
+  }, `Report as ${kind === "md" ? "Markdown" : kind.toUpperCase()}`)));
+
+/**
  * The page of a result.
  * @param {string} name
  */
@@ -50,8 +79,7 @@ export async function resultView(name) {
     title: told.title,
     content: [
       part,
-      make("p", {}, make("a", { href: `#/certificate/${encodeURIComponent(name)}` },
-        "Certificate of this result")),
+      resultLinks(name),
       commandLine(told.command),
     ],
   };

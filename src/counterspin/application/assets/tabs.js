@@ -4,7 +4,9 @@
 import { make } from "./dom.js";
 
 /** Its address -> what it is called. */
-const TABS = { campaign: "Result", description: "Description", runs: "Records", live: "Live" };
+const TABS = {
+  campaign: "Result", description: "Description", runs: "Records", live: "Live", try: "Try out",
+};
 
 /**
  * Links to the places of a campaign.

@@ -1,0 +1,109 @@
+"""What a campaign would tell, before it is recorded: simulated records, and studies of many trials.
+
+- `begin_study`, `begin_simulation`: jobs
+- `study_into`, `simulate_into`: what their processes do
+"""
+
+from __future__ import annotations
+
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, Final
+
+from counterspin.application.commands import simulate_command, study_command
+from counterspin.application.desk import Desk
+from counterspin.application.jobs import Job, Progress, tell_of
+from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
+from counterspin.errors import CounterspinError
+
+#: Where a study of a campaign is kept, in its folder.
+STUDY_NAME: Final = "study.json"
+
+
+def begin_study(desk: Desk, name: str, trials: int) -> dict[str, Any]:
+    """Begin to study a campaign; return the job.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    name
+        The campaign's folder; its ``study.json`` takes the result, in place of an earlier one.
+    trials
+        How many.
+
+    Raises
+    ------
+    CampaignError
+        If the description is wrong, or has no truth.
+    """
+    from counterspin.studies.description import read_study
+
+    path = desk.description(name)
+    desk.campaign(name)
+    read_study(path)
+    place = desk.folder.path(f"{name}/{STUDY_NAME}" if name else STUDY_NAME)
+    command = study_command(path.parent, trials, place)
+
+    def make(number: int) -> Job:
+        return Job(number, name, desk.folder.name(place), command, "study")
+
+    return desk.jobs.begin(make, study_into, path, place, trials).shown()
+
+
+def study_into(there: Connection, campaign: Path, output: Path, trials: int) -> None:
+    """Study a campaign and write its result; `there` is told as of `jobs.tell_of`."""
+
+    def work(progress: Progress) -> None:
+        from counterspin.output import reserve
+        from counterspin.studies.result import StudyResult
+        from counterspin.studies.study import study
+
+        reserve(output, StudyResult.file_kind, overwrite=True)
+        study(campaign, trials=trials, progress=progress).write(output, overwrite=True)
+
+    tell_of(there, work)
+
+
+def begin_simulation(desk: Desk, name: str, folder: str) -> dict[str, Any]:
+    """Begin to make the records of a campaign, in another folder; return the job.
+
+    Parameters
+    ----------
+    desk
+        What is served.
+    name
+        The campaign's folder.
+    folder
+        Takes records and description; no file there is replaced.
+
+    Raises
+    ------
+    CounterspinError
+        If there is a campaign in that folder, or a record would lie outside of what is served.
+    """
+    path = desk.description(name)
+    desk.campaign(name)
+    place = desk.folder.path(folder)
+    if not folder:
+        raise CounterspinError("give the folder of the simulated records a name")
+    if (place / DESCRIPTION_NAME).exists():
+        raise CounterspinError(f"{folder} holds a campaign already; name another folder")
+    desk.require_inside(place, load_document(path))
+    command = simulate_command(path.parent, place)
+
+    def make(number: int) -> Job:
+        return Job(number, name, desk.folder.name(place), command, "simulation")
+
+    return desk.jobs.begin(make, simulate_into, path, place).shown()
+
+
+def simulate_into(there: Connection, campaign: Path, folder: Path) -> None:
+    """Make a campaign's records in a folder; `there` is told as of `jobs.tell_of`."""
+
+    def work(_: Progress) -> None:
+        from counterspin.campaign.simulation import simulate
+
+        simulate(campaign, folder)
+
+    tell_of(there, work)

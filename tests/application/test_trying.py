@@ -1,0 +1,83 @@
+"""Studies and simulated records, made while the page is used."""
+
+import pytest
+from served import InlineJobs, wait
+
+from counterspin.studies.study import study
+
+
+def ended(page, asked, **said):
+    begun = page.post(f"/api/{asked}", json={"name": "three"} | said)
+    assert begun.status_code == 200, begun.text
+    return wait(page, begun.json()["number"])
+
+
+def test_a_study_is_followed_to_its_result_and_shown(page, folder):
+    job = ended(page, "study", trials=6)
+    assert (job["state"], job["kind"], job["progress"]) == ("done", "study", [6, 6])
+    assert job["command"].startswith("counterspin study ")
+    kept = folder / "three" / "study.json"
+    assert kept.read_text() == study(folder / "three", trials=6).to_json()
+    assert page.get("/api/campaign", params={"name": "three"}).json()["study"] == job["output"]
+    told = page.get("/api/page", params={"kind": "study", "names": job["output"]}).json()
+    assert "6 trials" in told["html"]
+    assert "--trials=6" in told["command"]
+
+
+def test_what_cannot_be_studied_is_told_before_it_begins(page, folder):
+    description = folder / "three" / "campaign.toml"
+    text = description.read_text()
+    description.write_text(text + "[study.vary]\ncolour = 1\n")
+    told = page.post("/api/study", json={"name": "three", "trials": 6}).json()
+    assert any(problem.startswith("study.vary.colour") for problem in told["problems"])
+    # And at its key, while it is written.
+    asked = {"file": "three/campaign.toml", "text": description.read_text()}
+    wrong = page.post("/api/check", json=asked).json()["problems"]
+    assert [one["key"] for one in wrong] == ["study.vary.colour"] * len(wrong) != []
+
+
+@pytest.fixture
+def at_once(desk):
+    """Have jobs done at once, in this process."""
+    desk.jobs = InlineJobs()
+
+
+@pytest.mark.usefixtures("at_once")
+def test_records_are_simulated_into_a_folder_of_their_own(page, folder):
+    job = ended(page, "simulation", folder="again")
+    assert (job["state"], job["output"]) == ("done", "again")
+    # The description has its seed.
+    assert (folder / "again" / "slow.csv").read_bytes() == (
+        folder / "three" / "slow.csv"
+    ).read_bytes()
+
+
+@pytest.mark.usefixtures("at_once")
+@pytest.mark.parametrize(
+    ("where", "status"), [("", 422), ("three", 422), ("../x", 403), ("slow.csv/x", 200)]
+)
+def test_no_file_is_replaced_or_left_elsewhere(page, folder, where, status):
+    (folder / "slow.csv").write_text("mine")
+    said = {"name": "three", "folder": where}
+    answered = page.post("/api/simulation", json=said)
+    assert answered.status_code == status
+    if status == 200:
+        assert wait(page, answered.json()["number"])["state"] == "failed"
+    assert (folder / "slow.csv").read_text() == "mine"
+
+
+@pytest.mark.usefixtures("at_once")
+def test_records_that_would_lie_outside_are_not_made(page, folder):
+    (folder / "a").mkdir()
+    text = (folder / "three" / "campaign.toml").read_text()
+    (folder / "a" / "campaign.toml").write_text(
+        text.replace('record = "slow.csv"', 'record = "../slow.csv"')
+    )
+    assert page.post("/api/simulation", json={"name": "a", "folder": "b"}).status_code == 200
+    (folder / "a" / "c").mkdir()
+    (folder / "a" / "c" / "campaign.toml").write_text(
+        text.replace('record = "slow.csv"', 'record = "../../slow.csv"')
+    )
+    told = page.post("/api/simulation", json={"name": "a/c", "folder": "b"})
+    assert told.status_code == 422
+    assert "not in the folder that is served" in told.text
