@@ -38,3 +38,12 @@ def test_a_process_that_dies_is_told(page, monkeypatch):
     monkeypatch.setattr("counterspin.application.campaigns.calibrate_into", exit)
     number = page.post("/api/jobs", json={"name": "three"}).json()["number"]
     assert "died" in wait(page, number)["error"]
+
+
+def test_a_process_that_cannot_begin_is_told(page, monkeypatch):
+    def refuse(_):
+        raise OSError(11, "Resource temporarily unavailable")
+
+    monkeypatch.setattr("multiprocessing.context.SpawnProcess.start", refuse)
+    number = page.post("/api/jobs", json={"name": "three"}).json()["number"]
+    assert "temporarily unavailable" in wait(page, number)["error"]

@@ -4,6 +4,7 @@ import threading
 
 import pytest
 from chromium import chromium, needs_chromium
+from served import InlineJobs
 
 from counterspin.application.guard import Door
 from counterspin.application.server import listening, server_of
@@ -194,3 +195,66 @@ def test_of_two_windows_none_loses_an_edit(opened, folder):
     second.get_by_role("button", name="Replace it by mine").click()
     second.get_by_text("Saved").wait_for()
     assert 'radius = "4 m"' in file.read_text()
+
+
+#: A desk's small screen.
+SMALL_SCREEN = {"width": 1024, "height": 600}
+
+#: Of every control on the page: its kind and what a screen reader calls it.
+UNNAMED = """[..."input select textarea button".split(" ")]
+  .flatMap((name) => [...document.querySelectorAll(`main ${name}`)])
+  .filter((one) => !(one.getAttribute("aria-label") || one.textContent.trim()
+    || [...one.labels ?? []].some((label) =>
+      label.textContent.replace(one.textContent, "").trim())))
+  .map((one) => one.outerHTML)"""
+
+PLACES = (
+    "/campaign/three",
+    "/description/three",
+    "/runs/three",
+    "/live/three",
+    "/try/three",
+    "/plans",
+    "/compare",
+    "/history",
+    "/result/three%2Fresult.json",
+    "/certificate/three%2Fresult.json",
+    "/nowhere",
+)
+
+
+def test_every_place_fits_a_small_screen_and_names_its_controls(opened, desk):
+    """Nothing goes wrong in any (see `opened`)."""
+    # No process is needed to follow what is complete.
+    desk.live.look = lambda *_: {"html": "<p>Live</p>", "events": ["A run"], "complete": True}
+    tab = opened("/")
+    tab.set_viewport_size(SMALL_SCREEN)
+    tab.emulate_media(color_scheme="dark")
+    for place in PLACES:
+        tab.evaluate(f"location.hash = {place!r}")
+        tab.locator("main:not([aria-busy]) h1").wait_for()
+        tab.wait_for_function("document.querySelector('main').ariaBusy === null")
+        assert tab.evaluate("document.documentElement.scrollWidth") <= SMALL_SCREEN["width"], place
+        assert tab.evaluate(UNNAMED) == [], place
+
+
+def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, desk):
+    desk.jobs = InlineJobs()
+    tab = opened("/description/three")
+    tab.locator("#s-specification > summary").press("Enter")
+    tab.locator("[id='f-specification.K_II']").fill("abs <= 5e-5 g/g^2")
+    tab.keyboard.press("Tab")
+    tab.locator(".editor button.main:enabled").wait_for()
+    assert "[specification]\nK_II =" in tab.get_by_label("campaign.toml").input_value()
+    tab.get_by_role("button", name="Save").press("Enter")
+    tab.get_by_text("Saved three/campaign.toml").wait_for()
+    tab.get_by_role("link", name="Result").press("Enter")
+    tab.get_by_role("button", name="Calibrate").press("Enter")
+    tab.get_by_role("cell", name="pass").first.wait_for()
+    report = tab.get_by_role("link", name="Report as HTML").get_attribute("href")
+    assert report == "/api/report?name=three%2Fresult.json&kind=html"
+    tab.get_by_role("link", name="Try out").press("Enter")
+    tab.get_by_role("heading", name="What the centrifuge must be for it").wait_for()
+    tab.get_by_label("Trials").fill("4")
+    tab.keyboard.press("Enter")
+    tab.get_by_role("heading", name="Verdict").wait_for()

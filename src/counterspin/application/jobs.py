@@ -146,8 +146,15 @@ class Jobs:
             job.state, begun = "running", time.monotonic()
             here, there = get_context("spawn").Pipe(duplex=False)
             process = get_context("spawn").Process(target=work, args=(there, *words), daemon=True)
-            process.start()
-            there.close()
+            try:
+                process.start()
+            except OSError as error:  # no memory, or too many processes
+                job.error = f"the process that works on it cannot begin: {error.strerror}"
+                job.state = "failed"
+                here.close()
+                return
+            finally:
+                there.close()
             try:
                 while not job.stop.is_set() and job.state == "running":
                     if here.poll(0.05):

@@ -23,6 +23,7 @@ from counterspin.application.folder import NotThereError
 from counterspin.campaign.toml_file import load_document
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Block, Picture
+from counterspin.reports.typography import typeset_block
 
 Kind = Literal["result", "comparison", "history", "plan", "forecast", "study"]
 
@@ -69,7 +70,7 @@ def _plan(desk: Desk, names: Sequence[str], _: str) -> Page:
     file = desk.file(names[0])
     desk.require_inside(file.parent, load_document(file))
     found = plan(file).result
-    return Page(found.title, plan_blocks(found), plan_command(file, None))
+    return Page(found.title, _typeset(plan_blocks(found)), plan_command(file, None))
 
 
 def _forecast(desk: Desk, names: Sequence[str], _: str) -> Page:
@@ -79,7 +80,7 @@ def _forecast(desk: Desk, names: Sequence[str], _: str) -> Page:
     file = desk.file(names[0])
     desk.campaign(desk.folder.name(file.parent))
     found = check(file)
-    return Page(found.title, plan_blocks(found), forecast_command(file.parent))
+    return Page(found.title, _typeset(plan_blocks(found)), forecast_command(file.parent))
 
 
 def _study(desk: Desk, names: Sequence[str], _: str) -> Page:
@@ -88,8 +89,12 @@ def _study(desk: Desk, names: Sequence[str], _: str) -> Page:
 
     file = desk.file(names[0])
     found = StudyResult.read(file)
-    blocks = [*render_study(found).blocks, *coverage_plots(found)]
+    blocks = _typeset([*render_study(found).blocks, *coverage_plots(found)])
     return Page(found.title, blocks, study_command(file.parent, found.trials_asked, file))
+
+
+def _typeset(blocks: Sequence[Block]) -> list[Block]:
+    return list(map(typeset_block, blocks))
 
 
 _MAKERS: Final[Mapping[Kind, Callable[[Desk, Sequence[str], str], Page]]] = {

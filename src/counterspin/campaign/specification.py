@@ -96,7 +96,10 @@ def _probability(value: float) -> float:
 
 
 class SpecificationSettings(SettingsSection):
-    """The keys of [specification] for the decision rule; all others are terms."""
+    """[specification]: limits that coefficients shall meet, and how that is decided.
+
+    These are the keys of the decision rule; all others are terms.
+    """
 
     decision_rule: Annotated[RuleName, PlainValidator(_rule_name)] = "guarded"
     guard_factor: Annotated[float, PlainValidator(_number), AfterValidator(_factor)] = 1.0

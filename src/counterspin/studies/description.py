@@ -56,7 +56,10 @@ def _analysis_name(analysis: str) -> str:
 
 
 class StudySettings(SettingsSection):
-    """[study]; `vary` and `analyses` are settled below."""
+    """[study]: what varies from trial to trial, and which analyses compete.
+
+    `vary` and `analyses` are settled below.
+    """
 
     trials: Annotated[int, Field(ge=2)] = 10_000
     seed: Annotated[int, Field(ge=0)] = 1

@@ -322,6 +322,7 @@ export class Editor {
   group(fields, path, value) {
     const seen = fields.filter(({ key, required }) => required || value[key] !== undefined);
     const others = fields.filter((field) => !seen.includes(field));
+    /** @type {HTMLElement[]} */
     const content = [make("div", { class: "grid" },
       ...seen.map((field) => this.field(field, [...path, field.key], value[field.key])))];
     if (others.length) {

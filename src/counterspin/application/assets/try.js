@@ -59,14 +59,12 @@ export async function tryView(name) {
     title: `${campaign.title}, tried out`,
     content: [
       make("h1", {}, campaign.title), campaignTabs(name, "try"),
-      make("section", {}, make("h2", {}, "Forecast"),
-        make("p", { class: "quiet" }, "What these runs will tell, without their records."), forecast),
       make("section", {}, make("h2", {}, "Study"),
         make("p", { class: "quiet" }, "Simulated many times with the truth of the description, and analysed "
           + "each time: do the uncertainties hold? A thousand trials take seconds."),
         ...jobForm(campaign, "study", labelled("Trials", trials), "Study",
-          () => send("POST", "study", { name, trials: Number(trials.value) }), showStudy),
-        studied),
+          () => send("POST", "study", { name, trials: Number(trials.value) }),
+          () => showStudy().then(() => studied.scrollIntoView()))),
       make("section", {}, make("h2", {}, "Simulated records"),
         make("p", { class: "quiet" }, "Records as the truth of the description would give them, in a folder of their own."),
         ...jobForm(campaign, "simulation", labelled("Folder of the records", folder), "Simulate",
@@ -74,6 +72,9 @@ export async function tryView(name) {
           (job) => simulated.replaceChildren("The records are in ",
             make("a", { href: campaignAddress(job.output) }, job.output), ".")),
         simulated),
+      studied,
+      make("section", {}, make("h2", {}, "Forecast"),
+        make("p", { class: "quiet" }, "What these runs will tell, without their records."), forecast),
     ],
   };
 }
