@@ -4,7 +4,9 @@
 and writes it anew.
 """
 
+import ipaddress
 import os
+import socket
 import time
 from collections import Counter, defaultdict
 from pathlib import Path
@@ -48,6 +50,26 @@ def pytest_configure(config):
         config.pluginmanager.register(Timing())
     elif config.getoption("--quick") is not None:
         config.pluginmanager.register(Quick(config.getoption("--quick")))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_network():
+    """Refuse connections to anywhere beyond this machine and its own nets."""
+    connect = socket.socket.connect
+
+    def connect_inside(self, address):
+        if self.family in (socket.AF_INET, socket.AF_INET6):
+            try:
+                host = ipaddress.ip_address(address[0])
+            except ValueError:
+                host = ipaddress.ip_address(socket.gethostbyname(address[0]))
+            if host.is_global:
+                raise PermissionError(f"a test reaches the network: {address[0]}")
+        return connect(self, address)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(socket.socket, "connect", connect_inside)
+        yield
 
 
 def without_parameters(nodeid):

@@ -268,6 +268,10 @@ def test_where_encoder_and_imbalance_matter(violations):
 
 def test_the_campaign_of_the_violations_is_the_one_that_is_described():
     study = runpy.run_path(str(ROOT / "docs" / "violations.py"))
+    limits = told("violations", "the shift is below {} u."), told("violations", "by {} of its u")
+    (most,), (least,) = limits
+    assert agrees(most, study["SILENT_UP_TO"])
+    assert agrees(least, study["SHOWN_FROM"])
     campaign = tomllib.loads(study["description"]("velocity", study["FULL"]))
     words = "three rates ({}, {} and {} rev/s) of {} revolutions at {} Hz and {} m; "
     words += "noise of a sample {} m, {} mm/s or {} m/s^2; "
@@ -377,15 +381,6 @@ def test_the_joint_fit_is_as_much_surer_as_the_readme_says():
 
 def test_the_certificate_is_of_the_schema_that_the_readme_names():
     assert f"(DCC {build.SCHEMA_VERSION})" in sentences("README")
-
-
-def test_extras_are_those_of_the_package():
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"][
-        "optional-dependencies"
-    ]
-    named = re.findall(r"`(?:pip install )?'\.\[(\w+)\]'`", sentences("README"))
-    assert len(named) == 5
-    assert set(named) <= set(extras)
 
 
 def test_the_truth_of_the_quickstart_is_the_starter_s():

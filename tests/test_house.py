@@ -2,6 +2,7 @@
 
 import ast
 import re
+import socket
 import subprocess
 import sys
 import tomllib
@@ -346,6 +347,14 @@ def test_physics_and_inference_load_nothing_slow():
     loaded = modules_loaded_by(f"import {', '.join(below)}")
     assert set(below) <= loaded
     assert loaded & {"matplotlib", "scipy", "polars", "pydantic"} == set()
+
+
+# What tests may do
+
+
+def test_no_test_reaches_the_network():
+    with pytest.raises(PermissionError, match=r"reaches the network: 1\.1\.1\.1"):
+        socket.create_connection(("1.1.1.1", 80), timeout=1.0)
 
 
 # What is published
