@@ -134,7 +134,7 @@ def test_derivatives_are_those_of_differences(setup, criterion):
 def test_equivalence_theorem(predictor, criterion, types):
     limits = replace(DAY, types=types)
     found = relax(predictor, limits, criterion)
-    rows = predictor.blocks(found.types, found.rate, found.revolutions)
+    rows = predictor.information.blocks(found.types, found.rate, found.revolutions)
     weighted = (rows * np.sqrt(found.weight)[:, None, None]).reshape(-1, predictor.p)
     information = weighted.T @ weighted + predictor.prior.T @ predictor.prior
     scale = np.sqrt(np.diag(information))
@@ -143,7 +143,7 @@ def test_equivalence_theorem(predictor, criterion, types):
     v = inverse @ criterion.directions(inverse)
 
     def gain_and_cost(kinds, rate, turns):
-        gain = np.sum((predictor.blocks(kinds, rate, turns) @ v) ** 2, axis=(1, 2))
+        gain = np.sum((predictor.information.blocks(kinds, rate, turns) @ v) ** 2, axis=(1, 2))
         return gain, 2.0 * math.pi * turns / rate + limits.overhead(rate)
 
     # The least prices of time and of a run at which no possible run gains more than it costs, on a

@@ -90,9 +90,7 @@ def two_stage(
         If a run has too few strobes.
     """
     components = found.get(accelerometer.name)
-    request = request_of(campaign, accelerometer, options)
-    if components is not None:
-        request = request.with_noise(components.noise)
+    request = request_of(campaign, accelerometer, options, components)
     ignored = unmodelled(campaign, accelerometer)
     runs, second = _both_stages(observed, accelerometer, request, ignored, components)
     unknowns = _unknowns(campaign, second, request)
@@ -156,9 +154,7 @@ def k_ii(
     """
     # Whether K_II is alone depends on what was asked for beside it, and on nothing else.
     components = found.get(accelerometer.name)
-    request = request_of(campaign, accelerometer, options)
-    if components is not None:
-        request = request.with_noise(components.noise)
+    request = request_of(campaign, accelerometer, options, components)
     ignored = asked_only(campaign, accelerometer)
     _, second = _both_stages(observed, accelerometer, request, ignored, components)
     unknowns = _unknowns(campaign, second, request)

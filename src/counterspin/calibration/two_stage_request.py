@@ -23,7 +23,10 @@ from counterspin.inference.two_stage.strobes import strobe_angle
 
 
 def request_of(
-    campaign: Campaign, accelerometer: Accelerometer, options: TwoStageOptions
+    campaign: Campaign,
+    accelerometer: Accelerometer,
+    options: TwoStageOptions,
+    components: VarianceComponents | None = None,
 ) -> TwoStageRequest:
     """Return what a campaign asks of the two-stage method for one accelerometer.
 
@@ -33,6 +36,8 @@ def request_of(
         The description and one of its accelerometers.
     options
         How the method is applied.
+    components
+        Noise that was found, where the campaign states none.
 
     Raises
     ------
@@ -55,7 +60,7 @@ def request_of(
     model = campaign.model
     known: dict[str, Quantity] = dict(accelerometer.priors)
     known |= {s: q for s, q in model.priors.items() if s in (*model.terms, *model.considered)}
-    return TwoStageRequest(
+    request = TwoStageRequest(
         model=options.model,
         priors={symbol: (quantity.value, quantity.u) for symbol, quantity in known.items()},
         fit_bias=options.fit_bias,
@@ -69,6 +74,7 @@ def request_of(
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
     )
+    return request if components is None else request.with_noise(components.noise)
 
 
 def _sigma(campaign: Campaign) -> float | None:

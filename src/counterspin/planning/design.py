@@ -275,33 +275,6 @@ class Predictor:
         """How many unknowns all runs share."""
         return len(self.names)
 
-    def blocks(
-        self,
-        types: Sequence[RunType],
-        rate: Array,
-        revolutions: Array,
-        *,
-        whole_samples: bool = False,
-    ) -> Array:
-        """Return the blocks of runs; leading axes of rate and revolutions before that of runs.
-
-        Parameters
-        ----------
-        types
-            Of the n runs.
-        rate, revolutions
-            Shape (..., n).
-        whole_samples
-            As for `RunInformation.blocks`.
-
-        Returns
-        -------
-        Array
-            Shape (..., n, b, p + q), b rows a run; the last columns, of terms considered by run,
-            are zero where an attitude has fewer of them than others.
-        """
-        return self.information.blocks(types, rate, revolutions, whole_samples=whole_samples)
-
     def covariance(
         self,
         types: Sequence[RunType],
@@ -326,7 +299,7 @@ class Predictor:
         Array
             Shape (..., p, p).
         """
-        blocks = self.blocks(types, rate, revolutions, whole_samples=whole_samples)
+        blocks = self.information.blocks(types, rate, revolutions, whole_samples=whole_samples)
         return self._covariance(types, blocks)[0]
 
     def u(self, design: Design) -> Array:
@@ -384,7 +357,7 @@ class Predictor:
         up, down = 1.0 + _RELATIVE_STEP, 1.0 - _RELATIVE_STEP
         rate = np.array([[1.0], [up], [down], [1.0], [1.0]]) * design.rate
         turns = np.array([[1.0], [1.0], [1.0], [up], [down]]) * design.revolutions
-        blocks = self.blocks(design.types, rate, turns)
+        blocks = self.information.blocks(design.types, rate, turns)
         covariance, inner, spread = self._covariance(design.types, blocks[0])
         value = float(criterion.value(covariance))
         c = criterion.directions(covariance)

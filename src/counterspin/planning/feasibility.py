@@ -77,7 +77,8 @@ def _assessed(search: Search, predictor: Predictor, kinds: tuple[RunType, ...]) 
     longest = np.minimum(limits.longest_run, limits.total_time - limits.overhead(rates))
     turns = np.maximum(limits.revolutions, longest * rates / (2.0 * math.pi))
     types = tuple(kind for kind in kinds for _ in rates)
-    blocks = predictor.blocks(types, np.tile(rates, len(kinds)), np.tile(turns, len(kinds)))
+    tell = predictor.information.blocks
+    blocks = tell(types, np.tile(rates, len(kinds)), np.tile(turns, len(kinds)))
     return assess_blocks(predictor, blocks)
 
 

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from counterspin.calibration.joint_parts import unit_of
+from counterspin.calibration.pages.accelerometer import not_apart
 from counterspin.calibration.result_parts import BudgetLine
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.machine import machine_term
@@ -193,10 +194,8 @@ def _accelerometer(
         frozenset(quiet),
     )
     for item in accelerometer.confounded:
-        names = ", ".join(item.terms[:-1]) + " and " + item.terms[-1]
-        how = "cannot be told apart" if item.inseparable else "are hardly told apart"
         yield Paragraph(
-            f"{names} {how} in this plan; determined: {item.determined}. "
+            f"{not_apart(item)} in this plan; determined: {item.determined}. "
             f"{_advice(result, item.terms)}"
         )
     sought = result.goal.sizes if result.goal else {_first(result): 1.0}

@@ -245,7 +245,7 @@ def _made(
     revolutions: Array,
 ) -> _Grid:
     cost = 2.0 * math.pi * revolutions / rate + limits.overhead(rate) if types else rate
-    root = triangle_of(predictor.blocks(types, rate, revolutions)[:, :, : predictor.p])
+    root = triangle_of(predictor.information.blocks(types, rate, revolutions)[:, :, : predictor.p])
     return _Grid(types, rate, revolutions, root, np.asarray(cost))
 
 

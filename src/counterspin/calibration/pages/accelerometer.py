@@ -3,7 +3,7 @@
 - `accelerometer_blocks`: coefficients, what cannot be told apart, fit, noise, checks
 - `budget_blocks`: where the uncertainty of its coefficients comes from
 - `coefficient_table`, `in_field_units`: coefficients of any kind
-- `rests_on`: what cannot be told apart, and what the model leaves out
+- `rests_on`: what cannot be told apart, and what the model leaves out; `not_apart`: the former
 """
 
 from __future__ import annotations
@@ -200,12 +200,16 @@ def _origin(coefficient: Coefficient) -> str:
     )
 
 
-def _confounded(confounded: ConfoundedTerms) -> str:
+def not_apart(confounded: ConfoundedTerms) -> str:
+    """Return which terms are confounded, and how much."""
     names = ", ".join(confounded.terms[:-1]) + " and " + confounded.terms[-1]
-    apart = "cannot be told apart" if confounded.inseparable else "are hardly told apart"
+    return f"{names} {'cannot be' if confounded.inseparable else 'are hardly'} told apart"
+
+
+def _confounded(confounded: ConfoundedTerms) -> str:
     text = (
-        f"{names} {apart} by these records (correlation {_correlation(confounded.correlation)}); "
-        f"determined: {confounded.determined}"
+        f"{not_apart(confounded)} by these records (correlation "
+        f"{_correlation(confounded.correlation)}); determined: {confounded.determined}"
     )
     if confounded.value is None:
         return text + "."
