@@ -10,7 +10,7 @@ Where the site's gravity is given, m/s^2 and g convert into each other.
 
 - `UNITS`, `BASES`: every unit, and the dimensions; `ADVICE`, `advice`: which to write for what
 - `unit_factor`: the factor from one unit to another; `check_unit`: a unit alone; `same_unit`:
-  whether two are one
+  whether two are one; `base_unit`: a unit as a factor and powers of the base units
 """
 
 from __future__ import annotations
@@ -191,6 +191,17 @@ def same_unit(unit: str, other: str, *, gravity: float | None = None) -> bool:
         return math.isclose(unit_factor(unit, check_unit(other), gravity=gravity), 1.0)
     except ValueError:
         return False
+
+
+def base_unit(unit: str) -> tuple[float, Mapping[str, float]]:
+    """Return a unit's factor to the base units of `BASES`, and their powers.
+
+    Raises
+    ------
+    ValueError
+        If it is no unit.
+    """
+    return _evaluate(check_unit(unit))
 
 
 def advice(wanted: str) -> tuple[str, str]:

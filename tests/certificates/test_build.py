@@ -10,7 +10,7 @@ from results import coefficient, result, two_accelerometers
 
 from certificates import ISSUE, LAB, document, find
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Conformity
+from counterspin.calibration.result_parts import Coefficient, Conformity
 from counterspin.certificates.administrative import Issue
 from counterspin.certificates.build import SCHEMA_VERSION, check_certifiable
 from counterspin.certificates.coverage import coverage_factor, region_factor
@@ -102,6 +102,37 @@ def test_numbers_are_spelt_as_the_schema_has_them():
 
 
 # The numbers of a certificate
+
+
+def test_own_units_are_numbers_where_si_has_them(tmp_path):
+    plain = result()
+    one = plain.accelerometers["Qx"]
+    output = {
+        "bias": Coefficient(**coefficient(6.25, 1e-3, "mA")),
+        "scale_factor": Coefficient(**coefficient(1.25, 1e-6, "mA/g")),
+    }
+    coefficients = one.coefficients | {
+        symbol: Coefficient(**coefficient(1.0, 1e-6, TERMS[symbol].unit))
+        for symbol in ("K_F", "K_I")
+    }
+    one = one.model_copy(update={"coefficients": coefficients})
+    plain = plain.model_copy(update={"accelerometers": {"Qx": one}})
+    own = one.model_copy(update={"output": output})
+    made = document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": own}}))
+    values = {"Bias": (6.25e-3, r"\ampere"), "Scale factor": (1.25e-3 / 9.8, "")}
+    for name, (value, unit) in values.items():
+        real = f"{QUANTITY}[dcc:name/dcc:content='{name}']/si:real"
+        assert float(find(made, f"{real}/si:value")[0].text) == pytest.approx(value, rel=1e-15)
+        assert unit in find(made, f"{real}/si:unit")[0].text
+    assert list(read_certificate(made, "c").accelerometers["Qx"].coefficients) == list(
+        read_certificate(document(tmp_path, plain), "c").accelerometers["Qx"].coefficients
+    )
+    odd = own.model_copy(
+        update={"output": {"bias": Coefficient(**coefficient(6.25, 1e-3, "V/Hz^0.5"))}}
+    )
+    made = document(tmp_path, plain.model_copy(update={"accelerometers": {"Qx": odd}}))
+    assert not find(made, f"{QUANTITY}[dcc:name/dcc:content='Bias']")
+    assert b"In the unit of the readings: bias" in made
 
 
 def test_a_coefficient_in_si_by_hand(tmp_path):

@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from campaigns import SMALL, changed, write
+from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 from results import coefficient, result
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.simulation import simulate
-from counterspin.certificates.conversion import covariance, in_si
-from counterspin.physics.si_units import to_si
+from counterspin.certificates.conversion import covariance, in_si, output_in_si
+from counterspin.physics.si_units import own_unit, to_si
 
 G, U_G = 9.8066, 1e-4
 KNOWN = changed(SMALL, ('"9.8066 m/s^2"', f'"{G} ± {U_G} m/s^2"'))
@@ -57,6 +58,69 @@ def test_si_uncertainty_has_what_another_gravity_would_do(records, tmp_path, met
     # K_F is an acceleration over g: in SI nothing of u(g) remains.
     assert abs(estimates["K_F"].shift) < 1e-6 * abs(estimates["K_F"].shift_kept)
     assert abs(estimates["K_F"].shift_kept) == pytest.approx(0.005 * U_G, rel=1e-3)
+
+
+READINGS = ACCELEROMETER + "".join(
+    (
+        at_rest("up", "level", "1.2531281 ± 2e-6 mA"),
+        at_rest("down", "180 deg about north", "-1.2480969 ± 2e-6 mA"),
+        on_arm("in", "9.9 rad/s", "12.5064 ± 2e-6 mA", pendulous="up"),
+        on_arm("out", "9.9 rad/s", "-12.4977 ± 2e-6 mA", side="outward", pendulous="up"),
+        on_arm("fast", "14 rad/s", "25.0109 ± 2e-6 mA", pendulous="up"),
+        '[model]\nterms = ["K_F", "K_I", "K_II"]\n',
+    )
+)
+
+
+def calibrated_readings(folder, gravity):
+    text = place("1.0 ± 1e-7 m", f"{gravity} m/s^2") + READINGS
+    return calibrate(write(folder, text).parent)
+
+
+def test_own_units_have_what_another_gravity_would_do(tmp_path):
+    """Bias in A, scale factor in A/(m/s^2): 1 mA/g is 1e-3/g of it."""
+    found = calibrated_readings(tmp_path, f"{G} ± {U_G}")
+    estimates = output_in_si(found, "A")
+    assert {key: e.unit.text for key, e in estimates.items()} == {
+        "bias": r"\ampere",
+        "scale_factor": r"\metre\tothe{-1}\second\tothe{2}\ampere",
+    }
+    step = 30.0 * U_G
+    up, down = (
+        calibrated_readings(tmp_path, repr(G + way * step)).accelerometers["A"].output
+        for way in (1, -1)
+    )
+    for key, power in (("bias", 0), ("scale_factor", -1)):
+        c, estimate = found.accelerometers["A"].output[key], estimates[key]
+        assert estimate.value == pytest.approx(1e-3 * c.value * G**power, rel=1e-14)
+        high, low = up[key].value * (G + step) ** power, down[key].value * (G - step) ** power
+        shift = 1e-3 * (high - low) / (2.0 * step) * U_G
+        largest = max(abs(estimate.shift_kept), 1e-3 * estimate.u)
+        assert estimate.shift == pytest.approx(shift, abs=2e-3 * largest), key
+        rest = math.sqrt(max((1e-3 * c.u * G**power) ** 2 - estimate.shift_kept**2, 0.0))
+        assert estimate.u == pytest.approx(math.hypot(rest, shift), rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("unit", "factor", "text", "power"),
+    [
+        ("mV/g", 1e-3, r"\metre\tothe{-1}\second\tothe{2}\volt", -1),
+        ("count", 1.0, r"\one", 0),
+        ("pulse/s", 1.0, r"\second\tothe{-1}", 0),
+        ("kHz/g", 1e3, r"\metre\tothe{-1}\second", -1),
+        ("mg", 1e-3, r"\metre\second\tothe{-2}", 1),
+        ("V/mA", 1e3, r"\ampere\tothe{-1}\volt", 0),
+    ],
+)
+def test_own_units_in_si(unit, factor, text, power):
+    found, written, of_g = own_unit(unit)
+    assert (found, written.text, of_g) == (pytest.approx(factor, rel=1e-15), text, power)
+
+
+@pytest.mark.parametrize("unit", ["V/Hz^0.5", "mV/K", "furlong"])
+def test_own_units_that_si_has_not(unit):
+    with pytest.raises(ValueError, match=r"unit|whole powers"):
+        own_unit(unit)
 
 
 def test_covariance_follows(records):

@@ -1,6 +1,7 @@
 """The coefficients of a result in SI units, as a certificate states them.
 
 - `in_si`: the determined coefficients of an accelerometer
+- `output_in_si`: its bias and scale factor in the unit of its readings, `OUTPUT` by name
 - `with_exact_g`: of numbers whose g is exact
 - `covariance`: of two
 """
@@ -9,8 +10,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from typing import Final
 
-from counterspin.calibration.notebook.si_estimate import SiEstimate, si_estimate
+from counterspin.calibration.notebook.si_estimate import SiEstimate, own_estimate, si_estimate
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, Correlation
 from counterspin.certificates import wording
@@ -33,6 +37,40 @@ def in_si(result: Result, name: str) -> dict[str, SiEstimate]:
             assert c.u is not None
             gravity = result.gravity_of(name, symbol)
             estimates[symbol] = si_estimate(c.value, c.u, c.unit, c.dof, gravity)
+    return estimates
+
+
+#: What is stated in the unit of the readings too -> the coefficient that it is a multiple of.
+OUTPUT: Final = {"bias": "K_F", "scale_factor": "K_I"}
+
+
+def output_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
+    """Return bias and scale factor in the SI unit of an accelerometer's readings.
+
+    Those are left out whose unit has no expression in SI.
+
+    Parameters
+    ----------
+    result
+        The result.
+    name
+        The accelerometer.
+    """
+    accelerometer = result.accelerometers[name]
+    estimates = {}
+    for key, c in accelerometer.output.items():
+        symbol = OUTPUT[key]
+        own = accelerometer.coefficients.get(symbol)
+        if own is None or not wording.is_determined(c):
+            continue
+        assert c.value is not None
+        assert c.u is not None
+        gravity = result.gravity_of(name, symbol)
+        # Both moved by g alike: one is the other times the nominal sensitivity, which is exact.
+        times = c.value / own.value if own.value else c.u / (own.u or math.inf)
+        moved = replace(gravity, sensitivity=gravity.sensitivity * times)
+        with suppress(ValueError):
+            estimates[key] = own_estimate(c.value, c.u, c.unit, c.dof, moved)
     return estimates
 
 

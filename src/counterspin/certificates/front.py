@@ -116,7 +116,7 @@ def _results(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
     for name in names:
         accelerometer = stated.accelerometers[name]
         yield typeset_block(results_table(name, accelerometer.coefficients, in_si(stated, name)))
-        for line in wording.output_lines(accelerometer):
+        for line in wording.output_lines(accelerometer).values():
             yield Paragraph(typeset(line))
         for line in wording.not_determined(name, accelerometer):
             yield Paragraph(typeset(line), "warning")

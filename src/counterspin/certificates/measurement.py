@@ -14,7 +14,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Correlation
 from counterspin.certificates import wording
 from counterspin.certificates.administrative import item_id, software
-from counterspin.certificates.conversion import covariance, in_si
+from counterspin.certificates.conversion import covariance, in_si, output_in_si
 from counterspin.certificates.coverage import region_factor
 from counterspin.certificates.elements import (
     Element,
@@ -219,21 +219,37 @@ def _accelerometer(lab: Lab, result: Result, name: str) -> Element:
             "results",
             _coefficients(lab, result, name, estimates),
             _covariance(accelerometer.correlation, estimates),
-            _in_output(accelerometer),
+            _in_output(result, name),
         ),
         _warnings(accelerometer),
         refId=item,
     )
 
 
-def _in_output(accelerometer: AccelerometerResult) -> Element | None:
-    """Return bias and scale factor in the unit of the readings."""
-    if not (lines := wording.output_lines(accelerometer)):
+def _in_output(result: Result, name: str) -> Element | None:
+    """Return bias and scale factor in the unit of the readings, as words where SI has none."""
+    if not (lines := wording.output_lines(result.accelerometers[name])):
         return None
+    estimates = output_in_si(result, name)
+    words = [line for key, line in lines.items() if key not in estimates]
     return dcc(
         "result",
         text("name", "In the unit of the readings"),
-        dcc("data", rich("text", *lines)),
+        dcc(
+            "data",
+            rich("text", *words) if words else None,
+            *(
+                dcc(
+                    "quantity",
+                    text("name", key.replace("_", " ").capitalize()),
+                    rich("description", lines[key], wording.stated_in(estimate.unit)),
+                    _real(key, estimate),
+                    _degrees_of_freedom(estimate),
+                    refType="basic_measuredValue",
+                )
+                for key, estimate in estimates.items()
+            ),
+        ),
     )
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.calibration.result_parts import Coefficient
+from counterspin.certificates.conversion import OUTPUT
 from counterspin.certificates.elements import NAMESPACES, Element
 from counterspin.certificates.schema import parse
 from counterspin.errors import RecordError
@@ -97,7 +98,8 @@ def _accelerometer(part: Element, gravity: float) -> CertifiedAccelerometer:
     covariance = np.empty((0, 0))
     for quantity in _all(part, _QUANTITY):
         for real in _all(quantity, "si:real"):
-            coefficients[_one(real, "si:label")] = _coefficient(quantity, real, gravity)
+            if (label := _one(real, "si:label")) not in OUTPUT:  # which is of no other value
+                coefficients[label] = _coefficient(quantity, real, gravity)
         for together in _all(quantity, "si:realListXMLList"):
             terms = tuple(_one(together, "si:labelXMLList").split())
             covariance = _covariance(together, terms, gravity)

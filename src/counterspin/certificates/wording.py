@@ -28,7 +28,7 @@ from counterspin.certificates.elements import factor
 from counterspin.certificates.lab import CertificateSettings
 from counterspin.inference.conformity import COVERAGE
 from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.si_units import si_unit
+from counterspin.physics.si_units import SiUnit, si_unit
 from counterspin.reports.blocks import Paragraph
 from counterspin.reports.numbers import (
     field_unit,
@@ -234,9 +234,9 @@ def despite_lines(result: Result, names: Sequence[str]) -> list[str]:
 # Coefficients
 
 
-def output_lines(accelerometer: AccelerometerResult) -> list[str]:
-    """Return bias and scale factor in the unit of the readings, with U and k."""
-    lines = []
+def output_lines(accelerometer: AccelerometerResult) -> dict[str, str]:
+    """Return bias and scale factor in the unit of the readings, with U and k, by key."""
+    lines = {}
     for key, c in accelerometer.output.items():
         if not is_determined(c):
             continue
@@ -246,8 +246,13 @@ def output_lines(accelerometer: AccelerometerResult) -> list[str]:
         name = {"bias": "bias (K0 times K1 of IEEE Std 1293)", "scale_factor": "scale factor K1"}[
             key
         ]
-        lines.append(f"In the unit of the readings: {name}: {shown} (U, k = {factor(k)}).")
+        lines[key] = f"In the unit of the readings: {name}: {shown} (U, k = {factor(k)})."
     return lines
+
+
+def stated_in(unit: SiUnit) -> str:
+    """Return in which unit a quantity has its number, for the end of its description."""
+    return "stated here " + ("as a pure number." if unit == SiUnit() else f"in {unit.words}.")
 
 
 def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
@@ -258,11 +263,8 @@ def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
     row = TERMS.get(symbol)
     words = "" if row is None else f"{row.words[:1].upper()}{row.words[1:]}"
     what = "" if row is None else f"{words} ({row.ieee} in IEEE Std 1293); "
-    words = si_unit(coefficient.unit)[0].words
-    here = "as a pure number" if words == "1" else f"in {words}"
-    return (
-        f"{what}{symbol} = {shown_in_g(coefficient, k)} (U, k = {factor(k)}); stated here {here}."
-    )
+    stated = stated_in(si_unit(coefficient.unit)[0])
+    return f"{what}{symbol} = {shown_in_g(coefficient, k)} (U, k = {factor(k)}); {stated}"
 
 
 def shown_in_g(coefficient: Coefficient, k: float) -> str:

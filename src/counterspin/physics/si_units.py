@@ -4,8 +4,9 @@ A coefficient in g/g^n multiplies a_I^n where forces are counted in the site's o
 m/s^2 it is the same number times g^(1-n): K_II in g/g^2 becomes K_II/g in (m/s^2)/(m/s^2)^2,
 which is s^2/m.
 
-- `SiUnit`: powers of radian, metre and second; products; the D-SI text
-- `si_unit`: the unit of a result as an `SiUnit` and a power of g
+- `SiUnit`: powers of radian, metre, second, ampere and volt; products; the D-SI text
+- `si_unit`: the unit of a result as an `SiUnit` and a power of g; `own_unit`: likewise of an
+  instrument's own, with the factor of its prefix
 - `to_si`, `from_si`: numbers
 """
 
@@ -15,6 +16,7 @@ import re
 from typing import Final
 
 from counterspin.frozen import frozen
+from counterspin.units import base_unit
 
 _FACTOR: Final = re.compile(r"(1|rad|m|s|g|Hz)(?:\^(\d))?")
 
@@ -29,36 +31,42 @@ _POWERS: Final = {
 }
 
 
+#: Field of `SiUnit` -> its symbol.
+_SYMBOLS: Final = {"radian": "rad", "metre": "m", "second": "s", "ampere": "A", "volt": "V"}
+
+
 @frozen
 class SiUnit:
-    """A product of powers of the radian, the metre and the second."""
+    """A product of powers of the radian, the metre, the second, the ampere and the volt."""
 
     radian: int = 0
     metre: int = 0
     second: int = 0
+    ampere: int = 0
+    volt: int = 0
 
     def __mul__(self, other: SiUnit) -> SiUnit:
         """Return the unit of a product."""
-        return SiUnit(
-            self.radian + other.radian, self.metre + other.metre, self.second + other.second
-        )
+        return SiUnit(**{name: getattr(self, name) + getattr(other, name) for name in _SYMBOLS})
 
     @property
     def text(self) -> str:
         r"""As D-SI writes it: ``\metre\tothe{-1}\second\tothe{2}``; ``\one`` for a number."""
-        powers = (("radian", self.radian), ("metre", self.metre), ("second", self.second))
         parts = (
             rf"\{name}" + ("" if power == 1 else rf"\tothe{{{power}}}")
-            for name, power in powers
-            if power
+            for name in _SYMBOLS
+            if (power := getattr(self, name))
         )
         return "".join(parts) or r"\one"
 
     @property
     def words(self) -> str:
         """As people write it: ``m^-1 s^2``; ``1`` for a number."""
-        powers = (("rad", self.radian), ("m", self.metre), ("s", self.second))
-        parts = (name + ("" if power == 1 else f"^{power}") for name, power in powers if power)
+        parts = (
+            symbol + ("" if power == 1 else f"^{power}")
+            for name, symbol in _SYMBOLS.items()
+            if (power := getattr(self, name))
+        )
         return " ".join(parts) or "1"
 
 
@@ -86,6 +94,41 @@ def si_unit(unit: str) -> tuple[SiUnit, int]:
         ]
     radian, metre, second, gravity = powers
     return SiUnit(radian, metre, second), gravity
+
+
+#: Base of a unit -> its field in `SiUnit`; counts are numbers, and g is a power of its own.
+_FIELDS: Final = {
+    "[angle]": "radian",
+    "[length]": "metre",
+    "[time]": "second",
+    "[current]": "ampere",
+    "[voltage]": "volt",
+}
+
+
+def own_unit(unit: str) -> tuple[float, SiUnit, int]:
+    """Return an instrument's own unit in SI: factor, unit, and power of g (m/s^2).
+
+    1 mA/g is 1e-3 A/g, which is 1e-3 / g in A/(m/s^2).
+
+    Parameters
+    ----------
+    unit
+        Of its readings, such as ``mA`` or ``count/s``, or that over g.
+
+    Raises
+    ------
+    ValueError
+        If it is no unit, or none with whole powers of these.
+    """
+    factor, powers = base_unit(unit)
+    gravity = powers["[gravity]"]
+    own = {field: powers[base] for base, field in _FIELDS.items()}
+    own["metre"] += gravity
+    own["second"] -= 2.0 * gravity
+    if powers["[temperature]"] or not all(power.is_integer() for power in (*own.values(), gravity)):
+        raise ValueError(f"{unit!r} is no product of whole powers of rad, m, s, A, V and g")
+    return factor, SiUnit(**{field: int(power) for field, power in own.items()}), int(gravity)
 
 
 def to_si(value: float, unit: str, gravity: float) -> float:

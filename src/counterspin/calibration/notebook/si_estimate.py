@@ -3,7 +3,8 @@
 In g-units a coefficient is known less well where g is: K_F of a displacement record is its
 acceleration over g. In SI units the same g multiplies it again, and most of that part cancels.
 
-- `SiEstimate`: value and uncertainty in SI; `si_estimate`: of a coefficient
+- `SiEstimate`: value and uncertainty in SI; `si_estimate`: of a coefficient; `own_estimate`: of a
+  bias or scale factor in an instrument's own unit
 - `StatedGravity`: the g of a coefficient's unit, and what it does to the estimate
 """
 
@@ -12,7 +13,7 @@ from __future__ import annotations
 import math
 
 from counterspin.frozen import frozen
-from counterspin.physics.si_units import SiUnit, si_unit, to_si
+from counterspin.physics.si_units import SiUnit, own_unit, si_unit
 from counterspin.reports.numbers import format_compact
 
 
@@ -84,12 +85,33 @@ def si_estimate(
     ValueError
         If the unit is not a quotient of rad, m, s and g.
     """
+    return _estimate(value, u, (1.0, *si_unit(unit)), dof, gravity)
+
+
+def own_estimate(
+    value: float, u: float, unit: str, dof: float | None, gravity: StatedGravity
+) -> SiEstimate:
+    """Return in SI units what is in an instrument's own unit, or in that over g.
+
+    Arguments as of `si_estimate`; ValueError if the unit has no expression in SI.
+    """
+    return _estimate(value, u, own_unit(unit), dof, gravity)
+
+
+def _estimate(
+    value: float,
+    u: float,
+    unit: tuple[float, SiUnit, int],
+    dof: float | None,
+    gravity: StatedGravity,
+) -> SiEstimate:
+    factor, symbol, power = unit
     g = gravity.value
-    si_value, si_u = to_si(value, unit, g), to_si(u, unit, g)
-    symbol, power = si_unit(unit)
+    scale = factor * g**power
+    si_value, si_u = value * scale, u * scale
     if gravity.u == 0.0:
         return SiEstimate(si_value, si_u, symbol, dof, si_u, 0.0, 0.0)
-    kept = to_si(gravity.sensitivity * gravity.u, unit, g)
+    kept = gravity.sensitivity * gravity.u * scale
     shift = kept + power * si_value / g * gravity.u
     without = math.sqrt(max(si_u**2 - kept**2, 0.0))
     combined = math.hypot(without, shift)
