@@ -580,6 +580,32 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
         )
 
 
+def test_what_gravity_does_to_a_record_in_g_has_none_of_its_noise():
+    """Else a gravity of zero explains all of the record: its noise is then as small as it is."""
+    truth = {"K_F": 5e-3, "K_II": 2.7e-5}
+    model = Unknowns(unknowns(truth), inputs={"site.gravity": 1e-5})
+    true = np.array(list(truth.values()))
+    clean = [
+        replace(one, in_g=True)
+        for one in three_rates(truth, observable="specific_force", per_revolution=16)
+    ]
+    rng = np.random.default_rng(31)
+    noisy = [
+        replace(one, error=one.error + 0.01 * rng.standard_normal(one.time.size)) for one in clean
+    ]
+    columns = [
+        [part.fixed for part in prepare_columns(series, model, {"Qx": 1.0}, true)]
+        for series in (clean, noisy)
+    ]
+    for one, same, other in zip(clean, *columns, strict=True):
+        np.testing.assert_array_equal(other, same)
+        # g K_F + K_II a^2/g, a being what it is in m/s^2, less what the record is in g.
+        acting = one.trajectory.site.gravity
+        force = one.reference() + one.columns(list(truth), 1.0) @ true
+        change = one.columns(["K_F", "K_II"], 1.0) @ (true * [1.0, -1.0])
+        np.testing.assert_allclose(same[:, 0], (change - force) / acting, atol=1e-6)
+
+
 def test_freedom_is_what_chi_square_comes_to_in_each_run():
     """Priors drawn, noise drawn: the mean of each run's sum of squares, to sampling error."""
     priors = {"K_F": (5.03e-3, 2e-6), "K_II": (2.7e-5, 1e-7)}

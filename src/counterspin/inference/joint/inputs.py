@@ -102,6 +102,7 @@ def input_column(
     if name == "site.latitude" and series.by_latitude is not None:
         change = change - series.by_latitude
     if name == "site.gravity" and series.in_g:
-        # A record in g was turned into m/s^2 with the gravity assumed.
-        change = change - (base + series.error) / series.trajectory.site.gravity
+        # A record in g was turned into m/s^2 with the gravity assumed. What it should be is what
+        # counts: with its noise in the column, it would explain itself.
+        change = change - (base + before) / series.trajectory.site.gravity
     return change
