@@ -3,6 +3,7 @@
 import hashlib
 import os
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from counterspin.__main__ import _head_start
 from counterspin.campaign.checksums import _BEGUN, Checksums, checksums_of, head_start
+from counterspin.input import open_file
 
 
 def of(data):
@@ -88,6 +90,36 @@ def test_nobody_waits_for_a_checksum_that_is_not_asked_for(tmp_path):
             assert time.monotonic() - begun < 20
             time.sleep(0.001)
     assert time.monotonic() - begun < 20
+
+
+def test_one_file_at_a_time_until_there_is_hurry(tmp_path, monkeypatch):
+    files = [tmp_path / f"{n}.csv" for n in range(3)]
+    for file in files:
+        file.write_bytes(b"1")
+    begun, may_go_on = [], threading.Event()
+
+    def wait(path):
+        begun.append(path)
+        assert may_go_on.wait(30)
+        return open_file(path)
+
+    monkeypatch.setattr("counterspin.campaign.checksums.open_file", wait)
+    with Checksums() as checksums:
+        checksums._begin(files)
+        until(lambda: len(begun) == 1)
+        time.sleep(0.02)
+        assert begun == files[:1]
+        checksums.hurry()
+        until(lambda: len(begun) == 3)
+        may_go_on.set()
+        assert checksums.of(files) == [of(b"1")] * 3
+
+
+def until(condition):
+    limit = time.monotonic() + 30
+    while not condition():
+        assert time.monotonic() < limit
+        time.sleep(0.001)
 
 
 @pytest.fixture

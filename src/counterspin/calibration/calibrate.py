@@ -87,6 +87,7 @@ def calibrate(
         averaged = _averaged_files(campaign)
         with one_blas_thread():
             observed = _observed(campaign, progress)
+            checksums.hurry()
             from counterspin.calibration.assembly import calibration
 
             result = calibration(

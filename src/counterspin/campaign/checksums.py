@@ -27,11 +27,12 @@ from counterspin.records.isolation import prepare
 #: How much nicer the threads are than the process: what is read for the result comes first, but on
 #: a machine that is busy with other work the end must not have to wait for them.
 _NICENESS: Final = 10
-#: Files at a time: when all records are read, every core is free, and a file takes but one.
+#: Files at a time once all records are read: then every core is free, and a file takes but one.
+#: Before that it is one, for more would keep the interpreter from what is loaded meanwhile.
 _THREADS: Final = 4
-#: Bytes between two requests for the interpreter's lock, for which imports let others wait; as
-#: many as remain in a processor's cache from the disk's copy to the checksum.
-_BUFFER_BYTES: Final = 1 << 20
+#: Bytes between two requests for the interpreter's lock, for which imports let others wait; few
+#: enough to remain in a processor's cache between the system's copy and the checksum.
+_BUFFER_BYTES: Final = 1 << 21
 
 
 class Checksums:
@@ -39,6 +40,8 @@ class Checksums:
 
     def __init__(self) -> None:
         self._workers = ThreadPoolExecutor(_THREADS, initializer=_step_back)
+        self._turns = threading.Semaphore(1)
+        self._hurried = False
         self._taken: dict[Path, Future[tuple[str, FileIdentity | None]]] = {}
         self._given_up = threading.Event()
 
@@ -75,15 +78,23 @@ class Checksums:
             return records
         return []
 
+    def hurry(self) -> None:
+        """Take several files at a time from now on: nothing else needs all cores."""
+        if not self._hurried:
+            self._hurried = True
+            self._turns.release(_THREADS - 1)
+
     def of(self, files: Iterable[Path]) -> list[str]:
         """Return the checksums of files, such as ``sha256:9f86...``, or ``unreadable``."""
         asked = list(files)
         self._begin(asked)
+        self.hurry()
         return [self._taken[file].result()[0] for file in asked]
 
     def identity(self, file: Path) -> FileIdentity | None:
         """Return which file the checksum is of; None of one that is unreadable or was changed."""
         self._begin([file])
+        self.hurry()
         return self._taken[file].result()[1]
 
     def _begin(self, files: Iterable[Path]) -> None:
@@ -94,7 +105,7 @@ class Checksums:
     def _take(self, path: Path) -> tuple[str, FileIdentity | None]:
         digest = hashlib.sha256()
         try:
-            with open_file(path) as file:
+            with self._turns, open_file(path) as file:
                 before = FileIdentity.of(file.fileno())
                 buffer = memoryview(bytearray(_BUFFER_BYTES))
                 while (read := file.readinto(buffer)) and not self._given_up.is_set():
