@@ -51,16 +51,36 @@ def test_other_noise_is_seen(folder):
     assert any("as large as the stated noise" in text for text in checked.remarks)
 
 
-def test_another_rate_and_a_short_record_are_seen(folder):
-    # The clock runs 2 % fast; the last third is missing.
-    pl.read_csv(folder / "fast.csv").head(200).with_columns(pl.col("time_s") * 0.98).write_csv(
-        folder / "fast.csv"
-    )
-    checked = cs.check(folder / "fast.csv", folder)
-    text = " ".join(checked.remarks)
-    assert not checked.good
-    assert "not at the nominal" in text or "rate" in checked.run.why
-    assert checked.run.state == "failed" or "the campaign states" in text
+def clock(factor):
+    return lambda frame: frame.with_columns(pl.col("time_s") * factor)
+
+
+def first(part):
+    return lambda frame: frame.head(int(part * len(frame)))
+
+
+def spikes(part):
+    row = pl.int_range(pl.len())
+    spike = pl.when(row % int(1.0 / part) == 1).then(2.0 - 4.0 * (row % 2)).otherwise(0.0)
+    return lambda frame: frame.with_columns(east_m=pl.col("east_m") + spike)
+
+
+@pytest.mark.parametrize(
+    ("change", "wrong"),
+    [
+        (clock(1.0008), None),
+        (clock(1.0012), "not at the nominal"),
+        (first(0.91), None),
+        (first(0.89), "the campaign states"),
+        (spikes(0.04), None),
+        (spikes(0.0625), "samples are outliers"),
+    ],
+)
+def test_what_the_page_says_makes_a_run_unfit(folder, change, wrong):
+    change(pl.read_csv(folder / "slow.csv")).write_csv(folder / "slow.csv")
+    told = " ".join(cs.check(folder / "slow.csv", folder).remarks)
+    for words in ("not at the nominal", "the campaign states", "samples are outliers"):
+        assert (words in told) == (words == wrong), told
 
 
 def test_what_cannot_be_read_is_said_of_the_run(folder):
