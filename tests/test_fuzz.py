@@ -231,28 +231,36 @@ def test_a_loss_would_be_found(tmp_path, monkeypatch):
 def test_the_page_says_how_much_is_tried():
     (seconds,) = told("bulwark", "more than {} s of processor time or")
     (gigabytes,) = told("bulwark", "of processor time or {} GB of memory")
-    (new,) = told("bulwark", "reads all of these and {} new ones")
+    new, asked = told(
+        "bulwark", "reads all of these and {} new ones, and asks the application in {}"
+    )
     (commands,) = told("bulwark", "The kills are those of {} commands")
-    assert [value_of(number) for number in (seconds, gigabytes, new, commands)] == [
+    assert [value_of(number) for number in (seconds, gigabytes, new, asked, commands)] == [
         SECONDS,
         BYTES / 1e9,
         DOCUMENTS + RECORDS,
+        sum(ASKED.values()),
         len(COMMANDS),
     ]
 
 
+#: Kinds of cases of the application.
+_OF_APPLICATION = ("requests to the application", "connections to its server")
+
+
 def test_what_the_page_says_was_tried_is_what_its_commands_try():
     page = sentences("bulwark")
-    asked = dict.fromkeys(("DOCUMENTS", "RECORDS", "KILLS"), 0)
+    asked = dict.fromkeys(("DOCUMENTS", "RECORDS", "KILLS", "requests"), 0)
     command = (
-        r"make fuzz (SEED=\d+ DOCUMENTS=\d+ RECORDS=\d+ KILLS=\d+)(?: # and so on to seed (\d+))?"
+        r"make fuzz (?:ONLY=(\S+) )?(SEED=\d+ DOCUMENTS=\d+ RECORDS=\d+ KILLS=\d+)"
+        r"(?: # and so on to seed (\d+))?"
     )
-    lines = re.findall(command, page)
-    for words, last in lines:
+    for only, words, last in re.findall(command, page):
         given = {key: int(number) for key, number in re.findall(r"(\w+)=(\d+)", words)}
         seeds = int(last or given["SEED"]) - given["SEED"] + 1
-        for key in asked:
-            asked[key] += seeds * given[key]
+        for key in ("DOCUMENTS", "RECORDS", "KILLS"):
+            kind = "requests" if key == "DOCUMENTS" and only.startswith("requests") else key
+            asked[kind] += seeds * given[key]
     documents, refused = told("bulwark", "| documents and CSV | {} | {} |")
     (records,) = told("bulwark", "Excel and PDF | {} |")
     (kills,) = told("bulwark", "| commands killed | {} |")
@@ -260,3 +268,9 @@ def test_what_the_page_says_was_tried_is_what_its_commands_try():
     assert 0.999 * asked["DOCUMENTS"] < value_of(documents) <= asked["DOCUMENTS"]
     assert value_of(refused) < value_of(documents)
     assert [value_of(records), value_of(kills)] == [asked["RECORDS"], asked["KILLS"]]
+    asked_of = [told("bulwark", f"| {kind} | {{}} | {{}} |") for kind in _OF_APPLICATION]
+    assert sum(value_of(tried) for tried, _ in asked_of) == asked["requests"]
+    assert all(value_of(refused) < value_of(tried) for tried, refused in asked_of)
+    # A case of requests has 1 to 3 of them, 1.6 in the mean.
+    (sent,) = told("bulwark", "cases of requests sent {} of them")
+    assert value_of(sent) == pytest.approx(1.6 * value_of(asked_of[0][0]), rel=0.01)

@@ -60,6 +60,7 @@ def test_help_names_the_files_of_a_dossier():
         (["calibrate"], "parameter DIRECTORY requires an argument"),
         (["init"], "parameter DIRECTORY requires an argument"),
         (["simulate"], "parameter CAMPAIGN requires an argument"),
+        (["study"], "parameter CAMPAIGN requires an argument"),
         (["simulate", "x"], "parameter --output requires an argument"),
         (["apply", "r.json"], "parameter FILE requires an argument"),
         (["calibrate", "x", "--method", "magic"], 'Invalid value "magic" for --method'),
@@ -73,7 +74,8 @@ def test_wrong_usage_is_told_in_two_lines(words, message, capsys):
     assert told.out == ""
     assert message in told.err
     assert told.err.startswith("counterspin: ")
-    assert told.err.endswith("\nTry counterspin --help.\n")
+    own = "" if words == ["calibrat"] else f"{words[0]} "
+    assert told.err.endswith(f"\nTry counterspin {own}--help.\n")
     assert told.err.count("\n") == 2
 
 

@@ -129,7 +129,8 @@ def _run(words: list[str]) -> int:
         return error.exit_status
     except CycloptsError as error:
         complain(str(error))
-        print("Try counterspin --help.", file=sys.stderr)
+        command = " ".join(("counterspin", *(error.command_chain or ()), "--help"))
+        print(f"Try {command}.", file=sys.stderr)
         return CampaignError.exit_status
     except KeyboardInterrupt as stop:
         complain(str(stop) or "stopped")

@@ -52,6 +52,7 @@ _OWN, _ALONE = TrialSettings(), StudyWorkers()
 
 def study(
     campaign: Path,
+    /,
     *,
     trials: TrialSettings = _OWN,
     workforce: StudyWorkers = _ALONE,
