@@ -365,6 +365,26 @@ def test_few_readings_that_a_considered_term_moves_are_no_outliers(tmp_path):
     assert max(abs(r.z) for r in result.accelerometers["A"].readings) == pytest.approx(1.8, abs=0.1)
 
 
+@pytest.mark.parametrize(
+    ("unit", "part"),
+    [("m/s^2", 1.0), ("g", 0.0)],
+)
+def test_gravity_is_in_the_scale_factor_of_readings_in_si(tmp_path, unit, part):
+    """At rest 1 g acts: of a reading in m/s^2 its uncertainty is that of K_I, and in g none."""
+    g, u_g = 9.80665, 1e-4
+    head = HEAD.partition("[accelerometers")[0].replace(f"{g} m", f"{g} ± {u_g} m")
+    plain = '[accelerometers.A]\ninput_axis = "up"\npendulous_axis = "west"\n'
+    size = g if unit != "g" else 1.0
+    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=LEVEL_TERMS) * size
+    runs = "".join(
+        at_rest(f"{i}", f"{30 * i} deg about north", f"{value!r} ± {SIGMA * size!r} {unit}")
+        for i, value in enumerate(values.tolist())
+    )
+    (tmp_path / "campaign.toml").write_text(head + plain + model(*LEVEL_TERMS) + runs)
+    k_i = calibrate(tmp_path).accelerometers["A"].coefficients["K_I"]
+    assert k_i.u == pytest.approx(math.hypot(SIGMA / math.sqrt(6.0), part * u_g / g), rel=1e-3)
+
+
 def test_readings_that_fit_have_no_outlier(tmp_path):
     """At the level of 1 % a campaign, in 60 campaigns no more than 4 (p = 0.003)."""
     rng = np.random.default_rng(6)

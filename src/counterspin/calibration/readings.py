@@ -374,7 +374,9 @@ def _averaged(campaign: Campaign) -> Iterator[Reading]:
         earlier = first_with.setdefault(mean.digest, reading) if mean.digest else reading
         if earlier.record is not None and earlier.name != reading.name:
             raise recorded_twice(campaign, earlier, reading)
-        yield replace(reading, value=mean.value / g, u=mean.u / g)
+        # In g, or by a sensitivity, it was turned into m/s^2 with the gravity assumed; here back.
+        in_si = channel.unit == "m/s^2"
+        yield replace(reading, value=mean.value / g, u=mean.u / g, in_si=in_si)
 
 
 def block_name(group: Readings) -> str:

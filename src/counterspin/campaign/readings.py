@@ -122,6 +122,8 @@ class Reading:
         How many repeats at one setting the value is the mean of.
     scatter
         Sum of squares of the repeats about their mean, g^2.
+    in_si
+        Whether it was written in m/s^2, so that its value in g depends on the gravity assumed.
     """
 
     name: str
@@ -140,6 +142,7 @@ class Reading:
     duration: float | None = None
     repeats: int = 1
     scatter: float = 0.0
+    in_si: bool = False
 
 
 def is_reading(raw: object) -> bool:
@@ -233,6 +236,7 @@ def resolve_reading(
                 duration=duration,
                 repeats=read.repeats,
                 scatter=read.scatter,
+                in_si=read.in_si,
             )
         )
     return readings if len(problems.lines) == before else []
@@ -280,6 +284,7 @@ class _Value:
     u: float | None
     repeats: int = 1
     scatter: float = 0.0
+    in_si: bool = False
 
 
 def _value(texts: Sequence[str], output: Output | None, gravity: float) -> _Value:
@@ -294,9 +299,13 @@ def _value(texts: Sequence[str], output: Output | None, gravity: float) -> _Valu
     values = np.array([quantity.value for quantity in quantities]) / size
     u = np.array([quantity.u for quantity in quantities]) / abs(size)
     mean = float(values.mean()) if written == list(texts) else math.nan
+    in_si = False
+    if conversion is not None:
+        unlike = parse(written[0], unit, gravity=2.0 * conversion)
+        in_si = unlike != quantities[0]
     if (u > 0.0).all():
-        return _Value(mean, float(np.linalg.norm(u)) / len(texts), len(texts))
-    return _Value(mean, None, len(texts), float(np.sum((values - mean) ** 2)))
+        return _Value(mean, float(np.linalg.norm(u)) / len(texts), len(texts), in_si=in_si)
+    return _Value(mean, None, len(texts), float(np.sum((values - mean) ** 2)), in_si)
 
 
 def _attitude(value: Any) -> tuple[Array, tuple[float, float, float], float]:

@@ -37,16 +37,15 @@ _ROUNDS: Final = 50
 #: The same for the noise alone, which may approach zero slowly.
 _NOISE_ROUNDS: Final = 200
 
-#: Estimated noise of readings is no smaller than this part of what the dividing head's angle adds
-#: (rms): below it, few positions where the head adds nothing would be taken for exact.
+#: Estimated noise is no smaller than this part of what the head's angle adds (rms), or the few
+#: positions where the head adds nothing would be taken for exact.
 _LEAST_BESIDE_HEAD: Final = 0.3
 
 #: Settled: nothing moves by more than this part of its uncertainty, no noise by this part.
 _LARGEST_MOVE: Final = 1e-5
 _TOLERANCE: Final = 1e-6
 
-#: Step of a machine term's derivative, relative to its largest credible size: all are so nearly
-#: parabolas that a smaller one has more rounding and is no better.
+#: Step of a machine term's derivative, of its largest credible size: large, for little rounding.
 _STEP: Final = 1e-2
 
 #: Uncertain inputs that readings feel, and the step of each derivative: m, m/s^2, rad.
@@ -79,18 +78,16 @@ class Readings:
         without one.
     u_head
         Random standard uncertainty of the head's angle at each position, rad, shape (n,).
-    value
-        Indication in g by the nominal sensitivity, shape (n,).
-    u
-        Its standard uncertainty, g, shape (n,); None: one for all, estimated from the residuals.
-    temperature
-        K from the reference temperature, shape (n,).
-    time
-        s from the first reading, shape (n,).
-    repeats
-        How many repeats at one setting each value is the mean of, shape (n,). Where `u` is None.
-    scatter
-        Sums of squares of these repeats about their means, g^2, shape (n,).
+    value, u
+        Indication in g by the nominal sensitivity, and its standard uncertainty, shape (n,); None:
+        one for all, estimated from the residuals.
+    temperature, time
+        K from the reference temperature, s from the first reading, shape (n,).
+    repeats, scatter
+        How many repeats at one setting each value is the mean of, and the sum of their squares
+        about it, g^2, shape (n,). Where `u` is None.
+    in_si
+        1 where a value was written in m/s^2 and became g by the gravity assumed, else 0.
     """
 
     accelerometer: str
@@ -107,6 +104,7 @@ class Readings:
     time: Array
     repeats: Array
     scatter: Array
+    in_si: Array | float = 0.0
 
     def products(self, machine: Mapping[str, float]) -> Array:
         """Return every term's mean product at each reading, shape (n, number of `TERMS`).
@@ -456,6 +454,8 @@ class _Part:
             step = _INPUT_STEPS[name]
             ahead, behind = (_with_input(group, name, s, machine) for s in (step, -step))
             fixed.append(slope(ahead.products(machine), behind.products(machine), step))
+            if name == "site.gravity":
+                fixed[-1] += group.in_si * np.sum(products * effective, axis=1) / group.site.gravity
         perfect = np.sum(products * effective, axis=1) - columns @ at
         head = np.zeros(group.size)
         if group.u_head.any():
