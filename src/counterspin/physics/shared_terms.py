@@ -187,6 +187,7 @@ class MotionTerm:
 
 
 _TIMES: Final = ("once", "twice", "three times", "four times")
+_WAVES: Final = {"cos": "cosine", "sin": "sine"}
 
 SharedTerm = PlatformTerm | MotionTerm
 
@@ -205,7 +206,7 @@ MOTION_TERMS: Final[Mapping[str, MotionTerm]] = {
                 "m",
                 1e-3,
                 1e-6,
-                f"imbalance, radius varying {_TIMES[n - 1]} a revolution ({wave}ine)",
+                f"imbalance, radius varying {_TIMES[n - 1]} a revolution ({_WAVES[wave]})",
             )
             for n in (1, 2)
             for wave in ("cos", "sin")
@@ -232,7 +233,7 @@ MOTION_TERMS: Final[Mapping[str, MotionTerm]] = {
                 "rad",
                 1e-3,
                 ARCSEC,
-                f"error of an eccentric encoder, {_TIMES[n - 1]} a revolution ({wave}ine)",
+                f"error of an eccentric encoder, {_TIMES[n - 1]} a revolution ({_WAVES[wave]})",
             )
             for n in (1, 2, 3, 4)
             for wave in ("cos", "sin")
