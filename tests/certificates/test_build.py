@@ -278,6 +278,18 @@ def test_administrative_data_are_those_of_the_laboratory(tmp_path):
     assert [e.text for e in temperature[:2]] == ["20.5", r"\degreecelsius"]
 
 
+def test_conditions_are_stated_with_their_expanded_uncertainty(tmp_path):
+    given = result()
+    inputs = given.inputs.model_copy(update={"u_gravity": 3e-6, "u_radius": 0.0})
+    made = document(tmp_path, given.model_copy(update={"inputs": inputs}))
+    condition = "//dcc:influenceCondition[dcc:name/dcc:content='{}']//si:real"
+    (value,) = find(made, condition.format("Local gravity") + "/si:value")
+    (expanded,) = find(made, condition.format("Local gravity") + "//si:valueExpandedMU")
+    assert float(expanded.text) == pytest.approx(2.0 * 3e-6, rel=0.02)  # k = 2, two digits
+    assert float(value.text) == pytest.approx(inputs.gravity, abs=1e-7)
+    assert not find(made, condition.format("Radius of the centrifuge") + "//si:valueExpandedMU")
+
+
 def test_an_identifier_with_a_stroke_makes_no_folder(tmp_path):
     made = document(tmp_path, result(), issue=Issue("2026/1 a", ISSUE.date))
     assert find(made, "//dcc:uniqueIdentifier")[0].text == "2026/1 a"

@@ -101,14 +101,14 @@ def _conditions(lab: Lab, result: Result) -> Iterator[Element]:
             dcc("status", ITEM_STATES[state]),
             dcc("data", rich("text", f"The item was calibrated {state}.")),
         )
-    for name, value, unit in (
-        ("Local gravity", inputs.gravity, inputs.gravity_unit),
-        ("Geographic latitude", inputs.latitude, inputs.latitude_unit),
-        ("Radius of the centrifuge", inputs.radius, inputs.radius_unit),
+    for name, value, u, unit in (
+        ("Local gravity", inputs.gravity, inputs.u_gravity, inputs.gravity_unit),
+        ("Geographic latitude", inputs.latitude, inputs.u_latitude, inputs.latitude_unit),
+        ("Radius of the centrifuge", inputs.radius, inputs.u_radius, inputs.radius_unit),
     ):
         if name.startswith("Radius") and not value:
             continue  # of a campaign at rest
-        yield _condition(name, _quantity(real(value, si_unit(unit)[0])))
+        yield _condition(name, _quantity(real(value, si_unit(unit)[0], u=u)))
     if result.runs:
         yield _condition(
             "Rotation rate of each run",
