@@ -3,9 +3,10 @@
 import pytest
 from results import result
 
-from counterspin.calibration.findings import judge_result, refusal
+from counterspin.calibration.findings import judge_result, lack_of_fit, refusal
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Finding
+from counterspin.calibration.result_parts import Finding, Residual
+from counterspin.inference.distributions import chi_square_tail
 
 
 def judged(**changes):
@@ -138,3 +139,12 @@ def test_judging_twice_changes_nothing(tmp_path):
     assert judge_result(found) == found
     found.write(tmp_path / "r.json")
     assert judge_result(Result.read(tmp_path / "r.json")) == found
+
+
+@pytest.mark.parametrize(("dof", "contradicts"), [(2.0, False), (40.0, True)])
+def test_a_few_residuals_are_as_large_by_chance(dof, contradicts):
+    """2.3 times the noise: of two residuals once in 200 campaigns, of forty never."""
+    chi2 = dof * 2.3**2
+    p = chi_square_tail(dof, chi2)
+    residual = Residual(rms=2.3, unit="g", dof=dof, chi2=chi2, lack_of_fit_p=p)
+    assert lack_of_fit("A", ["They are large."], residual).contradicts is contradicts
