@@ -83,10 +83,18 @@ def input_column(
         Their columns.
     """
     base = series.reference()
+    symbols = list(known)
+    errors = np.array([known[symbol] for symbol in symbols])
+    before = np.column_stack([table[s] for s in symbols] or [np.empty((base.size, 0))]) @ errors
     if name == TIMING:
-        step = _STEP / abs(series.trajectory.spindle.rate)
-        # Angles that were taken later were reached later: the spindle was behind by that time.
-        return (series.reference(later=-step) - base) / step
+        spindle = series.trajectory.spindle
+        step = _STEP / abs(spindle.rate)
+        # Angles that were taken later were reached later: the spindle was behind by that time, for
+        # what the errors make of the motion too. In these its ripple no longer counts.
+        behind = replace(spindle, start_angle=spindle.start_angle - spindle.rate * step)
+        late = series.columns(symbols, scale_factor, replace(series.trajectory, spindle=behind))
+        delayed: Array = (series.reference(later=-step) + late @ errors - base - before) / step
+        return delayed
     size = {
         "centrifuge.radius": series.trajectory.radius,
         "site.gravity": series.trajectory.site.gravity,
@@ -94,9 +102,6 @@ def input_column(
     }[name]
     step = _STEP * size
     moved = INPUTS[name](series.trajectory, step)
-    symbols = list(known)
-    errors = np.array([known[symbol] for symbol in symbols])
-    before = np.column_stack([table[s] for s in symbols] or [np.empty((base.size, 0))]) @ errors
     after = series.columns(symbols, scale_factor, moved) @ errors
     change: Array = (series.reference(moved) + after - base - before) / step
     if name == "site.latitude" and series.by_latitude is not None:
