@@ -50,6 +50,35 @@ def test_a_term_that_readings_hardly_feel_settles(seed):
     assert np.all(np.abs(fit.solution.estimate[-2:]) < 2e-4)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_an_unknown_that_the_considered_terms_carry_far_off_settles(seed):
+    """Turns of the fixtures look like each other's; what is considered is 100 times the noise."""
+    turns = ("inward.up", "outward.up", "inward.forward")
+    first, *rest = (f"fixture.misalignment.{turn}" for turn in turns)
+    held = {"K_IP": 9e-7, "K_PO": 2.9e-6, "K_4": 5.5e-10, first: 5e-5}
+    beside = {"delta_O": 3.3e-5, "delta_P": 3.3e-5} | dict.fromkeys(rest, 5e-5)
+    tilts = {"centrifuge.axis_tilt.north": 5e-5, "centrifuge.axis_tilt.east": 5e-5}
+
+    def owner(symbol):
+        return "A" if symbol in TERMS else ""
+
+    asked = model(
+        others=[unknown(s, (0.0, u), owner(s)) for s, u in held.items()],
+        considered=[considered(s, u, owner(s)) for s, u in (beside | tilts).items()],
+    )
+    rng = np.random.default_rng(seed)
+    drawn = {s: rng.normal(0.0, u) for s, u in (held | beside | tilts).items()}
+    truth = TRUTH | {s: size for s, size in drawn.items() if s in TERMS}
+    machine = {s: size for s, size in drawn.items() if s not in TERMS}
+    groups = [
+        readings(test, simulated(test, rng, 5e-7, machine, truth=truth), 5e-7)
+        for test in (tumble(), arm())
+    ]
+    solution = solve_readings(groups, asked).solution
+    wanted = [(truth | machine)[u.symbol] - u.nominal for u in asked.unknowns]
+    assert np.all(np.abs(solution.estimate - wanted) < 3.3 * solution.u)
+
+
 def test_u_of_a_tumble_is_the_textbook_s():
     terms = ("K_F", "K_I", "delta_O", "K_II", "K_IP")
     fit = solve_readings([readings(tumble(), np.zeros(12), SIGMA)], model(terms))

@@ -1,8 +1,8 @@
 """Readings: single values at rest, on an arm or on a turntable, as data of the joint fit.
 
 A reading is linear in the coefficients and nearly so in what the machine does; the derivatives are
-taken at the estimate, and taken again there until it settles (Gauss-Newton). The readings become
-blocks of square-root information, which are solved together with the blocks of records.
+taken at what readings and priors together say, and taken again there until it settles. The readings
+become blocks of square-root information, which are solved together with the blocks of records.
 
 - `Readings`: what was read, and where; `Position`: readings of one position
 - `solve_readings`, `ReadingsFit`: readings alone, or together with records
@@ -268,14 +268,14 @@ def solve_readings(
     ConvergenceError
         If derivatives or noise do not settle.
     """
-    known = np.array([unknown.prior_mean for unknown in model.unknowns])
-    limits = np.array([unknown.limit for unknown in model.unknowns])
-    estimate = point = known
+    everything = [*model.unknowns, *model.considered]
+    point = known = np.array([unknown.prior_mean for unknown in everything])
+    limits = np.array([unknown.limit for unknown in everything])
     noise = [_first_noise(group) for group in readings]
-    # What is considered is in the residuals too. Noise is therefore found beside it, as if it were
-    # estimated with its prior; else it would be taken for noise.
-    plain = Unknowns(model.unknowns)
-    relaxed = any(group.u is None for group in readings) and bool(model.considered or model.inputs)
+    # What is considered is in the residuals too. Noise and the point of the derivatives are found
+    # beside it, as if it were estimated with its prior: else it would be taken for noise, and what
+    # looks like it would leave its prior so far that derivatives there are not the machine's.
+    relaxed = bool(model.considered or model.inputs)
     for _ in range(_ROUNDS):
         parts = [_Part.of(group, model, point) for group in readings]
         # The columns hold while only the noise is another.
@@ -288,16 +288,16 @@ def solve_readings(
                 followed = [part.relaxed() for part in weighted]
                 found = solve_relaxed([*beside, *blocks], model)
             noise = [
-                _noise_again(group, part, found, plain, own)
+                _noise_again(group, part, found, Unknowns(model.unknowns), own)
                 for group, part, own in zip(readings, followed, before, strict=True)
             ]
             changes = (abs(new / old - 1.0) for new, old in zip(noise, before, strict=True))
             if max(changes) < _TOLERANCE:
                 break
-        moves = np.abs(solution.estimate - estimate) / np.where(solution.u > 0, solution.u, 1.0)
-        estimate = solution.estimate
+        estimate, u = found.estimate[: known.size], found.u[: known.size]
         # What is not determined, and may be anything, is no place to take derivatives at.
-        point = np.where(solution.u < limits, estimate, known)
+        place = np.where(u < limits, estimate, known)
+        moves, point = np.abs(place - point) / np.where(u > 0, u, 1.0), place
         if moves.max(initial=0.0) < _LARGEST_MOVE:
             break
     else:
@@ -405,9 +405,9 @@ class _Part:
 
     @classmethod
     def of(cls, group: Readings, model: Unknowns, estimate: Array) -> _Part:
-        """Return the columns at an estimate."""
+        """Return the columns at an estimate; considered terms that it lacks are as assumed."""
         everything = [*model.unknowns, *model.considered]
-        at = np.append(estimate, [term.prior_mean for term in model.considered])
+        at = np.append(estimate, [term.prior_mean for term in everything[len(estimate) :]])
         own = {
             index: unknown.symbol
             for index, unknown in enumerate(everything)
