@@ -77,13 +77,10 @@ def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature
     """
     count = len(test[0])
     blank = readings(test, np.zeros(count), 1.0, temperature=temperature)
-    actual, coefficients = [], []
+    errors = rng.normal(0.0, u_head, count) if u_head else np.zeros(count)
+    actual = blank.turned(blank.stations_with(dict(machine)), errors)
+    coefficients = []
     for index in range(count):
-        turn = {} if not u_head else {"head.zero": rng.normal(0.0, u_head)}
-        drawn = dict(machine)
-        for symbol, size in turn.items():
-            drawn[symbol] = drawn.get(symbol, 0.0) + size
-        actual.append(blank.station(index, drawn))
         lever = RunConditions(float(blank.time[index]), float(blank.temperature[index]))
         own = changed(truth, lever, 0.0)
         coefficients.append([own.get(symbol, row.nominal) for symbol, row in TERMS.items()])

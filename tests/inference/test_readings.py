@@ -21,7 +21,8 @@ from scipy.special import stdtrit
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.identifiability import assess
 from counterspin.inference.readings import solve_readings
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.accelerometer import TERMS, Mounting
+from counterspin.physics.station import Station
 
 FULL = 2000 if os.environ.get("COUNTERSPIN_FULL") else None
 SIGMA = 2e-6
@@ -84,6 +85,19 @@ def test_u_of_a_tumble_is_the_textbook_s():
     fit = solve_readings([readings(tumble(), np.zeros(12), SIGMA)], model(terms))
     expected = [0.5, 0.408248, 0.408248, 0.816497, 0.816497]
     np.testing.assert_allclose(fit.solution.u / SIGMA, expected, rtol=0, atol=6e-7)
+
+
+def test_the_head_errs_on_a_double_turntable_as_at_rest():
+    """With the input axis level the mean changes by g times the angle."""
+    level = Mounting.from_axes([1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    station = Station("counter-rotating", level, rate=3.0, radius=1.0)
+    test = [station] * 4, [""] * 4, np.tile([0.0, 1.0, 0.0], (4, 1))
+    truth = {"K_F": 0.0}
+    values = simulated(test, np.random.default_rng(5), 0.0, u_head=1e-4, truth=truth)
+    errors = np.random.default_rng(5).normal(0.0, 1e-4, 4)
+    np.testing.assert_allclose(np.abs(values), np.abs(errors), rtol=1e-6)
+    fit = solve_readings([readings(test, values, SIGMA, u_head=1e-4)], model(("K_F",)))
+    np.testing.assert_allclose(fit.sigma[0], math.hypot(SIGMA, 1e-4), rtol=1e-7)
 
 
 def test_what_one_g_cannot_tell_is_named():

@@ -12,7 +12,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
@@ -24,9 +23,6 @@ from counterspin.inference.readings import Readings
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.station import Station, mean_products
-
-#: The dividing head's angle, whose error differs from position to position.
-_HEAD: Final = "head.zero"
 
 
 def indications(
@@ -50,10 +46,7 @@ def indications(
     head_error
         Error of the dividing head's angle at each reading, rad, shape (n,).
     """
-    stations = []
-    for index, error in enumerate(head_error.tolist()):
-        own = {**machine, _HEAD: machine.get(_HEAD, 0.0) + error}
-        stations.append(group.station(index, own))
+    stations = group.turned(group.stations_with(machine), head_error)
     products = mean_products(stations, group.site)
     found: Array = np.sum(products * _effective(group, coefficients), axis=1)
     return found
@@ -161,9 +154,9 @@ def simulate_mean_record(
     time = np.arange(sample_count(reading.duration, rate)) / rate
     angle = reading.rate * time
     (group,) = groups_of(campaign, [reading])
-    machine = {**truth.machine, _HEAD: truth.machine.get(_HEAD, 0.0) + head_error}
+    (station,) = group.turned(group.stations_with(truth.machine), np.array([head_error]))
     (effective,) = _effective(group, truth.coefficients.get(reading.accelerometer, {}))
-    return time, angle, _instantaneous(group.station(0, machine), group, effective, angle)
+    return time, angle, _instantaneous(station, group, effective, angle)
 
 
 def _instantaneous(station: Station, group: Readings, effective: Array, angle: Array) -> Array:

@@ -131,6 +131,11 @@ class Readings:
             for station, acting, head in zip(stations, self.acting(symbol), self.head, strict=True)
         ]
 
+    def turned(self, stations: Sequence[Station], by: Array) -> list[Station]:
+        """Return stations with the head's angle off by so much at each, rad, shape (n,)."""
+        every = zip(stations, by.tolist(), self.head, strict=True)
+        return [moved(station, "head.zero", angle, head) for station, angle, head in every]
+
     @property
     def read_again(self) -> tuple[tuple[int, ...], ...]:
         """Places of the readings of each position that was read more than once."""
@@ -166,14 +171,6 @@ class Readings:
             forces = [station.radius * station.rate**2 / g for station in self.stations]
             return np.asarray(np.square(forces))
         return self.temperature if row.recorded == "temperature" else self.time
-
-    def station(self, index: int, machine: Mapping[str, float]) -> Station:
-        """Return where a reading is taken, with the machine's terms as given."""
-        station = self.stations[index]
-        for symbol, size in machine.items():
-            if size != 0.0 and self.acting(symbol)[index]:
-                station = moved(station, symbol, size, self.head[index])
-        return station
 
 
 @frozen
@@ -459,7 +456,10 @@ class _Part:
         perfect = np.sum(products * effective, axis=1) - columns @ at
         head = np.zeros(group.size)
         if group.u_head.any():
-            head = np.abs(slope_of("head.zero", _HEAD_STEP)) * group.u_head
+            turn = np.full(group.size, _HEAD_STEP)
+            both = (group.turned(stations, by) for by in (turn, -turn))
+            more, less = (mean_products(each, group.site) for each in both)
+            head = np.abs(slope(more, less, _HEAD_STEP)) * group.u_head
         return cls(
             columns[:, : len(model.unknowns)],
             np.column_stack(fixed or [np.empty((group.size, 0))]),
