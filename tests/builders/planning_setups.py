@@ -44,6 +44,15 @@ def unknown(symbol, owner, kind=Unknown, priors=PRIORS):
     return kind(owner, symbol, (row.nominal, priors.get(symbol, math.inf)), row.limit)
 
 
+class Even(Series):
+    """A record as a plan takes it: noise of the time stamps by its mean over a revolution."""
+
+    @property
+    def jitter_variance(self):
+        """The same for each row."""
+        return self.jitter**2
+
+
 def make_setup(
     symbols=("K_F", "K_I", "K_II", "K_III"),
     *,
@@ -105,7 +114,7 @@ def u_by_joint_fit(setup, design):
         for one in setup.instruments:
             slope = setup.radius * abs(spindle.rate) ** (3 - one.order) / math.sqrt(2.0)
             series.append(
-                Series(
+                Even(
                     one.name,
                     run,
                     Trajectory(spindle, setup.radius, setup.site),

@@ -8,6 +8,7 @@ import pytest
 
 from counterspin.calibration.joint_problem import series_of
 from counterspin.calibration.observed import ObservedRun, Signal
+from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import QX, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import LEVEL
@@ -47,3 +48,7 @@ def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable,
     (series,) = series_of(campaign, [run])
     slope = (series.reference(later=1e-5) - series.reference(later=-1e-5)) / 2e-5
     assert series.jitter == pytest.approx(TIMING * math.sqrt(np.mean(slope**2)), rel=1e-6)
+    variance = np.maximum((TIMING * slope) ** 2, 0.02 * series.jitter**2)
+    np.testing.assert_allclose(series.jitter_variance, variance, atol=1e-6 * series.jitter**2)
+    white = series.whitener(NoiseModel(series.jitter)).apply(np.ones(400))
+    np.testing.assert_allclose(white, (variance + series.jitter**2) ** -0.5, rtol=1e-5)

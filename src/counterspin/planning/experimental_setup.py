@@ -30,7 +30,7 @@ class PlannedInstrument:
     noise
         Of one sample.
     jitter
-        Standard deviation of the time stamps, s.
+        Standard deviation of the time stamps, s; it counts by its mean over a revolution.
     """
 
     name: str

@@ -24,6 +24,7 @@ from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.rotation import find_rotation
+from counterspin.inference.joint.series import jitter_of
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.motion import Trajectory
@@ -359,3 +360,23 @@ def test_an_accelerometer_s_walk_is_not_outlying(observable, noise):
         found = estimate(drawn, MODEL, {"Qx": NoiseRequest(noise.white, noise.random_walk)})
         rejected += sum(mask.sum() for mask in found.outliers)
     assert rejected <= 2
+
+
+@pytest.mark.parametrize("white", [None, 0.02])
+def test_noise_of_the_time_stamps_goes_with_the_slope(white):
+    """It is less than the white noise at the lowest rate, and forty times it at the highest."""
+    rng = np.random.default_rng(22)
+    timing, drawn = 2e-3, []
+    for i, rate in enumerate(RATES):
+        one = simulated(f"run{i}", rate, TRUTH, observable="specific_force")
+        slope = (one.reference(later=1e-4) - one.reference(later=-1e-4)) / 2e-4
+        late = timing * rng.standard_normal(one.time.size)
+        moved = noisy(replace(one, error=one.error + slope * late), NoiseModel(0.02), rng)
+        drawn.append(replace(moved, jitter=jitter_of(timing, one.trajectory.radius, rate, 0)))
+    found = estimate(drawn, MODEL, {"Qx": NoiseRequest(white, 0.0)})
+    solution = found.fit.solution
+    assert found.fit.noise["Qx"].white == pytest.approx(0.02, rel=0.2)
+    assert abs(solution.chi2 / solution.dof - 1.0) < 4 * math.sqrt(2 / solution.dof)
+    assert np.abs((solution.estimate - TRUE) / solution.u).max() < 4
+    # By chance a hundredth of a sample is lost of each record.
+    assert sum(mask.sum() for mask in found.outliers) == 0

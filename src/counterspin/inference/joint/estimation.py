@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from counterspin.arrays import Array, semidefinite_root
+from counterspin.arrays import SIGMA_OF_MAD, Array, semidefinite_root
 from counterspin.errors import ConvergenceError
 from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
@@ -231,6 +231,7 @@ def _reject(
 ) -> JointFit:
     """Leave outliers out, refitting until there are none; marks them in `outliers`."""
     places = [(record.time, np.sqrt(record.count)) for record in series]
+    added = [record.jitter_variance for record in series]
     for _ in range(_ROUNDS):
         further = []
         for index, (part, mask) in enumerate(zip(fit.prepared, outliers, strict=True)):
@@ -238,6 +239,9 @@ def _reject(
             left = np.full(time.size, np.nan)
             left[~mask] = fit.residuals[index].plain
             step = requests[part.accelerometer].quantisation
+            if part.series.jitter > 0.0:
+                white = requests[part.accelerometer].white or 0.0
+                weight = weight / _jittered(left * weight, white, part.series.jitter, added[index])
             further.append(outlying(left, weight, step / math.sqrt(12.0), time))
         if not any(mask.any() for mask in further):
             return fit
@@ -258,6 +262,19 @@ def _reject(
         "residuals are not noise around a smooth curve; look at the record, for a clock or a "
         "displacement that jumps, or add the missing terms to the model"
     )
+
+
+def _jittered(
+    residuals: Array, white: float, jitter: float, variance: float | Array
+) -> float | Array:
+    """Return each row's standard deviation over the rms, noise of the time stamps being uneven.
+
+    What is less than usual counts as half of it: such rows are compared with noisier neighbours.
+    """
+    scale = SIGMA_OF_MAD * float(np.nanmedian(np.abs(residuals)))
+    even = max(white**2, scale**2 - jitter**2)
+    ratio: Array = np.sqrt(np.maximum((even + variance) / (even + jitter**2), 0.5))
+    return ratio
 
 
 def _noise(
@@ -284,7 +301,7 @@ def _components(
     every, p = (*model.unknowns, *model.considered, *inputs), len(model.unknowns)
     places = [(*part.unknowns, *(p + place for place in part.considered)) for part in prepared]
     used = sorted({index for own in places for index in own})
-    records = [
+    plain = [
         RecordData(
             part.series.time,
             part.series.order,
@@ -301,25 +318,50 @@ def _components(
     chosen = [every[index] for index in used]
     spread = np.array([max(unknown.spread, _LEAST_PRIOR_U * unknown.limit) for unknown in chosen])
     means = np.array([unknown.prior_mean for unknown in chosen])
-    # Like quantisation, noise of the time stamps is white noise of a known size; its mean square
-    # over the runs serves here, while the fit gives each run its own.
-    sizes = np.array([part.series.time.size for part in prepared])
-    jitter = np.average([part.series.jitter**2 for part in prepared], weights=sizes)
-    quantisation = math.sqrt(request.quantisation**2 + 12.0 * jitter)
     known, values = np.diag(1.0 / spread), means / spread
-    if request.wanders:
-        whole = replace(request, quantisation=quantisation)
-        components = estimate_wandering(records, whole, known, values)
-    else:
-        components = variance_components.estimate(
-            records,
-            white=request.white,
-            random_walk=request.random_walk,
-            quantisation=quantisation,
-            prior_rows=known,
-            prior_values=values,
-        )
-    return replace(components, quantisation=request.quantisation)
+
+    def found(records: Sequence[RecordData], jitter: float) -> VarianceComponents:
+        # Like quantisation, noise of the time stamps is white noise of a known size.
+        quantisation = math.sqrt(request.quantisation**2 + 12.0 * jitter)
+        if request.wanders:
+            whole = replace(request, quantisation=quantisation)
+            components = estimate_wandering(records, whole, known, values)
+        else:
+            components = variance_components.estimate(
+                records,
+                white=request.white,
+                random_walk=request.random_walk,
+                quantisation=quantisation,
+                prior_rows=known,
+                prior_values=values,
+            )
+        return replace(components, quantisation=request.quantisation)
+
+    added = [part.series.jitter_variance for part in prepared]
+    if not any(np.any(part) for part in added):
+        return found(plain, 0.0)
+    # It is another for each row. What is white beside it, to begin with: all that there is.
+    every_row = np.concatenate(
+        [
+            np.broadcast_to(one, part.series.time.shape)
+            for one, part in zip(added, prepared, strict=True)
+        ]
+    )
+    mean = float(np.mean(every_row))
+    components = found(plain, mean)
+    white = components.noise.sample_variance + mean
+    for _ in range(_ROUNDS):
+        middle = 1.0 / float(np.mean(1.0 / (white + every_row)))
+        records = [
+            replace(record, shares=(white + one) / middle)
+            for record, one in zip(plain, added, strict=True)
+        ]
+        before = white
+        components = found(records, middle - white)
+        white = max(components.noise.sample_variance, 0.1 * before)
+        if abs(white - before) <= 1e-3 * middle:
+            break
+    return components
 
 
 def _effective_dof(fit: JointFit, components: Mapping[str, VarianceComponents]) -> Array:

@@ -215,7 +215,8 @@ def _block_again(
     """Reduce a series again; where only the level of its white noise is another, scale it."""
     was, now = (prepared.series.total(noise) for noise in (before, after))
     walks = was.random_walk > 0.0 or now.random_walk > 0.0
-    if walks or was.wanders or now.wanders or now.sample_variance == 0.0:
+    uneven = prepared.series.jitter > 0.0
+    if walks or uneven or was.wanders or now.wanders or now.sample_variance == 0.0:
         return _block(prepared, model, after)
     ratio = math.sqrt(was.sample_variance / now.sample_variance)
     return replace(

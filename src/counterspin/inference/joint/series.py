@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,9 @@ from counterspin.physics.angle_error import AngleError
 from counterspin.physics.motion import Trajectory
 
 Rate = TypeVar("Rate", float, Array)
+
+#: Least variance of a row's jitter, over its mean: no row is without noise where the slope is zero.
+_LEAST_SHARE: Final = 0.02
 
 
 @frozen
@@ -46,8 +49,8 @@ class Series:
     in_g
         Whether the record is in g, so that its size depends on the gravity assumed.
     jitter
-        White noise of each sample, in the error's unit, that comes from noise of the time stamps;
-        it is added to the accelerometer's own.
+        White noise of each sample, in the error's unit, that comes from noise of the time stamps,
+        its rms over a revolution; it is added to the accelerometer's own.
     angle_error
         How far the run may have turned otherwise than `trajectory` says; None where nobody knows.
     by_latitude
@@ -137,15 +140,29 @@ class Series:
         """Return the noise of an accelerometer with what the time stamps' noise adds here."""
         return replace(noise, white=math.hypot(noise.white, self.jitter))
 
+    @property
+    def jitter_variance(self) -> float | Array:
+        """Variance of a sample's jitter in each row, shape (n,), or 0: it goes with the slope.
+
+        The output goes with the cosine of the angle from the input axis, or with its derivatives.
+        """
+        if self.jitter == 0.0:
+            return 0.0
+        east, north = self.mounting.turned(self.attitude).input_axis[:2]
+        phase = self.trajectory.spindle.angle(self.time) - math.atan2(north, east)
+        share = 1.0 - (-1.0) ** self.order * np.cos(2.0 * phase)
+        return self.jitter**2 * np.maximum(share, _LEAST_SHARE)
+
     def whitener(self, noise: NoiseModel) -> Whitener:
         """Return what turns the rows into rows whose noise has unit covariance."""
         return make_whitener(
             self.time,
             self.order,
-            self.total(noise),
+            noise,
             self.count,
             self.block_spacing,
             self.trajectory.conditions.start,
+            self.jitter_variance,
         )
 
 

@@ -23,6 +23,8 @@ Without a random walk a row is divided by its standard deviation, and nothing is
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -197,13 +199,13 @@ class Differences:
         span = steps[:-1] + steps[1:]
         return 2 * steps[1:] / span, 2 * steps[:-1] / span
 
-    def factor(self, white: float, walk: float) -> tuple[Array, float]:
+    def factor(self, white: float | Array, walk: float) -> tuple[Array, float]:
         """Banded Cholesky factor of the differences' covariance, and its log-determinant.
 
         Parameters
         ----------
         white
-            White variance per sample (quantisation included).
+            White variance per sample (quantisation included), of all rows or of each, (n,).
         walk
             N^2; not both zero.
 
@@ -221,7 +223,7 @@ class Differences:
             bands = self._displacement_factor(white, walk)
         return bands, 2 * float(np.log(bands[0]).sum())
 
-    def _velocity_factor(self, white: float, walk: float) -> Array:
+    def _velocity_factor(self, white: float | Array, walk: float) -> Array:
         from scipy.linalg.lapack import dpbtrf
 
         variance = white / self.blocks.count - walk * self.blocks.mean_distance / 2
@@ -233,7 +235,7 @@ class Differences:
             raise ArithmeticError("the covariance of the first differences has no Cholesky factor")
         return np.asarray(bands)
 
-    def _displacement_factor(self, white: float, walk: float) -> Array:
+    def _displacement_factor(self, white: float | Array, walk: float) -> Array:
         seen = filter_walk(self.blocks, white, walk)
         first, second = self._weights()
         spread = np.sqrt(seen.variance)
@@ -303,6 +305,7 @@ def make_whitener(
     count: ArrayLike | None = None,
     sample_spacing: ArrayLike | None = None,
     before: float = 0.0,
+    added: float | Array = 0.0,
 ) -> Whitener:
     """Whitener of one record of one observable.
 
@@ -321,14 +324,16 @@ def make_whitener(
         adjoin.
     before
         For how long the bias had walked when the record began, s.
+    added
+        White variance of a sample beside that of `noise`, of all rows or of each, (n,).
 
     Raises
     ------
     ValueError
         Times do not increase, blocks overlap, too few rows, or the noise is zero.
     """
-    white, walk = noise.sample_variance, noise.random_walk**2
-    if white + walk == 0:
+    white, walk = noise.sample_variance + added, noise.random_walk**2
+    if np.any(white + walk == 0):
         raise ValueError("noise: all components are zero, so rows cannot be weighted")
     differences = Differences.of(times, order, count, sample_spacing)
     polynomials = 0
@@ -338,6 +343,7 @@ def make_whitener(
     bands, log_det = differences.factor(white, walk)
     if not noise.wanders:
         return Whitener(differences, bands, log_det, polynomials)
-    shown = differences.wander(order, noise.levels, before)
+    levels = replace(noise.levels, white=float(np.mean(white)))
+    shown = differences.wander(order, levels, before)
     wander = LowRank.of(solve_banded_factor(bands, shown))
     return Whitener(differences, bands, log_det + wander.log_det, polynomials, wander)

@@ -43,6 +43,8 @@ class RecordData:
         (k,) which of the p unknowns of all records the columns belong to; absent: all of them.
     before
         For how long a bias had walked when the record began, s.
+    shares
+        (n,) or a number: white variance of each row's samples over that which is estimated.
     """
 
     times: ArrayLike
@@ -53,6 +55,7 @@ class RecordData:
     spacing: ArrayLike | None = None
     places: ArrayLike | None = None
     before: float = 0.0
+    shares: float | Array = 1.0
 
 
 class Ratios(NamedTuple):
@@ -78,6 +81,7 @@ class RestrictedLikelihood:
     prior: Array  # [rows | values]
     orders: list[int]
     before: list[float]
+    shares: list[float | Array]
     triangles: dict[float | Ratios, tuple[Array, float]] = field(default_factory=dict)
 
     @classmethod
@@ -112,6 +116,7 @@ class RestrictedLikelihood:
             np.column_stack([known, values]),
             [record.order for record in records],
             [record.before for record in records],
+            [record.shares for record in records],
         )
         # What differencing leaves of a start error in the design is rounding, not an unknown.
         before, after = np.zeros(known.shape[1]), np.zeros(known.shape[1])
@@ -218,11 +223,12 @@ class RestrictedLikelihood:
     def _whitened(self, index: int, ratio: float | Ratios) -> tuple[Array, float]:
         """Return a record's whitened rows at unit scale, and the log-determinant of their noise."""
         differences, stack = self.differences[index], self.stacks[index]
+        share = self.shares[index]
         if not isinstance(ratio, Ratios):
-            scales = (0.0, 1.0) if math.isinf(ratio) else (1.0, ratio)
+            scales = (0.0, 1.0) if math.isinf(ratio) else (share, ratio)
             bands, log_det = differences.factor(*scales)
             return solve_banded_factor(bands, stack), log_det
-        bands, log_det = differences.factor(1.0, ratio.walk)
+        bands, log_det = differences.factor(share, ratio.walk)
         shown = differences.wander(self.orders[index], Levels(1.0, *ratio), self.before[index])
         wander = LowRank.of(solve_banded_factor(bands, shown))
         return wander.apply(solve_banded_factor(bands, stack)), log_det + wander.log_det

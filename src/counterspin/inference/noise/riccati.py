@@ -91,7 +91,7 @@ class Innovations:
 
 
 def filter_walk(
-    blocks: BlockSpans, white: float, walk: float, few_rows: int = FEW_ROWS
+    blocks: BlockSpans, white: float | Array, walk: float, few_rows: int = FEW_ROWS
 ) -> Innovations:
     """Innovation variances and gains for a doubly integrated walk seen through white noise.
 
@@ -100,7 +100,7 @@ def filter_walk(
     blocks
         n >= 3 rows.
     white
-        White variance per sample, m^2.
+        White variance per sample, m^2, of all rows or of each, (n,).
     walk
         Square of the random-walk coefficient, N^2, (m/s^2)^2/Hz; not both zero.
     few_rows
