@@ -19,7 +19,7 @@ from joint_campaign import (
 from scipy.special import stdtrit
 
 from counterspin.errors import ConvergenceError
-from counterspin.inference.joint.estimation import NoiseRequest, estimate
+from counterspin.inference.joint.estimation import NoiseRequest, _with_all, estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.prepared import prepare_columns
@@ -380,3 +380,20 @@ def test_noise_of_the_time_stamps_goes_with_the_slope(white):
     assert np.abs((solution.estimate - TRUE) / solution.u).max() < 4
     # By chance a hundredth of a sample is lost of each record.
     assert sum(mask.sum() for mask in found.outliers) == 0
+
+
+def test_good_samples_that_an_earlier_model_made_stand_out_are_taken_back(clean):
+    rng = np.random.default_rng(23)
+    drawn = [noisy(one, WHITE, rng) for one in clean]
+    drawn[2].error[100] += 0.15
+    outliers = [np.zeros(one.time.size, dtype=bool) for one in drawn]
+    outliers[2][50:101] = True
+    prepared = prepare_columns(drawn, MODEL, {"Qx": TRUTH["K_I"]})
+    kept = [part.without(mask) for part, mask in zip(prepared, outliers, strict=True)]
+    fit = solve_joint(kept, MODEL, {"Qx": WHITE})
+    again = _with_all(fit, drawn, {"Qx": NoiseRequest(0.01, 0.0)}, outliers)
+    assert [np.flatnonzero(mask).tolist() for mask in outliers] == [[], [], [100]]
+    only = [part.without(mask) for part, mask in zip(prepared, outliers, strict=True)]
+    expected = solve_joint(only, MODEL, {"Qx": WHITE}).solution
+    np.testing.assert_allclose(again.solution.u, expected.u, rtol=1e-9)
+    np.testing.assert_allclose(again.solution.estimate, expected.estimate, rtol=1e-6, atol=1e-12)

@@ -39,6 +39,9 @@ Rows = npt.NDArray[np.bool_]
 
 _ROUNDS: Final = 20  #: of outlier rejection
 
+#: Share of a record beyond which what was left out is looked at again.
+_MANY: Final = 0.01
+
 #: Least u of a prior in the likelihood, in units of the unknown's credible limit.
 _LEAST_PRIOR_U: Final = 1e-12
 
@@ -162,8 +165,8 @@ def estimate(
             noise, components = _noise(prepared, whole, requests)
         fit = solve_joint(prepared, whole, noise)
     if reject and whole is not plain:
-        # What stands out of a wave that only this model has.
-        clean = _reject(fit, series, requests, outliers)
+        # What stands out of a wave that only this model has; and what only the wave made stand out.
+        clean = _reject(_with_all(fit, series, requests, outliers), series, requests, outliers)
         if clean is not fit:
             noise, components = _noise(clean.prepared, whole, requests)
             fit = clean.with_noise(noise)
@@ -230,19 +233,8 @@ def _reject(
     outliers: list[Rows],
 ) -> JointFit:
     """Leave outliers out, refitting until there are none; marks them in `outliers`."""
-    places = [(record.time, np.sqrt(record.count)) for record in series]
-    added = [record.jitter_variance for record in series]
     for _ in range(_ROUNDS):
-        further = []
-        for index, (part, mask) in enumerate(zip(fit.prepared, outliers, strict=True)):
-            time, weight = places[index]
-            left = np.full(time.size, np.nan)
-            left[~mask] = fit.residuals[index].plain
-            step = requests[part.accelerometer].quantisation
-            if part.series.jitter > 0.0:
-                white = requests[part.accelerometer].white or 0.0
-                weight = weight / _jittered(left * weight, white, part.series.jitter, added[index])
-            further.append(outlying(left, weight, step / math.sqrt(12.0), time))
+        further = _standing_out(fit, series, requests, outliers)
         if not any(mask.any() for mask in further):
             return fit
         prepared = tuple(
@@ -262,6 +254,50 @@ def _reject(
         "residuals are not noise around a smooth curve; look at the record, for a clock or a "
         "displacement that jumps, or add the missing terms to the model"
     )
+
+
+def _standing_out(
+    fit: JointFit,
+    series: Sequence[Series],
+    requests: Mapping[str, NoiseRequest],
+    outliers: list[Rows],
+) -> list[Rows]:
+    """Return which rows of each series are outliers besides those that are left out already."""
+    further = []
+    for index, (part, mask) in enumerate(zip(fit.prepared, outliers, strict=True)):
+        time, weight = series[index].time, np.sqrt(series[index].count)
+        left = np.full(time.size, np.nan)
+        left[~mask] = fit.residuals[index].plain
+        step = requests[part.accelerometer].quantisation
+        if part.series.jitter > 0.0:
+            white = requests[part.accelerometer].white or 0.0
+            weight = weight / _jittered(
+                left * weight, white, part.series.jitter, series[index].jitter_variance
+            )
+        further.append(outlying(left, weight, step / math.sqrt(12.0), time))
+    return further
+
+
+def _with_all(
+    fit: JointFit,
+    series: Sequence[Series],
+    requests: Mapping[str, NoiseRequest],
+    outliers: list[Rows],
+) -> JointFit:
+    """Take back what no longer stands out, where many were left out; changes `outliers`."""
+    if not any(mask.mean() > _MANY for mask in outliers):
+        return fit
+    factors = {part.accelerometer: part.scale_factor for part in fit.prepared}
+    everything = prepare_columns(series, fit.model, factors, fit.solution.estimate)
+    none = [np.zeros(record.time.size, dtype=bool) for record in series]
+    # The same estimate, held against all rows.
+    standing = _standing_out(replace(fit, prepared=everything), series, requests, none)
+    if not any((mask & ~new).any() for mask, new in zip(outliers, standing, strict=True)):
+        return fit
+    for mask, new in zip(outliers, standing, strict=True):
+        mask[:] = new
+    kept = tuple(part.without(new) for part, new in zip(everything, standing, strict=True))
+    return solve_joint(kept, fit.model, fit.noise)
 
 
 def _jittered(
