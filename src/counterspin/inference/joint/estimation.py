@@ -300,9 +300,7 @@ def _with_all(
     return solve_joint(kept, fit.model, fit.noise)
 
 
-def _jittered(
-    residuals: Array, white: float, jitter: float, variance: float | Array
-) -> float | Array:
+def _jittered(residuals: Array, white: float, jitter: float, variance: Array) -> Array:
     """Return each row's standard deviation over the rms, noise of the time stamps being uneven.
 
     What is less than usual counts as half of it: such rows are compared with noisier neighbours.

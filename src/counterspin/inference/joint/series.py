@@ -141,13 +141,13 @@ class Series:
         return replace(noise, white=math.hypot(noise.white, self.jitter))
 
     @property
-    def jitter_variance(self) -> float | Array:
-        """Variance of a sample's jitter in each row, shape (n,), or 0: it goes with the slope.
+    def jitter_variance(self) -> Array:
+        """Variance of a sample's jitter in each row, (n,): it goes with the slope; () without any.
 
         The output goes with the cosine of the angle from the input axis, or with its derivatives.
         """
         if self.jitter == 0.0:
-            return 0.0
+            return np.zeros(())
         east, north = self.mounting.turned(self.attitude).input_axis[:2]
         phase = self.trajectory.spindle.angle(self.time) - math.atan2(north, east)
         share = 1.0 - (-1.0) ** self.order * np.cos(2.0 * phase)
