@@ -25,6 +25,10 @@ PARALLEL = -n $(JOBS) --dist worksteal
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
+# Scripts whose peers may be absent and carry no types.
+BENCH_TYPES := --allow-untyped-defs --allow-incomplete-defs --allow-untyped-calls --no-warn-return-any \
+  --disable-error-code import-untyped --disable-error-code import-not-found
+
 .PHONY: help setup demo test quick slow lint format bench fuzz docs pictures violations coverage alarms \
   lock clean
 
@@ -49,6 +53,7 @@ lint: $(READY) ## Lint, format, types and import rules only
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy
+	$(BIN)/python -m mypy $(BENCH_TYPES) $(wildcard benchmarks/*.py)
 	$(BIN)/lint-imports --no-logo
 
 format: $(READY) ## Format the code and mend what the linter can

@@ -10,7 +10,7 @@ import platform
 from pathlib import Path
 
 from process import PYTHON, interleaved
-from table import Table, script
+from table import Cell, Table, script
 
 TRIAD = """
 import time, numpy as np
@@ -74,7 +74,7 @@ def tables(full: bool = False, repeats: int | None = None) -> list[Table]:
     }
     commands = {name: [*PYTHON, "-c", code] for name, code in limits.items()}
     found = interleaved(commands, repeats or 1)
-    rows = [[name, float(measured.output)] for name, measured in found.items()]
+    rows: list[list[Cell]] = [[name, float(measured.output)] for name, measured in found.items()]
     return [Table("The machine's own limits", _machine(), ["limit", "measured"], rows)]
 
 

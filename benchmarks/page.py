@@ -86,8 +86,8 @@ def main() -> None:
             make(folder / name, rows)
         door = Door(listener.getsockname()[1])
         server = server_of(Desk(ServedFolder(folder)), door)
-        kept = {"target": server.run, "kwargs": {"sockets": [listener]}, "daemon": True}
-        (thread := threading.Thread(**kept)).start()
+        thread = threading.Thread(target=server.run, args=([listener],), daemon=True)
+        thread.start()
         with chromium() as browser:
             tab = browser.new_page(viewport={"width": 1280, "height": 1000})
             tab.goto(door.link)

@@ -156,7 +156,7 @@ def exact_physics(full: bool, repeats: int, made: dict[str, StudyEngine]) -> dic
     }
     times = in_turn(jobs, repeats)
     times |= in_turn({"ode": lambda: _ode(slow, draws)}, repeats if full else 1)
-    a, b = (one.trials(draws, stream(1, 0, 1))[0] for one in (fast, slow))
+    a, b = (one.trials(draws, stream(1, 0, 1)) for one in (fast, slow))
     error = float(np.abs((a.estimate - b.estimate) / b.u).max())
     assert error < 1e-5
     shown = [float(slow._shift(draws, run, slow._effects(draws, run)[0])[0]) for run in range(3)]

@@ -121,7 +121,7 @@ def with_uncertainties(plan: Plan, trials: int, seed: int = 1) -> float:
 
     generator = np.random.default_rng(seed)
     gains, (solve, _) = plan.first_stage(), plan.second_stage()
-    k_ii = None
+    k_ii = ufloat(*plan.prior)
     for _ in range(trials):
         k_ii = solve[0, -1] * ufloat(*plan.prior)
         for run, clean in enumerate(plan.readings):

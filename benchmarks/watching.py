@@ -65,6 +65,7 @@ def main(seconds):
             [sys.executable, "-m", "counterspin", "watch", str(folder), "--json-lines"],
             stdout=subprocess.PIPE,
         )
+        assert watch.stdout is not None
         states = [(time.time(), json.loads(line)) for line in watch.stdout]
         _, status, used = os.wait4(watch.pid, 0)
         wall = time.monotonic() - begin
