@@ -206,6 +206,12 @@ def test_a_german_table_is_corrected_and_stays_one(folder, capsys):
     assert "is in 'g' by the file's row of units, but in 'mg' by --unit" in capsys.readouterr().err
 
 
+def test_lines_to_skip_are_not_negative(folder, capsys):
+    words = ["result.json", "in.csv", "--accelerometer=Qx", "-o", "out.csv"]
+    assert run(*words, "--skip-lines=-1") == 2
+    assert "--skip-lines. Must be >= 0." in capsys.readouterr().err
+
+
 def test_a_sheet_is_chosen_and_its_row_of_units_is_no_row(folder):
     rows = [["East"], ["g"], [1.25], [-2.5], [3.0]]
     write_workbook(folder / "in.xlsx", {"before": rows[:2], "A": [["about"], *rows], "B": rows})

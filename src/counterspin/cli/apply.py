@@ -6,11 +6,16 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 from cyclopts import Parameter
-from cyclopts.validators import Number
 
 from counterspin.cli.words import OutputFolder, group
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
+
+
+def _check_count(_: object, value: int | None) -> None:
+    """As `cyclopts.validators.Number`, which every command would load at its start."""
+    if value is not None and value < 0:
+        raise ValueError("Must be >= 0.")
 
 
 @group
@@ -65,7 +70,7 @@ class Written:
         Of an HDF5 or TDMS file, or the structure of a MATLAB file.
     """
 
-    skip_lines: Annotated[int | None, Parameter(validator=Number(gte=0))] = None
+    skip_lines: Annotated[int | None, Parameter(validator=_check_count)] = None
     delimiter: Literal[",", ";", "tab"] | None = None
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
