@@ -153,6 +153,13 @@ def test_a_phone_scrolls_in_one_direction(opened):
     assert tab.evaluate(width) <= PHONE["width"]
 
 
+def test_the_chosen_colours_outlive_a_reload(opened):
+    tab = opened("/compare")
+    tab.get_by_role("button", name="Use dark colours").click()
+    tab.reload()
+    tab.get_by_role("button", name="Use light colours").wait_for()
+
+
 def test_without_the_key_the_page_says_what_to_do(opened):
     tab = opened()
     tab.locator("h1").wait_for()

@@ -19,8 +19,12 @@ var counterspin = (() => {
   /** @type {(() => void)[]} */
   const redraws = [];
 
-  // Light and dark
+  // Light and dark; what was chosen is kept, where the browser keeps anything for this page
 
+  const KEPT = "counterspin-theme";
+  try {
+    root.dataset.theme = localStorage.getItem(KEPT) ?? "";
+  } catch { /* nothing is kept */ }
   const isDark = () => (root.dataset.theme ? root.dataset.theme === "dark" : dark.matches);
   const button = /** @type {HTMLElement} */ (document.getElementById("theme"));
   const showTheme = () => {
@@ -31,6 +35,9 @@ var counterspin = (() => {
   button.hidden = false;
   button.addEventListener("click", () => {
     root.dataset.theme = isDark() ? "light" : "dark";
+    try {
+      localStorage.setItem(KEPT, root.dataset.theme);
+    } catch { /* nothing is kept */ }
     showTheme();
   });
   dark.addEventListener("change", showTheme);
