@@ -245,6 +245,16 @@ def test_every_place_fits_a_small_screen_and_names_its_controls(opened, desk):
         assert tab.evaluate(UNNAMED) == [], place
 
 
+def test_a_try_is_shown_in_its_own_place(opened, desk):
+    desk.jobs = InlineJobs()
+    tab = opened("/campaign/three")
+    tab.get_by_label("Method").select_option("two-stage")
+    tab.get_by_label("Result's file").fill("try.json")
+    tab.get_by_role("button", name="Calibrate").click()
+    tab.wait_for_url("**/#/result/three%2Ftry.json")
+    tab.get_by_role("heading", name="Is it good?").wait_for()
+
+
 def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, desk):
     desk.jobs = InlineJobs()
     tab = opened("/description/three")

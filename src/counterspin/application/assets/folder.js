@@ -27,7 +27,7 @@ export const resultLines = (result) => [
 
 /** @param {any} campaign */
 function campaignCard(campaign) {
-  const newest = campaign.results[0];
+  const result = campaign.results[0];
   const what = [
     campaign.instruments.join(", "),
     campaign.runs ? `${campaign.runs} run${campaign.runs === 1 ? "" : "s"}` : "",
@@ -39,7 +39,7 @@ function campaignCard(campaign) {
     make("p", {}, stateMark(campaign.state, campaign.words),
       campaign.missing.length ? ` ${campaign.missing.length} missing` : "",
       campaign.mistakes.length ? ` ${campaign.mistakes.length} to mend` : ""),
-    ...(newest?.answers ?? []).map(/** @param {any} a */ (a) =>
+    ...(result?.answers ?? []).map(/** @param {any} a */ (a) =>
       make("p", { class: "answer-line" }, `${a.name} = ${a.text}`)));
 }
 
