@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import tomllib
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -328,6 +329,15 @@ def test_start_up_loads_nothing_slow_that_it_does_not_use(statement):
     loaded = modules_loaded_by(statement)
     assert "counterspin" in loaded
     assert loaded & {"matplotlib", "dask", "scipy.stats", "cyclopts.validators"} == set()
+
+
+def test_no_two_modules_of_the_page_import_each_other():
+    """Neither by way of others: TopologicalSorter refuses what goes round."""
+    told = {
+        script.name: re.findall(r'from "\./(\w+\.js)"', script.read_text(encoding="utf-8"))
+        for script in (PACKAGE / "application" / "assets").glob("*.js")
+    }
+    assert list(TopologicalSorter(told).static_order())[-1] == "main.js"
 
 
 def test_a_usual_calibration_loads_nothing_slow_that_it_does_not_use(tmp_path):

@@ -1,9 +1,10 @@
 // @ts-check
 // One campaign: calibrate, and what came of it.
 
+import { resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { commandLine, labelled, make, stateMark, warning } from "./dom.js";
-import { resultAddress, resultLines } from "./folder.js";
+import { resultLines } from "./folder.js";
 import { follow } from "./job.js";
 import { pagePart, resultLinks } from "./result.js";
 import { campaignTabs } from "./tabs.js";

@@ -1,18 +1,13 @@
 // @ts-check
 // The folder: its campaigns with their state, and what to begin with.
 
+import { campaignAddress, resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { exportsPart } from "./exports.js";
 import { labelled, make, say, stateMark, warning } from "./dom.js";
 
 /** @typedef {{name: string, state: string, words: string, title?: string,
  *   answers?: {name: string, text: string}[]}} ResultLine */
-
-/** @type {(name: string) => string} */
-export const campaignAddress = (name) => `#/campaign/${encodeURIComponent(name)}`;
-
-/** @type {(name: string) => string} */
-export const resultAddress = (name) => `#/result/${encodeURIComponent(name)}`;
 
 /**
  * A result in a few lines.

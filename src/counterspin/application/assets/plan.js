@@ -3,7 +3,7 @@
 
 import { get, send } from "./api.js";
 import { commandLine, labelled, make, say, warning } from "./dom.js";
-import { campaignAddress } from "./folder.js";
+import { campaignAddress } from "./addresses.js";
 import { fill } from "./result.js";
 
 /** The list of plans. */
