@@ -17,6 +17,7 @@ PINNED := $(VENV)/.pinned
 READY := $(VENV)/.ready
 BENCH := $(VENV)/.bench
 DOCS := $(VENV)/.docs
+TYPESCRIPT := $(VENV)/typescript/.ready
 
 # Neighbours share what they set up: each process takes a stretch of the list, and none waits.
 PARALLEL = -n $(JOBS) --dist worksteal
@@ -25,6 +26,7 @@ PARALLEL = -n $(JOBS) --dist worksteal
 unexport PYTHONDONTWRITEBYTECODE
 
 .DEFAULT_GOAL := help
+TSC := $(VENV)/typescript/node_modules/typescript/bin/tsc
 # Scripts whose peers may be absent and carry no types.
 BENCH_TYPES := --allow-untyped-defs --allow-incomplete-defs --allow-untyped-calls --no-warn-return-any \
   --disable-error-code import-untyped --disable-error-code import-not-found
@@ -49,12 +51,13 @@ quick: $(READY) ## The short tests, for working: a minute at most
 slow: $(READY) ## Time all tests, one by one, and list in tests/slow.txt what quick leaves out
 	$(BIN)/python -m pytest --write-slow
 
-lint: $(READY) ## Lint, format, types and import rules only
+lint: $(READY) $(TYPESCRIPT) ## Lint, format, types and import rules only
 	$(BIN)/python -m ruff check .
 	$(BIN)/python -m ruff format --check .
 	$(BIN)/python -m mypy
 	$(BIN)/python -m mypy $(BENCH_TYPES) $(wildcard benchmarks/*.py)
 	$(BIN)/lint-imports --no-logo
+	@if [ -e $(TYPESCRIPT) ]; then node $(TSC) -p jsconfig.json; fi
 
 format: $(READY) ## Format the code and mend what the linter can
 	$(BIN)/python -m ruff check --fix .
@@ -138,3 +141,11 @@ $(BENCH): $(PINNED) requirements/bench.txt
 $(DOCS): $(PINNED) requirements/docs.txt
 	@$(PIP) install --no-compile --require-hashes --requirement requirements/docs.txt
 	@touch $@
+
+# TypeScript, which checks the types of JavaScript. Where there is no node, or no registry that npm
+# reaches, nothing is made, and `make lint` goes on without it.
+$(TYPESCRIPT): requirements/javascript/package-lock.json
+	@rm -rf $(@D) && mkdir -p $(@D) && cp requirements/javascript/*.json $(@D)
+	@cd $(@D) && { node --version && npm ci --ignore-scripts --no-audit --no-fund \
+	  --loglevel error --fetch-retries 0 --fetch-timeout 20000; } >/dev/null && touch $(@F) || \
+	  echo "Skipped: the types of JavaScript, for TypeScript could not be set up (node, npm)." >&2

@@ -1,11 +1,14 @@
 """The rules of the house that no linter knows."""
 
 import ast
+import json
 import re
+import shutil
 import socket
 import subprocess
 import sys
 import tomllib
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -328,6 +331,15 @@ def test_start_up_loads_nothing_slow_that_it_does_not_use(statement):
     assert loaded & {"matplotlib", "dask", "scipy.stats", "cyclopts.validators"} == set()
 
 
+def test_no_two_modules_of_the_page_import_each_other():
+    """Neither by way of others: TopologicalSorter refuses what goes round."""
+    told = {
+        script.name: re.findall(r'from "\./(\w+\.js)"', script.read_text(encoding="utf-8"))
+        for script in (PACKAGE / "application" / "assets").glob("*.js")
+    }
+    assert list(TopologicalSorter(told).static_order())[-1] == "main.js"
+
+
 def test_a_usual_calibration_loads_nothing_slow_that_it_does_not_use(tmp_path):
     """Loading SciPy would take it as long as all that it computes."""
     simulate(write(tmp_path, SMALL, "plan.toml"), tmp_path)
@@ -388,7 +400,9 @@ def test_nothing_is_to_be_installed_from_an_index_that_lacks_it():
 
 
 def test_changelog_begins_with_this_version():
+    """What is not released yet may stand above it."""
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    changelog = changelog.replace("\n## [Unreleased]\n", "\n", 1)
     entries = re.findall(r"^## \[(.+)\] - (Unreleased|\d{4}-\d\d-\d\d)$", changelog, re.MULTILINE)
     assert len(entries) == len(re.findall(r"^## ", changelog, re.MULTILINE))
     assert entries[0][0] == __version__
@@ -445,6 +459,50 @@ def test_pins_of_one_environment_do_not_contradict_each_other(pins):
     )
     assert len(dev.keys() & more.keys()) > 10
     assert {name: more[name] for name in dev.keys() & more.keys() if more[name] != dev[name]} == {}
+
+
+def test_the_lock_of_javascript_carries_hashes_and_no_address():
+    folder = ROOT / "requirements" / "javascript"
+    wanted = json.loads((folder / "package.json").read_text(encoding="utf-8"))
+    text = (folder / "package-lock.json").read_text(encoding="utf-8")
+    packages = json.loads(text)["packages"]
+    assert packages.pop("") == {"devDependencies": wanted["devDependencies"]}
+    assert packages
+    assert all(one["integrity"].startswith("sha512-") for one in packages.values())
+    assert "//" not in re.sub(r'"sha512-[^"]*"', "", text)
+
+
+def test_lint_says_that_it_goes_on_where_there_is_no_node(tmp_path):
+    tools = tmp_path / "bin"
+    tools.mkdir()
+    for name in ("make", "sh", "rm", "mkdir", "cp", "touch"):
+        found = shutil.which(name)
+        if found is None:
+            pytest.skip(f"there is no {name}")
+        (tools / name).symlink_to(found)
+    told = subprocess.run(
+        [tools / "make", f"VENV={tmp_path}", tmp_path / "typescript" / ".ready"],
+        cwd=ROOT,
+        env={"PATH": str(tools)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "Skipped: the types of JavaScript" in told.stderr
+    assert not (tmp_path / "typescript" / ".ready").exists()
+
+
+def test_types_are_strict_in_every_room():
+    types = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]
+    assert types["strict"] is True
+    # What others wrote may lack types; nothing of ours is let off.
+    overrides = types.pop("overrides")
+    assert not any(name.startswith("counterspin") for one in overrides for name in one["module"])
+    script = json.loads((ROOT / "jsconfig.json").read_text(encoding="utf-8"))
+    assert script["compilerOptions"]["strict"] is True
+    covered = {path for pattern in script["include"] for path in ROOT.glob(pattern)}
+    own = {path for path in PACKAGE.rglob("*.js") if "uplot" not in path.parts}
+    assert own == covered
 
 
 TEXT = {".py", ".md", ".toml", ".txt", ".json", ".csv", ".svg", ".html", ".css", ".ts", ""}

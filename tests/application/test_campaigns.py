@@ -53,6 +53,24 @@ def test_the_state_follows_the_files(page, folder):
     assert state(page) == "records missing"
 
 
+def test_a_try_does_not_stand_for_the_campaign(page, folder):
+    own = folder / "three" / "result.json"
+    told = json.loads(own.read_text())
+    now = own.stat().st_mtime
+    for later, (name, method) in enumerate([("b", "joint"), ("c", "joint"), ("d", "two-stage")], 1):
+        other = own.with_name(f"{name}.json")
+        other.write_text(json.dumps(told | {"method": method}))
+        os.utime(other, (now + later, now + later))
+
+    def names():
+        (campaign,) = page.get("/api/folder").json()["campaigns"]
+        return [result["name"].removeprefix("three/") for result in campaign["results"]]
+
+    assert names() == ["result.json", "c.json", "b.json", "d.json"]
+    own.write_text(json.dumps(told | {"gravity": -9.8}))
+    assert names() == ["c.json", "b.json", "d.json", "result.json"]
+
+
 def test_a_damaged_result_is_said_to_be_one(page, folder):
     file = folder / "three" / "result.json"
     file.write_text(file.read_text().replace('"gravity": 9', '"gravity": -9', 1))

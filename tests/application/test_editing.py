@@ -46,6 +46,41 @@ def test_comments_and_all_else_are_kept(path, value, lines):
     assert lines_changed(path, value) == lines
 
 
+#: A file whose last tables are commented out.
+CLOSED = """\
+[item]
+name = "A"
+# state = "as received"
+
+# [accelerometers.Qx]
+# model = "B"
+
+[conditions]
+# temperature = "20 degC"
+# [cmc]
+# K_II = "1 g/g^2"
+
+# [specification]
+# K_II = "2 g/g^2\""""
+
+
+@pytest.mark.parametrize("ends", ["", "\n", "\n\n"])
+@pytest.mark.parametrize(
+    ("path", "after"),
+    [
+        (["item", "model"], '# state = "as received"'),
+        (["conditions", "temperature"], '# temperature = "20 degC"'),
+        (["conditions", "deeper", "still"], '# temperature = "20 degC"'),
+    ],
+)
+def test_a_new_key_stays_in_its_table_when_a_comment_becomes_a_heading(path, after, ends):
+    made = changed(CLOSED + ends, path, "1")
+    line = f'{path[-1]} = "1"' if len(path) == 2 else f'{path[1]} = {{{path[2]} = "1"}}'
+    assert f"{after}\n{line}\n" in made
+    assert path[1] in tomllib.loads(made.replace("# [", "["))[path[0]]
+    assert made.replace(f"{line}\n", "", 1).rstrip() == CLOSED
+
+
 def test_a_comment_behind_a_value_is_kept():
     taken, put = lines_changed(["runs", 0, "rate"], "1 rpm")
     assert taken.split("#")[1] == put.split("#")[1] != ""

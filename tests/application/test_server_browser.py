@@ -1,5 +1,6 @@
 """The page in a browser, as a person uses it."""
 
+import re
 import threading
 
 import pytest
@@ -97,6 +98,9 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
         tab.get_by_role("progressbar").wait_for()
         tab.reload()
         tab.get_by_role("progressbar").wait_for()
+        tab.get_by_text(re.compile(r"^Waiting for another job, \d+ s$")).wait_for()
+        # No seconds are spoken.
+        assert tab.locator(".job [aria-live]").all_inner_texts() == ["Waiting for another job"]
     tab.get_by_role("heading", name="Is it good?").wait_for()
     assert (folder / "mine" / "result.json").is_file()
     assert tab.locator(".answer").count() == 2
@@ -139,6 +143,9 @@ def test_a_plan_answers_while_its_slider_moves(opened, folder):
     tab.get_by_label("Highest rate").fill("4")
     # That of a slower machine is five times as large.
     answer.get_by_text("(5.").wait_for()
+    # Spoken once: by the slider, not by the figure beside it too.
+    assert tab.get_by_label("Highest rate").get_attribute("aria-valuetext") == "4 rad/s"
+    assert tab.locator("output:not([aria-live=off])").count() == 0
     assert tab.locator("tbody tr").count() == 3
 
 
@@ -151,6 +158,13 @@ def test_a_phone_scrolls_in_one_direction(opened):
     tab.get_by_role("link", name="three").click()
     tab.get_by_role("heading", name="Is it good?").wait_for()
     assert tab.evaluate(width) <= PHONE["width"]
+
+
+def test_the_chosen_colours_outlive_a_reload(opened):
+    tab = opened("/compare")
+    tab.get_by_role("button", name="Use dark colours").click()
+    tab.reload()
+    tab.get_by_role("button", name="Use light colours").wait_for()
 
 
 def test_without_the_key_the_page_says_what_to_do(opened):
@@ -176,6 +190,31 @@ def test_mistakes_stand_at_their_fields_and_text_and_form_are_one(opened, folder
     tab.get_by_role("button", name="Save").click()
     tab.get_by_text("Saved three/campaign.toml").wait_for()
     assert 'radius = "2.75 m"' in (folder / "three" / "campaign.toml").read_text()
+
+
+def test_mistakes_are_read_out_at_the_fields_of_a_name_with_a_blank(opened, folder):
+    file = folder / "three" / "campaign.toml"
+    text = file.read_text()
+    file.write_text(f'{text}\n[accelerometers."Q x"]\nbias = "1 kg"\nscale_factor = "2"\n')
+    tab = opened("/description/three")
+    tab.locator("[aria-invalid]").first.wait_for()
+    read = tab.locator("[aria-invalid]").evaluate_all(
+        """(all) => all.flatMap((one) => one.getAttribute("aria-describedby").split(" ")
+          .map((id) => document.getElementById(id)?.textContent))"""
+    )
+    listed = tab.locator(".editor .warning li").all_inner_texts()
+    assert len(listed) > 1
+    assert len(read) == len(listed)
+    assert all(any(line.endswith(words) for line in listed) for words in read)
+
+
+def test_only_tables_say_that_they_can_be_moved(opened):
+    tab = opened("/description/three")
+    tab.set_viewport_size(PHONE)
+    tab.locator(".fields").wait_for()
+    hints = """[...document.querySelectorAll("*")]
+      .filter((one) => getComputedStyle(one, "::after").content.includes("More columns")).length"""
+    assert tab.evaluate(hints) == 0
 
 
 def test_of_two_windows_none_loses_an_edit(opened, folder):
@@ -236,6 +275,16 @@ def test_every_place_fits_a_small_screen_and_names_its_controls(opened, desk):
         tab.wait_for_function("document.querySelector('main').ariaBusy === null")
         assert tab.evaluate("document.documentElement.scrollWidth") <= SMALL_SCREEN["width"], place
         assert tab.evaluate(UNNAMED) == [], place
+
+
+def test_a_try_is_shown_in_its_own_place(opened, desk):
+    desk.jobs = InlineJobs()
+    tab = opened("/campaign/three")
+    tab.get_by_label("Method").select_option("two-stage")
+    tab.get_by_label("Result's file").fill("try.json")
+    tab.get_by_role("button", name="Calibrate").click()
+    tab.wait_for_url("**/#/result/three%2Ftry.json")
+    tab.get_by_role("heading", name="Is it good?").wait_for()
 
 
 def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, desk):

@@ -141,6 +141,24 @@ def test_a_change_of_the_system_is_followed(desk):
     assert ground(desk) != light
 
 
+def test_the_chosen_colours_outlive_a_reload(desk):
+    light = ground(desk)
+    desk.locator("#theme").click()
+    dark = ground(desk)
+    desk.reload()
+    assert light != ground(desk) == dark
+    assert desk.locator("#theme").inner_text() == "Light"
+    # Where the browser keeps nothing, as in a frame without an origin, all else works.
+    desk.add_init_script(
+        "Object.defineProperty(window, 'localStorage', {get() { throw Error(); }})"
+    )
+    desk.reload()
+    assert ground(desk) == light
+    desk.locator("#theme").click()
+    assert ground(desk) == dark
+    assert desk.locator("figure.zoomed").count()
+
+
 # A small screen
 
 

@@ -31,6 +31,9 @@ from counterspin.physics.accelerometer import TERMS
 from counterspin.reports.numbers import format_estimate
 from counterspin.reports.typography import typeset
 
+#: The file of a campaign's own result; other results beside it are tries.
+_RESULT_NAME: Final = "result.json"
+
 #: Words for what a campaign is, beside the states of its result.
 _WORDS: Final = {
     "mistakes": "The description has mistakes",
@@ -137,7 +140,7 @@ def _line(desk: Desk, name: str, results: list[dict[str, Any]]) -> dict[str, Any
     line: dict[str, Any] = {
         "name": name,
         "title": name or desk.folder.root.name,
-        "results": sorted(results, key=lambda r: -r.get("written", 0.0)),
+        "results": sorted(results, key=_rank),
         "mistakes": [],
         "missing": [],
         "runs": 0,
@@ -160,19 +163,33 @@ def _line(desk: Desk, name: str, results: list[dict[str, Any]]) -> dict[str, Any
     return line
 
 
+def _rank(result: dict[str, Any]) -> tuple[bool, bool, bool, float]:
+    """Return what sorts a campaign's results: the first is the one that speaks for it.
+
+    That is ``result.json``; without it, the newest by the joint method, then the newest. Whoever
+    tries another method or fewer runs writes another file, and the campaign keeps its result.
+    """
+    return (
+        result["state"] == "damaged",
+        Path(result["name"]).name != _RESULT_NAME,
+        result.get("method") != "joint",
+        -result.get("written", 0.0),
+    )
+
+
 def _state(desk: Desk, path: Path, line: dict[str, Any]) -> str:
     """Return where a campaign stands."""
     if line["mistakes"]:
         return "mistakes"
-    newest = next((r for r in line["results"] if r["state"] != "damaged"), None)
-    if newest is None:
+    result = next((r for r in line["results"] if r["state"] != "damaged"), None)
+    if result is None:
         return "records missing" if line["missing"] else "not calibrated"
     checksum = desk.folder.read(desk.folder.name(path)).version
     records = [path.parent / run.record for run in desk.campaign(line["name"]).runs]
-    later = any(r.is_file() and r.stat().st_mtime > newest["written"] for r in records)
-    if later or newest["description"] not in ("", f"sha256:{checksum}"):
+    later = any(r.is_file() and r.stat().st_mtime > result["written"] for r in records)
+    if later or result["description"] not in ("", f"sha256:{checksum}"):
         return "changed"
-    return str(newest["state"])
+    return str(result["state"])
 
 
 def campaign_overview(desk: Desk, name: str) -> dict[str, Any]:
@@ -181,7 +198,7 @@ def campaign_overview(desk: Desk, name: str) -> dict[str, Any]:
     files = sorted(file.name for file in path.parent.iterdir() if file.is_file())
     line = _line(desk, name, list(_results(desk, path.parent, files)))
     text = desk.folder.read(desk.folder.name(path))
-    output = path.parent / "result.json"
+    output = path.parent / _RESULT_NAME
     study = path.parent / STUDY_NAME
     return line | {
         "study": desk.folder.name(study) if desk.folder.holds(study) and study.is_file() else None,

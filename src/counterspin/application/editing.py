@@ -13,6 +13,7 @@ from __future__ import annotations
 import copy
 import datetime
 import json
+import re
 import tomllib
 from collections.abc import Sequence
 from itertools import pairwise
@@ -20,8 +21,9 @@ from pathlib import Path
 from typing import Any, Final
 
 import tomlkit
+from tomlkit.container import Container
 from tomlkit.exceptions import TOMLKitError
-from tomlkit.items import AoT
+from tomlkit.items import AoT, Comment, Table
 
 from counterspin.application.desk import Desk
 from counterspin.application.folder import TEXT_BYTES
@@ -191,19 +193,51 @@ def _with(document: dict[str, Any], path: KeyPath, value: Any) -> dict[str, Any]
 def _set(document: tomlkit.TOMLDocument, path: KeyPath, value: Any) -> None:
     """Change a document that keeps how it is written."""
     place: Any = document
+    new: list[tuple[Any, str]] = []
     for depth, (part, following) in enumerate(pairwise(path)):
         headed = depth == 0 or (depth == 1 and path[0] in _OF_TABLES)
         empty: Any = tomlkit.aot()
         if isinstance(following, str):
             empty = tomlkit.table(depth == 0 and part in _OF_TABLES) if headed else None
             empty = tomlkit.inline_table() if empty is None else empty
+        if isinstance(part, str) and part not in place:
+            new.append((place, part))
         place = _inside(place, part, empty)
+    last = path[-1]
     if isinstance(value, dict) and _is_headed(place, path):
         table = tomlkit.table()
         table.update(value)
         table.add(tomlkit.nl())
         value = table
-    _put(place, path[-1], value)
+    if isinstance(last, str) and value is not None and last not in place:
+        new.append((place, last))
+    _put(place, last, value)
+    for table, key in new:
+        _move_up(table, key)
+
+
+def _move_up(table: Any, new: str) -> None:
+    """Move a key that was put at a table's end above the comments there that are of what follows.
+
+    Of the table are comments right below its last key; not those after a blank line, or from a
+    heading on, such as ``# [specification]``: uncommented, it would take the key away.
+    """
+    if not isinstance(table, Table | Container):
+        return
+    # The table's index of its keys is not kept up: only the text is made of it now.
+    body = (table.value if isinstance(table, Table) else table).body
+    here = [None if key is None else key.key for key, _ in body].index(new)
+    if isinstance(body[here][1], Table | AoT):
+        return
+    above = here
+    while above and body[above - 1][0] is None:
+        above -= 1
+    while isinstance(said := body[above][1], Comment) and not _HEADING.match(said.trivia.comment):
+        above += 1
+    body.insert(above, body.pop(here))
+
+
+_HEADING: Final = re.compile(r"#\s*\[")
 
 
 def _is_headed(place: Any, path: KeyPath) -> bool:

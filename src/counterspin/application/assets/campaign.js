@@ -1,6 +1,7 @@
 // @ts-check
 // One campaign: calibrate, and what came of it.
 
+import { resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { commandLine, labelled, make, stateMark, warning } from "./dom.js";
 import { resultLines } from "./folder.js";
@@ -11,11 +12,21 @@ import { campaignTabs } from "./tabs.js";
 /** @typedef {import("./job.js").Job} Job */
 
 /**
+ * Show a result that has just been made: here, or in its own place if it is not the campaign's.
+ * @param {string} campaign
+ * @param {string} output
+ */
+async function showResult(campaign, output) {
+  const { results } = await get("campaign", { name: campaign });
+  if (results[0]?.name === output) dispatchEvent(new HashChangeEvent("hashchange"));
+  else location.hash = resultAddress(output);
+}
+
+/**
  * How the campaign is calibrated, and the button.
  * @param {any} campaign
- * @param {() => void} again
  */
-function calibration(campaign, again) {
+function calibration(campaign) {
   const place = make("div");
   const method = make("select", {},
     make("option", { value: "joint" }, "Joint: all samples in one fit"),
@@ -32,7 +43,7 @@ function calibration(campaign, again) {
           method: method.value,
           accept_misfit: reason.value.trim() || undefined,
         });
-        follow(job, place, again);
+        follow(job, place, () => showResult(campaign.name, job.output));
       } catch (error) {
         place.replaceChildren(warning(/** @type {Error} */ (error).message));
       }
@@ -46,7 +57,7 @@ function calibration(campaign, again) {
       ? labelled("Use it although the records contradict it: why", reason) : null));
   const running = campaign.jobs.find(/** @param {Job} job */ ({ kind, state }) =>
     kind === "calibration" && (state === "waiting" || state === "running"));
-  if (running) follow(running, place, again);
+  if (running) follow(running, place, () => showResult(campaign.name, running.output));
   return [form, place, commandLine(campaign.command)];
 }
 
@@ -56,8 +67,7 @@ function calibration(campaign, again) {
  */
 export async function campaignView(name) {
   const campaign = await get("campaign", { name });
-  const again = () => dispatchEvent(new HashChangeEvent("hashchange"));
-  const newest = campaign.results[0];
+  const result = campaign.results[0];
   /** @type {Node[]} */
   const content = [
     make("h1", {}, campaign.title),
@@ -66,19 +76,19 @@ export async function campaignView(name) {
     ...campaign.mistakes.map(warning),
     ...(campaign.missing.length
       ? [warning(`Not there: ${campaign.missing.join(", ")}`)] : []),
-    ...calibration(campaign, again),
+    ...calibration(campaign),
   ];
   if (campaign.results.length > 1) {
     content.push(make("section", {}, make("h2", {}, "Results"),
       make("ul", { class: "cards" }, ...campaign.results.map(/** @param {any} r */ (r) =>
         make("li", { class: "card" }, ...resultLines(r))))));
   }
-  if (newest && newest.state !== "damaged") {
-    const { told, part } = await pagePart("result", [newest.name]);
+  if (result && result.state !== "damaged") {
+    const { told, part } = await pagePart("result", [result.name]);
     // The campaign's own title stands above.
     part.querySelector("h1")?.remove();
     content.push(make("section", { "aria-label": "Result" }, part),
-      resultLinks(newest.name), commandLine(told.command));
+      resultLinks(result.name), commandLine(told.command));
   }
   return { title: campaign.title, content };
 }

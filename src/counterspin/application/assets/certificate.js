@@ -1,6 +1,7 @@
 // @ts-check
 // The certificate of a result: the laboratory's data as a form, and the button that issues it.
 
+import { resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { commandLine, labelled, make, say, warning } from "./dom.js";
 import { editorOf } from "./editor.js";
@@ -39,7 +40,7 @@ export async function certificateView(result) {
     title: `Certificate of ${result}`,
     content: [
       make("h1", {}, "Digital Calibration Certificate"),
-      make("p", {}, "Of ", make("a", { href: `#/result/${encodeURIComponent(result)}` }, result),
+      make("p", {}, "Of ", make("a", { href: resultAddress(result) }, result),
         ". The laboratory's data are kept in ", make("code", {}, file),
         told.version ? "." : ", which is not there yet: all of it is an example."),
       make("form", { class: "row", onsubmit: issue },

@@ -205,7 +205,7 @@ export class Editor {
     const { problems, questions } = this.now;
     /** @type {Node[]} */
     const list = [];
-    for (const { key, words } of problems) {
+    for (const [i, { key, words }] of problems.entries()) {
       let place = key;
       while (place && !this.places?.has(place)) place = place.replace(/(\."[^"]*"|[.[][^.[]*|^[^.[]*)$/, "");
       const field = this.places?.get(place);
@@ -214,10 +214,12 @@ export class Editor {
         list.push(make("li", {}, line));
         continue;
       }
-      const id = `wrong-${key}`;
+      // No key: one may hold blanks, at which a list of ids is parted.
+      const id = `wrong-${i}`;
       const control = field.querySelector("input, select, textarea");
       control?.setAttribute("aria-invalid", "true");
-      control?.setAttribute("aria-describedby", id);
+      const ids = [control?.getAttribute("aria-describedby"), id].filter(Boolean);
+      control?.setAttribute("aria-describedby", ids.join(" "));
       field.append(make("span", { class: "wrong", id }, place === key ? words : line));
       for (let up = field.closest("details"); up; up = up.parentElement?.closest("details") ?? null) up.open = true;
       list.push(make("li", {}, make("a", {
@@ -326,7 +328,7 @@ export class Editor {
     const content = [make("div", { class: "grid" },
       ...seen.map((field) => this.field(field, [...path, field.key], value[field.key])))];
     if (others.length) {
-      content.push(make("details", { class: "more", id: `m-${keyPath(path)}`, open: !seen.length },
+      content.push(make("details", { class: "optional", id: `m-${keyPath(path)}`, open: !seen.length },
         make("summary", {}, "More keys"),
         make("div", { class: "grid" },
           ...others.map((field) => this.field(field, [...path, field.key], undefined)))));

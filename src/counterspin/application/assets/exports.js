@@ -1,8 +1,8 @@
 // @ts-check
 // Exports of a recorder, dragged in: what is guessed of them is said, what they do not say is asked.
 
+import { campaignAddress } from "./addresses.js";
 import { Refused, send } from "./api.js";
-import { campaignAddress } from "./folder.js";
 import { labelled, make, say, warning } from "./dom.js";
 
 /**

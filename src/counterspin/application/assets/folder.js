@@ -1,18 +1,13 @@
 // @ts-check
 // The folder: its campaigns with their state, and what to begin with.
 
+import { campaignAddress, resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { exportsPart } from "./exports.js";
 import { labelled, make, say, stateMark, warning } from "./dom.js";
 
 /** @typedef {{name: string, state: string, words: string, title?: string,
  *   answers?: {name: string, text: string}[]}} ResultLine */
-
-/** @type {(name: string) => string} */
-export const campaignAddress = (name) => `#/campaign/${encodeURIComponent(name)}`;
-
-/** @type {(name: string) => string} */
-export const resultAddress = (name) => `#/result/${encodeURIComponent(name)}`;
 
 /**
  * A result in a few lines.
@@ -27,7 +22,7 @@ export const resultLines = (result) => [
 
 /** @param {any} campaign */
 function campaignCard(campaign) {
-  const newest = campaign.results[0];
+  const result = campaign.results[0];
   const what = [
     campaign.instruments.join(", "),
     campaign.runs ? `${campaign.runs} run${campaign.runs === 1 ? "" : "s"}` : "",
@@ -39,7 +34,7 @@ function campaignCard(campaign) {
     make("p", {}, stateMark(campaign.state, campaign.words),
       campaign.missing.length ? ` ${campaign.missing.length} missing` : "",
       campaign.mistakes.length ? ` ${campaign.mistakes.length} to mend` : ""),
-    ...(newest?.answers ?? []).map(/** @param {any} a */ (a) =>
+    ...(result?.answers ?? []).map(/** @param {any} a */ (a) =>
       make("p", { class: "answer-line" }, `${a.name} = ${a.text}`)));
 }
 

@@ -24,12 +24,15 @@ const PAUSE = 250;
  */
 export function follow(job, place, done) {
   const bar = make("progress", { "aria-label": `Progress of the ${job.kind}` });
-  const words = make("p", { class: "quiet", "aria-live": "polite" });
+  // What goes on is spoken when it changes; numbers, which change all the time, are only seen.
+  const doing = make("span", { "aria-live": "polite" });
+  const numbers = make("span");
   const stop = make("button", {
     type: "button",
     onclick: () => send("DELETE", "jobs", { number: job.number }),
   }, "Stop");
-  place.replaceChildren(make("div", { class: "job" }, bar, words, stop));
+  place.replaceChildren(make("div", { class: "job" }, bar,
+    make("p", { class: "quiet" }, doing, numbers), stop));
   /** @param {Job} now */
   const show = (now) => {
     const [read, all] = now.progress;
@@ -39,10 +42,11 @@ export function follow(job, place, done) {
     } else {
       bar.removeAttribute("value");
     }
-    const [doing, ending] = WORDS[now.kind];
-    const what = now.state === "waiting" ? "Waiting for another job"
-      : all && read === all ? ending : all ? `${doing}: ${read} of ${all}` : doing;
-    words.textContent = `${what}, ${Math.round(now.seconds)} s`;
+    const [working, ending] = WORDS[now.kind];
+    const waits = now.state === "waiting";
+    const what = waits ? "Waiting for another job" : all && read === all ? ending : working;
+    if (doing.textContent !== what) doing.textContent = what;
+    numbers.textContent = `${!waits && all && read < all ? `: ${read} of ${all}` : ""}, ${Math.round(now.seconds)} s`;
   };
   const ask = async () => {
     if (!place.isConnected && asked++ > 4) return;

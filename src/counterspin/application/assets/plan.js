@@ -3,7 +3,7 @@
 
 import { get, send } from "./api.js";
 import { commandLine, labelled, make, say, warning } from "./dom.js";
-import { campaignAddress } from "./folder.js";
+import { campaignAddress } from "./addresses.js";
 import { fill } from "./result.js";
 
 /** The list of plans. */
@@ -92,12 +92,15 @@ export async function planView(name) {
   };
   const sliders = plan.limits.map(/** @param {any} limit */ (limit) => {
     const id = `limit-${limit.key}`;
-    const words = make("output", { for: id }, `${short(limit.value)} ${limit.unit}`);
+    // The slider itself says its value.
+    const words = make("output", { for: id, "aria-live": "off" }, `${short(limit.value)} ${limit.unit}`);
     const range = make("input", {
       id, type: "range", min: limit.low, max: limit.high, step: limit.whole ? 1 : "any", value: limit.value,
+      "aria-valuetext": words.textContent,
       oninput: () => {
         moved[limit.key] = Number(range.value);
         words.textContent = `${short(Number(range.value))} ${limit.unit}`;
+        range.setAttribute("aria-valuetext", words.textContent);
         ask();
       },
     });

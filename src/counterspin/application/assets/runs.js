@@ -99,7 +99,7 @@ class RecordPlots {
     this.charts = this.boxes.map((/** @type {HTMLElement} */ box, /** @type {number} */ i) => {
       const { name, unit } = this.about.columns[i];
       const stroke = () => colour(`--series-${(i % 6) + 1}`);
-      const chart = new globalThis.uPlot({
+      const chart = new /** @type {any} */ (globalThis).uPlot({
         width: this.element.clientWidth,
         height: HEIGHT,
         legend: { show: false },

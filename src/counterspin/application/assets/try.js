@@ -3,7 +3,7 @@
 
 import { get, send } from "./api.js";
 import { commandLine, labelled, make, warning } from "./dom.js";
-import { campaignAddress } from "./folder.js";
+import { campaignAddress } from "./addresses.js";
 import { follow } from "./job.js";
 import { fill } from "./result.js";
 import { campaignTabs } from "./tabs.js";

@@ -1,16 +1,32 @@
+// @ts-check
 // The HTML report's script: the switch between light and dark, and plots that can be zoomed.
 // Without it the report is complete; still pictures stand where the plots would be.
 "use strict";
 
-(() => {
+/**
+ * Points of a plot, with bars from low to high; and a line of what the mouse is over.
+ * @typedef {{x: number[], y: any[], low: any[] | null, high: any[] | null, colour: string,
+ *   standsOut: boolean}} Points
+ * @typedef {{label: string, colour: string, kind: string, shown?: HTMLElement,
+ *   value: (u: any, at: number) => any[] | null}} Entry
+ */
+
+var counterspin = (() => {
+  // Absent where no plot can be zoomed.
+  const uPlot = /** @type {any} */ (globalThis).uPlot;
   const root = document.documentElement;
   const dark = matchMedia("(prefers-color-scheme: dark)");
+  /** @type {(() => void)[]} */
   const redraws = [];
 
-  // Light and dark
+  // Light and dark; what was chosen is kept, where the browser keeps anything for this page
 
+  const KEPT = "counterspin-theme";
+  try {
+    root.dataset.theme = localStorage.getItem(KEPT) ?? "";
+  } catch { /* nothing is kept */ }
   const isDark = () => (root.dataset.theme ? root.dataset.theme === "dark" : dark.matches);
-  const button = document.getElementById("theme");
+  const button = /** @type {HTMLElement} */ (document.getElementById("theme"));
   const showTheme = () => {
     button.textContent = isDark() ? "Light" : "Dark";
     button.setAttribute("aria-label", `Use ${isDark() ? "light" : "dark"} colours`);
@@ -19,14 +35,19 @@
   button.hidden = false;
   button.addEventListener("click", () => {
     root.dataset.theme = isDark() ? "light" : "dark";
+    try {
+      localStorage.setItem(KEPT, root.dataset.theme);
+    } catch { /* nothing is kept */ }
     showTheme();
   });
   dark.addEventListener("change", showTheme);
 
   // Small tools
 
+  /** @param {string} name */
   const colour = (name) => getComputedStyle(root).getPropertyValue(name).trim();
 
+  /** @type {(name: string, attributes: Record<string, string>, ...children: (Node|string)[]) => HTMLElement} */
   const make = (name, attributes, ...children) => {
     const element = document.createElement(name);
     for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
@@ -34,14 +55,17 @@
     return element;
   };
 
+  /** @type {(value: number | null | undefined, digits: number) => string} */
   const format = (value, digits) =>
     value == null || !Number.isFinite(value)
       ? "–" : String(Number(value.toPrecision(digits))).replace(/^-/, "−");
 
   // An array comes as whole numbers and the size of one step.
+  /** @param {any} packed */
   const read = (packed) =>
-    packed && packed.values.map((value) => (value === null ? null : value * packed.step));
+    packed && packed.values.map(/** @param {number | null} value */ (value) => (value === null ? null : value * packed.step));
 
+  /** @type {(points: Points, low: number, high: number) => number[]} */
   const within = (points, low, high) =>
     points.x.flatMap((x, i) => (x >= low && x <= high && points.y[i] !== null ? [i] : []));
 
@@ -52,26 +76,33 @@
 
   // A plot: lines and bands are uPlot's, points and levels are drawn here, over them
 
+  /** @param {any} plot */
   function parts(plot) {
+    /** @type {any[][]} */
     const tables = [];
+    /** @type {any[]} */
     const series = [{}];
+    /** @type {any[]} */
     const bands = [];
+    /** @type {Points[]} */
     const points = [];
+    /** @type {Entry[]} */
     const legend = [];
-    plot.series.forEach((source) => {
+    plot.series.forEach(/** @param {any} source */ (source) => {
       const name = source.colour;
-      const one = { x: read(source.x), y: read(source.y) };
-      one.low = read(source.low);
-      one.high = read(source.high);
-      const entry = { label: source.label, colour: name, kind: source.kind, value: null };
-      const line = (width, opacity = "") => ({
+      const one = {
+        x: read(source.x), y: read(source.y), low: read(source.low), high: read(source.high),
+      };
+      /** @type {Entry} */
+      const entry = { label: source.label, colour: name, kind: source.kind, value: () => null };
+      const line = (/** @type {number} */ width, opacity = "") => ({
         stroke: () => colour(name) + opacity,
         width,
         spanGaps: false,
       });
       if (source.kind === "points") {
-        points.push({ ...one, colour: name, standsOut: source.stands_out });
-        const mine = points.at(-1);
+        const mine = { ...one, colour: name, standsOut: source.stands_out };
+        points.push(mine);
         entry.value = (u, at) => nearest(u, mine, at);
       } else if (source.kind === "band") {
         const first = series.length;
@@ -105,14 +136,17 @@
   }
 
   // Values between two gaps, which no line reaches; undefined is where other series have a value.
+  /** @param {any[]} values */
   function between(values) {
     const places = values.flatMap((value, i) => (value === undefined ? [] : [i]));
     return places.filter((i, k) => values[i] !== null
       && (values[places[k - 1]] ?? null) === null && (values[places[k + 1]] ?? null) === null);
   }
 
+  /** @type {(u: any, one: Points, at: number) => any[] | null} */
   function nearest(u, one, at) {
     const reach = 12;
+    /** @type {number | null} */
     let best = null;
     let distance = reach;
     for (const i of within(one, u.posToVal(at - reach, "x"), u.posToVal(at + reach, "x"))) {
@@ -124,11 +158,13 @@
 
   // The height follows what is seen of lines and ordinary points. What stands out widens it up to
   // three times; beyond that it would flatten all else, and is marked at the edge instead.
+  /** @type {(u: any, low: number, high: number, points: Points[], levels: number[], log: boolean) => number[]} */
   function yRange(u, low, high, points, levels, log) {
     const { min, max } = u.scales.x;
     const [first, last] = u.series[0].idxs ?? [0, u.data[0].length - 1];
+    /** @type {[number, number]} */
     const seen = [u.data[0][first] ?? min, u.data[0][last] ?? max];
-    const values = (some) => some.flatMap((one) =>
+    const values = (/** @type {Points[]} */ some) => some.flatMap((one) =>
       within(one, ...seen).flatMap((i) => [one.y[i], one.low?.[i] ?? one.y[i],
         one.high?.[i] ?? one.y[i]]));
     const out = points.filter((one) => one.standsOut);
@@ -148,6 +184,7 @@
     return [bottom - margin, top + margin];
   }
 
+  /** @type {(u: any, levels: number[]) => void} */
   function drawLevels(u, levels) {
     const { ctx, bbox } = u;
     ctx.save();
@@ -165,6 +202,7 @@
     ctx.restore();
   }
 
+  /** @type {(u: any, one: Points) => void} */
   function drawPoints(u, one) {
     const { ctx, bbox } = u;
     const size = 3.5 * devicePixelRatio;
@@ -176,7 +214,7 @@
       const x = u.valToPos(one.x[i], "x", true);
       const y = u.valToPos(one.y[i], "y", true);
       ctx.beginPath();
-      if (one.low && one.low[i] !== null && one.high[i] !== null) {
+      if (one.low && one.high && one.low[i] !== null && one.high[i] !== null) {
         ctx.moveTo(x, Math.min(u.valToPos(one.low[i], "y", true), bottom));
         ctx.lineTo(x, Math.max(u.valToPos(one.high[i], "y", true), bbox.top));
         ctx.stroke();
@@ -195,6 +233,7 @@
     ctx.restore();
   }
 
+  /** @type {(label: string, size: number) => any} */
   function axis(label, size) {
     return {
       label,
@@ -205,10 +244,12 @@
       labelSize: 20,
       grid: { stroke: () => colour("--grid"), width: 1 },
       ticks: { stroke: () => colour("--grid"), width: 1, size: 5 },
+      /** @type {(u: any, splits: (number | null)[]) => string[]} */
       values: (u, splits) => splits.map((value) => (value == null ? "" : format(value, 6))),
     };
   }
 
+  /** @param {any} figure */
   function zoomable(figure) {
     const plot = JSON.parse(figure.querySelector("script").textContent);
     const { data, series, bands, points, legend } = parts(plot);
@@ -223,18 +264,19 @@
       const swatch = make("i", { class: dots, style: `background: var(${entry.colour})` });
       readout.append(make("li", {}, swatch, `${entry.label}: `, entry.shown));
     }
-    const read = (u) => {
+    const read = (/** @type {any} */ u) => {
       const { left, idx } = u.cursor;
       const over = left >= 0 && idx != null;
       place.textContent = over ? format(u.posToVal(left, "x"), 6) : "–";
       for (const entry of legend.filter((one) => one.label)) {
         const values = over ? entry.value(u, left) : null;
-        entry.shown.textContent = values ? values.map((one) => format(one, 4)).join(" to ") : "–";
+        /** @type {HTMLElement} */ (entry.shown).textContent = values ? values.map((one) => format(one, 4)).join(" to ") : "–";
       }
     };
     const box = make("div", { class: "live" });
     figure.append(box);
     figure.classList.add("zoomed");
+    /** @type {(u: any, low: number, high: number) => number[]} */
     const range = (u, low, high) => yRange(u, low, high, points, plot.levels, plot.log_y);
     const chart = new uPlot(
       {
@@ -256,8 +298,8 @@
         bands,
         hooks: {
           setCursor: [read],
-          drawClear: [(u) => drawLevels(u, plot.levels)],
-          draw: [(u) => points.forEach((one) => drawPoints(u, one))],
+          drawClear: [(/** @type {any} */ u) => drawLevels(u, plot.levels)],
+          draw: [(/** @type {any} */ u) => points.forEach((one) => drawPoints(u, one))],
         },
       },
       data,
@@ -267,6 +309,7 @@
 
     // What a mouse does by dragging, keys and fingers do with these
     const whole = [data[0][0], data[0].at(-1)];
+    /** @type {(shift: number, factor: number) => void} */
     const see = (shift, factor) => {
       const { min, max } = chart.scales.x;
       const half = Math.min(0.5 * (max - min) * factor, 0.5 * (whole[1] - whole[0]));
@@ -274,6 +317,7 @@
       const centre = Math.min(Math.max(middle, whole[0] + half), whole[1] - half);
       chart.setScale("x", { min: centre - half, max: centre + half });
     };
+    /** @type {(sign: string, words: string, action: () => void) => HTMLElement} */
     const tool = (sign, words, action) => {
       const one = make("button", { type: "button", "aria-label": words, title: words }, sign);
       one.addEventListener("click", action);
@@ -299,12 +343,13 @@
   }
 
   // Whatever a page shows later is given to this, too.
+  /** @param {ParentNode} part */
   function draw(part) {
     part.querySelectorAll(".scroll").forEach((box) => moved.observe(box));
-    if (typeof uPlot !== "undefined") part.querySelectorAll("figure.zoomable").forEach(zoomable);
+    if (uPlot) part.querySelectorAll("figure.zoomable").forEach(zoomable);
   }
 
-  globalThis.counterspin = { draw, axis, colour, format, redraws };
   draw(document);
   showTheme();
+  return { draw, axis, colour, redraws };
 })();
