@@ -3,6 +3,7 @@
 
 import { get, getText } from "./api.js";
 import { commandLine, make, warning } from "./dom.js";
+import { follow } from "./job.js";
 
 /**
  * Fetch the pictures of a page as they come near the screen.
@@ -25,7 +26,7 @@ export function fetchPictures(part, picture) {
 }
 
 /**
- * A page of blocks as a part of this page.
+ * A page of blocks as a part of this page; none while a job makes it.
  * @param {string} kind
  * @param {string[]} names
  * @param {string} [term]
@@ -33,6 +34,7 @@ export function fetchPictures(part, picture) {
 export async function pagePart(kind, names, term) {
   const asked = { kind, names: names.join("\n"), term };
   const told = await get("page", asked);
+  if (told.job) return { told, part: null };
   const part = make("div", { class: "report" });
   // Escaped by the report's own templates.
   part.innerHTML = told.html;
@@ -51,6 +53,10 @@ export async function fill(place, kind, names, term) {
   place.replaceChildren(make("p", { class: "quiet" }, "Working."));
   try {
     const { told, part } = await pagePart(kind, names, term);
+    if (!part) {
+      follow(told.job, place, () => fill(place, kind, names, term));
+      return;
+    }
     part.querySelector("h1")?.remove();
     place.replaceChildren(part, commandLine(told.command));
     globalThis.counterspin.draw(part);
