@@ -3,9 +3,15 @@
 - `run`: sets what holds for the process as a whole, then runs the command line
 """
 
+import sys
+
+if __name__ == "__main__" and not sys.flags.safe_path:
+    # `python -m` looks for modules in the working folder first, and whatever lies there would be
+    # run; only Python itself has looked so far.
+    del sys.path[0]
+
 import gc
 import os
-import sys
 from contextlib import AbstractContextManager, nullcontext
 
 
@@ -15,6 +21,10 @@ def run() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # pydantic would look through all that is installed for plugins, which no one needs here.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
+    # Nothing in the working folder is run or obeyed, by what is started here neither.
+    os.environ["PYTHONSAFEPATH"] = "1"
+    # No window is opened, and what a notebook sets for its own process may not be installed here.
+    os.environ["MPLBACKEND"] = "agg"
     # What is imported stays: to search it for garbage, now and at the end, takes longer than many
     # a command.
     gc.set_threshold(1_000_000)

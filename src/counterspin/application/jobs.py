@@ -15,13 +15,13 @@ import time
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, Literal
 
 from counterspin.calibration.options import Method
 from counterspin.errors import CounterspinError, CounterspinWarning
+from counterspin.workers import SPAWNING
 
 #: How many finished jobs are remembered.
 _MAX_FINISHED_JOBS: Final = 50
@@ -144,8 +144,8 @@ class Jobs:
                 job.state = "stopped"
                 return
             job.state, begun = "running", time.monotonic()
-            here, there = get_context("spawn").Pipe(duplex=False)
-            process = get_context("spawn").Process(target=work, args=(there, *words), daemon=True)
+            here, there = SPAWNING.Pipe(duplex=False)
+            process = SPAWNING.Process(target=work, args=(there, *words), daemon=True)
             try:
                 process.start()
             except OSError as error:  # no memory, or too many processes

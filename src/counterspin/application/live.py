@@ -11,7 +11,6 @@ import threading
 import time
 from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from pathlib import Path
@@ -20,6 +19,7 @@ from typing import Any, Final
 from counterspin.errors import CounterspinError
 from counterspin.reports.html import part
 from counterspin.reports.typography import typeset_block
+from counterspin.workers import SPAWNING
 
 #: Seconds after which a campaign that nobody looks at any more is followed no longer.
 UNSEEN_SECONDS: Final = 15.0
@@ -96,9 +96,8 @@ class LiveViews:
 
 
 def _begun(campaign: Path, goal: str) -> _View:
-    context = get_context("spawn")
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=follow_into, args=(there, campaign, goal), daemon=True)
+    here, there = SPAWNING.Pipe(duplex=False)
+    process = SPAWNING.Process(target=follow_into, args=(there, campaign, goal), daemon=True)
     process.start()
     there.close()
     return _View(process, here, time.monotonic(), {"html": "", "events": [], "complete": False})
