@@ -85,16 +85,16 @@ def _with_schema(case: Case, schema: Path | str) -> Case:
 
 
 def check(case: Case) -> CheckedCase:
-    """Run one case; an error of the function that is asked is a failure."""
+    """Run one case; an error of what is asked, or of what is expected, is its failure."""
     try:
-        found = ask(case)
+        stated, found = case.expected, ask(case)
     except NotAvailableError as error:
         return _without_numbers(case, "not run", str(error))
     except Exception as error:  # whatever it is, the assessor is to read it
         return _without_numbers(case, "failed", f"{type(error).__name__}: {error}")
     worst: tuple[float, str, float, float, float] | None = None
     count = 0
-    for name, expected in case.expected.items():
+    for name, expected in stated.items():
         got = np.asarray(found.get(name, np.nan), np.float64)
         if got.shape != expected.shape:
             return _without_numbers(case, "failed", f"{name} is not there, or of another shape")
