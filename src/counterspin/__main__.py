@@ -13,10 +13,22 @@ if __name__ == "__main__" and not sys.flags.safe_path:
 import gc
 import os
 from contextlib import AbstractContextManager, nullcontext
+from typing import Final
+
+#: Address space that libraries reserve while they are loaded, bytes; some of them end the process
+#: where they do not get it, before anybody could say why.
+_LEAST_BYTES: Final = 2_000_000_000
 
 
 def run() -> int:
     """Run the command line in a process of its own and return the exit status."""
+    if (most := _most_bytes()) is not None and most < _LEAST_BYTES:
+        print(
+            f"counterspin: this process may take {most / 1e9:.2g} GB of address space, and needs "
+            f"{_LEAST_BYTES / 1e9:g} GB to begin; raise the limit (ulimit -v)",
+            file=sys.stderr,
+        )
+        return 1
     # The matrices are small: more threads than one cost more than they bring.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # pydantic would look through all that is installed for plugins, which no one needs here.
@@ -40,6 +52,16 @@ def run() -> int:
         return 130  # as `main` has it, which is not loaded yet
     finally:
         gc.freeze()
+
+
+def _most_bytes() -> int | None:
+    """Return how much address space this process may take; None: as much as there is."""
+    if sys.platform == "win32":
+        return None
+    import resource
+
+    most, _ = resource.getrlimit(resource.RLIMIT_AS)
+    return None if most == resource.RLIM_INFINITY else most
 
 
 def _head_start() -> AbstractContextManager[None]:

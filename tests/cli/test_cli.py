@@ -107,6 +107,10 @@ def test_advice_can_be_typed_as_it_stands(tmp_path, capsys):
         (OSError(errno.ENOSPC, "No space left on device"), "there is no space left"),
         (MemoryError(), "there is not enough memory"),
         (OSError(errno.EIO, "worn out"), "the operating system refuses: worn out"),
+        (
+            ImportError("libworn.so: cannot map"),
+            "cannot be loaded (libworn.so: cannot map); install",
+        ),
         (ValueError("worn out"), "internal error (ValueError: worn out)"),
     ],
 )
@@ -151,6 +155,23 @@ def test_a_process_of_its_own_says_how_it_went(command):
     assert status("--version") == 0
     assert status("init") == 2
     assert status("apply", "no-result.json", "x.csv", "--accelerometer", "Qx", "-o", "y.csv") == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such limits there")
+@pytest.mark.parametrize("most", [150_000_000, 500_000_000, 1_200_000_000])
+def test_too_little_memory_to_begin_is_told(most, tmp_path):
+    """Where a library that lacks it would end the process, or print a backtrace."""
+    resource = pytest.importorskip("resource")
+    done = subprocess.run(
+        [f"{BESIDE}/counterspin", "demo", "-o", str(tmp_path / "demo")],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (most, most)),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith(f"counterspin: this process may take {most / 1e9:.2g} GB of")
+    assert done.stderr.count("\n") == 1
 
 
 # What files say

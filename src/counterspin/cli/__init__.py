@@ -85,6 +85,11 @@ def _unforeseen(error: Exception) -> str:
         # A name that is too long, a folder that was taken away: none of our faults.
         where = f"{error.filename}: " if error.filename else ""
         return str(CounterspinError(f"{where}the operating system refuses: {error.strerror}"))
+    if isinstance(error, ImportError):
+        return (
+            f"a part of this installation cannot be loaded ({CounterspinError(str(error))}); "
+            "install counterspin again, or see whether memory is short"
+        )
     what = str(CounterspinError(f"{type(error).__name__}: {error}"))
     return (
         f"internal error ({what}). This is a fault of counterspin, not of your files. Whoever "
