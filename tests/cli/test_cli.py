@@ -11,10 +11,12 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+import pypdf
 import pytest
 
 from counterspin import cli
 from counterspin.calibration.pages import publishing
+from counterspin.calibration.result import Result
 from counterspin.certificates import issuing
 from counterspin.cli.validate import validate
 from counterspin.reports import charts
@@ -238,10 +240,38 @@ def test_mistakes_in_hostile_words_are_told_on_a_line_each(hostile, tmp_path, ca
     assert all(line.startswith("  ") for line in told.splitlines()[1:])
 
 
-def test_a_hostile_report_is_safe_as_markdown(hostile, tmp_path):
-    out = tmp_path / "report.md"
-    assert cli.main(["report", str(hostile / "result.json"), "-o", str(out)]) == 0
+@pytest.mark.parametrize("words", [["report", "-o"], ["compare", "{}", "--report"]])
+def test_a_hostile_report_is_safe_as_markdown(words, hostile, tmp_path):
+    out, result = tmp_path / "report.md", str(hostile / "result.json")
+    command, *more = (word.format(result) for word in words)
+    assert cli.main([command, result, *more, str(out)]) == 0
     assert acts(out.read_text("utf-8")) == set()
+    assert "K_II = 1" not in {line.strip("> \\") for line in out.read_text("utf-8").splitlines()}
+
+
+def test_a_hostile_report_is_safe_as_html_and_on_paper(hostile, tmp_path):
+    for kind in ("html", "pdf"):
+        out = tmp_path / f"report.{kind}"
+        assert cli.main(["report", str(hostile / "result.json"), "-o", str(out)]) == 0
+    text = (tmp_path / "report.html").read_text("utf-8")
+    # What the page shows is data of its own, such as uPlot's script, no more.
+    assert acts(re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)) == set()
+    assert not re.search(r"(^|>)\s*K_II = 1", text, re.M)
+    pages = pypdf.PdfReader(tmp_path / "report.pdf").pages
+    lines = "\n".join(page.extract_text() for page in pages).splitlines()
+    assert [line for line in lines if r"\u202e\u2066\nK" in line]
+    assert not [line for line in lines if re.match(r"\s*K_?II = 1\b", line)]
+
+
+def test_a_hostile_result_is_safe_in_a_notebook(hostile):
+    result = Result.read(hostile / "result.json")
+    names = {f"{name}{HOSTILE}": made for name, made in result.accelerometers.items()}
+    result = result.model_copy(update={"accelerometers": names})
+    html, covariance = result._repr_html_(), result.covariance
+    shown = [str(result), html, result._repr_markdown_(), result.to_latex()]
+    for text in (*shown, str(covariance), covariance._repr_html_()):
+        assert acts(text) == set()
+        assert not [line for line in text.splitlines() if line.strip("> ").startswith("K_II = 1")]
 
 
 def test_a_message_without_a_terminal_is_lost_in_peace(monkeypatch):

@@ -23,7 +23,7 @@ from cyclopts import App, Parameter
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import FileKind, reserve
-from counterspin.reports.typography import speakable, visible
+from counterspin.reports.characters import Lines, speakable, visible
 
 if TYPE_CHECKING:
     from counterspin.results import ResultFile
@@ -98,12 +98,12 @@ def shell_word(path: Path) -> str:
 def say(*lines: str) -> None:
     """Print lines; what would act on the terminal, or what this cannot show, is put otherwise."""
     for line in lines:
-        _print(visible(line, lines=False), sys.stdout)
+        _print(visible(line), sys.stdout)
 
 
 def complain(text: str) -> None:
     """Print what went wrong to standard error, as `say` does, further lines indented."""
-    indented = re.sub(r"\n(?!  )", "\n  ", visible(text))
+    indented = re.sub(r"\n(?!  )", "\n  ", Lines(*text.split("\n")))
     _print(f"counterspin: {indented}", sys.stderr)
 
 

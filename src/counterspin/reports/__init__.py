@@ -13,6 +13,7 @@ What stands in this room:
 
 - `numbers`: the one place where a number becomes text
 - `blocks`: what a report is made of, before anybody sets it
+- `characters`: nothing in a text that acts on what shows it
 - `typography`: powers of ten and micro signs as in print
 - `html`, `zoomable`: blocks as a page that needs nothing else; its parts are in the folder "assets"
 - `text`: blocks in the terminal

@@ -153,10 +153,7 @@ def _cleaned(text: str, picture: Picture, theme: Theme) -> str:
     text = re.sub(r"\s*<defs>\s*<style.*?</style>\s*</defs>", "", text, flags=re.DOTALL)
     text = re.sub(r"\s*<!--.*?-->", "", text, flags=re.DOTALL)
     used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
-    salt = (
-        "p"
-        + hashlib.sha256(f"{picture.title}{theme}{text}".encode(errors="replace")).hexdigest()[:10]
-    )
+    salt = "p" + hashlib.sha256(f"{picture.title}{theme}{text}".encode()).hexdigest()[:10]
 
     def cleaned_tag(tag: re.Match[str]) -> str:
         # Words between tags stay as they are, whatever they look like.
@@ -176,7 +173,7 @@ def _cleaned(text: str, picture: Picture, theme: Theme) -> str:
     return (
         '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
         f'width="100%" {box[0]} role="img" stroke-linejoin="round"{font}>\n'
-        f" <title>{escape(_printable(picture.title), quote=False)}</title>{_printable(body)}"
+        f" <title>{escape(picture.title, quote=False)}</title>{body}"
     )
 
 
@@ -192,8 +189,3 @@ def _colour(name: str, theme: Theme) -> str:
     if theme == "light":
         return paper
     return f"var(--{name}, {'currentColor' if name == 'ink' else paper})"
-
-
-def _printable(text: str) -> str:
-    """Return the text without the characters that XML 1.0 forbids (section 2.2)."""
-    return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "\ufffd", text)

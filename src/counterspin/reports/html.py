@@ -21,6 +21,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, Plot, Table
+from counterspin.reports.characters import visible
 from counterspin.reports.charts import svg
 from counterspin.reports.typography import SYMBOL
 from counterspin.reports.zoomable import can_zoom, plot_data
@@ -44,6 +45,7 @@ def html(
     version
         Of the program that made it.
     """
+    title, identifier = visible(title), visible(identifier)
     page = _Page()
     summary, *chapters = page.chapters(blocks, title)
     has_heading = any(isinstance(block, Heading) and block.level == 1 for block in blocks)
