@@ -1,6 +1,7 @@
 """The page in a browser, as a person uses it."""
 
 import re
+import shutil
 import threading
 
 import pytest
@@ -285,6 +286,20 @@ def test_a_try_is_shown_in_its_own_place(opened, desk):
     tab.get_by_role("button", name="Calibrate").click()
     tab.wait_for_url("**/#/result/three%2Ftry.json")
     tab.get_by_role("heading", name="Is it good?").wait_for()
+
+
+def test_results_are_compared_with_the_one_that_is_chosen(opened, desk):
+    for name in ("b", "c"):
+        shutil.copy(desk.folder.root / "three" / "result.json", desk.folder.root / f"{name}.json")
+    tab = opened("/compare")
+    for name in ("three/result.json", "b.json", "c.json"):
+        tab.get_by_role("checkbox", name=name).check()
+    tab.get_by_text("Differences are from three/result.json").wait_for()
+    tab.get_by_label("Each is compared with").select_option("c.json")
+    tab.get_by_text("Differences are from c.json").wait_for()
+    command = tab.locator("pre.command").first.text_content()
+    files = [desk.folder.root / name for name in ("c.json", "three/result.json", "b.json")]
+    assert command == f"counterspin compare {' '.join(map(str, files))}"
 
 
 def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, desk):

@@ -13,7 +13,7 @@ def compare(*results: Path, saved: Saved = NOT_SAVED, report: Path | None = None
     Parameters
     ----------
     results
-        Two result files or more; each is compared with the first.
+        Two result files or more; each is compared with the first, the reference.
     report
         Write the comparison to this file too: .html, .pdf or .md.
     """

@@ -13,14 +13,25 @@ from typing import Final
 
 from counterspin._version import __version__
 from counterspin.calibration.pages.publishing import COMPARISON_TITLE, check_format, issue_date
+from counterspin.comparisons.estimates import g_units_ratio
 from counterspin.comparisons.result import (
     AgreementOfTwo,
     Compared,
     ComparedCoefficient,
     ComparedEstimate,
+    ComparedResult,
 )
 from counterspin.output import FileKind, holds, reserve, write_text, write_whole
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
+from counterspin.reports.blocks import (
+    Block,
+    Column,
+    Heading,
+    Paragraph,
+    Plot,
+    PlotSeries,
+    Style,
+    Table,
+)
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
     field_unit,
@@ -46,15 +57,18 @@ def render_comparison(compared: Compared) -> Report:
 def comparison_blocks(compared: Compared) -> Iterator[Block]:
     """Yield whether the results agree, their values and differences, and what changed."""
     yield Heading(_TITLE, 1)
-    for agreement in compared.agreements:
-        yield Paragraph(in_words(compared, agreement), "answer" if agreement.agrees else "warning")
+    for agreement in sorted(compared.agreements, key=lambda agreement: agreement.agrees):
+        yield Paragraph(in_words(compared, agreement), _style(agreement))
+    for result in compared.results:
+        if result.gravity is not None:
+            yield Paragraph(_conversion(compared, result, result.gravity))
     for name in dict.fromkeys(c.accelerometer for c in compared.coefficients):
         yield Heading(name)
         own = [c for c in compared.coefficients if c.accelerometer == name]
         yield _table(compared, own)
         yield from _pictures(own)
     yield Paragraph(
-        f"± is one standard uncertainty (k = 1). Differences are from {compared.results[0].name}; "
+        f"± is one standard uncertainty (k = 1). Differences are from {_references(compared)}; "
         "their u counts what both results have in common. z: difference over its u.",
         "quiet",
     )
@@ -68,9 +82,43 @@ def comparison_blocks(compared: Compared) -> Iterator[Block]:
         yield Paragraph("Nothing that the results say of themselves.")
 
 
+def _style(agreement: AgreementOfTwo) -> Style:
+    if agreement.p is None:
+        return "plain"
+    return "answer" if agreement.agrees else "warning"
+
+
+def _references(compared: Compared) -> str:
+    names = dict.fromkeys(c.accelerometer for c in compared.coefficients)
+    by_result = dict[str, list[str]]()
+    for name in names:
+        by_result.setdefault(compared.reference(name).name, []).append(name)
+    if len(by_result) == 1:
+        return next(iter(by_result))
+    return " and ".join(f"{result} ({', '.join(own)})" for result, own in by_result.items())
+
+
+def _conversion(compared: Compared, result: ComparedResult, gravity: float) -> str:
+    """Return that a result's numbers were converted to the first result's g, and by how much."""
+    moved = dict[float, list[str]]()
+    own = (c.term for c in compared.coefficients if result.has(c.accelerometer))
+    for symbol in dict.fromkeys(own):
+        percent = 100.0 * (g_units_ratio(symbol, gravity, compared.gravity) - 1.0)
+        moved.setdefault(percent, []).append(symbol)
+    amounts = (
+        f"{', '.join(symbols)} by {percent:+.2g} %" for percent, symbols in moved.items() if percent
+    )
+    return (
+        f"{result.name} was calibrated where gravity is {format_number(gravity, 9)} m/s^2. Its "
+        f"numbers are converted to the g-units of {compared.results[0].name} "
+        f"({format_number(compared.gravity, 9)} m/s^2), which changes "
+        f"{'; '.join(amounts) or 'none of them'}."
+    )
+
+
 def in_words(compared: Compared, agreement: AgreementOfTwo) -> str:
     """Return whether two results agree, in a sentence."""
-    first = compared.results[0].name
+    first = compared.reference(agreement.accelerometer).name
     whose = f"{agreement.accelerometer}: {agreement.result} and {first}"
     records = _RECORDS[agreement.records]
     if not agreement.terms:
@@ -145,7 +193,9 @@ def _table(compared: Compared, own: Sequence[ComparedCoefficient]) -> Table:
         for result, estimate in zip(compared.results, coefficient.estimates, strict=True):
             if estimate.value is None or estimate.u is None:
                 quiet.add(len(rows))
-                rows.append((label, result.name, NOT_DETERMINED, "", ""))
+                there = result.has(coefficient.accelerometer)
+                why = NOT_DETERMINED if there else "not in this result"
+                rows.append((label, result.name, why, "", ""))
             else:
                 value = format_estimate(estimate.value * factor, estimate.u * factor)
                 z = "" if estimate.z is None else f"{estimate.z:.2f}"
