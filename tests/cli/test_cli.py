@@ -35,6 +35,24 @@ def test_every_command_explains_itself(command, capsys):
     assert shown.startswith(f"Usage: counterspin {command}")
 
 
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_names_nothing_that_leaving_an_option_out_says(command, monkeypatch, capsys):
+    """Such as `--no-yes`, `--empty-from` and `[default: ()]`."""
+    monkeypatch.setenv("COLUMNS", "400")
+    assert cli.main([command, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert not re.search(r"--empty-|\[default: (?:\(\)|\[\]|False|None|True|)\]", shown)
+    off = set(re.findall(r"--no-([\w-]+)", shown))
+    defaults = {
+        argument.names[0].removeprefix("--"): argument.field_info.default
+        for argument in cli.app[command].assemble_argument_collection()
+    }
+    assert [name for name in off if defaults[name] is False] == []
+    on = {name for name, default in defaults.items() if default is True}
+    assert on <= off
+    assert shown.count("[default: on]") == len(on)
+
+
 @pytest.mark.parametrize(
     ("command", "option", "endings"),
     [

@@ -32,6 +32,9 @@ OutputFolder = Annotated[Path, Parameter(name=["--output", "-o"])]
 OutputFile = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 JsonFile = Annotated[Path | None, Parameter(name="--json")]
 
+#: What is on, or found out, unless ``--no-...`` turns it off; nothing else has such a word.
+OnOff = Annotated[bool, Parameter(negative_bool="no-")]
+
 #: Makes each field of a class an option of the command that has it as a parameter.
 group = Parameter(name="*")
 
