@@ -19,7 +19,7 @@ from pydantic_core import PydanticSerializationError
 
 from counterspin.errors import RecordError
 from counterspin.input import looks_like, read_file
-from counterspin.output import FileKind, reserve, write_text
+from counterspin.output import FileKind, write_text
 
 #: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
 _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
@@ -94,8 +94,7 @@ class ResultFile(ResultPart):
         CounterspinError
             If a file is in the way, or it cannot be written.
         """
-        reserve(Path(path), self.file_kind, overwrite=overwrite)
-        write_text(Path(path), self.to_json())
+        write_text(Path(path), self.to_json(), self.file_kind, overwrite=overwrite)
 
     @classmethod
     def file_kind(cls) -> FileKind:

@@ -42,7 +42,7 @@ from counterspin.certificates.signature import Signer, is_signed, read_signer, s
 from counterspin.certificates.statements import Verdicts
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
-from counterspin.output import write_whole
+from counterspin.output import reserve, write_whole
 from counterspin.reports.blocks import Block, Heading, Paragraph
 from counterspin.reports.numbers import format_number
 
@@ -149,6 +149,7 @@ def check_place(output: Path) -> None:
             f"{output} exists; a certificate replaces no file, least of all an issued one: name "
             "another"
         )
+    reserve(output)
 
 
 def certificate(

@@ -1,18 +1,16 @@
 """A comparison as a page: what agrees, the values and differences, what changed.
 
 - `render_comparison`: as something that rich prints; `comparison_blocks`: the same as blocks
-- `write_report`: as .html, .pdf or .md; `file_kind`: how these are known again
+- `write_report`: as .html, .pdf or .md; `KIND`: what each of these says that it is
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from datetime import UTC
 from pathlib import Path
 from typing import Final
 
-from counterspin._version import __version__
-from counterspin.calibration.pages.publishing import COMPARISON_TITLE, check_format, issue_date
+from counterspin.calibration.pages.publishing import issue_date
 from counterspin.comparisons.estimates import g_units_ratio
 from counterspin.comparisons.result import (
     AgreementOfTwo,
@@ -21,7 +19,6 @@ from counterspin.comparisons.result import (
     ComparedEstimate,
     ComparedResult,
 )
-from counterspin.output import FileKind, holds, reserve, write_text, write_whole
 from counterspin.reports.blocks import (
     Block,
     Column,
@@ -38,9 +35,13 @@ from counterspin.reports.numbers import (
     format_estimate,
     format_number,
 )
+from counterspin.reports.publication import Publication
 from counterspin.reports.text import Report
 
-_TITLE: Final = COMPARISON_TITLE
+_TITLE: Final = "Comparison of results"
+
+#: What every file of one says that it is.
+KIND: Final = "a comparison"
 
 _RECORDS: Final = {
     "same": "the same records",
@@ -153,36 +154,13 @@ def write_report(compared: Compared, path: Path | str, *, overwrite: bool = Fals
     CounterspinError
         If a file is in the way, or it cannot be written; nothing is left behind then.
     """
-    path = Path(path)
-    suffix = check_format(path)
-    reserve(path, lambda: file_kind(path), overwrite=overwrite)
-    blocks, made = list(comparison_blocks(compared)), issue_date()
-    identifier = " / ".join(result.name for result in compared.results)
-    if suffix == ".html":
-        from counterspin.reports.html import html
-
-        page = html(blocks, title=_TITLE, identifier=identifier, date=made, version=__version__)
-        write_text(path, page)
-    elif suffix == ".pdf":
-        from counterspin.reports.pdf import pdf
-
-        content = pdf(blocks, title=_TITLE, identifier=identifier, date=made)
-        write_whole(path, lambda part: part.write_bytes(content))
-    else:
-        from counterspin.reports.markdown import markdown
-
-        end = f"Made by counterspin compare, {made.astimezone(UTC):%Y-%m-%d %H:%M} UTC."
-        write_text(path, markdown([*blocks, Paragraph(end, "quiet")]))
-
-
-def file_kind(path: Path) -> FileKind:
-    """Return what `write_report` writes under a name, so that its own reports are known again."""
-    marks = {
-        ".html": f"<title>{_TITLE}</title>".encode(),
-        ".pdf": _TITLE.encode(),
-        ".md": b"Made by counterspin compare",
-    }
-    return FileKind("a comparison of counterspin", holds(marks[check_format(path)]))
+    page = Publication(
+        kind=KIND,
+        title=_TITLE,
+        identifier=" / ".join(result.name for result in compared.results),
+        blocks=list(comparison_blocks(compared)),
+    )
+    page.write(Path(path), issue_date(), overwrite=overwrite)
 
 
 def _table(compared: Compared, own: Sequence[ComparedCoefficient]) -> Table:

@@ -18,6 +18,7 @@ from itertools import groupby
 from typing import Any, Final, Literal
 
 from counterspin.frozen import frozen
+from counterspin.output import mark
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, Table
 from counterspin.reports.characters import visible
 from counterspin.reports.charts import svg
@@ -65,6 +66,7 @@ def pdf(
     title: str,
     identifier: str,
     date: datetime,
+    kind: str = "a page",
     attachments: Sequence[Attachment] = (),
 ) -> bytes:
     """Set blocks as a PDF/A-3a (ISO 19005-3) and PDF/UA-1 (ISO 14289-1).
@@ -84,6 +86,8 @@ def pdf(
         What the report is known by.
     date
         When it was made, with its time zone.
+    kind
+        What it says that it is; see `counterspin.output.mark`.
     attachments
         Files that travel in it, each of another name.
 
@@ -108,6 +112,7 @@ def pdf(
     data = {
         "title": title,
         "identifier": identifier,
+        "mark": mark(kind),
         "moment": moment.timetuple()[:6],
         "day": f"{moment:%Y-%m-%d %H:%M} UTC",
         "blocks": list(_parts(blocks)),

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.certificates.schema import load_schema
-from counterspin.output import make_folder, reserve, write_text, write_whole
+from counterspin.output import make_folder, marked, reserve
 from counterspin.validation.cases import Case, cases, document
 from counterspin.validation.installed import installation
 from counterspin.validation.kernels import NotAvailableError, ask
@@ -137,25 +137,26 @@ def write_dossier(dossier: Dossier, folder: Path | str, *, overwrite: bool = Fal
     CounterspinError
         If another file is in the way, or one cannot be written.
     """
-    from counterspin.validation.page import as_html, as_pdf
+    from counterspin.calibration.pages.publishing import issue_date
+    from counterspin.validation.page import publication
 
     place = Path(folder)
     check_folder(place, overwrite=overwrite)
-    page, paper = as_html(dossier), as_pdf(dossier)
-    html, pdf, json = (place / name for name in DOSSIER_FILES)
-    write_text(html, page)
-    write_whole(pdf, lambda part: part.write_bytes(paper))
+    *pages, json = (place / name for name in DOSSIER_FILES)
+    page, issued = publication(dossier), issue_date()
+    for path in pages:
+        page.write(path, issued, overwrite=overwrite)
     dossier.write(json, overwrite=overwrite)
 
 
 def check_folder(folder: Path, *, overwrite: bool) -> None:
     """Make the folder, and refuse it where a file would be lost."""
-    from counterspin.validation.page import file_kind
+    from counterspin.validation.page import KIND
 
     make_folder(folder)
     for name in DOSSIER_FILES:
         path = folder / name
-        kind = Dossier.file_kind if path.suffix == ".json" else partial(file_kind, path)
+        kind = Dossier.file_kind if path.suffix == ".json" else partial(marked, KIND)
         reserve(path, kind, overwrite=overwrite)
 
 
