@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from counterspin.errors import CounterspinError
-from counterspin.output import mark, marked, make_folder, write_text, write_whole
+from counterspin.output import make_folder, mark, marked, write_text, write_whole
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path):
@@ -95,7 +95,7 @@ def test_a_file_that_comes_while_another_is_written_is_not_lost(tmp_path, links)
     with pytest.raises(CounterspinError, match=r"c\.xml exists and is not a comparison of"):
         write_whole(target, write, partial(marked, "a comparison"), overwrite=True)
     assert target.read_text() == "somebody else's"
-    assert os.listdir(tmp_path) == ["c.xml"]
+    assert [path.name for path in tmp_path.iterdir()] == ["c.xml"]
 
 
 def test_of_many_writers_of_one_name_one_succeeds(tmp_path, links):
@@ -116,7 +116,7 @@ def test_of_many_writers_of_one_name_one_succeeds(tmp_path, links):
         thread.join()
     assert taken == [(tmp_path / "c.xml").read_text()]
     assert len(refused) == 7
-    assert os.listdir(tmp_path) == ["c.xml"]
+    assert [path.name for path in tmp_path.iterdir()] == ["c.xml"]
 
 
 @pytest.mark.parametrize(("mask", "mode"), [(0o077, 0o600), (0o027, 0o640), (0o022, 0o644)])
