@@ -321,7 +321,8 @@ def test_more_rows_than_there_is_room_for(tmp_path):
     with pytest.raises(CampaignError) as caught:
         simulate(campaign, tmp_path / "records")
     (problem,) = caught.value.problems
-    assert problem.startswith("runs[1]: 2.51e+09 rows are more than can be simulated")
+    assert problem.startswith("runs[1]: 1.257e+08 s at 1.59e-07 rev/s, sampled at 20 Hz,")
+    assert "makes 2.51e+09 rows" in problem
     assert not (tmp_path / "records").exists()
 
 

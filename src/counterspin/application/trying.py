@@ -101,9 +101,9 @@ def begin_simulation(desk: Desk, name: str, folder: str) -> dict[str, Any]:
 def simulate_into(there: Connection, campaign: Path, folder: Path) -> None:
     """Make a campaign's records in a folder; `there` is told as of `jobs.tell_of`."""
 
-    def work(_: Progress) -> None:
+    def work(progress: Progress) -> None:
         from counterspin.campaign.simulation import simulate
 
-        simulate(campaign, folder)
+        simulate(campaign, folder, progress=progress)
 
     tell_of(there, work)

@@ -22,6 +22,7 @@ from pydantic import Field
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.readings import BLANK, Output, ReadingAxes
+from counterspin.campaign.resolved import MOST_READINGS
 from counterspin.campaign.settings import SettingsSection, TableDialect, Text, exact
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
@@ -35,8 +36,6 @@ if TYPE_CHECKING:
 #: A column's name, or those of the repeats of one reading.
 _Repeats = str | list[str]
 
-#: A table has at most so many rows.
-_MOST_ROWS: Final = 10_000
 #: No cell has more characters.
 _MAX_CHARACTERS: Final = 1000
 
@@ -183,9 +182,9 @@ def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str
         table, places, checksum = read_small_table(path, dialect)
     except RecordError as error:
         raise ValueError(str(error).rstrip(".")) from error
-    if (rows := table.frame.height) > _MOST_ROWS:
+    if (rows := table.frame.height) > MOST_READINGS:
         raise ValueError(
-            f"{path.name} has {rows} rows; a table of readings has at most {_MOST_ROWS}"
+            f"{path.name} has {rows} rows; a table of readings has at most {MOST_READINGS}"
         )
     if dialect.decimal == ",":
         table = replace(table, frame=_with_points(table.frame))

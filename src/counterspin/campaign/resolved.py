@@ -4,7 +4,8 @@ Accelerometer coefficients are in g-units; everything else is SI, angles in rad.
 carries a standard uncertainty; a plain number is exact.
 
 - `Campaign`: all of it; `Channel`, `Accelerometer`, `StatedNoise`, `ErrorModel`, `Run`: its parts
-- `sample_count`: rows of a record of known length
+- `sample_count`: rows of a record of known length; `paper_rows`, `require_room`: one that is made
+  from a description alone, and how much of that there may be
 - `Simulation`, `SimulatedTruth`, `RunTruth`: what `counterspin simulate` makes the records from
 """
 
@@ -14,7 +15,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from counterspin.arrays import Array
 from counterspin.campaign.machine import MachineModel
@@ -32,6 +33,17 @@ from counterspin.records.record import ColumnKind, ColumnSpec
 
 if TYPE_CHECKING:
     from counterspin.campaign.memory.source import Source
+
+
+#: Most rows, those of all accelerometers together, that are computed at once of records that exist
+#: only on paper. A line of a description can state any length, and what is made from it takes
+#: memory and time in proportion: at the bound, below 2 GB and about a minute. What is read from
+#: files has no such bound.
+MOST_ROWS: Final = 800_000
+
+#: Most readings of a campaign, and most runs of which a forecast or a study is made.
+MOST_READINGS: Final = 10_000
+MOST_RUNS: Final = 100
 
 
 def sample_count(duration: float, sampling_rate: float) -> int:
@@ -478,3 +490,78 @@ class Campaign:
                 str(self.path),
                 [f"runs: {what} takes records of a double turntable; this campaign has readings"],
             )
+
+
+def paper_rows(rate: float, duration: float, sampling_rate: float, *, means: bool) -> float:
+    """Return how many rows a record takes that is computed, not read.
+
+    Parameters
+    ----------
+    rate, duration, sampling_rate
+        rad/s, s, Hz.
+    means
+        Whether the samples are averaged as `calibrate` does it.
+    """
+    from counterspin.records.reduction import BLOCKS_PER_REVOLUTION, block_size
+
+    samples = duration * sampling_rate
+    if means and rate:
+        samples /= block_size(1.0 / sampling_rate, rate)
+    # The integrals need about as many places in a revolution, however few samples it has.
+    return max(samples, BLOCKS_PER_REVOLUTION * abs(rate) * duration / (2.0 * math.pi))
+
+
+def require_room(
+    campaign: Campaign, sampling_rate: float, purpose: Literal["forecast", "study", "simulation"]
+) -> None:
+    """Raise CampaignError if the records of a campaign would be too much to compute.
+
+    What is written piece by piece (a simulation) may have any number of runs.
+
+    Parameters
+    ----------
+    campaign
+        The campaign; runs of unknown length do not count.
+    sampling_rate
+        Hz.
+    purpose
+        What is made: all records at once, for a forecast their means; or, for a simulation, one
+        run after the other.
+    """
+    lengths = [
+        (f"runs[{index}]", run.rate, run.duration, len(campaign.accelerometers))
+        for index, run in enumerate(campaign.runs)
+    ]
+    if purpose == "simulation":  # the others need only how uncertain a mean is
+        lengths += [
+            (f'run "{reading.name}"', reading.rate, reading.duration, 1)
+            for reading in campaign.readings
+            if reading.record is not None
+        ]
+    sizes = [
+        (
+            (1 if purpose == "simulation" else count)
+            * paper_rows(rate, duration, sampling_rate, means=purpose == "forecast"),
+            f"{where}: {duration:.4g} s at {abs(rate) / (2.0 * math.pi):.3g} rev/s, sampled at "
+            f"{sampling_rate:.4g} Hz,",
+        )
+        for where, rate, duration, count in lengths
+        if duration is not None
+    ]
+    total = sum(rows for rows, _ in sizes)
+    if purpose != "simulation" and len(campaign.runs) > MOST_RUNS:
+        words = f"runs: {len(campaign.runs)}, and a {purpose} has room for {MOST_RUNS}"
+        raise CampaignError(str(campaign.path), [words])
+    advice = (
+        f"rows to compute, and a {purpose} has room for {MOST_ROWS:.0e}; choose fewer "
+        "revolutions, a shorter duration or a lower sampling rate"
+    )
+    if purpose == "simulation":
+        problems = [f"{w} makes {rows:.3g} {advice}" for rows, w in sizes if rows > MOST_ROWS]
+    elif total > MOST_ROWS:
+        rows, words = max(sizes)
+        problems = [f"{words} makes {rows:.3g} of the {total:.3g} {advice}"]
+    else:
+        problems = []
+    if problems:
+        raise CampaignError(str(campaign.path), problems)

@@ -12,6 +12,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Final, overload
 
@@ -33,6 +34,7 @@ from counterspin.campaign.resolved import (
     Run,
     SimulatedTruth,
     StatedNoise,
+    require_room,
     sample_count,
 )
 from counterspin.campaign.runs import refuse_unwritable
@@ -52,18 +54,23 @@ WRITERS: Final[Mapping[str, Callable[[pl.DataFrame, Path], object]]] = {
     ".parquet": lambda frame, path: write_open(path, frame.write_parquet),
 }
 
-#: A run is made in memory, column by column, so that more rows than this would fill it.
-_MOST_ROWS: Final = 10**8
-
 
 @overload
 def simulate(
-    where: Path | str | Campaign, folder: Path | str, *, overwrite: bool = False
+    where: Path | str | Campaign,
+    folder: Path | str,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Path, ...]: ...
 @overload
 def simulate(where: Path | str | Campaign) -> Campaign: ...
 def simulate(
-    where: Path | str | Campaign, folder: Path | str | None = None, *, overwrite: bool = False
+    where: Path | str | Campaign,
+    folder: Path | str | None = None,
+    *,
+    overwrite: bool = False,
+    progress: Callable[[int, int], None] | None = None,
 ) -> tuple[Path, ...] | Campaign:
     """Make the records of every run and the readings, in memory or as files.
 
@@ -79,6 +86,8 @@ def simulate(
         None: nothing is written.
     overwrite
         Whether the files of an earlier simulation may be replaced; others never are.
+    progress
+        Called after each file with the number of those that are written, and of all.
 
     Returns
     -------
@@ -89,8 +98,9 @@ def simulate(
     Raises
     ------
     CampaignError
-        If the description is wrong, the truth is missing or not credible, or a record's format
-        cannot be written; a table of readings is made only as a file.
+        If the description is wrong, the truth is missing or not credible, a run is too long to
+        be made, or a record's format cannot be written; a table of readings is made only as a
+        file.
     CounterspinError
         If a file is in the way or cannot be written.
     """
@@ -130,18 +140,21 @@ def simulate(
     for place in (folder, *(target.parent for target in targets)):
         make_folder(place)
 
-    frames = [
-        *_run_records(campaign),
-        *_mean_records(campaign, head_errors),
-        *([table[1]] if table else []),
-    ]
+    # Each is made when its turn comes, so that never two of them are in memory.
+    frames = chain(
+        _run_records(campaign),
+        _mean_records(campaign, head_errors),
+        [table[1]] if table else [],
+    )
     # The description comes first: by it the records of a simulation that was interrupted are known.
     if text is not None:
         write_text(description, text, overwrite=overwrite)
     elif not own:
         write_whole(description, partial(shutil.copyfile, campaign.path), overwrite=overwrite)
-    for frame, target in zip(frames, targets, strict=True):
+    for done, (frame, target) in enumerate(zip(frames, targets, strict=True), start=1):
         write_whole(target, partial(WRITERS[target.suffix.lower()], frame), overwrite=overwrite)
+        if progress is not None:
+            progress(done, len(targets))
     return targets
 
 
@@ -152,7 +165,7 @@ def _refuse_unfit(campaign: Campaign) -> None:
             str(campaign.path),
             ["truth: missing; `simulate` needs [truth.NAME] tables with the true coefficients"],
         )
-    _refuse_long_runs(campaign, campaign.simulation.sampling_rate)
+    require_room(campaign, campaign.simulation.sampling_rate, "simulation")
     if problems := [*unfit(campaign), *unfit_readings(campaign)]:
         raise CampaignError(str(campaign.path), problems)
 
@@ -222,27 +235,6 @@ def _is_simulated(description: Path) -> bool:
         return "truth" in load_document(description)
     except CampaignError:
         return False
-
-
-def _refuse_long_runs(campaign: Campaign, sampling_rate: float) -> None:
-    problems = [
-        f"{where}: {duration * sampling_rate:.3g} rows are more than can be simulated "
-        f"at once ({_MOST_ROWS:.0e}); choose fewer revolutions, a shorter duration or a lower "
-        "simulation.sampling_rate"
-        for where, duration in _durations(campaign)
-        if duration * sampling_rate > _MOST_ROWS
-    ]
-    if problems:
-        raise CampaignError(str(campaign.path), problems)
-
-
-def _durations(campaign: Campaign) -> Iterator[tuple[str, float]]:
-    for index, run in enumerate(campaign.runs):
-        if run.duration is not None:
-            yield f"runs[{index}]", run.duration
-    for reading in campaign.readings:
-        if reading.record is not None and reading.duration is not None:
-            yield f'run "{reading.name}"', reading.duration
 
 
 def _targets(campaign: Campaign, folder: Path) -> tuple[Path, ...]:

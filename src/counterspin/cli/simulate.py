@@ -22,9 +22,11 @@ def simulate(campaign: Path, /, *, output: OutputFolder, overwrite: bool = False
     from counterspin.campaign.description import read_campaign
     from counterspin.campaign.questions import questions
     from counterspin.campaign.simulation import simulate as run
+    from counterspin.reports.progress import progress
 
     described = read_campaign(campaign)
-    written = run(described, output, overwrite=overwrite)
+    with progress(words=("Simulating", "Files", "Files")) as advance:
+        written = run(described, output, overwrite=overwrite, progress=advance)
     say(*(f"Warning: {question.text}" for question in questions(described)))
     files = f"{len(written)} {'file' if len(written) == 1 else 'files'} and " if written else ""
     say(f"Wrote {files}campaign.toml to {output}.")

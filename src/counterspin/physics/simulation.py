@@ -29,6 +29,9 @@ from counterspin.physics.shared_terms import PLATFORM_TERMS
 #: Flicker of a bias has a longest period of a day, Hz; what is slower is bias.
 SLOWEST_FLICKER: Final = 1.0 / 86400.0
 
+#: Times for which slow waves are summed at once: there may be a hundred of them.
+_WAVES_AT_ONCE: Final = 100_000
+
 
 def attitude_error(
     trajectory: Trajectory,
@@ -241,9 +244,11 @@ def bias_wander(
         low = min(SLOWEST_FLICKER, 0.1 * first)
         edges = np.geomspace(low, first, 2 + math.ceil(10.0 * math.log10(first / low)))
         sizes = flicker * np.sqrt(np.diff(np.log(edges)) / math.pi)
-        phases = 2.0 * math.pi * np.sqrt(edges[1:] * edges[:-1])[:, None] * (times - times[0])
+        w = 2.0 * math.pi * np.sqrt(edges[1:] * edges[:-1])[:, None]
         a, b = sizes * generator.standard_normal((2, sizes.size))
-        bias += a @ np.cos(phases) + b @ np.sin(phases)
+        for start in range(0, n, _WAVES_AT_ONCE):
+            phases = w * (times[start : start + _WAVES_AT_ONCE] - times[0])
+            bias[start : start + _WAVES_AT_ONCE] += a @ np.cos(phases) + b @ np.sin(phases)
     if bias_walk > 0.0:
         steps = generator.standard_normal(n) * np.sqrt(np.append(before, np.full(n - 1, step)))
         bias += bias_walk * np.cumsum(steps)

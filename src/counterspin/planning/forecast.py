@@ -24,7 +24,7 @@ from counterspin.calibration.readings import block_name
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.reading_groups import groups_of
-from counterspin.campaign.resolved import Campaign, Run, sample_count
+from counterspin.campaign.resolved import Campaign, Run, require_room, sample_count
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess
@@ -106,8 +106,8 @@ def forecast(
     Raises
     ------
     CampaignError
-        If the campaign file is missing or wrong, or the noise, a run's length or the sampling
-        rate is not known.
+        If the campaign file is missing or wrong, the noise, a run's length or the sampling
+        rate is not known, or the runs are too long.
     NotIdentifiableError
         If a run is too short for its own start offset and velocity.
     """
@@ -124,6 +124,7 @@ def forecast(
         solution = solve_blocks(list(beside.values()), model)
         return Forecast(campaign, JointFit(model, solution, (), (), {}, beside=beside))
     assert sampling_rate is not None
+    require_room(campaign, sampling_rate, "forecast")
     series = [
         planned_series(campaign, run, name, sampling_rate)
         for run in campaign.runs

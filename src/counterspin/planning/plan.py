@@ -115,7 +115,7 @@ def plan(
     campaign = prediction.campaign
     total = search.limits.time(design)
     first = next(iter(described.goal.sizes))
-    words, requirements = _requirements(campaign, first, described.sampling_rate)
+    words, requirements = _requirements(prediction, first, described.sampling_rate)
     result = _result(
         prediction,
         described.sampling_rate,
@@ -220,7 +220,7 @@ def check(
     words: str = ""
     requirements: list[Requirement] = []
     if sampling_rate is not None and not campaign.readings:
-        words, requirements = _requirements(campaign, name, sampling_rate)
+        words, requirements = _requirements(prediction, name, sampling_rate)
     warnings = [
         f"{run.name}: {revolutions:g} revolutions are assumed; the campaign does not say how long "
         "its record is."
@@ -309,11 +309,11 @@ def _starts(campaign: Campaign, design: Design, limits: Limits) -> dict[str, flo
 
 
 def _requirements(
-    campaign: Campaign, name: str, sampling_rate: float
+    prediction: Forecast, name: str, sampling_rate: float
 ) -> tuple[str, list[Requirement]]:
-    if campaign.angle is None:
+    if prediction.campaign.angle is None:
         return "", []  # what the rotation was is an unknown then
-    return requirements_of(campaign, name, sampling_rate)
+    return requirements_of(prediction, name, sampling_rate)
 
 
 def _others(search: Search, design: Design, prediction: Forecast, total: float) -> list[OtherPlan]:

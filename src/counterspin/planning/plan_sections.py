@@ -5,11 +5,12 @@ A plan has no [[runs]], which it makes, and may go without [records]; it has [li
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, Field, PlainValidator
 
 from counterspin.campaign.attitude import attitude_rows
+from counterspin.campaign.resolved import MOST_READINGS, MOST_RUNS
 from counterspin.campaign.settings import (
     PositiveRatio,
     Schema,
@@ -19,6 +20,9 @@ from counterspin.campaign.settings import (
     positive,
     read_exactly,
 )
+
+#: Most attitudes among which is searched, which takes seconds, not minutes.
+MOST_ATTITUDES: Final = 24
 
 
 def _not_negative(value: float) -> float:
@@ -59,7 +63,7 @@ class LimitsSettings(SettingsSection):
     total_time: Seconds
     highest_rate: Rate | None = None
     lowest_rate: Rate | None = None
-    rates: Annotated[list[Rate], Field(min_length=1)] | None = None
+    rates: Annotated[list[Rate], Field(min_length=1, max_length=MOST_RUNS)] | None = None
     specific_force: Annotated[float, read_exactly("g"), AfterValidator(positive)] | None = None
     senses: Literal["one", "both"] = "one"
     settling: Duration = 0.0
@@ -67,10 +71,10 @@ class LimitsSettings(SettingsSection):
     spin_down: SpinUp | None = None
     fewest_revolutions: PositiveRatio = 5.0
     longest_run: Seconds | None = None
-    runs: Annotated[int, AfterValidator(positive)] = 8
+    runs: Annotated[int, AfterValidator(positive), Field(le=MOST_RUNS)] = 8
     fewest_rates: Annotated[int, AfterValidator(positive)] = 1
     attitudes: list[Annotated[Any, PlainValidator(_attitude)]] = Field(
-        default_factory=lambda: ["level"], min_length=1
+        default_factory=lambda: ["level"], min_length=1, max_length=MOST_ATTITUDES
     )
     attitude_change: Duration = 0.0
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] = 50.0
@@ -120,7 +124,7 @@ class StationsSettings(SettingsSection):
 class ReadingLimitsSettings(SettingsSection):
     """[limits] of a plan of readings."""
 
-    readings: Annotated[int, AfterValidator(positive)] | None = None
+    readings: Annotated[int, AfterValidator(positive), Field(le=MOST_READINGS)] | None = None
     total_time: Seconds | None = None
     order: Literal["mirrored", "random", "listed"] = "mirrored"
     sampling_rate: Annotated[float, read_exactly("Hz"), AfterValidator(positive)] | None = None

@@ -13,10 +13,12 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.campaign.resolved import Campaign, sample_count
+from counterspin.inference.joint.fit import blocks_of, solve_blocks
 from counterspin.inference.joint.inputs import INPUTS, TIMING
+from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns
 from counterspin.planning.faults import of_path
-from counterspin.planning.forecast import expected_values, forecast
+from counterspin.planning.forecast import Forecast, expected_values, scale_factors
 from counterspin.planning.result import Requirement
 from counterspin.planning.watching import watch
 
@@ -28,7 +30,7 @@ _LARGEST_SIZES: Final = {"rad": 0.1, "s": 1.0, "1/s": 1e-2, "1": 0.1}
 
 
 def requirements_of(
-    campaign: Campaign, name: str, sampling_rate: float
+    prediction: Forecast, name: str, sampling_rate: float
 ) -> tuple[str, list[Requirement]]:
     """Return how good the centrifuge must be for the uncertainty that is predicted.
 
@@ -36,8 +38,8 @@ def requirements_of(
 
     Parameters
     ----------
-    campaign
-        Every run with its duration.
+    prediction
+        What the campaign will tell; of records alone.
     name
         The unknown, such as ``Qx.K_II``.
     sampling_rate
@@ -48,8 +50,7 @@ def requirements_of(
     str, list of Requirement
         At what value of the coefficient, in words; the requirements.
     """
-    base = forecast(campaign, sampling_rate=sampling_rate)
-    model = base.fit.model
+    campaign, model = prediction.campaign, prediction.fit.model
     place = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[place]
     expected = expected_values(campaign, model.unknowns)
@@ -65,17 +66,24 @@ def requirements_of(
     )
     inputs = dict.fromkeys((*INPUTS, TIMING), 1.0)
     watched = Unknowns(model.unknowns, rotation, inputs)
-    solution = forecast(
-        campaign, sampling_rate=sampling_rate, model=watched, expected=expected
-    ).fit.solution
-    allowed = _TOLERABLE_PART_OF_U * base.u[name]
+    factors, noise = scale_factors(campaign), prediction.fit.noise
+    # One after the other: the columns of all of them together would take much memory.
+    blocks = [
+        block
+        for record in prediction.fit.prepared
+        for block in blocks_of(
+            prepare_columns([record.series], watched, factors, expected), watched, noise
+        )
+    ]
+    solution = solve_blocks(blocks, watched)
+    allowed = _TOLERABLE_PART_OF_U * prediction.u[name]
     row = solution.sensitivity_considered[place]
     of_run = row[: len(rotation)].reshape(len(campaign.runs), len(ROTATION))
     of_input = dict(zip(inputs, row[len(rotation) :], strict=True))
     rates = np.array([run.rate for run in campaign.runs])
     radius = next(key for key in inputs if key.endswith("radius"))
     faults = [of_path(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]
-    machine = watch(base, faults)
+    machine = watch(prediction, faults)
     eccentricity, imbalance = (machine.sensitivity(fault, place) for fault in range(2))
     lines = [
         ("radius known to", of_input[radius], "m"),
@@ -119,10 +127,13 @@ def _angle_noise(campaign: Campaign, of_run: Array, sampling_rate: float) -> flo
     variance = 0.0
     for run, sensitivity in zip(campaign.runs, of_run, strict=True):
         duration = run.duration or 0.0
-        samples = sample_count(duration, sampling_rate)
-        u = np.linspace(0.0, 1.0, samples)
-        columns = np.column_stack([np.ones(samples), u, u**2])
-        inverse = np.linalg.inv(np.linalg.qr(columns, mode="r"))
+        n = sample_count(duration, sampling_rate)
         scale = np.array([1.0, 1.0 / duration, 2.0 / (abs(run.rate) * duration**2)])
-        variance += float(np.sum(((sensitivity * scale) @ inverse) ** 2))
+        a, b, c = (sensitivity * scale).tolist()  # to 1, t and t^2, t from 0 to 1
+        # The same of 1, t - 1/2 and (t - 1/2)^2 less its mean, whose products add up to nothing
+        # over even samples, and whose squares have these means.
+        linear = (n + 1.0) / (12.0 * (n - 1.0))
+        square = (n + 1.0) * (n**2 - 4.0) / (180.0 * (n - 1.0) ** 3)
+        rest = c - b + a * (0.25 - linear)
+        variance += (a**2 + (b - 0.5 * a) ** 2 / linear + rest**2 / square) / n
     return math.sqrt(variance)

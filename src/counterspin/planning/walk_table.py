@@ -17,8 +17,11 @@ import numpy as np
 import numpy.typing as npt
 
 from counterspin.arrays import Array
+from counterspin.campaign.resolved import MOST_ROWS
+from counterspin.errors import CounterspinError
 from counterspin.inference.noise.model import NoiseModel, make_whitener
 from counterspin.planning.angle_functions import functions, prefix_factors, shifted
+from counterspin.records.reduction import BLOCKS_PER_REVOLUTION
 
 #: Parts of a revolution at which factors are tabulated; rows to a revolution are a multiple.
 _PHASES: Final = 16
@@ -45,6 +48,11 @@ class WalkTable:
         Smallest and largest.
     harmonics
         Highest harmonic among the functions.
+
+    Raises
+    ------
+    CounterspinError
+        If the runs are too long to be tabulated.
     """
 
     def __init__(
@@ -62,6 +70,12 @@ class WalkTable:
         self._variance = variance
         self._sampling_rate = sampling_rate
         self._harmonics = harmonics
+        if revolutions[1] > (most := MOST_ROWS / BLOCKS_PER_REVOLUTION):
+            raise CounterspinError(
+                f"limits: a run may have {revolutions[1]:.3g} revolutions; with noise that walks "
+                f"there is room to search among runs of at most {most:.3g}: state a shorter "
+                "longest_run or total_time, or a lower highest_rate"
+            )
         self._counts = _whole_numbers(revolutions)
         self._nodes = _log_nodes(*rates)
 

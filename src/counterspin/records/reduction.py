@@ -57,8 +57,8 @@ def block_size(step: float, rate: float) -> int:
     """Return the samples to a block: 1 unless the record is denser than 2 samples per block."""
     longest = 2 * math.pi / (BLOCKS_PER_REVOLUTION * abs(rate))
     # The tolerance keeps a spacing that divides the block exactly from losing a sample.
-    size = math.floor(longest / step * (1 + 1e-9))
-    return min(size, _BLOCK_SAMPLES) if size >= 2 else 1
+    size = math.floor(min(_BLOCK_SAMPLES, longest / step * (1 + 1e-9)))
+    return size if size >= 2 else 1
 
 
 def without_lone_rows(blocks: Blocks, shortest_gap: float) -> tuple[float, float] | None:

@@ -28,7 +28,7 @@ from counterspin.campaign.machine import expand, symbols_shown
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.reading_truth import unfit_readings
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.resolved import Campaign, require_room
 from counterspin.campaign.settings import SettingsSection, Text, exact
 from counterspin.campaign.terms import BARE_NAMES, rows_of
 from counterspin.campaign.toml_file import (
@@ -61,7 +61,7 @@ class StudySettings(SettingsSection):
     `vary` and `analyses` are settled below.
     """
 
-    trials: Annotated[int, Field(ge=2)] = 10_000
+    trials: Annotated[int, Field(ge=2, le=10**9)] = 10_000
     seed: Annotated[int, Field(ge=0)] = 1
     vary: dict[str, Any] = Field(default_factory=dict)
     analyses: dict[Annotated[str, AfterValidator(_analysis_name)], Any] = Field(
@@ -183,6 +183,8 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
         raise CampaignError(str(file), problems.lines)
     if campaign.simulation is None:
         problems.add(("truth",), "missing; a study needs [truth.NAME] with the true coefficients")
+    else:
+        require_room(campaign, campaign.simulation.sampling_rate, "study")
     problems.lines += [*unfit(campaign), *unfit_readings(campaign)]
     gravity = campaign.gravity.value
     varying: list[Varying] = []

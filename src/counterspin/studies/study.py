@@ -40,6 +40,9 @@ _LONG_HOURS: Final = 0.5
 #: More trials than this would take days, and their ledger much of the memory.
 _MOST_TRIALS: Final = 10**9
 
+#: Most bytes for what is kept of each batch of trials.
+_LARGEST_LEDGER: Final = 5 * 10**8
+
 
 @one_blas_thread()
 def study(
@@ -104,6 +107,7 @@ def study(
     # Workers start while the engine is prepared.
     with nullcontext() if workers.alone else worker_pool(workers, work.__module__) as pool:
         prepared = prepare(description, description.seed if seed is None else seed, engine)
+        _refuse_full_ledger(prepared, trials)
         ledger = Ledger(prepared, trials, keep=folder is not None and folder.keep_trials)
         kept = None
         if folder is not None:
@@ -127,6 +131,16 @@ def study(
         if complete:
             kept.clear()
     return result
+
+
+def _refuse_full_ledger(engine: StudyEngine, trials: int) -> None:
+    """Raise CounterspinError if what is kept of so many trials would fill the memory."""
+    of_a_batch = 8 * engine.tally.width * len(engine.reported)
+    most = _LARGEST_LEDGER // of_a_batch * engine.batch_size
+    if trials > most:
+        raise CounterspinError(
+            f"{trials:.3g} `trials` are more than there is room for; this study can have {most:.3g}"
+        )
 
 
 def _warn_of_hours(engine: StudyEngine, trials: int, workers: int) -> None:

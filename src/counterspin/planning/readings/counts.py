@@ -10,6 +10,7 @@ rounded, and one reading after another is exchanged for a better one for as long
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -135,14 +136,15 @@ def best_counts(
             counts[index] += 1
     value = float(possible.value(criterion, counts))
     for _ in range(_EXCHANGES):
-        candidates = list(_neighbours(possible, counts, number, time))
-        if not candidates:
+        found: tuple[float, Counts] | None = None
+        for candidates in _neighbours(possible, counts, number, time):
+            values = possible.value(criterion, np.array(candidates))
+            best = int(np.argmin(values))
+            if found is None or values[best] < found[0]:
+                found = float(values[best]), candidates[best]
+        if found is None or not found[0] < value - _GAIN:
             break
-        values = possible.value(criterion, np.array(candidates))
-        best = int(np.argmin(values))
-        if not values[best] < value - _GAIN:
-            break
-        counts, value = candidates[best], float(values[best])
+        value, counts = found
     return Chosen(counts, value, min(bound, value))
 
 
@@ -156,19 +158,23 @@ def _within(
 
 def _neighbours(
     possible: Possibilities, counts: Counts, number: float, time: float
-) -> list[Counts]:
-    """Return the numbers with one reading more, or one in place of another."""
-    found = []
+) -> Iterator[list[Counts]]:
+    """Yield the numbers with one reading more, and those with others in place of one.
+
+    Reading by reading: all of them together would take much memory.
+    """
     for gone in (None, *np.flatnonzero(counts)):
         left = counts.copy()
         if gone is not None:
             left[gone] -= 1
+        found = []
         for index in np.arange(counts.size):
             if index != gone and _within(possible, left, index, number, time):
                 more = left.copy()
                 more[index] += 1
                 found.append(more)
-    return found
+        if found:
+            yield found
 
 
 def least_counts(

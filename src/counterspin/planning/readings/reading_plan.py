@@ -20,7 +20,7 @@ from counterspin.calibration.joint_problem import model_of
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.questions import questions
 from counterspin.campaign.reading_groups import groups_of
-from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.resolved import MOST_READINGS, Campaign
 from counterspin.errors import CounterspinError, NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.readings import rows_at
@@ -78,6 +78,12 @@ def plan_readings(described: ReadingPlan) -> tuple[PlanResult, list[PossibleRead
         chosen, floor = least
         used = float(possible.time @ chosen.counts) / limits[1]
         efficiency = floor / (used if math.isfinite(limits[1]) else chosen.counts.sum() / limits[0])
+    if chosen.counts.sum() > MOST_READINGS:
+        raise CounterspinError(
+            f"{described.path}: limits.total_time leaves time for {chosen.counts.sum():.3g} "
+            f"readings, and a campaign has {MOST_READINGS} at most; state limits.readings, or "
+            "less time"
+        )
     order = in_order(chosen.counts, described.order)
     readings = [described.possible[index] for index in order]
     prediction = _told(described, readings)

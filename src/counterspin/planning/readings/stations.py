@@ -13,7 +13,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems
@@ -29,6 +29,9 @@ from counterspin.planning.plan_sections import (
     ReadingPlanDocument,
     StationsSettings,
 )
+
+#: Most possible readings: what an exchange of one for another would gain is asked of all pairs.
+_MOST_POSSIBLE: Final = 3600
 
 
 @frozen
@@ -169,6 +172,9 @@ def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
             text = f'two are called "{reading.name}"; give each entry a name of its own'
             problems.add(("stations",), text)
         seen.add(reading.name)
+    if len(possible) > _MOST_POSSIBLE:
+        words = f"make {len(possible)} possible readings, and there is room for {_MOST_POSSIBLE}"
+        problems.add(("stations",), words)
     runs = [_with_value(reading.run, "0") for reading in possible]
     campaign = None
     if runs and not problems.lines:

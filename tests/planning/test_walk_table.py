@@ -1,0 +1,28 @@
+"""The table of a search among runs whose noise walks."""
+
+import pytest
+
+from counterspin.errors import CampaignError, CounterspinError
+from counterspin.planning.plan import plan
+
+WALK = ('displacement = "0.01 m"', 'displacement = "0.01 m"\nacceleration = "3e-6 g/Hz^0.5"')
+
+
+def test_runs_that_are_too_long_to_be_tabulated(starter):
+    """Without the bound the rows of 1e9 revolutions would be made."""
+    with pytest.raises(CounterspinError, match="state a shorter longest_run or total_time"):
+        plan(starter(WALK, ('total_time = "700 s"', 'total_time = "1e9 s"')))
+
+
+def test_more_runs_and_attitudes_than_a_search_takes(starter):
+    with pytest.raises(CampaignError, match=r"limits\.runs"):
+        plan(starter(("runs = 14", "runs = 1000000000")))
+    turned = ", ".join(f'"{i} deg about east"' for i in range(1, 90))
+    new = f"attitudes = [{turned}]\nfewest_revolutions = 5"
+    with pytest.raises(CampaignError, match=r"limits\.attitudes"):
+        plan(starter(("fewest_revolutions = 5", new)))
+
+
+def test_a_planned_run_that_is_too_long_is_named(starter):
+    with pytest.raises(CampaignError, match="a forecast has room"):
+        plan(starter(('total_time = "700 s"', 'total_time = "1e9 s"'), ("runs = 14", "runs = 1")))
