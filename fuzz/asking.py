@@ -1,6 +1,7 @@
 """The application asked in this process, and what must hold of its answers and of its files.
 
-- `DOOR`, `HOST`: who is asked; the key is known here, so that cases come out the same again
+- `PORT`, `HOST`, `TOKEN`, `KEY`: who is asked; the key is known here, so that cases come out the
+  same again
 - `Desk`: a folder that is served, whose jobs are done at once
 - `asking`: the application, called without threads
 - `ask`: one request; `Answered`: what came of it; `require_right`: what must hold of that
@@ -27,12 +28,19 @@ from served import InlineJobs, told_inline
 from counterspin.application import interface, server
 from counterspin.application.desk import Desk as ServedDesk
 from counterspin.application.folder import ServedFolder
-from counterspin.application.guard import SESSION, Door
+from counterspin.application.guard import SESSION, TICKETS, Door
 from counterspin.errors import CounterspinError
 
-#: Who is asked.
-DOOR = Door(8765, "t" * 32, "p" * 32)
-HOST = "127.0.0.1:8765"
+#: Who is asked, and what opens it: the token once, the key always.
+PORT = 8765
+HOST = f"127.0.0.1:{PORT}"
+TOKEN, KEY = "t" * 32, "k" * 32
+
+
+def door() -> Door:
+    """Return the door of a server that nobody has entered yet."""
+    return Door(PORT, TOKEN, KEY)
+
 
 #: What stands in files beside the folder, and in no answer.
 SECRET = "counterspin-fuzz-secret"
@@ -112,7 +120,7 @@ async def ask(app: Any, request: dict[str, Any]) -> Answered:
         "root_path": "",
         "headers": [(n.encode("latin-1"), v.encode("latin-1")) for n, v in request["headers"]],
         "client": ("127.0.0.1", 50000),
-        "server": ("127.0.0.1", DOOR.port),
+        "server": ("127.0.0.1", PORT),
     }
     body, pieces = request["body"].encode("latin-1"), request["pieces"]
     width = len(body) // pieces + 1
@@ -155,7 +163,7 @@ def require_right(request: dict[str, Any], answered: Answered, raised: str) -> N
         assert name in answered.headers, f"no {name}"
     if request["stranger"] and (
         request["stranger"] in ("host", "origin")
-        or (request["target"].startswith("/api/") and not request["target"].startswith(SESSION))
+        or (request["target"].startswith("/api/") and not request["target"].startswith(_OPEN))
     ):
         assert answered.status >= 400, f"a stranger was let in by {request['stranger']}"
     if answered.status < 400:
@@ -178,6 +186,9 @@ class RequestRefusedError(CounterspinError):
 
 
 _CHARACTERS = 20_000
+
+#: What is asked of without the key: an address that counts once, and the key itself.
+_OPEN = (SESSION, TICKETS)
 
 
 # Files
@@ -340,6 +351,6 @@ def asking(desk: Desk, raised: list[str]) -> Iterator[Any]:
     server.run_in_threadpool = _directly  # type: ignore[assignment]
     interface._failed = noted
     try:
-        yield server.application(desk, DOOR)
+        yield server.application(desk, door())
     finally:
         server.run_in_threadpool, interface._failed = before, failed

@@ -21,12 +21,13 @@ from typing import Any
 
 from uvicorn.server import ServerState
 
+from counterspin.application.connections import MOST_STRANGERS, Connection
 from counterspin.application.folder import ServedFolder
-from counterspin.application.server import _Connection, server_of
-from fuzz.asking import DOOR, HOST, SECRET, Desk, RequestRefusedError, Watched, asking
+from counterspin.application.server import server_of
+from fuzz.asking import HOST, PORT, SECRET, Desk, RequestRefusedError, Watched, asking, door
 from fuzz.format import Format
 from fuzz.mutations import mutate_bytes
-from fuzz.requests import prepared, request_of, valid_requests
+from fuzz.requests import prepared, request_of, valid_requests, with_ticket
 
 #: What takes no more than some ms, and begins no process.
 _ASKED = (
@@ -38,7 +39,13 @@ _ASKED = (
     "POST c",
     "GET record",
     "page",
+    "POST ticket",
+    "session",
+    "ticket",
 )
+
+#: What others send of a request, and no more.
+_HALVES = ("", "G", "GET / HTTP/1.1\r\nHost: ", f"POST /api/session HTTP/1.1\r\nHost: {HOST}\r\n")
 
 #: So often the loop turns before a request hangs.
 _TURNS = 400
@@ -114,14 +121,16 @@ def case(rng: Random, valid: dict[str, tuple[str, str, Any]]) -> bytes:
         steps += [[time, number, part] for time, part in zip(at, own, strict=True)]
     steps.sort(key=lambda step: (step[0], step[1]))
     ends = {str(n): rng.choice(("wait", "leave", "leave at once")) for n in {s[1] for s in steps}}
-    return json.dumps({"pieces": [step[1:] for step in steps], "ends": ends}).encode()
+    crowd = [rng.choice(_HALVES)] * rng.choice((0, 0, 3, MOST_STRANGERS + 9))
+    asked = {"pieces": [step[1:] for step in steps], "ends": ends, "crowd": crowd}
+    return json.dumps(asked).encode()
 
 
 class _Wire(asyncio.Transport):
     """The server's end of a connection, which keeps what is written."""
 
     def __init__(self) -> None:
-        super().__init__({"peername": ("127.0.0.1", 50000), "sockname": ("127.0.0.1", DOOR.port)})
+        super().__init__({"peername": ("127.0.0.1", 50000), "sockname": ("127.0.0.1", PORT)})
         self.written = b""
         self.closed = False
 
@@ -129,6 +138,9 @@ class _Wire(asyncio.Transport):
         self.written += bytes(data)
 
     def close(self) -> None:
+        self.closed = True
+
+    def abort(self) -> None:
         self.closed = True
 
     def is_closing(self) -> bool:
@@ -157,14 +169,18 @@ class _Server:
     """The server's protocol over a folder."""
 
     def __init__(self, desk: Desk, app: Any) -> None:
-        self.config = server_of(desk, DOOR).config
+        self.config = server_of(desk, door()).config
         self.config.load()
         self.config.loaded_app = app
         self.state = ServerState()
 
-    def connect(self) -> _Connection:
+    def connect(self) -> Connection:
         """Return the server's side of a new connection."""
-        made = _Connection(self.config, self.state, {}, asyncio.get_running_loop())
+        make: Any = self.config.http_protocol_class
+        loop = asyncio.get_running_loop()
+        made: Connection = make(
+            config=self.config, server_state=self.state, app_state={}, _loop=loop
+        )
         made.connection_made(_Wire())
         return made
 
@@ -181,14 +197,14 @@ async def _hold(desk: Desk, watched: Watched, asked: dict[str, Any]) -> list[byt
     raised: list[str] = []
     with asking(desk, raised) as app, watched.looking():
         server = _Server(desk, app)
-        held: dict[int, _Connection] = {}
+        held: dict[int, Connection] = {}
         left: set[int] = set()
         for number, part in asked["pieces"]:
             if number not in held:
                 held[number] = server.connect()
             # Nothing at all would be its end.
             if part and number not in left and not held[number].transport.is_closing():
-                held[number].data_received(part.encode("latin-1"))
+                held[number].data_received(with_ticket(desk, part).encode("latin-1"))
             await asyncio.sleep(0)
             if asked["ends"][str(number)] == "leave at once" and number % 2:
                 held[number].connection_lost(None)
@@ -200,6 +216,11 @@ async def _hold(desk: Desk, watched: Watched, asked: dict[str, Any]) -> list[byt
             held[int(number)].connection_lost(None)
         await server.settle()
         before = watched.state()
+        crowd = [server.connect() for _ in asked["crowd"]]
+        for one, half in zip(crowd, asked["crowd"], strict=True):
+            if half:
+                one.data_received(half.encode("latin-1"))
+        assert sum(not one.transport.is_closing() for one in crowd) <= MOST_STRANGERS
         last = server.connect()
         last.data_received(_bytes(request_of("GET", "/api/jobs", {}))[0])
         await asyncio.sleep(0)
@@ -208,7 +229,7 @@ async def _hold(desk: Desk, watched: Watched, asked: dict[str, Any]) -> list[byt
             if b"\r\n\r\n" in last.transport.written:
                 break
         assert last.transport.written.startswith(b"HTTP/1.1 200"), "the next is not answered"
-        for one in (*held.values(), last):
+        for one in (*held.values(), *crowd, last):
             one.connection_lost(None)
             one._unset_keepalive_if_required()
         await server.settle()

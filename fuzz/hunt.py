@@ -2,8 +2,8 @@
 
 A case is known by format, seed and number, and comes out the same each time. A file is refused with
 a `CounterspinError` in words that a terminal may show, or it is accepted; everything else is a
-find: another exception, a warning of a library, more than 10 s of processor time, more than 1 GB,
-the end of the process.
+find: another exception, a warning of a library, anything on standard error, more than 10 s of
+processor time, more than 1 GB, the end of the process.
 
 - `content`: the file of a case
 - `judge`: what comes of one file
@@ -19,6 +19,7 @@ import os
 import resource
 import shutil
 import signal
+import stat
 import subprocess
 import sys
 import tempfile
@@ -32,7 +33,6 @@ from pathlib import Path
 from random import Random
 
 from counterspin.errors import CounterspinError, CounterspinWarning
-from counterspin.reports.typography import visible
 from fuzz import ROOT
 from fuzz.formats import FORMATS, Format, formats
 
@@ -65,6 +65,20 @@ def content(name: str, form: Format, seed: int, number: int) -> bytes:
 
 def judge(form: Format, path: Path) -> tuple[str, str]:
     """Return ("accepted" or "refused", "") or ("found", what is wrong)."""
+    before = _complained()
+    verdict, words = _judged(form, path)
+    if verdict != "found" and _complained() > before:
+        return "found", "a library wrote to standard error"
+    return verdict, words
+
+
+def _complained() -> int:
+    """Return how much native code, too, has written to standard error, where that is a file."""
+    status = os.fstat(2)
+    return status.st_size if stat.S_ISREG(status.st_mode) else 0
+
+
+def _judged(form: Format, path: Path) -> tuple[str, str]:
     _beside_time(SECONDS)
     try:
         with warnings.catch_warnings():
@@ -76,7 +90,7 @@ def judge(form: Format, path: Path) -> tuple[str, str]:
         _beside_time(0.0)
         if len(words) > _CHARACTERS:
             return "found", f"a message of {len(words)} characters\n{words[:300]}"
-        if "\n" in visible(words, lines=False) or "Traceback" in words:
+        if "Traceback" in words:
             return "found", f"unfit words\n{words}"
         return "refused", ""
     except KeyboardInterrupt:

@@ -2,7 +2,8 @@
 
 A command is killed with SIGKILL before its n-th such call. Then every input must be unchanged,
 every output as it is without a kill, or absent, and every other file that lies there hidden, as
-what is not finished is. What was begun must go on, where the command can.
+what is not finished is. What was begun must go on, where the command can. A certificate that stands
+is in its ledger.
 
 - `Command`: what is run, with which files, and how it goes on afterwards
 - `COMMANDS`: all that write; `write_inputs`: what they need
@@ -12,7 +13,6 @@ what is not finished is. What was begun must go on, where the command can.
 
 from __future__ import annotations
 
-import json
 import math
 import os
 import shutil
@@ -27,6 +27,7 @@ import results
 from campaigns import SMALL, changed
 
 from certificates import write_lab
+from counterspin.certificates.ledger import checksum_of, verify_ledger
 from fuzz.formats import STUDY, resource_text
 from fuzz.tracing import Runner
 
@@ -58,6 +59,7 @@ _APPLY = ("apply", _RESULT, "forces.csv", "--accelerometer", "Qx", "-o", "correc
 _MADE = ("simulate", "campaign", "-o", "made")
 _STUDY = ("study", "study.toml", "--trials", _TRIALS, "-o", "out", "--keep-trials")
 _FIGURES = ("plan", "plan.toml", "--json", "new.json", "--figures", "figures")
+_LEDGER = "ledger.jsonl"
 _ISSUE = ("certificate", _RESULT, "LAB.toml", "-o")
 
 #: All commands that write.
@@ -70,6 +72,9 @@ COMMANDS = {
     "apply": Command(_APPLY, (_RESULT, "forces.csv")),
     "certificate": Command((*_ISSUE, "new.xml"), (_RESULT, "LAB.toml")),
     "certificate-pdf": Command((*_ISSUE, "new.pdf"), (_RESULT, "LAB.toml")),
+    "certificate-entered": Command(
+        (*_ISSUE, "new.xml", "--ledger", _LEDGER), (_RESULT, "LAB.toml")
+    ),
     "history": Command(("history", _RESULT, "--json", "new.json"), (_RESULT,)),
     "study": Command(_STUDY, ("study.toml",), (*_STUDY, "--resume")),
     "plan": Command(("plan", "plan.toml", "-o", "planned"), ("plan.toml",)),
@@ -103,8 +108,7 @@ def _write_records(path: Path) -> None:
 
 def _write_result(path: Path) -> None:
     details = {"date": "2026-03-01", "serial_number": "C-7"}
-    dated = json.loads(results.result().to_json()) | {"details": details}
-    path.write_text(json.dumps(dated), encoding="utf-8")
+    results.result().model_copy(update={"details": details}).write(path)
 
 
 def _write_forces(path: Path) -> None:
@@ -182,7 +186,7 @@ class Trial:
         there = _files(folder)
         faults = [f"{where}: {fault}" for fault in self._wrong(there)]
         again = self._command.again or self._command.words
-        unfinished = there.keys() - self._before.keys()
+        unfinished = there.keys() - self._before.keys() - {_LEDGER}
         if any(not _hidden(name) for name in unfinished) and self._command.again is None:
             return faults  # the output is there, and whole
         if self.name == "study" and "out/progress.npz" not in unfinished:
@@ -204,10 +208,14 @@ class Trial:
             for name, content in self._before.items()
             if there.get(name) != content
         ]
+        if "new.xml" in there and self._command.words[-1] == _LEDGER:
+            entered = verify_ledger(self._folder / _LEDGER).entries
+            if checksum_of(there["new.xml"]) not in {e.of.get("file_sha256") for e in entered}:
+                faults.append("new.xml stands outside its ledger")
         return faults + [
             f"{name} is not whole"
             for name in there.keys() - self._before.keys()
-            if not (_hidden(name) or name.startswith(_PROGRESS))
+            if not (_hidden(name) or name.startswith((*_PROGRESS, _LEDGER)))
             and there[name] != self._after.get(name)
         ]
 

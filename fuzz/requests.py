@@ -27,16 +27,18 @@ from served import ANSWERS, write_folder
 
 from counterspin.application import server
 from counterspin.application.folder import ServedFolder
-from counterspin.application.guard import FILES, SESSION
+from counterspin.application.guard import FILES, SESSION, TICKETS
 from counterspin.application.interface import ENDPOINTS
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.starter import init
 from counterspin.certificates.lab import write_example as write_lab
 from counterspin.studies.study import study
 from fuzz.asking import (
-    DOOR,
     HOST,
+    KEY,
+    PORT,
     SECRET,
+    TOKEN,
     Desk,
     RequestRefusedError,
     Watched,
@@ -125,6 +127,9 @@ NAMES: tuple[str, ...] = (
 
 _FORM = "application/json"
 
+#: Stands in a request for a ticket, which is issued when it is asked.
+TICKET = "TICKET"
+
 
 def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
     """Return a valid request of each kind: method, path, and what it says."""
@@ -141,7 +146,8 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
     files = ["exports/slow.csv", "exports/fast.csv"]
     rate = ["runs", 0, "rate"]
     asked: dict[str, tuple[str, str, Any]] = {
-        "session": ("POST", SESSION, {"token": DOOR.token}),
+        "session": ("POST", SESSION, {"token": TOKEN}),
+        "ticket": ("GET", f"{TICKETS}{TICKET}", {}),
         "files": (
             "POST",
             f"{FILES}?{urlencode({'name': 'new/slow.csv'})}",
@@ -208,6 +214,10 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
             {"result": result, "lab": "LAB.toml", "output": "new.pdf"},
         ],
         "GET file": [{"name": result}, {"name": "PLAN.toml"}],
+        "POST ticket": [
+            {"name": "file", "said": {"name": result}},
+            {"name": "report", "said": {"name": result, "kind": "md"}},
+        ],
         "GET plan": [{"name": "PLAN.toml"}],
         "POST plan": [{"name": "new.toml"}],
         "POST plan-try": [{"name": "PLAN.toml", "moved": {"total_time": 2000.0, "runs": 3}}],
@@ -240,7 +250,7 @@ def request_of(method: str, path: str, said: Any) -> dict[str, Any]:
         path = f"{path}?{urlencode(said)}"
     elif method != "GET":
         body = said if isinstance(said, bytes) else json.dumps(said).encode()
-    headers = [["host", HOST], ["cookie", f"{DOOR.cookie}={DOOR.pass_word}"]]
+    headers = [["host", HOST], ["authorization", f"Bearer {KEY}"]]
     if method != "GET":
         kind = "application/octet-stream" if isinstance(said, bytes) else _FORM
         headers += [["origin", f"http://{HOST}"], ["content-type", kind]]
@@ -382,7 +392,7 @@ def _change_target(rng: Random, request: dict[str, Any]) -> None:
 _STRANGERS: tuple[tuple[str, str | None], ...] = (
     *(
         ("host", host)
-        for host in ("example.org", f"example.org:{DOOR.port}", "127.0.0.1", "", "[::]:8765")
+        for host in ("example.org", f"example.org:{PORT}", "127.0.0.1", "", "[::]:8765")
     ),
     *(
         ("host", host)
@@ -398,14 +408,14 @@ _STRANGERS: tuple[tuple[str, str | None], ...] = (
         for origin in (f"http://{HOST}.example.org", "http://localhost:8765", "file://")
     ),
     *(
-        ("cookie", cookie)
-        for cookie in (None, "", f"{DOOR.cookie}=", f"{DOOR.cookie}={DOOR.token}")
+        ("authorization", said)
+        for said in (None, "", KEY, "Bearer", "Bearer ", f"Bearer {TOKEN}", f"Bearer {TICKET}")
     ),
     *(
-        ("cookie", cookie)
-        for cookie in (f"{DOOR.cookie}x={DOOR.pass_word}", "=", ";" * 5000, "a=\xff")
+        ("authorization", said)
+        for said in (f"Bearer {KEY}x", f"Bearer  {KEY}", f"Bearer {KEY[1:]}", f"Basic {KEY}")
     ),
-    *(("cookie", cookie) for cookie in (f"{DOOR.cookie}=\u00e4", f"{DOOR.cookie}={'p' * 31}")),
+    *(("authorization", said) for said in ("Bearer \xe4", "\xff", ";" * 5000, "Bearer\t" + KEY)),
     *(("sec-fetch-site", site) for site in ("cross-site", "same-site", "none of these")),
 )
 
@@ -446,8 +456,6 @@ def _change_headers(rng: Random, request: dict[str, Any]) -> None:
         _set(request, name, value)
     else:
         request["headers"].append([name, value])
-        if name == "cookie":  # the right one is still there
-            request["stranger"] = ""
 
 
 def _set(request: dict[str, Any], name: str, value: str) -> None:
@@ -530,6 +538,13 @@ def prepared(place: Path) -> tuple[Path, Watched]:
     return template, Watched(place / "served" / "folder", template)
 
 
+def with_ticket(desk: Desk, sent: str) -> str:
+    """Return what is sent, with a ticket that counts where one is to stand."""
+    if TICKET not in sent:
+        return sent
+    return sent.replace(TICKET, desk.tickets.issue(("file", {"name": "three/result.json"})))
+
+
 def application(place: Path) -> Format:
     """Return requests to the application."""
     template, watched = prepared(place)
@@ -551,11 +566,18 @@ def application(place: Path) -> Format:
 async def _all(desk: Desk, watched: Watched, requests: list[dict[str, Any]]) -> None:
     """Ask all requests of a case; raise what is found, or that the last one was refused."""
     raised: list[str] = []
+    entered = 0
     before = watched.first
     with asking(desk, raised) as app:
-        for number, request in enumerate(requests):
+        for number, said in enumerate(requests):
+            request = said | {"target": with_ticket(desk, said["target"])}
             with watched.looking():
                 answered = await ask(app, request)
+                if request["target"].startswith(TICKETS) and answered.status == 200:
+                    again = await ask(app, request)
+                    assert again.status == 404, "a ticket counted twice"
+            entered += request["target"].startswith(SESSION) and answered.status == 200
+            assert entered <= 1, "a link counted twice"
             before = watched.require_whole(request, answered.status, before)
             try:
                 require_right(request, answered, "\n".join(raised))

@@ -129,7 +129,7 @@ ROWS = {
         ("correlations below {} are left out", shared._NEGLIGIBLE_CORRELATION),
     ],
     "certificate": [
-        ("`CS-` and {} digits of the result's SHA-256", DIGITS),
+        ("`CS-` and {} digits of the SHA-256", DIGITS),
         ("k is Student's factor for {} %", 100.0 * conformity.COVERAGE),
         ("the least expanded uncertainty ({} %)", 100.0 * conformity.COVERAGE),
         ("ellipsoidal region of {} %", 100.0 * conformity.COVERAGE),

@@ -1,6 +1,7 @@
 """No file makes counterspin fail without words: cases that once did, and a few new ones."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -98,9 +99,19 @@ def turn(_path):
         pass
 
 
+def complain(_path):
+    """Stands for native code, which knows nothing of `sys.stderr`."""
+    os.write(2, b"thread panicked\n")
+
+
 @pytest.mark.parametrize(
     ("use", "words"),
-    [(fail, "ZeroDivisionError"), (turn, "TookTooLongError"), (lambda path: None, "")],
+    [
+        (fail, "ZeroDivisionError"),
+        (turn, "TookTooLongError"),
+        (complain, "standard error"),
+        (lambda path: None, ""),
+    ],
 )
 def test_the_judge_finds_what_is_wrong(tmp_path, monkeypatch, use, words):
     monkeypatch.setattr("fuzz.hunt.SECONDS", 0.1)

@@ -350,6 +350,21 @@ def test_a_usual_calibration_loads_nothing_slow_that_it_does_not_use(tmp_path):
     assert loaded & {"scipy", "matplotlib", "h5py", "dask", "difflib", "rich._emoji_codes"} == set()
 
 
+def test_two_places_start_processes():
+    """Which see to it that nothing of the working folder is run."""
+    start = re.compile(
+        r"\b(Popen|get_context|ProcessPoolExecutor|SpawnContext|os\.(exec|spawn|popen|system))\b"
+        r"|^\s*(import|from) subprocess\b",
+        re.MULTILINE,
+    )
+    starting = {
+        module.relative_to(PACKAGE).as_posix()
+        for module in MODULES
+        if start.search(module.read_text("utf-8"))
+    }
+    assert starting == {"workers.py", "records/isolation.py"}
+
+
 def test_physics_and_inference_load_nothing_slow():
     below = [
         path.relative_to(PACKAGE.parent).with_suffix("").as_posix().replace("/", ".")

@@ -1,20 +1,22 @@
 """Files that appear whole or not at all."""
 
+import errno
 import os
 import stat
 import threading
+from functools import partial
 from pathlib import Path
 
 import pytest
 
 from counterspin.errors import CounterspinError
-from counterspin.output import make_folder, write_text
+from counterspin.output import make_folder, mark, marked, write_text, write_whole
 
 
 def test_a_file_is_replaced_and_nothing_else_is_left(tmp_path):
     target = tmp_path / "result.json"
     for text in ("one", "two"):
-        write_text(target, text)
+        write_text(target, text, overwrite=True)
         assert target.read_text() == text
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
 
@@ -24,7 +26,7 @@ def test_a_link_keeps_standing(tmp_path):
     target, link = tmp_path / "kept" / "result.json", tmp_path / "latest.json"
     target.write_text("old")
     link.symlink_to(target)
-    write_text(link, "new")
+    write_text(link, "new", overwrite=True)
     assert link.is_symlink()
     assert target.read_text() == "new"
 
@@ -64,3 +66,88 @@ def test_a_file_in_the_place_of_a_folder(tmp_path):
     with pytest.raises(CounterspinError, match=r"cannot be made .* choose another place"):
         make_folder(tmp_path / "dossier" / "deeper")
     assert (tmp_path / "dossier").read_text() == "mine"
+
+
+@pytest.fixture(params=["links", "no links"])
+def links(request, monkeypatch):
+    """Have hard links, or a file system without them."""
+    if request.param == "no links":
+
+        def refused(*_):
+            raise OSError(errno.EPERM, "Operation not permitted")
+
+        monkeypatch.setattr(os, "link", refused)
+
+
+def test_a_file_that_comes_while_another_is_written_is_not_lost(tmp_path, links):
+    target = tmp_path / "c.xml"
+
+    def write(part):
+        target.write_text("somebody else's")
+        part.write_text("ours")
+
+    with pytest.raises(CounterspinError, match=r"c\.xml exists; name another file$"):
+        write_whole(target, write)
+    with pytest.raises(CounterspinError, match=r"c\.xml exists and is not a comparison of"):
+        write_whole(target, write, partial(marked, "a comparison"), overwrite=True)
+    assert target.read_text() == "somebody else's"
+    target.unlink()
+    with pytest.raises(CounterspinError, match=r"c\.xml exists and is not a comparison of"):
+        write_whole(target, write, partial(marked, "a comparison"), overwrite=True)
+    assert target.read_text() == "somebody else's"
+    assert [path.name for path in tmp_path.iterdir()] == ["c.xml"]
+
+
+def test_of_many_writers_of_one_name_one_succeeds(tmp_path, links):
+    start, taken, refused = threading.Barrier(8), [], []
+
+    def write(text):
+        start.wait()
+        try:
+            write_whole(tmp_path / "c.xml", lambda part: part.write_text(text))
+            taken.append(text)
+        except CounterspinError:
+            refused.append(text)
+
+    threads = [threading.Thread(target=write, args=(str(n),)) for n in range(8)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert taken == [(tmp_path / "c.xml").read_text()]
+    assert len(refused) == 7
+    assert [path.name for path in tmp_path.iterdir()] == ["c.xml"]
+
+
+@pytest.mark.parametrize(("mask", "mode"), [(0o077, 0o600), (0o027, 0o640), (0o022, 0o644)])
+def test_the_umask_holds_and_is_never_another(tmp_path, monkeypatch, links, mask, mode):
+    before = os.umask(mask)
+    try:
+        # Another thread's files would have the rights of whatever it is meanwhile.
+        monkeypatch.setattr(os, "umask", pytest.fail)
+        write_text(tmp_path / "a", "x")
+    finally:
+        monkeypatch.undo()
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a").stat().st_mode) == mode
+
+
+def test_a_link_to_itself_is_told(tmp_path):
+    (tmp_path / "c.xml").symlink_to("c.xml")
+    (tmp_path / "a").symlink_to("b")
+    (tmp_path / "b").symlink_to("a")
+    for name in ("c.xml", "a", "a/deeper.json"):
+        with pytest.raises(CounterspinError, match="for a link in it leads to itself; name anoth"):
+            write_text(tmp_path / name, "x", overwrite=True)
+
+
+def test_a_file_of_two_kinds_or_of_none_is_of_neither(tmp_path):
+    page = tmp_path / "page.html"
+    report, comparison = marked("a report"), marked("a comparison")
+    page.write_text(f"<html>{mark('a report')}")
+    assert (report.recognises(page), comparison.recognises(page)) == (True, False)
+    # As if a title were chosen for it.
+    page.write_text(f"<html>{mark('a report')}<title>{mark('a comparison')}")
+    assert (report.recognises(page), comparison.recognises(page)) == (False, False)
+    page.write_text("<html>")
+    assert not report.recognises(page)

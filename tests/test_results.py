@@ -37,7 +37,9 @@ def test_what_is_written_is_read(tmp_path):
     LOG.write(tmp_path / "log.json")
     text = (tmp_path / "log.json").read_text(encoding="utf-8")
     assert text == LOG.to_json()
-    assert json.loads(text) == {
+    document = json.loads(text)
+    assert document.pop("seal").startswith("sha256:")
+    assert document == {
         "schema": 1,
         "rooms": {"cellar": {"value": 281.5, "unit": "K"}},
         "series": [1.0, None, 3.0],
@@ -122,3 +124,43 @@ def test_every_result_of_the_package_is_written_so():
     for cls in files.values():
         assert not {"to_json", "write", "read", "json_schema"} & set(vars(cls))
         assert "schema" in cls.json_schema()["properties"]
+
+
+def test_a_file_that_was_edited_is_refused_and_one_that_was_set_anew_is_not(tmp_path):
+    path = tmp_path / "log.json"
+    LOG.write(path)
+    document = json.loads(path.read_text(encoding="utf-8"))
+    document["series"][0] = 1  # the same number
+    path.write_text(json.dumps(document, indent=4, sort_keys=True), encoding="utf-8")
+    read = Log.read(path)
+    assert (read == Log.read(path), read.sealed, read.seal) == (True, True, None)
+    for key, value in (("series", [1.0, None, 3.5]), ("rooms", {"attic": {"value": 281.5}})):
+        path.write_text(json.dumps(document | {key: value}), encoding="utf-8")
+        with pytest.raises(RecordError, match=r"was changed after it was written: its seal does"):
+            Log.read(path)
+
+
+def test_a_file_without_a_seal_is_read_and_gets_none_by_being_written_again(tmp_path):
+    path = tmp_path / "log.json"
+    path.write_text('{"schema": 1, "rooms": {"cellar": {"value": 1}}, "series": []}', "utf-8")
+    read = Log.read(path)
+    assert not read.sealed
+    changed = read.model_copy(update={"series": [1.0]})
+    for kept in (read, changed):
+        kept.write(tmp_path / "again.json", overwrite=True)
+        assert json.loads((tmp_path / "again.json").read_text("utf-8"))["seal"] is None
+        assert not Log.read(tmp_path / "again.json").sealed
+
+
+def test_what_was_read_knows_the_bytes_of_its_file(tmp_path):
+    path = tmp_path / "log.json"
+    LOG.write(path)
+    assert LOG.content == path.read_bytes()
+    path.write_bytes(b" \n" + path.read_bytes())
+    read = Log.read(path)
+    assert read.content == path.read_bytes() != LOG.content
+    assert read.model_copy().content == read.content
+    assert (
+        read.model_copy(update={"series": []}).content
+        == Log(rooms=LOG.rooms, series=[]).to_json().encode()
+    )

@@ -40,8 +40,10 @@ def test_command_says_that_it_has_capped_them(tmp_path, monkeypatch, capsys):
     assert error.count("counterspin: --workers: 5000 were asked for; more than 2") == 1
 
 
-def test_cluster_of_a_laptop_listens_to_nobody_else(tmp_path):
+def test_cluster_of_a_laptop_listens_to_nobody_else_and_runs_nothing_of_its_folder(tmp_path):
     psutil = pytest.importorskip("psutil", reason="comes with Dask")
+    for name in ("json", "signal", "multiprocessing"):
+        (tmp_path / f"{name}.py").write_text("open(__file__ + '.ran', 'w')\nraise ImportError\n")
     with cluster_of_the_page(tmp_path) as (address, *processes):
         assert address.startswith("tcp://127.0.0.1:")
         with pytest.importorskip("distributed").Client(address, set_as_default=False) as client:
@@ -55,6 +57,7 @@ def test_cluster_of_a_laptop_listens_to_nobody_else(tmp_path):
             if connection.status == psutil.CONN_LISTEN
         }
     assert heard == {"127.0.0.1"}
+    assert list(tmp_path.glob("*.ran")) == []
 
 
 def threadpoolctl():

@@ -1,6 +1,7 @@
 """Files that are read: ordinary files, under the very name that is given.
 
-- `open_file`: a file opened for reading, or OSError if it is a folder, a pipe or a device
+- `open_file`: a file opened for reading, or OSError if it is a folder, a pipe or a device;
+  `require_file`: the same of what is open already
 - `read_file`: the bytes of a small file; `looks_like`: what they are, for whoever wanted others
 - `FileIdentity`: tells whether what was read twice was the same
 """
@@ -70,13 +71,13 @@ def open_file(path: Path) -> FileIO:
         reading may never end. The reason in `strerror` completes "cannot be read: ...".
     """
     try:
-        _require_file(path, path.stat().st_mode)
+        require_file(path, path.stat().st_mode)
     except ValueError as error:
         raise OSError(errno.EINVAL, "no file can have this name", str(path)) from error
     file = FileIO(path, opener=_without_waiting)
     try:
         # What stands there may have been exchanged since.
-        _require_file(path, os.fstat(file.fileno()).st_mode)
+        require_file(path, os.fstat(file.fileno()).st_mode)
     except OSError:
         file.close()
         raise
@@ -111,7 +112,8 @@ def looks_like(content: bytes) -> str:
     return next(words, "")
 
 
-def _require_file(path: Path, mode: int) -> None:
+def require_file(path: Path, mode: int) -> None:
+    """Raise the OSError of `open_file` if something of this mode (`st_mode`) is no file."""
     if stat.S_ISREG(mode):
         return
     kind = next((words for is_kind, words in _KINDS if is_kind(mode)), "no ordinary file")

@@ -2,25 +2,31 @@
 
 - `FileKind`: what a command writes, and how its own work is known again
 - `reserve`: refuse to write where a file would be lost
-- `holds`: a test of files for a mark
+- `mark`, `marked`: what a file says of its kind, and the kind of files that say it; `holds`: a test
+  of files for some bytes
 - `write_whole`: one file
 - `write_text`: one file of text; `write_open`: one that is opened first
+- `begin`, `finish`: the same in two steps, for what arrives in pieces
 - `make_folder`: where they go
 """
 
 from __future__ import annotations
 
 import os
-import tempfile
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import BinaryIO, Final
 
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
+from counterspin.input import open_file
 
 #: How much of either end of a file is searched for a mark.
 _END_BYTES: Final = 1 << 18
+
+#: What `mark` puts into a file.
+_MARK: Final = re.compile(rb"Made by counterspin: ([a-z ]+)\.")
 
 
 @frozen
@@ -39,7 +45,9 @@ class FileKind:
     recognises: Callable[[Path], bool]
 
 
-def reserve(path: Path, kind: Callable[[], FileKind], *, overwrite: bool = False) -> None:
+def reserve(
+    path: Path, kind: Callable[[], FileKind] | None = None, *, overwrite: bool = False
+) -> None:
     """Refuse a place for an output where a file would be lost, before any work is done.
 
     What is there is replaced only if it is of the same kind and `overwrite` asks for it: so no
@@ -51,7 +59,7 @@ def reserve(path: Path, kind: Callable[[], FileKind], *, overwrite: bool = False
     path
         The output.
     kind
-        Returns what it will be; not called if nothing is there.
+        Returns what it will be; not called if nothing is there. None: who asks knows what is there.
     overwrite
         Whether an earlier one of the same kind may be replaced.
 
@@ -60,38 +68,68 @@ def reserve(path: Path, kind: Callable[[], FileKind], *, overwrite: bool = False
     CounterspinError
         If a file is in the way, or there is no such folder.
     """
-    place = path.resolve()
-    if not place.exists():
-        if not place.parent.is_dir():
-            raise CounterspinError(f"{path}: cannot be written: there is no folder {path.parent}")
-        return
+    place = _place(path)
+    try:
+        if not place.exists():
+            if not place.parent.is_dir():
+                raise CounterspinError(
+                    f"{path}: cannot be written: there is no folder {path.parent}"
+                )
+            return
+    except OSError as error:
+        raise CounterspinError(_refusal(path, error)) from error
     if place.is_dir():
         raise CounterspinError(_refusal(path, IsADirectoryError()))
     if not place.is_file():
         return
-    expected = kind()
-    try:
-        same = expected.recognises(place)
-    except OSError:
-        same = False
-    if not same:
-        raise CounterspinError(
-            f"{path} exists and is not {expected.words}; it is not replaced: name another file"
-        )
+    if kind is not None:
+        expected = kind()
+        try:
+            same = expected.recognises(place)
+        except OSError:
+            same = False
+        if not same:
+            raise CounterspinError(
+                f"{path} exists and is not {expected.words}; it is not replaced: name another file"
+            )
     if not overwrite:
-        raise CounterspinError(f"{path} exists; name another file, or give `overwrite=True`")
+        advice = "" if kind is None else ", or give `overwrite=True`"
+        raise CounterspinError(f"{path} exists; name another file{advice}")
 
 
-def holds(mark: bytes) -> Callable[[Path], bool]:
+def mark(words: str) -> str:
+    """Return what a file of a kind says of itself, to stand where its format has such remarks.
+
+    Parameters
+    ----------
+    words
+        The kind with its article, in small letters of ASCII and blanks.
+    """
+    return f"Made by counterspin: {words}."
+
+
+def marked(words: str) -> FileKind:
+    """Return the kind of files that have this `mark` at either end, and none of another kind."""
+
+    def recognises(path: Path) -> bool:
+        # Words of a user may look like another mark: then nobody can tell.
+        return {found[1] for end in _ends(path) for found in _MARK.finditer(end)} == {
+            words.encode()
+        }
+
+    return FileKind(f"{words} of counterspin, marked as such", recognises)
+
+
+def holds(words: bytes) -> Callable[[Path], bool]:
     """Return a test of files: whether these bytes are among the first or last 256 KiB."""
+    return lambda path: any(words in end for end in _ends(path))
 
-    def test(path: Path) -> bool:
-        with path.open("rb") as file:
-            head = file.read(_END_BYTES)
-            file.seek(max(file.seek(0, os.SEEK_END) - _END_BYTES, 0))
-            return mark in head or mark in file.read()
 
-    return test
+def _ends(path: Path) -> tuple[bytes, bytes]:
+    with open_file(path) as file:
+        head = file.read(_END_BYTES)
+        file.seek(max(file.seek(0, os.SEEK_END) - _END_BYTES, 0))
+        return head, file.read()
 
 
 def make_folder(folder: Path) -> None:
@@ -106,8 +144,14 @@ def make_folder(folder: Path) -> None:
         ) from error
 
 
-def write_whole(path: Path, write: Callable[[Path], object]) -> None:
-    """Write a file under a temporary name beside its place, then move it there.
+def write_whole(
+    path: Path,
+    write: Callable[[Path], object],
+    kind: Callable[[], FileKind] | None = None,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write a file under a hidden name beside its place, then give it its own.
 
     A link keeps standing, and what it leads to is replaced; a device or a pipe such as
     ``/dev/stdout`` is written to.
@@ -118,32 +162,23 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         Where the file is to be; its folder must exist.
     write
         Writes the file under the name it is given, which has the same ending.
+    kind, overwrite
+        As of `reserve`: what may be replaced, also if it came while this was written.
 
     Raises
     ------
     CounterspinError
-        If the file cannot be written; nothing is left behind then.
+        If a file is in the way, or it cannot be written; nothing is left behind then.
     """
-    place = path.resolve()
-    stream = place.exists() and not (place.is_file() or place.is_dir())
-    try:
-        handle, name = tempfile.mkstemp(
-            suffix=path.suffix, prefix=".", dir=None if stream else place.parent
-        )
-    except OSError as error:
-        raise CounterspinError(_refusal(path, error)) from error
-    os.close(handle)
-    part = Path(name)
+    reserve(path, kind, overwrite=overwrite)
+    place = _place(path)
+    if place.exists() and not place.is_file():
+        _pour(path, write)
+        return
+    part = begin(path)
     try:
         write(part)
-        if stream:
-            place.write_bytes(part.read_bytes())
-            return
-        # mkstemp makes files for the owner only; a result is an ordinary file.
-        mask = os.umask(0)
-        os.umask(mask)
-        part.chmod(0o666 & ~mask)
-        part.replace(place)
+        finish(part, path, kind, overwrite=overwrite)
     except OSError as error:
         raise CounterspinError(_refusal(path, error)) from error
     finally:
@@ -156,13 +191,117 @@ def write_open(path: Path, write: Callable[[BinaryIO], object]) -> None:
         write(file)
 
 
-def write_text(path: Path, text: str) -> None:
-    """Write text as UTF-8, whole or not at all; raises as `write_whole` does."""
-    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"))
+def write_text(
+    path: Path,
+    text: str,
+    kind: Callable[[], FileKind] | None = None,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Write text as UTF-8, whole or not at all; parameters and errors as of `write_whole`."""
+    data = text.encode("utf-8")
+    write_whole(path, lambda part: part.write_bytes(data), kind, overwrite=overwrite)
+
+
+def begin(path: Path) -> Path:
+    """Make a hidden, empty file beside the place of an output; CounterspinError if it cannot be."""
+    part = _place(path).parent / f".{os.urandom(8).hex()}{path.suffix}"
+    try:
+        # The system takes the process's umask from these rights: a result is an ordinary file.
+        os.close(os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+    except OSError as error:
+        raise CounterspinError(_refusal(path, error)) from error
+    return part
+
+
+def finish(
+    part: Path,
+    path: Path,
+    kind: Callable[[], FileKind] | None = None,
+    *,
+    overwrite: bool = False,
+) -> None:
+    """Give a finished file its name: in one step, so that no other writer's file is lost.
+
+    Parameters
+    ----------
+    part
+        The file, in the folder of its place; it is gone afterwards.
+    path, kind, overwrite
+        As of `write_whole`.
+
+    Raises
+    ------
+    CounterspinError
+        If a file is in the way.
+    OSError
+        If the system refuses.
+    """
+    place = _place(path)
+    while True:
+        try:
+            _take(part, place)
+        except FileExistsError:
+            reserve(path, kind, overwrite=overwrite)
+            if not overwrite:
+                continue  # what was in the way is gone
+            part.replace(place)
+        return
+
+
+def _take(part: Path, place: Path) -> None:
+    """Give a file a name that nobody has; FileExistsError if somebody does."""
+    if os.name == "nt":
+        part.rename(place)  # which replaces nothing there
+        return
+    try:
+        os.link(part, place)
+    except FileExistsError:
+        raise
+    except OSError:
+        # A file system without hard links, such as FAT: an empty file takes the name, and the
+        # finished one its place. A kill between the two leaves the empty one.
+        os.close(os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666))
+        try:
+            part.replace(place)
+        except OSError:
+            place.unlink()
+            raise
+    else:
+        part.unlink()
+
+
+def _pour(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file elsewhere, and what is in it into a device or a pipe."""
+    import tempfile
+
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            part = Path(folder) / f"whole{path.suffix}"
+            write(part)
+            path.write_bytes(part.read_bytes())
+    except OSError as error:
+        raise CounterspinError(_refusal(path, error)) from error
+
+
+def _place(path: Path) -> Path:
+    """Return where a path leads, links and all; CounterspinError if that is nowhere."""
+    try:
+        place = path.resolve()
+        around = place.is_symlink()
+    except RuntimeError:  # of Python before 3.13
+        around = True
+    except OSError as error:
+        raise CounterspinError(_refusal(path, error)) from error
+    if around:
+        raise CounterspinError(
+            f"{path}: cannot be written, for a link in it leads to itself; name another file"
+        )
+    return place
 
 
 def _refusal(path: Path, error: OSError) -> str:
-    if path.is_dir():
+    if isinstance(error, IsADirectoryError) or path.is_dir():
         return f"{path}: cannot be written, being a folder; give the name of a file"
     reason = error.strerror or str(error)
     return f"{path}: cannot be written ({reason}); choose another place or free this one"

@@ -7,19 +7,20 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import platform
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, PrivateAttr, ValidationError, field_validator
 from pydantic_core import PydanticSerializationError
 
 from counterspin.errors import RecordError
 from counterspin.input import looks_like, read_file
-from counterspin.output import FileKind, reserve, write_text
+from counterspin.output import FileKind, write_text
 
 #: A list of numbers and nulls as it stands in JSON; no text has such line breaks in it.
 _NUMBERS: Final = re.compile(r"\[\n[-+.\denul,\s]+\]")
@@ -58,6 +59,33 @@ class ResultFile(ResultPart):
     KIND: ClassVar[str] = "result"
 
     schema_version: Annotated[int, Field(alias="schema")] = 1
+    #: Checksum of all else that the file says; set where it is written, checked where it is read.
+    seal: str | None = None
+
+    _content: bytes | None = PrivateAttr(default=None)
+    _sealed: bool = PrivateAttr(default=True)
+
+    @field_validator("seal")
+    @classmethod
+    def _of_files(cls, _: str | None) -> None:
+        """Forget it: it is the file's, and what is in memory may become another."""
+
+    @property
+    def content(self) -> bytes:
+        """The bytes of the file, as they were read; else as `write` writes them."""
+        return self.to_json().encode() if self._content is None else self._content
+
+    @property
+    def sealed(self) -> bool:
+        """Whether nobody has changed the file; False where it has no seal, so that none can say."""
+        return self._sealed
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy; a changed one is no longer what was read."""
+        copied = super().model_copy(update=update, deep=deep)
+        if update:
+            copied._content = None
+        return copied
 
     @classmethod
     def newest_schema(cls) -> int:
@@ -77,7 +105,10 @@ class ResultFile(ResultPart):
             # A file's name that is not UTF-8, as JSON must be.
             return type(self).model_validate(_escaped(self.model_dump(by_alias=True))).to_json()
         # A list of numbers is one line, however many they are.
-        return _NUMBERS.sub(lambda numbers: re.sub(r"\s+", " ", numbers[0]), text) + "\n"
+        text = _NUMBERS.sub(lambda numbers: re.sub(r"\s+", " ", numbers[0]), text) + "\n"
+        # What was read without one is not vouched for by writing it again.
+        seal = f'"{_seal_of(text)}"' if self._sealed else "null"
+        return re.sub(r'"seal": [^\n]*,', f'"seal": {seal},', text, count=1)
 
     def write(self, path: Path | str, *, overwrite: bool = False) -> None:
         """Write the JSON file, whole or not at all.
@@ -94,8 +125,7 @@ class ResultFile(ResultPart):
         CounterspinError
             If a file is in the way, or it cannot be written.
         """
-        reserve(Path(path), self.file_kind, overwrite=overwrite)
-        write_text(Path(path), self.to_json())
+        write_text(Path(path), self.to_json(), self.file_kind, overwrite=overwrite)
 
     @classmethod
     def file_kind(cls) -> FileKind:
@@ -154,13 +184,29 @@ class ResultFile(ResultPart):
             raise RecordError(
                 f"{path}: not a {cls.KIND} file: {where}{first['msg']}; {wanted}"
             ) from error
+        seal = document.get("seal")
+        if seal is not None and seal != _seal_of(text):
+            raise RecordError(
+                f"{path}: was changed after it was written: its seal does not fit what it says; "
+                "give the file as it was written, or make it again"
+            )
         for fault in (*result.faults(), *_odd_numbers(result.model_dump(by_alias=True), "")):
             raise RecordError(f"{path}: a damaged {cls.KIND}: {fault}")
+        result._content, result._sealed = content, seal is not None
         return result
 
     def faults(self) -> Iterator[str]:
         """Yield what makes the document unusable although every part of it has the right form."""
         yield from ()
+
+
+def _seal_of(text: str) -> str:
+    """Return the checksum of all that a document says but its seal, however it is set."""
+    # 1.0 and 1 are one number, as for every other program.
+    document = json.loads(text, parse_int=float)
+    document.pop("seal", None)
+    canonical = json.dumps(document, sort_keys=True, separators=(",", ":"))
+    return f"sha256:{hashlib.sha256(canonical.encode()).hexdigest()}"
 
 
 def _escaped(value: Any) -> Any:

@@ -1,5 +1,6 @@
 """Work shared out: to processes of this machine, or to the workers of a Dask cluster.
 
+- `SPAWNING`: what starts every process of multiprocessing
 - `Workers`: how many, or which cluster's
 - `WorkerPool`: takes tasks
 - `worker_pool`: starts processes, or reaches a cluster
@@ -20,6 +21,7 @@ from concurrent.futures import CancelledError, Executor, Future
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from multiprocessing.context import SpawnContext, SpawnProcess
 from typing import Any, Final
 
 from counterspin.errors import CounterspinError, CounterspinWarning, installing
@@ -39,6 +41,52 @@ _FIRST_WORKER_TIMEOUT: Final = 600.0
 
 #: Time between two counts of a cluster's workers, s.
 _COUNT_INTERVAL: Final = 2.0
+
+
+#: What processes inherit. One thread each: the matrices are small, and more threads would compete
+#: for the cores; libraries read that when they are loaded. And no module from the working folder,
+#: where Python looks first when it is started for multiprocessing, until it has the path of the
+#: process that starts it: whatever lies beside a campaign would be run.
+_INHERITED: Final = {**dict.fromkeys(_THREADS, "1"), "PYTHONSAFEPATH": "1"}
+
+_INHERITING: Final = threading.RLock()
+
+
+@contextmanager
+def _inheriting() -> Iterator[None]:
+    """Set for a while what processes that are started inherit.
+
+    They ignore Ctrl-C too, which a terminal sends to all processes: the one that hands out the work
+    handles it.
+    """
+    with _INHERITING:
+        before = {name: os.environ.get(name) for name in _INHERITED}
+        os.environ.update(_INHERITED)
+        in_main = threading.current_thread() is threading.main_thread()
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if in_main else None
+        try:
+            yield
+        finally:
+            if in_main:
+                signal.signal(signal.SIGINT, handler)
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value
+
+
+class _Process(SpawnProcess):
+    def start(self) -> None:
+        with _inheriting():
+            super().start()
+
+
+class _Spawning(SpawnContext):
+    Process = _Process
+
+
+SPAWNING: Final = _Spawning()
 
 
 class _ThreadLimit:
@@ -191,14 +239,14 @@ def worker_pool(workers: Workers, module: str) -> Iterator[WorkerPool]:
             yield pool
         return
     from concurrent.futures import ProcessPoolExecutor
-    from multiprocessing import get_context
 
-    with ProcessPoolExecutor(workers.processes, mp_context=get_context("spawn")) as executor:
+    with _inheriting():  # the process that keeps count of its locks is started here
+        executor = ProcessPoolExecutor(workers.processes, mp_context=SPAWNING)
+    with executor:
         try:
-            with _environment_of_workers():
-                # The first task starts all processes.
-                for _ in range(workers.processes):
-                    executor.submit(_load, module)
+            # Each of the first tasks starts a process.
+            for _ in range(workers.processes):
+                executor.submit(_load, module)
             yield WorkerPool(executor, (BrokenProcessPool,), lambda: workers.processes)
         except BaseException:
             executor.shutdown(wait=False, cancel_futures=True)
@@ -207,30 +255,6 @@ def worker_pool(workers: Workers, module: str) -> Iterator[WorkerPool]:
 
 def _load(module: str) -> None:
     importlib.import_module(module)
-
-
-@contextmanager
-def _environment_of_workers() -> Iterator[None]:
-    """Set for a while what processes that are started inherit.
-
-    One thread a worker: the matrices are small, and more threads would compete for the cores.
-    Libraries read that when they are loaded. And workers ignore Ctrl-C, which a terminal sends to
-    all processes: the one that hands out the work handles it.
-    """
-    before = {name: os.environ.get(name) for name in _THREADS}
-    os.environ.update(dict.fromkeys(_THREADS, "1"))
-    in_main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, signal.SIG_IGN) if in_main else None
-    try:
-        yield
-    finally:
-        if in_main:
-            signal.signal(signal.SIGINT, handler)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 class _DaskExecutor(Executor):

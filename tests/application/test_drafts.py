@@ -1,11 +1,15 @@
 """Exports that are brought: guessed, asked, and a campaign of them."""
 
+import os
+import stat
+
 import pytest
 from served import ANSWERS
 
-from counterspin.application.drafts import place_for
+from counterspin.application.drafts import arrived, place_for
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
+from counterspin.errors import CounterspinError
 from counterspin.exports.description import draft, write_description
 from exports import EXPORTS, campaign_folder, write_records
 
@@ -109,3 +113,25 @@ def test_folders_that_were_made_for_it_go_too(desk, folder):
     third = place_for(desk, "three/a.csv")
     third.end()
     assert (folder / "three").is_dir()
+
+
+def test_of_two_uploads_of_one_name_the_first_stays(desk, folder):
+    first, second = place_for(desk, "new/a.csv"), place_for(desk, "new/a.csv")
+    first.part.write_text("first")
+    second.part.write_text("second")
+    assert arrived(desk, first) == {"name": "new/a.csv", "bytes": 5}
+    with pytest.raises(CounterspinError, match=r"a\.csv exists; name another file"):
+        arrived(desk, second)
+    second.end()
+    assert [(path.name, path.read_text()) for path in (folder / "new").iterdir()] == [
+        ("a.csv", "first")
+    ]
+
+
+def test_an_upload_has_the_rights_of_the_process(desk, folder):
+    before = os.umask(0o077)
+    try:
+        arrived(desk, place_for(desk, "new/a.csv"))
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((folder / "new" / "a.csv").stat().st_mode) == 0o600

@@ -95,9 +95,9 @@ def test_an_edit_of_an_older_version_is_refused_and_told_what_there_is(served):
 def test_of_many_edits_at_once_one_is_taken(served, monkeypatch):
     write = folder.write_whole
 
-    def slow(*words):
+    def slow(*words, **more):
         time.sleep(0.05)  # in which all others have looked
-        write(*words)
+        write(*words, **more)
 
     monkeypatch.setattr(folder, "write_whole", slow)
     seen = served.read("a/campaign.toml").version

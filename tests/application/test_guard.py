@@ -1,6 +1,9 @@
 """Who may ask: nobody but the page itself, by its own address, with the key."""
 
+import asyncio
+
 import pytest
+from served import token_of
 
 from counterspin.application import guard
 from counterspin.application.guard import Door
@@ -66,30 +69,85 @@ def test_without_the_key_nothing_of_the_folder_is_told(stranger, door):
     assert stranger.get("/").status_code == 200
     assert stranger.get(FOLDER).status_code == 401
     assert stranger.post("/api/session", json={"token": "x" * 32}).status_code == 403
-    for odd in ("", "[]", '{"token": null}', '{"token": "\u00e4"}', "[" * 9999):
+    for odd in ("", "[]", '{"token": null}', '{"token": "\u00e4"}', "[" * 3999):
         assert stranger.post("/api/session", content=odd.encode()).status_code == 403
     assert stranger.get(FOLDER).status_code == 401
-    stranger.cookies.set(door.cookie, door.token)
-    assert stranger.get(FOLDER).status_code == 401
-    stranger.cookies.clear()
     other = Door(1234)
-    stranger.cookies.set(door.cookie, other.pass_word)
+    for said in (token_of(door), other.key_for(token_of(other)), ""):
+        stranger.headers["Authorization"] = f"Bearer {said}"
+        assert stranger.get(FOLDER).status_code == 401
+
+
+def test_the_key_is_in_no_cookie_which_every_server_of_this_machine_would_get(stranger, door):
+    told = stranger.post("/api/session", json={"token": token_of(door)})
+    assert "set-cookie" not in told.headers
+    key = told.json()["key"]
+    stranger.cookies.set("counterspin-8765", key)
     assert stranger.get(FOLDER).status_code == 401
+    both = [("Authorization", f"Bearer {said}") for said in (key, "x")]
+    assert stranger.get(FOLDER, headers=both).status_code == 401
+    assert stranger.get(FOLDER, headers=both[:1]).status_code == 200
 
 
-def test_the_cookie_is_for_this_page_alone(stranger, door):
-    cookie = stranger.post("/api/session", json={"token": door.token}).headers["set-cookie"]
-    assert cookie.startswith(f"counterspin-8765={door.pass_word};")
-    assert {"HttpOnly", "SameSite=strict", "Path=/"} <= set(cookie.split("; "))
+def test_a_link_counts_once_and_the_next_is_told(stranger, door):
+    told = []
+    door.tell = told.append
+    first = {"token": token_of(door)}
+    assert stranger.post("/api/session", json=first).status_code == 200
+    assert stranger.post("/api/session", json=first).status_code == 403
+    assert told == [door.link]
+    assert stranger.post("/api/session", json={"token": token_of(door)}).status_code == 200
+    assert told[1] == door.link
+    assert len({*told, f"http://127.0.0.1:8765/#token={first['token']}"}) == 3
 
 
 def test_two_servers_have_nothing_in_common():
     one, other = Door(1), Door(1)
-    assert len({one.token, one.pass_word, other.token, other.pass_word}) == 4
-    assert min(map(len, (one.token, one.pass_word))) >= 32
-    assert one.token not in repr(one)
     # No browser sends a fragment.
-    assert one.link == f"http://127.0.0.1:1/#token={one.token}"
+    assert one.link.startswith("http://127.0.0.1:1/#token=")
+    tokens = token_of(one), token_of(other)
+    found = {*tokens, *(door.key_for(t) for door, t in zip((one, other), tokens, strict=True))}
+    assert len(found) == 4
+    assert min(map(len, found)) >= 32
+
+
+def _ticket(page, **said):
+    return page.post("/api/ticket", json={"name": "file", "said": said})
+
+
+def test_a_file_is_saved_by_an_address_that_counts_once_and_for_it_alone(page):
+    file = {"name": "three/campaign.toml"}
+    ticket = _ticket(page, **file).json()["ticket"]
+    assert len(ticket) >= 32
+    del page.headers["Authorization"], page.headers["Origin"]
+    assert page.get("/api/file", params=file).status_code == 401
+    assert page.get("/api/file", params=file | {"ticket": ticket}).status_code == 401
+    address = f"/api/ticket/{ticket}"
+    assert page.get(address, headers={"Sec-Fetch-Site": "cross-site"}).status_code == 403
+    taken = page.get(address)
+    assert b"[site]" in taken.content
+    assert taken.headers["content-disposition"].startswith("attachment")
+    for address in (f"/api/ticket/{ticket}", "/api/ticket/", "/api/ticket/x"):
+        assert page.get(address).status_code == 404
+
+
+def test_tickets_are_for_what_is_saved_and_are_given_to_the_page(page):
+    assert page.post("/api/ticket", json={"name": "folder", "said": {}}).status_code == 400
+    outside = _ticket(page, name="../outside.toml").json()["ticket"]
+    assert page.get(f"/api/ticket/{outside}").status_code == 403
+    del page.headers["Authorization"]
+    assert _ticket(page, name="three/campaign.toml").status_code == 401
+
+
+def test_old_tickets_count_no_longer(monkeypatch):
+    tickets, now = guard.Tickets(), [0.0]
+    monkeypatch.setattr(guard.time, "monotonic", lambda: now[0])
+    first = tickets.issue("first")
+    many = [tickets.issue(number) for number in range(100)]
+    assert tickets.take(first) is None
+    assert tickets.take(many[0]) == 0
+    now[0] = 61.0
+    assert tickets.take(many[1]) is None
 
 
 def test_a_browser_is_told_to_load_and_run_nothing_else(page):
@@ -114,6 +172,51 @@ def test_large_requests_are_refused_whatever_they_say_of_their_length(page, monk
     assert page.post("/api/jobs", json={"name": "nowhere"}).status_code == 404
     for length in ("-1", "1e3", "", "²"):
         assert page.get(FOLDER, headers={"Content-Length": length.encode()}).status_code == 413
+
+
+def test_who_has_no_key_brings_little(stranger, monkeypatch):
+    read = []
+    monkeypatch.setattr("starlette.requests.Request.body", lambda *_: read.append(1))
+    much = b"x" * 5000
+    for path, status in (("/api/session", 413), (FOLDER, 401), ("/", 413), ("/api/files", 401)):
+        answer = stranger.post(path, content=much)
+        assert (answer.status_code, answer.headers["connection"]) == (status, "close")
+    assert read == []
+
+
+def test_large_forms_are_read_a_few_at_a_time(door):
+    """Fifty of 4 MB at once would else hold 200 MB."""
+    forms, size = 20, 1_000_000
+    held, most = [0], [0]
+
+    async def app(scope, receive, send):
+        for _ in range(size // 100_000):
+            await receive()
+            held[0] += 100_000
+            most[0] = max(most[0], held[0])
+            await asyncio.sleep(0)
+        held[0] -= size
+
+    async def receive():
+        return {"type": "http.request", "body": b"x" * 100_000, "more_body": True}
+
+    async def send(_):
+        pass
+
+    key = door.key_for(token_of(door))
+    headers = {"host": "127.0.0.1:8765", "origin": "http://127.0.0.1:8765"}
+    headers["authorization"] = f"Bearer {key}"
+    sent = [(name.encode(), value.encode()) for name, value in headers.items()]
+    scope = {"type": "http", "method": "POST", "path": "/api/jobs", "headers": sent}
+
+    async def ask():
+        guarded = guard.Guard(app, door)
+        await asyncio.gather(*(guarded(dict(scope), receive, send) for _ in range(forms)))
+
+    asyncio.run(ask())
+    assert held == [0]
+    # Of the others, what came first.
+    assert most[0] <= 2 * size + (forms - 2) * 200_000
 
 
 def test_what_nobody_has_foreseen_is_an_answer_too(page, monkeypatch):

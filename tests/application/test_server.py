@@ -1,22 +1,31 @@
 """A server in a process of its own, as a person starts it."""
 
+import json
+import os
 import re
 import signal
 import socket
 import subprocess
 import sys
+import threading
 import urllib.error
+import urllib.parse
 import urllib.request
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from counterspin import cli
+from counterspin.application import server
 
 
-def test_it_prints_its_link_serves_this_machine_alone_and_ends_with_ctrl_c(tmp_path):
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
+def test_it_prints_its_link_serves_this_machine_alone_and_ends_when_asked_to(tmp_path, how):
     words = [sys.executable, "-m", "counterspin", "serve", str(tmp_path), "--no-browser"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(words, **pipes) as server:
+    (beside := tmp_path / "temporary").mkdir()
+    with subprocess.Popen(words, **pipes, env=os.environ | {"TMPDIR": str(beside)}) as server:
         assert "this machine alone" in server.stdout.readline()
         link = re.search(r"http://127\.0\.0\.1:(\d+)/#token=(\S{32})", server.stdout.readline())
         port = int(link[1])
@@ -34,9 +43,45 @@ def test_it_prints_its_link_serves_this_machine_alone_and_ends_with_ctrl_c(tmp_p
         # It listens on one address of the loopback, and on no other.
         with pytest.raises(OSError, match="refused"):
             socket.create_connection(("127.0.0.2", port), timeout=5)
-        server.send_signal(signal.SIGINT)
+        # A link counts once; the next is printed when it was used.
+        asked = urllib.request.Request(
+            f"http://127.0.0.1:{port}/api/session",
+            json.dumps({"token": link[2]}).encode(),
+            {"Origin": f"http://127.0.0.1:{port}"},
+        )
+        with urllib.request.urlopen(asked, timeout=30) as answer:
+            assert len(json.load(answer)["key"]) == 32
+        assert "another browser or window" in server.stdout.readline()
+        assert f"http://127.0.0.1:{port}/#token=" in (later := server.stdout.readline())
+        assert link[2] not in later
+        server.send_signal(how)
         out, err = server.communicate(timeout=30)
     assert (server.returncode, out, err) == (0, "Ended.\n", "")
+    assert list(beside.iterdir()) == []
+
+
+def test_what_a_browser_is_given_on_its_command_line_holds_no_token(tmp_path, monkeypatch):
+    """Every user of the machine reads the list of processes."""
+    opened, seen, said = threading.Event(), [], []
+
+    def browse(address):
+        file = Path(urllib.parse.urlsplit(address).path)
+        modes = [path.stat().st_mode & 0o777 for path in (file, file.parent)]
+        seen.extend((address, file, modes, file.read_text()))
+        opened.set()
+
+    monkeypatch.setattr("webbrowser.open", browse)
+    monkeypatch.setattr(server, "_load", lambda _: None)
+    waiting = SimpleNamespace(run=lambda **_: opened.wait(60.0))
+    monkeypatch.setattr(server, "server_of", lambda *_: waiting)
+    server.serve(tmp_path, say=said.append)
+    address, file, modes, text = seen
+    link = said[1].strip()
+    assert address.startswith("file:///")
+    assert link.partition("=")[2] not in address
+    assert modes == [0o600, 0o700]
+    assert f"url={link}" in text
+    assert not file.parent.exists()
 
 
 def test_a_port_that_is_taken_and_a_folder_that_is_not_there(tmp_path, capsys):

@@ -1,14 +1,15 @@
 """The page in a browser, as a person uses it."""
 
 import re
+import shutil
 import threading
 
 import pytest
 from chromium import chromium, needs_chromium
-from served import InlineJobs
+from served import InlineJobs, token_of
 
 from counterspin.application.guard import Door
-from counterspin.application.server import listening, server_of
+from counterspin.application.server import _leading, listening, server_of
 from counterspin.planning.plan import write_example
 
 pytestmark = needs_chromium
@@ -64,9 +65,9 @@ def opened(browser, door_of_server):
         link = door.link
         if place is not None:
             # As one that has come by the link before.
-            own, _, _ = link.partition("#")
-            context.add_cookies([{"name": door.cookie, "value": door.pass_word, "url": own}])
-            link = f"{own}#{place}"
+            key = door.key_for(token_of(door))
+            context.add_init_script(f"sessionStorage.setItem('counterspin-key', '{key}')")
+            link = f"{link.partition('#')[0]}#{place}"
         windows.append(Window(context, link))
         return windows[-1].tab
 
@@ -111,11 +112,15 @@ def test_from_exports_to_the_certificate(opened, desk, folder):
     still.locator("svg").wait_for()
     tab.get_by_role("link", name="Certificate of this result").click()
     tab.get_by_role("button", name="Issue").click()
-    tab.get_by_role("link", name="mine/certificate.xml").wait_for()
+    with tab.expect_download() as saved:
+        tab.get_by_role("button", name="mine/certificate.xml").click()
+    assert saved.value.suggested_filename == "certificate.xml"
+    certificate = folder / "mine" / "certificate.xml"
+    assert saved.value.path().read_bytes() == certificate.read_bytes()
     tab.get_by_text("The same as a command").click()
     shown = tab.locator("code:visible").last.inner_text()
     assert shown.startswith("counterspin certificate ")
-    assert b"digitalCalibrationCertificate" in (folder / "mine/certificate.xml").read_bytes()
+    assert b"digitalCalibrationCertificate" in certificate.read_bytes()
 
 
 def test_a_record_is_drawn_and_a_closer_look_shows_more(opened):
@@ -167,12 +172,44 @@ def test_the_chosen_colours_outlive_a_reload(opened):
     tab.get_by_role("button", name="Use light colours").wait_for()
 
 
-def test_without_the_key_the_page_says_what_to_do(opened):
+def test_without_the_key_the_page_says_what_to_do(opened, door_of_server):
+    used = door_of_server.link
     tab = opened()
-    tab.locator("h1").wait_for()
-    tab.context.clear_cookies()
+    tab.get_by_role("link", name="three").wait_for()
     tab.reload()
-    tab.get_by_text("Open the link that").wait_for()
+    tab.get_by_role("link", name="three").wait_for()
+    tab.evaluate("sessionStorage.clear()")
+    for link in (None, used):
+        if link is not None:
+            tab.goto(link)
+        tab.reload()
+        tab.get_by_role("heading", name="This window has no key").wait_for()
+        tab.get_by_text("Open the newest link in the terminal").wait_for()
+    # In the same window, in which nothing but the fragment differs.
+    tab.goto(door_of_server.link)
+    tab.get_by_role("link", name="three").wait_for()
+    assert "token" not in tab.url
+
+
+def test_a_window_that_a_link_of_the_page_opens_has_the_key(opened):
+    tab = opened()
+    with tab.context.expect_page() as other:
+        tab.get_by_role("link", name="three").click(modifiers=["Control"])
+    other.value.get_by_role("heading", name="Is it good?").wait_for()
+
+
+def test_the_browser_is_led_to_the_page_by_a_file_that_others_cannot_read(
+    browser, door_of_server, tmp_path
+):
+    address = _leading(tmp_path, door_of_server.link)
+    (file,) = tmp_path.glob("*.html")
+    assert file.stat().st_mode & 0o777 == 0o600
+    assert token_of(door_of_server) not in address
+    tab = browser.new_page()
+    tab.goto(address)
+    tab.get_by_role("link", name="three").wait_for(timeout=20_000)
+    assert "token" not in tab.url
+    tab.close()
 
 
 def test_mistakes_stand_at_their_fields_and_text_and_form_are_one(opened, folder):
@@ -287,6 +324,20 @@ def test_a_try_is_shown_in_its_own_place(opened, desk):
     tab.get_by_role("heading", name="Is it good?").wait_for()
 
 
+def test_results_are_compared_with_the_one_that_is_chosen(opened, desk):
+    for name in ("b", "c"):
+        shutil.copy(desk.folder.root / "three" / "result.json", desk.folder.root / f"{name}.json")
+    tab = opened("/compare")
+    for name in ("three/result.json", "b.json", "c.json"):
+        tab.get_by_role("checkbox", name=name).check()
+    tab.get_by_text("Differences are from three/result.json").wait_for()
+    tab.get_by_label("Each is compared with").select_option("c.json")
+    tab.get_by_text("Differences are from c.json").wait_for()
+    command = tab.locator("pre.command").first.text_content()
+    files = [desk.folder.root / name for name in ("c.json", "three/result.json", "b.json")]
+    assert command == f"counterspin compare {' '.join(map(str, files))}"
+
+
 def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, desk):
     desk.jobs = InlineJobs()
     tab = opened("/description/three")
@@ -300,8 +351,10 @@ def test_limits_are_stated_and_a_study_is_made_by_keyboard(opened, desk):
     tab.get_by_role("link", name="Result").press("Enter")
     tab.get_by_role("button", name="Calibrate").press("Enter")
     tab.get_by_role("cell", name="pass").first.wait_for()
-    report = tab.get_by_role("link", name="Report as HTML").get_attribute("href")
-    assert report == "/api/report?name=three%2Fresult.json&kind=html"
+    with tab.expect_download() as saved:
+        tab.get_by_role("button", name="Report as HTML").press("Enter")
+    assert saved.value.suggested_filename == "result.html"
+    assert b"K_II" in saved.value.path().read_bytes()
     tab.get_by_role("link", name="Try out").press("Enter")
     tab.get_by_role("heading", name="What the centrifuge must be for it").wait_for()
     tab.get_by_label("Trials").fill("4")

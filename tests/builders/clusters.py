@@ -1,6 +1,7 @@
 """Dask clusters of this machine for the tests of work that is shared out."""
 
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -27,21 +28,25 @@ def dask_cluster(workers=2):
 
 
 def commands_of_the_page():
-    """Return the words with which docs/study.md starts a scheduler and workers on a laptop."""
+    """Return the words with which docs/study.md starts a scheduler and workers on a laptop.
+
+    And what it sets in the environment before.
+    """
     page = (Path(__file__).parents[2] / "docs" / "study.md").read_text(encoding="utf-8")
     laptop = page[page.index("### On a laptop") : page.index("### On Kubernetes")]
     scheduler, worker = (shlex.split(line) for line in re.findall(r"^    (dask .+)$", laptop, re.M))
-    return scheduler[1:], worker[1:]
+    return scheduler[1:], worker[1:], dict(re.findall(r"^    export (\w+)=(.+)$", laptop, re.M))
 
 
 @contextmanager
 def cluster_of_the_page(folder):
-    """Start them, on a free port and with a single worker; yields address and processes."""
+    """Start them in a folder, on a free port and with a single worker; yields address and both."""
     pytest.importorskip("distributed", reason="Dask is not installed ([cluster])")
-    scheduler, worker = commands_of_the_page()
+    scheduler, worker, environment = commands_of_the_page()
     file = folder / "scheduler.json"
     dask = [sys.executable, "-m", "dask"]
     quiet = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    quiet |= {"cwd": folder, "env": os.environ | environment}
     scheduler[scheduler.index("127.0.0.1:8787")] = "127.0.0.1:0"
     scheduler += ["--port", "0", "--scheduler-file", str(file)]
     with subprocess.Popen([*dask, *scheduler], **quiet) as first:

@@ -115,6 +115,11 @@ def result(**changes):
     )
 
 
+def sealed(document):
+    """Return the text of a result's file from what it is to say, as if it had been written so."""
+    return Result.model_validate(document).to_json()
+
+
 def two_accelerometers(given, terms, matrix):
     """Return a result whose Qy has the numbers of its Qx, with correlations across both."""
     both = dict.fromkeys(("Qx", "Qy"), given.accelerometers["Qx"])

@@ -37,6 +37,11 @@ def write_folder(folder: Path, plan: Path) -> Path:
     return folder
 
 
+def token_of(door):
+    """Return what opens the page of a server, once."""
+    return door.link.partition("#token=")[2]
+
+
 def wait(page, number):
     """Return a job that is over."""
     deadline = time.monotonic() + 60.0

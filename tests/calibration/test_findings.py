@@ -1,8 +1,12 @@
 """What speaks against a result: decided once, ranked, and with its consequences."""
 
+import json
+
 import pytest
 from results import result
 
+from certificates import write_lab
+from counterspin import cli
 from counterspin.calibration.findings import judge_result, lack_of_fit, refusal
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Finding, Residual
@@ -148,3 +152,80 @@ def test_a_few_residuals_are_as_large_by_chance(dof, contradicts):
     p = chi_square_tail(dof, chi2)
     residual = Residual(rms=2.3, unit="g", dof=dof, chi2=chi2, lack_of_fit_p=p)
     assert lack_of_fit("A", ["They are large."], residual).contradicts is contradicts
+
+
+# Edited by hand
+
+
+@pytest.fixture
+def whitewashed(tmp_path, monkeypatch):
+    """Return a contradicted result in which somebody has written that it is good."""
+    monkeypatch.chdir(tmp_path)
+    write_lab(tmp_path)
+    (tmp_path / "forces.csv").write_text("Qx\n0.5\n1.0\n")
+    document = json.loads(judged(residual=residual(2.1)).to_json())
+    qx = document["accelerometers"]["Qx"]
+    assert (document["state"], qx["state"]) == ("contradicted", "contradicted")
+    document["details"] = {"date": "2026-03-01"}
+    for part in (document, qx):
+        part.update(state="good", findings=[], warnings=[])
+    return document
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["certificate", "r.json", "LAB.toml", "-o", "c.xml"],
+        ["apply", "r.json", "forces.csv", "--accelerometer", "Qx", "-o", "c.csv"],
+        ["history", "r.json"],
+        ["compare", "r.json", "r.json"],
+        ["report", "r.json"],
+        ["ledger", "add", "ledger.jsonl", "r.json", "--who", "A", "--why", "B"],
+    ],
+)
+def test_no_command_takes_a_result_that_was_edited(whitewashed, tmp_path, capsys, words):
+    (tmp_path / "r.json").write_text(json.dumps(whitewashed))
+    before = sorted(tmp_path.iterdir())
+    assert cli.main(words) == 1
+    told = capsys.readouterr()
+    assert "was changed after it was written: its seal does not fit" in " ".join(
+        f"{told.out} {told.err}".split()
+    )
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_without_its_seal_it_is_judged_again_from_its_numbers(whitewashed, tmp_path, capsys):
+    del whitewashed["seal"]
+    (tmp_path / "r.json").write_text(json.dumps(whitewashed))
+    again = judge_result(Result.read("r.json"))
+    assert (again.state, codes(again)) == ("contradicted", ["lack-of-fit"])
+    assert judge_result(again) == again
+    assert cli.main(["certificate", "r.json", "LAB.toml", "-o", "c.xml"]) == 1
+    assert "Qx is contradicted by its records" in capsys.readouterr().err
+    assert cli.main(["apply", "r.json", "forces.csv", "--accelerometer", "Qx", "-o", "c.csv"]) == 1
+
+
+@pytest.mark.parametrize("stated", ["reservations", "contradicted"])
+def test_a_state_without_a_seal_gets_no_better(whitewashed, tmp_path, stated):
+    whitewashed |= {"seal": None, "state": stated}
+    whitewashed["accelerometers"]["Qx"] |= {"state": stated, "residual": residual(1.0, 0.5)}
+    (tmp_path / "r.json").write_text(json.dumps(whitewashed))
+    again = judge_result(Result.read("r.json"))
+    assert again.state == again.accelerometers["Qx"].state == stated
+    assert (refusal(again, ["Qx"]) is None) == (stated == "reservations")
+
+
+def test_what_a_cause_explains_is_not_found_again(tmp_path):
+    cause = Finding(
+        code="cause",
+        subject="Qx",
+        text="It was wrong.",
+        explains=[Finding(code="lack-of-fit", subject="Qx", text="Odd.")],
+    )
+    document = json.loads(judged(residual=residual(2.1)).to_json())
+    stated = [cause.model_dump()]
+    document |= {"seal": None, "state": "reservations", "findings": stated}
+    document["accelerometers"]["Qx"] |= {"state": "reservations", "findings": stated}
+    (tmp_path / "r.json").write_text(json.dumps(document))
+    again = judge_result(Result.read(tmp_path / "r.json"))
+    assert (again.state, codes(again)) == ("reservations", ["cause"])

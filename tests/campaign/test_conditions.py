@@ -94,6 +94,15 @@ def test_a_slope_at_one_temperature_needs_a_reference(tmp_path):
     assert problem.startswith("centrifuge.reference_temperature: is missing")
 
 
+@pytest.mark.parametrize("stated", ["23 C", "warm", "", "23 °C ± 1 °C"])
+def test_a_reference_that_is_no_temperature_is_told(stated, tmp_path):
+    text = changed(SMALL, ('"2.5 m"', f'"2.5 m"\nreference_temperature = "{stated}"'))
+    (told,) = problems(tmp_path, text)
+    assert told.startswith("centrifuge.reference_temperature: ")
+    if stated:
+        assert f"'{stated}' is not a temperature" in told
+
+
 def test_heating_is_only_considered(tmp_path):
     (problem,) = problems(tmp_path, SMALL + model(', "K_F.heating"'))
     assert '"K_F.heating" cannot be told from K_II' in problem

@@ -326,15 +326,15 @@ def test_result_and_report_are_attached(tmp_path):
 
 
 def test_warnings_are_not_hidden_and_no_character_breaks_the_document(tmp_path):
-    given = result(warnings=["Qx: does not fit\x00 & more"])
+    given = result(warnings=["Qx: does not fit\x00\nK_II = 1\u202e & more"])
     given = given.model_copy(update={"warnings": ["of the campaign"]})
     made = document(tmp_path, given)
     (comment,) = find(made, "/*/dcc:comment/dcc:content")
     assert comment.text.splitlines() == [
         "Warning: of the campaign",
-        "Warning: Qx: does not fit\ufffd & more",
+        r"Warning: Qx: does not fit\x00\nK_II = 1\u202e & more",
     ]
-    assert clean("\x0bab\ud800 ") == "\ufffdab\ufffd"
+    assert clean("\x0bab\ud800 ") == r"\x0bab\ud800"
 
 
 @pytest.mark.parametrize(

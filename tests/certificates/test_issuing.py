@@ -1,19 +1,21 @@
 """`counterspin certificate` writes one file, whole or not at all, the same every time."""
 
+import base64
 import io
 import json
+import re
 import tomllib
 
 import pypdf
 import pytest
 from cryptography.hazmat.primitives.asymmetric import ec
-from results import result
+from results import result, sealed
 from signing_keys import write_pair
 
 from certificates import LAB, find, write_lab
 from counterspin import cli
 from counterspin.calibration.findings import judge_result
-from counterspin.calibration.pages.full_report import identifier_of
+from counterspin.calibration.result import Result
 from counterspin.certificates.issuing import certificate
 from counterspin.certificates.reading import read_certificate
 from counterspin.errors import CampaignError, CounterspinError, RecordError
@@ -37,11 +39,16 @@ def command(capsys, *words):
     return status, printed.out, printed.err
 
 
+def known_by(lab=LAB, given=None):
+    """Return the identifier of a certificate for which the laboratory states none."""
+    return certificate(given or result(), tomllib.loads(lab)).identifier
+
+
 def test_the_same_result_gives_the_same_bytes(desk, capsys):
     for name in ("a.xml", "b.xml", "a.pdf", "b.pdf"):
         status, out, err = command(capsys, "r.json", "LAB.toml", "-o", name)
         assert (status, err) == (0, "")
-        assert out == f"Wrote {name}: certificate {identifier_of(result())} of Qx.\n"
+        assert out == f"Wrote {name}: certificate {known_by()} of Qx.\n"
     assert (desk / "a.xml").read_bytes() == (desk / "b.xml").read_bytes()
     assert (desk / "a.pdf").read_bytes() == (desk / "b.pdf").read_bytes()
     assert find((desk / "a.xml").read_bytes(), "//dcc:issueDate")[0].text == "2027-01-15"
@@ -58,7 +65,7 @@ def test_the_pdf_holds_the_xml_byte_for_byte(desk, capsys):
         assert command(capsys, "r.json", "LAB.toml", "-o", name)[0] == 0
     read = pypdf.PdfReader(io.BytesIO((desk / "c.pdf").read_bytes()))
     ((name, (data,)),) = read.attachments.items()
-    assert name == f"{identifier_of(result())}.xml"
+    assert name == f"{known_by()}.xml"
     assert data == (desk / "c.xml").read_bytes()
     text = "\n".join(page.extract_text() for page in read.pages)
     for words in ("Calibration certificate", "Kalibrierlabor", "0815", "Rückgeführt auf das SI."):
@@ -128,7 +135,7 @@ def test_the_xml_of_a_pdf_is_verified(desk, capsys):
 def test_only_those_chosen_are_certified(desk, capsys):
     given = json.loads((desk / "r.json").read_text())
     given["accelerometers"]["Qy"] = given["accelerometers"]["Qx"]
-    (desk / "r.json").write_text(json.dumps(given))
+    (desk / "r.json").write_text(sealed(given))
     write_lab(desk, LAB.replace('language = "de"', 'accelerometers = ["Qy"]'))
     status, out, _ = command(capsys, "r.json", "LAB.toml", "-o", "c.xml")
     assert status == 0
@@ -232,7 +239,7 @@ def test_objects_give_the_certificate_of_their_files(desk, capsys):
     made = certificate(result(), tomllib.loads(LAB))
     assert made.xml == (desk / "a.xml").read_bytes()
     assert made.pdf() == (desk / "a.pdf").read_bytes()
-    assert (made.identifier, made.accelerometers) == (identifier_of(result()), ["Qx"])
+    assert (made.identifier, made.accelerometers) == (known_by(), ["Qx"])
     assert made.write("b.xml").read_bytes() == made.xml
     with pytest.raises(CounterspinError, match="exists; a certificate replaces no file"):
         made.write(desk / "b.xml")
@@ -247,3 +254,30 @@ def test_mistakes_of_objects_are_told_by_their_keys():
         certificate(result(), lab)
     with pytest.raises(RecordError, match="this result was computed by the paper's equations"):
         certificate(result().model_copy(update={"model": "as-printed"}), tomllib.loads(LAB))
+
+
+def test_the_default_identifier_follows_from_the_bytes_and_the_laboratory_s_data(desk):
+    own = known_by()
+    assert own == known_by("# a remark\n" + LAB)
+    assert own != known_by(LAB.replace("Kunde", "Kundin"))
+    assert own != known_by(LAB, result(serial_number="Q-105"))
+    # Another version writes other bytes of the same result; those that were read count.
+    text = (desk / "r.json").read_text(encoding="utf-8")
+    (desk / "r.json").write_text(text.replace("\n ", "\n  "), encoding="utf-8")
+    earlier = certificate("r.json", tomllib.loads(LAB))
+    assert earlier.identifier != own
+    assert earlier.identifier == certificate(Result.read("r.json"), tomllib.loads(LAB)).identifier
+
+
+def test_a_result_without_a_seal_is_certified_and_the_certificate_says_so(desk, capsys):
+    text = re.sub(r'"seal": .*,', "", (desk / "r.json").read_text(encoding="utf-8"))
+    (desk / "r.json").write_text(text, encoding="utf-8")
+    for name in ("a.xml", "a.pdf"):
+        assert command(capsys, "r.json", "LAB.toml", "-o", name)[0] == 0
+    said = "made by an earlier version of counterspin, without seal"
+    assert said.encode() in (desk / "a.xml").read_bytes()
+    pages = "".join(page.extract_text() for page in pypdf.PdfReader(desk / "a.pdf").pages)
+    assert said in " ".join(pages.split())
+    # Attached is the file itself.
+    (data,) = find((desk / "a.xml").read_bytes(), "//dcc:dataBase64")[:1]
+    assert base64.b64decode(data.text) == text.encode()

@@ -1,12 +1,13 @@
 """A ledger tells of every byte that was altered, and loses no entry."""
 
 import json
+import os
 import subprocess
 import sys
 
 import pytest
 
-from counterspin.certificates.ledger import append, verify_ledger
+from counterspin.certificates.ledger import append, opened, verify_ledger
 from counterspin.errors import CounterspinError, RecordError
 
 WHEN = "2026-03-01T00:00:00Z"
@@ -130,3 +131,29 @@ def test_a_place_that_cannot_be_written_is_told(tmp_path):
         entered(tmp_path / "no" / "ledger.jsonl", 1)
     with pytest.raises(RecordError, match="cannot be read"):
         verify_ledger(tmp_path / "none.jsonl")
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+def test_what_is_no_file_is_told_and_not_waited_for(tmp_path, kind):
+    path = tmp_path / "ledger.jsonl"
+    if kind == "pipe":
+        os.mkfifo(path)
+    elif kind == "device":
+        path.symlink_to("/dev/zero")
+    else:
+        path.mkdir()
+    with pytest.raises(CounterspinError, match="the ledger cannot be written"):
+        entered(path, 1)
+
+
+def test_who_holds_a_ledger_sees_what_he_enters(tmp_path):
+    path = tmp_path / "ledger.jsonl"
+    entered(path, 1)
+    with path.open("ab") as file:
+        file.write(b'{"number"')
+    with opened(path) as ledger:
+        for n in (2, 3):
+            ledger.append("result", {"file": f"r{n}.json"}, who="A", why="B", when=WHEN)
+        assert [entry.number for entry in ledger.entries] == [1, 2, 3]
+    assert verify_ledger(path).entries == ledger.entries
+    assert [entry.of.get("unfinished") for entry in ledger.entries] == [None, '{"number"', None]

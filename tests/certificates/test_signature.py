@@ -1,5 +1,6 @@
 """A signed certificate can be verified, and no other passes for it."""
 
+import re
 import shutil
 import subprocess
 import sys
@@ -197,3 +198,24 @@ def test_without_the_package_it_is_said_where_it_comes_from(monkeypatch, pairs):
     monkeypatch.setitem(sys.modules, "signxml", None)
     with pytest.raises(CounterspinError, match=r"pip install '\.\[signature\]'"):
         read_signer(*pairs["rsa"])
+
+
+@pytest.mark.parametrize(
+    ("put", "reads"), [(b"<!-- x -->", True), (b"<?x y?>", False), (b"<x/>", False)]
+)
+def test_a_number_with_something_in_it_reads_alike_with_and_without_the_signer(
+    tmp_path, pairs, put, reads
+):
+    given = result()
+    plain = to_bytes(certificate(given, lab_of(tmp_path, given), ISSUE, {}, b"%PDF"))
+    (value,) = re.findall(rb"<si:label>K_II</si:label>\s*<si:value>([^<]*)<", plain)
+    spoilt = plain.replace(b"<si:value>" + value, b"<si:value>" + value[:3] + put + value[3:], 1)
+    made = to_bytes(sign(etree.fromstring(spoilt), read_signer(*pairs["rsa"])))
+    assert put in made
+    for read in (lambda: made, lambda: verify(made, pairs["rsa"][1], "x.xml").content):
+        if reads:
+            found = read_certificate(read(), "x.xml").accelerometers["Qx"].coefficients["K_II"]
+            assert found.value == pytest.approx(2.7e-5, rel=1e-15)
+        else:
+            with pytest.raises(RecordError, match="something else than text stands in value"):
+                read_certificate(read(), "x.xml")

@@ -11,10 +11,12 @@ import sys
 from importlib import import_module
 from pathlib import Path
 
+import pypdf
 import pytest
 
 from counterspin import cli
 from counterspin.calibration.pages import publishing
+from counterspin.calibration.result import Result
 from counterspin.certificates import issuing
 from counterspin.cli.validate import validate
 from counterspin.reports import charts
@@ -31,6 +33,24 @@ def test_every_command_explains_itself(command, capsys):
     assert cli.main([command, "--help"]) == 0
     shown = capsys.readouterr().out
     assert shown.startswith(f"Usage: counterspin {command}")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_names_nothing_that_leaving_an_option_out_says(command, monkeypatch, capsys):
+    """Such as `--no-yes`, `--empty-from` and `[default: ()]`."""
+    monkeypatch.setenv("COLUMNS", "400")
+    assert cli.main([command, "--help"]) == 0
+    shown = capsys.readouterr().out
+    assert not re.search(r"--empty-|\[default: (?:\(\)|\[\]|False|None|True|)\]", shown)
+    off = set(re.findall(r"--no-([\w-]+)", shown))
+    defaults = {
+        argument.names[0].removeprefix("--"): argument.field_info.default
+        for argument in cli.app[command].assemble_argument_collection()
+    }
+    assert [name for name in off if defaults[name] is False] == []
+    on = {name for name, default in defaults.items() if default is True}
+    assert on <= off
+    assert shown.count("[default: on]") == len(on)
 
 
 @pytest.mark.parametrize(
@@ -107,6 +127,10 @@ def test_advice_can_be_typed_as_it_stands(tmp_path, capsys):
         (OSError(errno.ENOSPC, "No space left on device"), "there is no space left"),
         (MemoryError(), "there is not enough memory"),
         (OSError(errno.EIO, "worn out"), "the operating system refuses: worn out"),
+        (
+            ImportError("libworn.so: cannot map"),
+            "cannot be loaded (libworn.so: cannot map); install",
+        ),
         (ValueError("worn out"), "internal error (ValueError: worn out)"),
     ],
 )
@@ -151,6 +175,23 @@ def test_a_process_of_its_own_says_how_it_went(command):
     assert status("--version") == 0
     assert status("init") == 2
     assert status("apply", "no-result.json", "x.csv", "--accelerometer", "Qx", "-o", "y.csv") == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no such limits there")
+@pytest.mark.parametrize("most", [150_000_000, 500_000_000, 1_200_000_000])
+def test_too_little_memory_to_begin_is_told(most, tmp_path):
+    """Where a library that lacks it would end the process, or print a backtrace."""
+    resource = pytest.importorskip("resource")
+    done = subprocess.run(
+        [f"{BESIDE}/counterspin", "demo", "-o", str(tmp_path / "demo")],
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_AS, (most, most)),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stdout) == (1, "")
+    assert done.stderr.startswith(f"counterspin: this process may take {most / 1e9:.2g} GB of")
+    assert done.stderr.count("\n") == 1
 
 
 # What files say
@@ -217,10 +258,38 @@ def test_mistakes_in_hostile_words_are_told_on_a_line_each(hostile, tmp_path, ca
     assert all(line.startswith("  ") for line in told.splitlines()[1:])
 
 
-def test_a_hostile_report_is_safe_as_markdown(hostile, tmp_path):
-    out = tmp_path / "report.md"
-    assert cli.main(["report", str(hostile / "result.json"), "-o", str(out)]) == 0
+@pytest.mark.parametrize("words", [["report", "-o"], ["compare", "{}", "--report"]])
+def test_a_hostile_report_is_safe_as_markdown(words, hostile, tmp_path):
+    out, result = tmp_path / "report.md", str(hostile / "result.json")
+    command, *more = (word.format(result) for word in words)
+    assert cli.main([command, result, *more, str(out)]) == 0
     assert acts(out.read_text("utf-8")) == set()
+    assert "K_II = 1" not in {line.strip("> \\") for line in out.read_text("utf-8").splitlines()}
+
+
+def test_a_hostile_report_is_safe_as_html_and_on_paper(hostile, tmp_path):
+    for kind in ("html", "pdf"):
+        out = tmp_path / f"report.{kind}"
+        assert cli.main(["report", str(hostile / "result.json"), "-o", str(out)]) == 0
+    text = (tmp_path / "report.html").read_text("utf-8")
+    # What the page shows is data of its own, such as uPlot's script, no more.
+    assert acts(re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)) == set()
+    assert not re.search(r"(^|>)\s*K_II = 1", text, re.M)
+    pages = pypdf.PdfReader(tmp_path / "report.pdf").pages
+    lines = "\n".join(page.extract_text() for page in pages).splitlines()
+    assert [line for line in lines if r"\u202e\u2066\nK" in line]
+    assert not [line for line in lines if re.match(r"\s*K_?II = 1\b", line)]
+
+
+def test_a_hostile_result_is_safe_in_a_notebook(hostile):
+    result = Result.read(hostile / "result.json")
+    names = {f"{name}{HOSTILE}": made for name, made in result.accelerometers.items()}
+    result = result.model_copy(update={"accelerometers": names})
+    html, covariance = result._repr_html_(), result.covariance
+    shown = [str(result), html, result._repr_markdown_(), result.to_latex()]
+    for text in (*shown, str(covariance), covariance._repr_html_()):
+        assert acts(text) == set()
+        assert not [line for line in text.splitlines() if line.strip("> ").startswith("K_II = 1")]
 
 
 def test_a_message_without_a_terminal_is_lost_in_peace(monkeypatch):

@@ -14,6 +14,8 @@ from certificates import write_lab
 from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.simulation import simulate
+from counterspin.errors import CounterspinError
+from counterspin.validation.validate import validate, write_dossier
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "examples" / "three-rate"
 
@@ -140,7 +142,7 @@ def test_a_demonstration_and_its_figure_are_known_again(figure, here, capsys):
     drawn = here / "shown" / f"displacement.{figure}"
     drawn.write_bytes(b"not counterspin's")
     assert cli.main([*words, "--overwrite"]) == 1
-    assert "is not a figure that counterspin drew" in capsys.readouterr().err
+    assert "is not a figure of the demonstration of counterspin" in capsys.readouterr().err
 
 
 def test_the_input_is_not_replaced_by_its_correction(here, capsys):
@@ -209,3 +211,67 @@ def test_a_result_is_written_before_it_is_printed(way, here):
         assert run.stderr == "counterspin: the output cannot be written: there is no space left\n"
     else:
         assert (run.returncode, run.stderr) == (0, "")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["report", "r.json", "-o", "c.html"],
+        ["report", "r.json", "-o", "c.pdf"],
+        ["compare", "r.json", "r.json", "--report", "c.md"],
+        ["compare", "r.json", "r.json", "--json", "c.json"],
+        ["history", "r.json", "--figure", "c.svg"],
+        ["apply", "r.json", "indicated.csv", "--accelerometer", "Qx", "-o", "c.csv"],
+        ["certificate", "r.json", "LAB.toml", "-o", "c.xml"],
+        ["certificate", "--init", "c.toml"],
+        ["plan", "--init", "c.toml"],
+    ],
+)
+def test_an_output_that_is_a_link_to_itself_is_told(words, here, capsys):
+    (here / "indicated.csv").write_text("Qx\n0.5\n1.0\n")
+    write_lab(here)
+    (here / words[-1]).symlink_to(words[-1])
+    assert cli.main(words) == 1
+    assert f"{words[-1]}: cannot be written, for a link in it leads" in capsys.readouterr().err
+
+
+#: Commands that write a page or a figure.
+PAGES = {
+    "report": ["report", "r.json", "-o"],
+    "comparison": ["compare", "r.json", "r.json", "--report"],
+    "chart": ["history", "r.json", "--figure"],
+}
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "name"),
+    [
+        ("report", "comparison", "page.html"),
+        ("comparison", "report", "page.md"),
+        ("report", "comparison", "page.pdf"),
+        ("comparison", "report", "page.pdf"),
+        ("report", "chart", "page.pdf"),
+        ("chart", "report", "page.pdf"),
+    ],
+)
+def test_no_page_takes_the_place_of_one_of_another_kind(first, second, name, here, capsys):
+    assert cli.main([*PAGES[first], name]) == 0
+    before = contents(here)
+    assert cli.main([*PAGES[second], name, "--overwrite"]) == 1
+    assert "marked as such; it is not replaced" in capsys.readouterr().err
+    assert contents(here) == before
+    assert cli.main([*PAGES[first], name, "--overwrite"]) == 0
+
+
+@pytest.mark.parametrize("name", ["validation.html", "validation.pdf"])
+def test_a_report_does_not_take_the_place_of_a_dossier(name, here, capsys):
+    write_dossier(validate(chosen=()), "dossier")
+    before = contents(here / "dossier")
+    assert cli.main(["report", "r.json", "-o", f"dossier/{name}", "--overwrite"]) == 1
+    assert "is not a calibration report of counterspin" in capsys.readouterr().err
+    assert contents(here / "dossier") == before
+    write_dossier(validate(chosen=()), "dossier", overwrite=True)
+    assert cli.main(["report", "r.json", "-o", name]) == 0
+    (here / name).replace(here / "dossier" / name)
+    with pytest.raises(CounterspinError, match="is not a validation dossier of counterspin"):
+        write_dossier(validate(chosen=()), "dossier", overwrite=True)

@@ -16,8 +16,10 @@ from scipy.stats import chi2 as chi2_distribution
 import counterspin as cs
 from counterspin.cli import main
 from counterspin.comparisons import result as comparison_result
+from counterspin.comparisons.page import comparison_blocks
 from counterspin.comparisons.result import Compared
 from counterspin.errors import CampaignError
+from counterspin.reports.blocks import Paragraph, Table
 
 TERMS = ["K_F", "K_I", "K_II"]
 TRIALS = 10
@@ -57,6 +59,10 @@ def made():
 @pytest.fixture(scope="module")
 def one(made):
     return made(1)
+
+
+def comparison_text(compared):
+    return "\n".join(b.text for b in comparison_blocks(compared) if isinstance(b, Paragraph))
 
 
 def k_ii(compared, place=1):
@@ -168,6 +174,41 @@ def test_other_places_are_converted_to_the_first_one_s_gravity():
     compared = cs.compare(here, there)
     assert k_ii(compared).value == pytest.approx(2.7e-5 * 9.8 / 9.9, rel=1e-12)
     assert compared.gravity == 9.8
+
+
+def test_a_conversion_is_told_with_its_amount():
+    here, there = independent(), independent(gravity=9.9)
+    told = comparison_text(cs.compare(here, there, names=["here", "there"]))
+    assert "there was calibrated where gravity is 9.9 m/s^2" in told
+    assert "the g-units of here (9.8 m/s^2), which changes K_F by +1 %; K_II by -1 %." in told
+    assert "calibrated where" not in comparison_text(cs.compare(here, independent()))
+
+
+def with_qy(result):
+    document = json.loads(result.to_json())
+    document["accelerometers"]["Qy"] = copy.deepcopy(document["accelerometers"]["Qx"])
+    return cs.Result.model_validate(document)
+
+
+def test_an_accelerometer_that_the_first_result_lacks_has_another_reference():
+    one, two, three = (independent(2.7e-5 + shift) for shift in (0.0, 1e-10, 2e-10))
+    two, three = with_qy(two), with_qy(three)
+    compared = cs.compare(one, two, three, names=["one", "two", "three"])
+    assert compared.reference("Qx").name == "one"
+    assert compared.reference("Qy").name == "two"
+    told = comparison_text(compared)
+    assert "Qx: two and one agree" in told
+    assert "Qy: three and two agree" in told
+    assert "Qy: three and one" not in told
+    assert "Differences are from one (Qx) and two (Qy)" in told
+    tables = [block for block in comparison_blocks(compared) if isinstance(block, Table)]
+    assert {row[2] for row in tables[1].rows if row[1] == "one"} == {"not in this result"}
+
+
+def test_results_that_do_not_agree_are_told_first():
+    compared = cs.compare(*map(independent, (2.7e-5, 2.70001e-5, 2.9e-5)))
+    first, second, *_ = (b for b in comparison_blocks(compared) if isinstance(b, Paragraph))
+    assert (first.style, second.style) == ("warning", "answer")
 
 
 def test_several_coefficients_are_judged_together():

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from campaigns import SMALL, write
+from results import sealed
 
 import counterspin as cs
 from counterspin.calibration.options import TwoStageOptions, asked_by, command_words, without_words
@@ -76,7 +77,7 @@ def test_a_last_digit_more_than_rounding_counts(camp):
     path = camp / "result.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     document["accelerometers"]["Qx"]["coefficients"]["K_II"]["u"] *= 1.0 + 1e-11
-    path.write_text(json.dumps(document), encoding="utf-8")
+    path.write_text(sealed(document), encoding="utf-8")
     repeated = cs.rerun(path)
     assert not repeated.same
     assert repeated.largest == pytest.approx(1e-11, rel=1e-3)
@@ -86,7 +87,7 @@ def test_an_earlier_result_states_no_environment_and_is_repeated_all_the_same(ca
     path = camp / "result.json"
     document = json.loads(path.read_text(encoding="utf-8"))
     assert set(document["provenance"].pop("environment")) == {"python", "numpy", "scipy", "machine"}
-    path.write_text(json.dumps(document), encoding="utf-8")
+    path.write_text(sealed(document), encoding="utf-8")
     repeated = cs.rerun(path)
     assert repeated.same
     changed = {change.subject: change.values for change in repeated.changes}

@@ -366,7 +366,7 @@ def test_figures(starter, tmp_path):
     again[1].unlink()
     again[2].write_text("mine")
     for overwrite in (False, True):
-        with pytest.raises(CounterspinError, match="is not a figure that counterspin drew"):
+        with pytest.raises(CounterspinError, match="is not a figure of a plan of counterspin"):
             save_figures(result, tmp_path / "again", overwrite=overwrite)
     assert [path.name for path in (tmp_path / "again").iterdir()] == [again[2].name]
     curves = result.curves

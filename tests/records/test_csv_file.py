@@ -99,6 +99,27 @@ def test_a_quotation_mark_that_stands_alone(tmp_path, line):
     assert "line 501: a quotation mark lacks the one that closes it" in message
 
 
+@pytest.mark.parametrize("end", ['"', '"\r', '1.0,2.0,"'])
+def test_a_quotation_mark_that_ends_the_file(tmp_path, end, capfd):
+    """Where a number belongs, Polars prints a backtrace of it."""
+    path = write(tmp_path / "run.csv", table())
+    path.write_bytes(path.read_bytes() + end.encode())
+    assert "line 1002: a quotation mark lacks the one that closes it" in refusal(path)
+    assert capfd.readouterr().err == ""
+    wide = path.read_text("utf-8").encode("utf-16")
+    path.write_bytes(wide)
+    assert "line 1002: a quotation mark lacks the one that closes it" in refusal(path)
+    assert capfd.readouterr().err == ""
+
+
+def test_a_quoted_cell_may_end_the_file(tmp_path):
+    text = lines(table())
+    text[-1] = ",".join(f'"{cell}"' for cell in text[-1].split(","))
+    path = tmp_path / "run.csv"
+    path.write_text("\n".join(text))
+    assert len(read(path).time) == 1000
+
+
 def test_notes_of_several_lines_among_comments(tmp_path):
     text = [f'{line},"a note, with\na second line"' for line in lines(table())]
     text[0] = lines(table())[0] + ",note"

@@ -7,9 +7,18 @@ import lxml.html
 import pytest
 from pages import NASTY, blocks, page, residuals
 
-from counterspin.reports.blocks import Heading, Paragraph, Picture, Plot, PlotSeries, Table
+from counterspin.reports.blocks import (
+    Column,
+    Heading,
+    HeatMap,
+    Paragraph,
+    Picture,
+    Plot,
+    PlotSeries,
+    Table,
+)
 from counterspin.reports.charts import svg
-from counterspin.reports.html import _asset
+from counterspin.reports.html import _asset, part
 from counterspin.reports.zoomable import can_zoom, plot_data
 
 
@@ -154,6 +163,22 @@ def test_hostile_words_stay_words(tree, text):
     assert len(tree.xpath("//style")) == 1
     assert not tree.xpath("//@*[starts-with(name(), 'on')]")
     assert "alert(" not in "".join(tree.xpath("//script[not(@type)]/text()|//style/text()"))
+
+
+def test_names_act_on_nothing_and_begin_no_line():
+    hostile, shown = "Qx\x1b\u202e\nK_II = 1", r"Qx\x1b\u202e\nK_II = 1"
+    series = (PlotSeries(hostile, (0.0, 1.0), (0.0, 1.0)),)
+    made = [
+        *(Heading(hostile, 2), Paragraph(hostile), Paragraph(hostile, "answer")),
+        Table((Column(hostile),), ((hostile,),)),
+        Plot(hostile, hostile, hostile, series, zoom=True),
+        HeatMap(hostile, (hostile,), ((1.0,),)),
+    ]
+    for text in (page(made=made, title=hostile, identifier=hostile), part(made, title=hostile)):
+        assert not re.search("[\x1b\u202e]|^K_II", text, re.M)
+        seen = parsed(text).text_content()
+        assert seen.count(shown) >= 7
+        assert not re.search("[\x1b\u202e]|^K_II", seen, re.M)
 
 
 def test_nothing_is_asked_for_from_outside(tree, text):

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from markdown_it import MarkdownIt
 
 from counterspin.reports.blocks import Bars, Column, Heading, Paragraph, Table
+from counterspin.reports.characters import Lines, visible
 from counterspin.reports.markdown import escaped, markdown
-from counterspin.reports.typography import visible
 
 HOSTILE = [
     "K_II and K_IP_ and __init__",
@@ -105,12 +105,20 @@ def test_any_paragraph_comes_out_as_it_is(text):
 
 
 def test_lines_stay_lines():
-    assert inlines(markdown([Paragraph("one\n===\n- two\n\n    three")]), "paragraph") == [
-        "one\n===\n- two\nthree"
-    ]
-    table = Table((Column("Ripple"),), (("1: 0.5\n2: 0.1",),))
+    lines = Lines("one", "===", "- two", "", "    three")
+    assert inlines(markdown([Paragraph(lines)]), "paragraph") == ["one\n===\n- two\nthree"]
+    table = Table((Column("Ripple"),), ((Lines("1: 0.5", "2: 0.1"),),))
     assert cells(markdown([table])) == [["Ripple"], ["1: 0.5\n2: 0.1"]]
-    assert inlines(markdown([Heading("one\ntwo")]), "heading") == ["one two"]
+
+
+def test_ends_of_lines_in_a_name_begin_no_line():
+    name = "Qx\n\n# Good\n"
+    shown = r"Qx\n\n# Good\n"
+    table = Table((Column(name),), ((name,),))
+    text = markdown([Heading(name), Paragraph(name), Paragraph(name, "command"), table])
+    assert inlines(text, "heading") == inlines(text, "paragraph") == [shown]
+    assert cells(text) == [[shown], [shown]]
+    assert f"sh\n{shown}\n`" in text
 
 
 def test_table_is_aligned_for_parser_and_eye():
@@ -157,7 +165,7 @@ def test_kinds_of_paragraphs():
 
 
 def test_code_with_fences_stays_code():
-    (fence,) = parsed(markdown([Paragraph("```\nrm x\n````", "command")]))
+    (fence,) = parsed(markdown([Paragraph(Lines("```", "rm x", "````"), "command")]))
     assert fence.content == "```\nrm x\n````\n"
 
 

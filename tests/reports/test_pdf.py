@@ -154,13 +154,24 @@ def test_nothing_leaves_the_margins(monkeypatch):
 
 
 def test_letters_that_no_font_has_become_squares():
-    odd = "\x01\ue123\U000e0041"
+    odd = "\ue123\U000e0041"
     found = reader(
         Paragraph(f"α Ж é {odd[0]} end"), Bars(f"b{odd[0]}", (f"label{odd[0]}",), (1.0,), ("1",))
     )
     text = words(found.pages[0])
     assert "α Ж é □ end" in text
     assert "label□" in text or "label\ufffd" in text
+
+
+def test_names_act_on_nothing_and_begin_no_line():
+    name = "Qx\x1b\u202e\nK_II = 1"
+    shown = r"Qx\x1b\u202e\nK_II = 1"
+    blocks = [Paragraph(name), Table((Column(name),), ((name,),))]
+    found = reader(*blocks, title=name, identifier=name)
+    assert found.metadata.title == shown
+    text = found.pages[0].extract_text()
+    assert text.count("\\nK") >= 5
+    assert not [line for line in text.splitlines() if line.startswith("K")]
 
 
 # Tables

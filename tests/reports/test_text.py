@@ -31,6 +31,7 @@ from counterspin.calibration.result_parts import (
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.reports.blocks import Column, Heading, Paragraph, Table
+from counterspin.reports.characters import Lines
 from counterspin.reports.numbers import NOT_DETERMINED
 from counterspin.reports.text import Report, report_console
 
@@ -479,7 +480,7 @@ def test_what_acts_on_a_terminal_is_shown():
     blocks = [
         Heading("red\x1b[31m"),
         Paragraph("title\x9b31m\nK_II = 1"),
-        Table((Column("a\u202e\nb"), Column("e")), (("c\x00\nd", "f\x00\ng"),)),
+        Table((Column("a\u202e\nb"), Column("e")), (("c\x00\nd", Lines("f\x00\ng", "h")),)),
     ]
     report_console(stream).print(Report(blocks))
     lines = [line.rstrip() for line in stream.getvalue().splitlines()]
@@ -487,7 +488,7 @@ def test_what_acts_on_a_terminal_is_shown():
     # A cell may have several lines, which stay in its column; a name has one.
     title, _, *cells = (line.split() for line in lines[3:])
     assert title == [r"a\u202e\nb", "e"]
-    assert cells == [[r"c\x00\nd", r"f\x00"], ["g"]]
+    assert cells == [[r"c\x00\nd", r"f\x00\ng"], ["h"]]
 
 
 def test_a_terminal_shows_numbers_and_units_as_in_print():

@@ -1,10 +1,7 @@
-"""Numbers as in print: what is set, what is left alone, and what a poor terminal gets."""
-
-import unicodedata
+"""Numbers as in print: what is set, and what is left alone."""
 
 import pytest
 
-from counterspin.campaign.quantity import parse
 from counterspin.reports.blocks import (
     Bars,
     Column,
@@ -15,8 +12,9 @@ from counterspin.reports.blocks import (
     PlotSeries,
     Table,
 )
+from counterspin.reports.characters import Lines
 from counterspin.reports.numbers import format_compact, format_estimate
-from counterspin.reports.typography import speakable, typeset, typeset_block, visible
+from counterspin.reports.typography import typeset, typeset_block
 
 
 @pytest.mark.parametrize(
@@ -56,6 +54,8 @@ def test_every_kind_of_block_is_set_but_commands():
     assert typeset_block(Paragraph("run g^2", "command")) == Paragraph("run g^2", "command")
     table = Table((Column("ug", "right"),), (("1e-5 g",),), frozenset({0}))
     assert typeset_block(table) == Table((Column("µg", "right"),), (("10⁻⁵ g",),), frozenset({0}))
+    lines = typeset_block(Table((Column(""),), ((Lines("1 ug", "2\n ug"),),)))
+    assert lines.rows == (("1 µg\n2\\n µg",),)
     plot = Plot("ug", "s^2", "m^2", (PlotSeries("1e3 ug", (0.0,), (1.0,)),), zoom=True)
     assert typeset_block(plot) == Plot(
         "µg", "s²", "m²", (PlotSeries("10³ µg", (0.0,), (1.0,)),), zoom=True
@@ -63,63 +63,3 @@ def test_every_kind_of_block_is_set_but_commands():
     bars = Bars("ug", ("ug.csv",), (1.0,), ("6e-7",))
     assert typeset_block(bars) == Bars("µg", ("ug.csv",), (1.0,), ("6 × 10⁻⁷",))
     assert typeset_block(HeatMap("ug", ("K",), ((1.0,),))) == HeatMap("µg", ("K",), ((1.0,),))
-
-
-@pytest.mark.parametrize(
-    ("encoding", "said"),
-    [
-        ("utf-8", "2 × 10⁻⁵ µg/g²"),
-        ("latin-1", "2 × 10^-5 µg/g²"),
-        ("ascii", "2 x 10^-5 ug/g^2"),
-    ],
-)
-def test_a_terminal_without_raised_digits(encoding, said):
-    assert speakable("2 × 10⁻⁵ µg/g²", encoding) == said
-
-
-@pytest.mark.parametrize(
-    ("encoding", "expected"),
-    [
-        ("utf-8", "1 ± 2 × 3 − Ω"),
-        ("latin-1", "1 ± 2 × 3 - ?"),
-        ("ascii", "1 +/- 2 x 3 - ?"),
-    ],
-)
-def test_speakable_in_any_encoding(encoding, expected):
-    assert speakable("1 ± 2 × 3 − Ω", encoding) == expected
-
-
-def test_speakable_text_reads_back_in_a_campaign_file():
-    text = speakable(format_estimate(27.0445, 0.0007, "ug/g^2"), "ascii")
-    assert parse(text, "g/g^2").u == pytest.approx(7e-10)
-
-
-@pytest.mark.parametrize(
-    ("text", "shown"),
-    [
-        ("\x1b[31mred\x07", r"\x1b[31mred\x07"),
-        ("one\rtwo\ttab", r"one\rtwo\ttab"),
-        ("\x9b31m\x7f\x85", r"\x9b31m\x7f\x85"),
-        ("K\u202eII\u2066", r"K\u202eII\u2066"),
-        ("\u061c\u200e\u200f\u2028\u2029\ufeff", r"\u061c\u200e\u200f\u2028\u2029\ufeff"),
-        ("file\udcff.csv", r"file\udcff.csv"),
-        ("µg/g² ± 加速度計 é\u0301 👩\u200d🔬", "µg/g² ± 加速度計 é\u0301 👩\u200d🔬"),
-        ("two\nlines", "two\nlines"),
-    ],
-)
-def test_nothing_acts_on_the_terminal(text, shown):
-    assert visible(text) == shown
-    assert visible(text, lines=False) == shown.replace("\n", r"\n")
-
-
-def test_every_control_of_unicode_is_visible():
-    kinds = {"Cc", "Cs", "Zl", "Zp"}
-    directions = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
-    for code in range(0x110000):
-        character = chr(code)
-        acts = (
-            unicodedata.category(character) in kinds
-            or unicodedata.bidirectional(character) in directions
-        )
-        if acts and character != "\n":
-            assert visible(character) == character.encode("unicode_escape").decode(), hex(code)

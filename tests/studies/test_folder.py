@@ -94,11 +94,11 @@ class KilledError(BaseException):
 def test_a_study_killed_while_it_saves_goes_on(campaign, tmp_path, monkeypatch, whole, writes):
     written = []
 
-    def write(path, content):
+    def write(path, content, **more):
         if len(written) == writes:
             raise KilledError
         written.append(path)
-        write_whole(path, content)
+        write_whole(path, content, **more)
 
     monkeypatch.setattr("counterspin.studies.folder.write_whole", write)
     with pytest.raises(KilledError):
@@ -243,7 +243,7 @@ def test_trials_of_somebody_else_beside_a_study_are_not_replaced(campaign, tmp_p
 @pytest.mark.parametrize("name", ["z.svg", "bias-platform.svg"])
 def test_a_study_is_not_gone_on_with_over_somebody_elses_figure(campaign, begun, name):
     (begun / name).write_text("mine")
-    with pytest.raises(CounterspinError, match="is not a figure that counterspin drew"):
+    with pytest.raises(CounterspinError, match="is not a figure of a study of counterspin"):
         resumed(campaign, begun)
     assert (begun / name).read_text() == "mine"
 

@@ -12,6 +12,7 @@ from pypdf import PdfReader
 import counterspin as cs
 from certificates import SCHEMA, needs_schema
 from counterspin.cli import main
+from counterspin.physics.accelerometer import TERMS
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.validation import validate as validating
 from counterspin.validation.cases import case, cases
@@ -125,6 +126,17 @@ def test_a_kernel_that_is_off_by_a_millionth_is_named(kernel, monkeypatch):
     monkeypatch.setattr(owner, last, lambda *given, **more: off(right(*given, **more)))
     states = {one.name: check(one).state for one in cases() if one.kernel == kernel}
     assert "failed" in states.values(), states
+
+
+def test_a_term_without_integrals_fails_its_own_cases_and_says_so(monkeypatch):
+    """What is not expected of one function is no matter of the others."""
+    new = replace(TERMS["K_4"], symbol="K_NEW", factors=5 * ("I",))
+    monkeypatch.setattr("counterspin.validation.cases.TERMS", {**TERMS, "K_NEW": new})
+    cases.cache_clear()
+    asked = [one for one in cases() if one.kernel.endswith(":columns")][:1]
+    found = validate(chosen=[*asked, case("normal quantile")])
+    assert [one.state for one in found.cases] == ["failed", "passed"]
+    assert "double_integrals.json has no integral of K_NEW" in found.cases[0].note
 
 
 def test_the_command_fails_with_the_name_of_the_case(tmp_path, monkeypatch, capsys):

@@ -5,6 +5,7 @@ is done by a click is a command too, and the page says which.
 
 - `server`: `serve`, from a folder to a page in the browser
 - `guard`: who may ask, how much, and what a browser may do with the answer
+- `connections`: how many, and how long they may take
 - `folder`: the files of the folder, and no others; versions, so that no edit is lost
 - `desk`: what all requests share
 - `campaigns`: the folder's campaigns and results, with their state

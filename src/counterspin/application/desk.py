@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from counterspin.application.folder import NotThereError, OutsideError, ServedFolder
+from counterspin.application.guard import Tickets
 from counterspin.application.jobs import Jobs
 from counterspin.application.live import LiveViews
 from counterspin.calibration.result import Result
@@ -95,6 +96,8 @@ class Desk:
         self.jobs = Jobs()
         self.live = LiveViews()
         self.remembered = Remembered()
+        #: Each for a request that only reads: its name, and what it says.
+        self.tickets = Tickets[tuple[str, dict[str, str]]]()
         #: Who draws holds it: Matplotlib draws one picture at a time.
         self.drawing = threading.Lock()
 

@@ -7,8 +7,6 @@
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -20,7 +18,7 @@ from counterspin.application.folder import OutsideError
 from counterspin.errors import CounterspinError
 from counterspin.exports.description import Draft, draft, write_description
 from counterspin.frozen import frozen
-from counterspin.output import make_folder
+from counterspin.output import begin, finish, make_folder
 from counterspin.records.formats import RECORD_FORMATS
 
 _DRAFTS: Final = Remembered(2)
@@ -66,29 +64,18 @@ def place_for(desk: Desk, name: str) -> Arrival:
     if path.suffix.lower() not in RECORD_FORMATS:
         known = ", ".join(RECORD_FORMATS)
         raise OutsideError(f"{name}: only records are taken here; they end in {known}")
-    _refuse_another(path, name)
-    folders = tuple(folder for folder in path.parents if not folder.exists())
-    make_folder(path.parent)
-    try:
-        handle, part = tempfile.mkstemp(prefix=".", suffix=path.suffix, dir=path.parent)
-    except OSError as error:
-        raise CounterspinError(f"{name}: cannot be written ({error.strerror})") from error
-    os.close(handle)
-    return Arrival(path, Path(part), folders)
-
-
-def _refuse_another(path: Path, name: str) -> None:
     if path.exists():
         raise CounterspinError(f"{name} exists, and is not replaced; name another folder")
+    folders = tuple(folder for folder in path.parents if not folder.exists())
+    make_folder(path.parent)
+    return Arrival(path, begin(path), folders)
 
 
 def arrived(desk: Desk, arrival: Arrival) -> dict[str, Any]:
     """Give a complete upload its name; CounterspinError if another file has it by now."""
-    path = arrival.path
-    _refuse_another(path, desk.folder.name(path))
-    arrival.part.chmod(0o644)
-    arrival.part.rename(path)
-    return {"name": desk.folder.name(path), "bytes": path.stat().st_size}
+    size = arrival.part.stat().st_size
+    finish(arrival.part, arrival.path)
+    return {"name": desk.folder.name(arrival.path), "bytes": size}
 
 
 def _draft(desk: Desk, names: Sequence[str]) -> Draft:

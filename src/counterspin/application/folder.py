@@ -181,5 +181,5 @@ class ServedFolder:
             if now.version != seen:
                 raise ChangedMeanwhileError(name, now)
             make_folder(path.parent)
-            write_whole(path, lambda part: part.write_bytes(data))
+            write_whole(path, lambda part: part.write_bytes(data), overwrite=seen != NO_FILE)
         return FileVersion(text, hashlib.sha256(data).hexdigest())

@@ -5,36 +5,53 @@ of the same machine. So nothing is answered that was not asked from the applicat
 
 - the Host is this machine's own name with the port (a foreign name that was made to lead here, DNS
   rebinding, gets 403), and so is the Origin where there is one;
-- what is asked of the folder carries a cookie, which is given for the token in the link that
-  `counterspin serve` prints; the token stands in the link's fragment, which no browser sends;
+- what is asked of the folder carries the key in a header, which no browser adds by itself (cookies
+  know no ports: every other server of this machine gets them). The page has it for the token in
+  the link that `counterspin serve` prints; the token counts once, and stands in the link's
+  fragment, which no browser sends;
+- what a browser fetches by itself, a file to be saved, has an address that counts once;
 - what changes something says its Origin;
-- no request is larger than its limit.
+- no request is larger than its limit, and a small one is the limit of who shows no key.
 
 - `Door`: the secrets of one server, and its names
+- `Tickets`: addresses that count once
 - `Guard`: refuses whatever else comes
 """
 
 from __future__ import annotations
 
+import asyncio
 import secrets
-from collections.abc import Iterator, Mapping
-from dataclasses import field
-from http.cookies import CookieError, SimpleCookie
-from typing import Final
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from typing import Final, Generic, TypeVar
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import ClientDisconnect
 from starlette.responses import JSONResponse
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from counterspin.frozen import frozen
+T = TypeVar("T")
 
-#: Where the token is given for the cookie.
+#: Where the token is given for the key.
 SESSION: Final = "/api/session"
 
-#: Most bytes of a request that brings a form, and of one that brings a file.
+#: Where tickets are taken.
+TICKETS: Final = "/api/ticket/"
+
+#: How long a ticket counts, s, and how many there are.
+_TICKET_SECONDS: Final = 60.0
+_MOST_TICKETS: Final = 100
+
+#: Most bytes of a request without the key, of one that brings a form, and of one with a file.
+STRANGER_BYTES: Final = 4000
 FORM_BYTES: Final = 4_000_000
 FILE_BYTES: Final = 4_000_000_000
+
+#: Larger forms are read a few at a time, the others wait.
+_LARGE_BYTES: Final = 1 << 16
+_LARGE_FORMS: Final = 2
 
 #: Where files are brought.
 FILES: Final = "/api/files"
@@ -44,6 +61,12 @@ _READING_METHODS: Final = ("GET", "HEAD")
 
 #: Names of this machine alone.
 _HOST_NAMES: Final = ("127.0.0.1", "localhost", "[::1]")
+
+#: What is told to who asks for something of the folder without the key.
+NO_KEY: Final = (
+    "This window does not have the server's key. Open the newest link in the terminal in which "
+    "`counterspin serve` runs; each link counts once."
+)
 
 #: What the page may load: its own modules, styles and data; pictures have styles of their own.
 _POLICY: Final = (
@@ -63,53 +86,76 @@ _HEADERS: Final[Mapping[str, str]] = {
 }
 
 
-@frozen
 class Door:
     """The secrets of one server, and the names by which it is reached.
 
-    Attributes
+    Parameters
     ----------
     port
         Where it listens.
-    token
-        In the link; whoever has it gets the cookie.
-    pass_word
-        In the cookie.
+    token, key
+        In the first link, and in what the page asks; random where they are not given.
+    tell
+        Takes each later link.
     """
 
-    port: int
-    token: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
-    pass_word: str = field(default_factory=lambda: secrets.token_urlsafe(24), repr=False)
+    def __init__(
+        self,
+        port: int,
+        token: str | None = None,
+        key: str | None = None,
+        tell: Callable[[str], None] | None = None,
+    ) -> None:
+        self.port = port
+        self.tell = tell
+        self._token = token or secrets.token_urlsafe(24)
+        self._key = key or secrets.token_urlsafe(24)
 
     @property
     def link(self) -> str:
-        """What is opened in the browser."""
-        return f"http://{_HOST_NAMES[0]}:{self.port}/#token={self.token}"
-
-    @property
-    def cookie(self) -> str:
-        """The cookie's name; cookies of one machine are shared by all its ports."""
-        return f"counterspin-{self.port}"
+        """What opens the page, once."""
+        return f"http://{_HOST_NAMES[0]}:{self.port}/#token={self._token}"
 
     @property
     def hosts(self) -> frozenset[str]:
         """What a request's Host may be."""
         return frozenset(f"{name}:{self.port}" for name in _HOST_NAMES)
 
-    def opens(self, token: str) -> bool:
-        """Tell whether a token is the link's."""
-        return secrets.compare_digest(token.encode(), self.token.encode())
+    def key_for(self, token: str) -> str | None:
+        """Return the key for the link's token, of which there is another then; None for others."""
+        if not secrets.compare_digest(token.encode("utf-8", "replace"), self._token.encode()):
+            return None
+        self._token = secrets.token_urlsafe(24)
+        return self._key
 
     def admits(self, headers: Headers) -> bool:
-        """Tell whether a request carries the cookie."""
-        try:
-            cookies = SimpleCookie(headers.get("cookie", ""))
-        except CookieError:
-            return False
-        held = cookies.get(self.cookie)
-        return held is not None and secrets.compare_digest(
-            held.value.encode(), self.pass_word.encode()
-        )
+        """Tell whether a request carries the key."""
+        said = headers.getlist("authorization")
+        known = f"Bearer {self._key}"
+        return len(said) == 1 and secrets.compare_digest(said[0].encode(), known.encode())
+
+
+class Tickets(Generic[T]):
+    """Addresses that count once, and not for long, each for what it was asked for."""
+
+    def __init__(self) -> None:
+        self._held: dict[str, tuple[float, T]] = {}
+        self._lock = threading.Lock()
+
+    def issue(self, target: T) -> str:
+        """Return a ticket for something; the oldest no longer counts where there are too many."""
+        ticket = secrets.token_urlsafe(24)
+        with self._lock:
+            self._held[ticket] = (time.monotonic(), target)
+            while len(self._held) > _MOST_TICKETS:
+                del self._held[next(iter(self._held))]
+        return ticket
+
+    def take(self, ticket: str) -> T | None:
+        """Return what a ticket is for; None if it counts no longer."""
+        with self._lock:
+            issued, target = self._held.pop(ticket, (-_TICKET_SECONDS, None))
+        return target if time.monotonic() - issued < _TICKET_SECONDS else None
 
 
 class Guard:
@@ -118,6 +164,7 @@ class Guard:
     def __init__(self, app: ASGIApp, door: Door) -> None:
         self._app = app
         self._door = door
+        self._large_forms = asyncio.Semaphore(_LARGE_FORMS)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer one request, or refuse it."""
@@ -134,14 +181,18 @@ class Guard:
                     headers[name] = value
             await send(message)
 
-        refusal = next(self._refusals(scope), None)
+        known = self._door.admits(Headers(scope=scope))
+        most = _most(scope["path"]) if known else STRANGER_BYTES
+        refusal = next(self._refusals(scope, known=known, most=most), None)
         if refusal is not None:
             status, why = refusal
-            await JSONResponse({"error": why}, status)(scope, receive, send_guarded)
+            # Nothing more is read of who shows no key.
+            headers = None if known else {"Connection": "close"}
+            await JSONResponse({"error": why}, status, headers)(scope, receive, send_guarded)
             return
-        await self._limited(scope, receive, send_guarded)
+        await self._limited(scope, receive, send_guarded, most)
 
-    def _refusals(self, scope: Scope) -> Iterator[tuple[int, str]]:
+    def _refusals(self, scope: Scope, *, known: bool, most: int) -> Iterator[tuple[int, str]]:
         """Yield why a request is refused, with the status; the first reason counts."""
         headers, path = Headers(scope=scope), scope["path"]
         hosts = [host.lower() for host in headers.getlist("host")]
@@ -156,22 +207,25 @@ class Guard:
         if path.startswith("/api/"):
             if not same_site:
                 yield 403, "Another page asked for this; it gets no answer."
-            if path != SESSION and not self._door.admits(headers):
-                yield 401, "Open the link that `counterspin serve` printed; it holds the key."
+            if not (known or path == SESSION or path.startswith(TICKETS)):
+                yield 401, NO_KEY
         length = headers.get("content-length", "0")
-        if not (length.isascii() and length.isdigit()) or int(length) > _most(path):
-            yield 413, _too_large(path)
+        if not (length.isascii() and length.isdigit()) or int(length) > most:
+            yield 413, _too_large(most)
 
-    async def _limited(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def _limited(self, scope: Scope, receive: Receive, send: Send, most: int) -> None:
         """Pass a request on; one that turns out to be too large ends there."""
-        left = _most(scope["path"])
-        begun = False
+        taken = 0
+        begun = waited = False
 
         async def receive_limited() -> Message:
-            nonlocal left
+            nonlocal taken, waited
+            if taken > _LARGE_BYTES and most <= FORM_BYTES and not waited:
+                # Many of them at once would hold much memory.
+                waited = await self._large_forms.acquire()
             message = await receive()
-            left -= len(message.get("body", b""))
-            if left < 0:
+            taken += len(message.get("body", b""))
+            if taken > most:
                 raise _TooLargeError
             return message
 
@@ -186,12 +240,15 @@ class Guard:
             return  # who asked has gone; nobody waits for an answer
         except _TooLargeError:
             if not begun:
-                why = _too_large(scope["path"])
+                why = _too_large(most)
                 await JSONResponse({"error": why}, 413)(scope, receive, send)
         except Exception as error:  # no traceback for a user
             if not begun:
                 why = f"internal error ({type(error).__name__}: {error})"
                 await JSONResponse({"error": why}, 500)(scope, receive, send)
+        finally:
+            if waited:
+                self._large_forms.release()
 
 
 class _TooLargeError(Exception):
@@ -202,5 +259,5 @@ def _most(path: str) -> int:
     return FILE_BYTES if path == FILES else FORM_BYTES
 
 
-def _too_large(path: str) -> str:
-    return f"The request is too large; at most {_most(path)} bytes are taken."
+def _too_large(most: int) -> str:
+    return f"The request is too large; at most {most} bytes are taken."

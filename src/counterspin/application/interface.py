@@ -1,7 +1,8 @@
 """What the page may ask, by name: each request's form, and what answers it.
 
 - `ENDPOINTS`: method and name -> what is asked and who answers
-- `answer`: one request; `answered`: what goes wrong is an answer, too
+- `answer`: one request; `taken`: what a ticket is for
+- `answered`: what goes wrong is an answer, too
 - `Answer`: status and content
 """
 
@@ -134,6 +135,13 @@ class ReportAsked(Named):
     """The report of a result, as a file of a kind."""
 
     kind: Literal["html", "md", "pdf"]
+
+
+class TicketAsked(Asked):
+    """An address that counts once for a file, which the browser fetches by itself."""
+
+    name: Literal["report", "file"]
+    said: dict[str, str]
 
 
 class StudyAsked(Named):
@@ -284,6 +292,10 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Endpoint]] = {
         Named,
         lambda desk, asked: _offered(*certification.taken_file(desk, asked.name)),
     ),
+    ("POST", "ticket"): (
+        TicketAsked,
+        lambda desk, asked: {"ticket": desk.tickets.issue((asked.name, asked.said))},
+    ),
     ("GET", "plan"): (Named, lambda desk, asked: plans.plan_overview(desk, asked.name)),
     ("POST", "plan"): (Named, lambda desk, asked: plans.begin_plan(desk, asked.name)),
     ("POST", "plan-try"): (
@@ -338,6 +350,14 @@ def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) 
 
     told = answered(desk, made)
     return told if isinstance(told, Answer) else Answer(200, told)
+
+
+def taken(desk: Desk, ticket: str) -> Answer:
+    """Answer what a ticket was issued for, the first time that it is shown."""
+    target = desk.tickets.take(ticket)
+    if target is None:
+        return Answer(404, {"error": "This address counted once; click again on the page."})
+    return answer(desk, "GET", *target)
 
 
 def answered(desk: Desk, work: Callable[[], T]) -> T | Answer:

@@ -10,11 +10,11 @@ import signal
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from typing import Any
 
 from counterspin.errors import CounterspinError, CounterspinWarning
+from counterspin.workers import SPAWNING
 
 #: Takes how much is done, and how much there is.
 Progress = Callable[[int, int], None]
@@ -37,9 +37,8 @@ class Worker:
     """
 
     def __init__(self, work: Callable[..., None], *words: Any) -> None:
-        context = get_context("spawn")
-        self._here, there = context.Pipe()
-        self._process = context.Process(target=work, args=(there, *words), daemon=True)
+        self._here, there = SPAWNING.Pipe()
+        self._process = SPAWNING.Process(target=work, args=(there, *words), daemon=True)
         try:
             self._process.start()
         except OSError as error:  # no memory, or too many processes

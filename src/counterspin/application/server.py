@@ -7,32 +7,35 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
+import tempfile
 import threading
 import webbrowser
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
+from functools import lru_cache, partial
+from html import escape
 from importlib import import_module, resources
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 from urllib.parse import quote
 
 import uvicorn
-from h11 import LocalProtocolError
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
-from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from counterspin.application import drafts
 from counterspin.application.campaigns import as_json
+from counterspin.application.connections import AT_ONCE, Connection, Server
 from counterspin.application.desk import Desk
 from counterspin.application.folder import ServedFolder
-from counterspin.application.guard import FILES, SESSION, Door, Guard
-from counterspin.application.interface import Answer, answer, answered
+from counterspin.application.guard import FILES, SESSION, TICKETS, Door, Guard
+from counterspin.application.interface import Answer, answer, answered, taken
 from counterspin.errors import CounterspinError
 
 #: This machine, and no other.
@@ -59,22 +62,24 @@ def application(desk: Desk, door: Door) -> Starlette:
 
     async def session(request: Request) -> Response:
         try:
-            said = json.loads(await request.body())
-            token = said["token"]
-            opened = isinstance(token, str) and door.opens(token)
+            token = json.loads(await request.body())["token"]
+            key = door.key_for(token) if isinstance(token, str) else None
         except (ValueError, KeyError, TypeError, RecursionError):
-            opened = False
-        if not opened:
-            why = "That is not the key of this server; open the link that it printed."
+            key = None
+        if key is None:
+            why = "That link was used, or is not of this server; open the newest in its terminal."
             return JSONResponse({"error": why}, 403)
-        response = Response(status_code=204)
-        response.set_cookie(door.cookie, door.pass_word, httponly=True, samesite="strict", path="/")
-        return response
+        if door.tell is not None:
+            await run_in_threadpool(door.tell, door.link)
+        return JSONResponse({"key": key})
 
     async def asked(request: Request) -> Response:
         said: Any = dict(request.query_params) if request.method == "GET" else await request.body()
         name = request.path_params["name"]
         return _response(await run_in_threadpool(answer, desk, request.method, name, said))
+
+    async def ticket(request: Request) -> Response:
+        return _response(await run_in_threadpool(taken, desk, request.path_params["ticket"]))
 
     async def files(request: Request) -> Response:
         name = request.query_params.get("name", "")
@@ -104,6 +109,7 @@ def application(desk: Desk, door: Door) -> Starlette:
         routes=[
             Route(SESSION, session, methods=["POST"]),
             Route(FILES, files, methods=["POST"]),
+            Route(f"{TICKETS}{{ticket}}", ticket),
             Route("/api/{name}", asked, methods=["GET", "POST", "PUT", "DELETE"]),
             Route("/", page),
             Route("/assets/{file}", page),
@@ -125,6 +131,7 @@ def _response(made: Answer) -> Response:
     return Response(content, made.status, headers, media_type=made.kind)
 
 
+@lru_cache(maxsize=100)
 def _page_file(name: str) -> Response:
     """Return a file of the page: our own, or the reports'."""
     from counterspin.reports.html import page_script, page_style
@@ -161,7 +168,7 @@ def serve(
     browser
         Whether the page is opened.
     say
-        Takes the link, and that it has ended.
+        Takes the link, each later one when one was used, and that it has ended.
 
     Raises
     ------
@@ -169,19 +176,44 @@ def serve(
         If there is no such folder, or the port is taken.
     """
     desk = Desk(ServedFolder(folder))
-    with listening(port) as listener:
-        door = Door(listener.getsockname()[1])
+    with listening(port) as listener, tempfile.TemporaryDirectory(prefix="counterspin-") as own:
+
+        def tell(link: str) -> None:
+            say("That link was used, and counts once. For another browser or window:")
+            say(f"  {link}")
+
+        door = Door(listener.getsockname()[1], tell=tell)
         say(f"Serving {folder} to this machine alone. Ctrl-C ends it.")
         say(f"  {door.link}")
         if browser:
-            opening = threading.Timer(0.3, webbrowser.open, [door.link])
+            opening = threading.Timer(0.3, webbrowser.open, [_leading(Path(own), door.link)])
             opening.daemon = True
             opening.start()
         threading.Thread(target=_load, args=(desk,), daemon=True).start()
-        # Ctrl-C is what ends it; uvicorn has closed all by then.
-        with suppress(KeyboardInterrupt):
-            server_of(desk, door).run(sockets=[listener])
+        # Having ended, uvicorn sends itself the signal again; what is left is to be removed first.
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        try:
+            with suppress(KeyboardInterrupt):
+                server_of(desk, door).run(sockets=[listener])
+        finally:
+            signal.signal(signal.SIGTERM, before)
     say("Ended.")
+
+
+def _leading(folder: Path, link: str) -> str:
+    """Return the address of a file that leads to a link, which only its owner can read.
+
+    What is given to a browser to open stands in the machine's list of processes, for all to see.
+    """
+    file, shown = folder / "open.html", escape(link)
+    file.touch(0o600, exist_ok=False)
+    file.write_text(
+        '<!DOCTYPE html><meta charset="utf-8"><title>counterspin</title>'
+        '<meta name="referrer" content="no-referrer">'
+        f'<meta http-equiv="refresh" content="0; url={shown}"><a href="{shown}">counterspin</a>\n',
+        encoding="utf-8",
+    )
+    return file.as_uri()
 
 
 def _load(desk: Desk) -> None:
@@ -202,21 +234,13 @@ def _load(desk: Desk) -> None:
     part([bars], title="Title")
 
 
-class _Connection(H11Protocol):
-    """A connection that is closed where what comes is no HTTP, and was answered already."""
-
-    def data_received(self, data: bytes) -> None:
-        try:
-            super().data_received(data)
-        except LocalProtocolError:
-            self.transport.close()
-
-
-def server_of(desk: Desk, door: Door) -> uvicorn.Server:
+def server_of(desk: Desk, door: Door) -> Server:
     """Return the server of a folder, which is run with a socket that listens at the door."""
     config = uvicorn.Config(
         application(desk, door),
-        http=_Connection,
+        # Called as the class is.
+        http=cast(Any, partial(Connection, door)),
+        backlog=AT_ONCE,
         # What goes wrong is answered. That a request's end was no HTTP is nothing to be told.
         log_level="critical",
         access_log=False,
@@ -225,7 +249,7 @@ def server_of(desk: Desk, door: Door) -> uvicorn.Server:
         ws="none",
         timeout_graceful_shutdown=2,
     )
-    return uvicorn.Server(config)
+    return Server(config)
 
 
 def listening(port: int) -> socket.socket:

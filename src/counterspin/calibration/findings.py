@@ -50,6 +50,9 @@ RESIDUAL_RATIO_LIMIT: Final = 2.0
 #: Share of u^2 above which noise that the records do not show is mentioned.
 _HIDDEN_SHARE: Final = 0.5
 
+#: From the best to the worst.
+_STATES: Final[tuple[State, ...]] = ("good", "reservations", "contradicted")
+
 #: Largest credible white noise of an inertial accelerometer, g/Hz^0.5.
 LARGEST_WALK: Final = 5e-4
 
@@ -63,7 +66,8 @@ def judge_result(
     ----------
     result
         Its checks have put what they found into `findings`. One that has a state already, and one
-        of an earlier version that has none, may be given too.
+        of an earlier version that has none, may be given too. Of one without a seal the state is
+        no better than its findings and its numbers have it.
     accepted_misfit
         The reason for which a contradicted result is to be used all the same; it is kept where
         the result is contradicted.
@@ -71,7 +75,7 @@ def judge_result(
         What was found to be wrong with the campaign; what it accounts for stands below it.
     """
     if result.state is not None:
-        return result
+        return result if result.sealed else _judged_again(result)
     accelerometers = {
         name: _judge(name, accelerometer, result, causes)
         for name, accelerometer in result.accelerometers.items()
@@ -88,6 +92,43 @@ def judge_result(
             "warnings": [*result.warnings, *(finding.text for finding in result.findings)],
         }
     )
+
+
+def _judged_again(result: Result) -> Result:
+    """Return a result with a state that nobody vouches for: the worst of what speaks against it."""
+    accelerometers = {}
+    for name, stated in result.accelerometers.items():
+        known = {(f.code, f.subject) for f in _with_explained(stated.findings)}
+        found = [
+            *_of_the_whole(name, stated, result),
+            *from_numbers(name, stated, result.inputs.gravity, len(result.accelerometers)),
+        ]
+        new = [finding for finding in found if (finding.code, finding.subject) not in known]
+        findings = ranked([*stated.findings, *new])
+        accelerometers[name] = stated.model_copy(
+            update={
+                "findings": findings,
+                "state": _worst_state(stated.state, state_of(findings)),
+                "warnings": [*stated.warnings, *(f"{name}: {finding.text}" for finding in new)],
+            }
+        )
+    own = [finding for judged in accelerometers.values() for finding in judged.findings]
+    everything = ranked(merged([*result.findings, *own]))
+    states = (judged.state for judged in accelerometers.values())
+    state = _worst_state(result.state, state_of(everything), *states)
+    return result.model_copy(
+        update={"accelerometers": accelerometers, "findings": everything, "state": state}
+    )
+
+
+def _with_explained(findings: Iterable[Finding]) -> Iterator[Finding]:
+    for finding in findings:
+        yield finding
+        yield from _with_explained(finding.explains)
+
+
+def _worst_state(*states: State | None) -> State:
+    return max((state for state in states if state is not None), key=_STATES.index)
 
 
 def _judge(
@@ -150,8 +191,9 @@ def refusal(result: Result, names: Iterable[str]) -> str | None:
     for name in names:
         accelerometer = result.accelerometers[name]
         if accelerometer.state == "contradicted":
+            why = "".join(f"{finding.text} " for finding in accelerometer.findings[:1])
             return (
-                f"{name} is contradicted by its records: {accelerometer.findings[0].text} Find the "
+                f"{name} is contradicted by its records: {why}Find the "
                 "cause and calibrate again, or state the reason for which the misfit is accepted "
                 "(accept_misfit of calibrate)"
             )

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
 
 #: Why a result has no whole residuals: its file holds what the pictures need, and no more.
 _NO_RESIDUALS = (
-    "whole residuals are kept by what `calibrate` returns for the joint method, not by a file; "
-    "calibrate the campaign again"
+    "whole residuals of records are kept by what `calibrate` returns for the joint method, not by "
+    "a file; calibrate the campaign again"
 )
 
 #: No coefficient is larger in g-units; its powers would be beyond all numbers.
@@ -194,23 +194,26 @@ class Result(ShownResult):
 
         return to_gtc(self)
 
-    def residuals(
-        self, accelerometer: str | None = None, run: str | None = None
-    ) -> list[RunResiduals]:
+    def residuals(self, accelerometer: str | None = None, run: str | None = None) -> list[Any]:
         """Return whole residuals as arrays, of all accelerometers and runs or of those named.
+
+        Returns
+        -------
+        list of RunResiduals and ReadingResiduals
+            Of records by run; of readings by motion, whose name stands for a run's.
 
         Raises
         ------
         CounterspinError
-            If the result was read from a file, or is of the two-stage method.
+            If there are runs, and the result was read from a file or is of the two-stage method.
         KeyError
             If there are none of that name.
         """
-        from counterspin.calibration.notebook.residuals import choose
+        from counterspin.calibration.notebook.residuals import choose, of_readings
 
-        if not self._residuals:
+        if self.runs and not self._residuals:
             raise CounterspinError(_NO_RESIDUALS)
-        return choose(self._residuals, accelerometer, run)
+        return choose([*self._residuals, *of_readings(self)], accelerometer, run)
 
     def plot_residuals(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the residuals over time, a picture a run; `axes` as for `reports.shown.on_axes`."""

@@ -190,6 +190,11 @@ class _DescriptionReader:
             said = "are all left out by skip = true" if self.all_runs else said
             problems.add(("runs",), said)
         given = {name: self._given_priors(name, table) for name, table in tables.items()}
+        reference = problems.attempt(
+            ("centrifuge", "reference_temperature"),
+            read_temperature,
+            centrifuge.reference_temperature if centrifuge else None,
+        )
         model, priors, machine = None, given, MachineModel()
         if settings is not None:
             attitudes = [run.attitude for run in runs]
@@ -204,7 +209,6 @@ class _DescriptionReader:
                 model = with_errors_of_the_path(model, errors_of_the_path(centrifuge), problems)
             if records is not None and records.angle is None:
                 refuse_encoder(model, problems)
-            reference = self._reference_temperature(centrifuge)
             also = (*machine.terms, *machine.considered)
             check_conditions(model, also, self._placed(runs), reference, problems)
         simulation = None
@@ -263,7 +267,7 @@ class _DescriptionReader:
             specifications=specifications,
             readings=readings,
             machine=machine,
-            reference_temperature=self._reference_temperature(centrifuge),
+            reference_temperature=reference,
             tables=self._tables(),
             table_checksums=self.table_checksums,
         )
@@ -346,9 +350,6 @@ class _DescriptionReader:
         if "readings" in self.raw:
             files.add(self.file.parent / self.raw["readings"]["file"])
         return tuple(sorted(files))
-
-    def _reference_temperature(self, centrifuge: CentrifugeSettings | None) -> float | None:
-        return read_temperature(centrifuge.reference_temperature) if centrifuge else None
 
     def _recorded(self, name: str, table: Any, observable: str, output: Output | None) -> Channel:
         """Return the column of an accelerometer; an output such as a current as m/s^2."""

@@ -148,11 +148,11 @@ def simulate(
     )
     # The description comes first: by it the records of a simulation that was interrupted are known.
     if text is not None:
-        write_text(description, text)
+        write_text(description, text, overwrite=overwrite)
     elif not own:
-        write_whole(description, partial(shutil.copyfile, campaign.path))
+        write_whole(description, partial(shutil.copyfile, campaign.path), overwrite=overwrite)
     for done, (frame, target) in enumerate(zip(frames, targets, strict=True), start=1):
-        write_whole(target, partial(WRITERS[target.suffix.lower()], frame))
+        write_whole(target, partial(WRITERS[target.suffix.lower()], frame), overwrite=overwrite)
         if progress is not None:
             progress(done, len(targets))
     return targets

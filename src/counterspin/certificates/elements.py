@@ -11,7 +11,6 @@ Numbers are written with all digits of a double, so that a machine reads back wh
 
 from __future__ import annotations
 
-import re
 from base64 import b64encode
 from typing import Any, Final
 
@@ -20,6 +19,7 @@ from lxml import etree
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.inference.conformity import COVERAGE
 from counterspin.physics.si_units import SiUnit
+from counterspin.reports.characters import Lines, visible
 from counterspin.reports.numbers import round_to_uncertainty
 
 DCC: Final = "https://ptb.de/dcc"
@@ -28,9 +28,6 @@ NAMESPACES: Final = {"dcc": DCC, "si": SI}
 
 #: Language of the text that counterspin writes.
 ENGLISH: Final = "en"
-
-# Characters that XML 1.0 cannot represent, not even as a reference (clause 2.2).
-_FORBIDDEN: Final = re.compile("[^\t\n\r\u0020-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]")
 
 Element = Any  # lxml carries no types
 Child = Element | str | None
@@ -62,8 +59,8 @@ def _element(
 
 
 def clean(words: str) -> str:
-    """Return text with characters that XML cannot represent replaced, without blanks around it."""
-    return _FORBIDDEN.sub("\ufffd", words).strip()
+    """Return text that XML can represent (clause 2.2) and no reader obeys, no blanks around it."""
+    return visible(words).strip()
 
 
 def text(tag: str, words: str, language: str = ENGLISH, **attributes: str | None) -> Element:
@@ -75,7 +72,7 @@ def rich(tag: str, *lines: str, language: str = ENGLISH) -> Element:
     """Return an element with paragraphs, a line each: a language has one content."""
     if not lines:
         return dcc(tag)
-    return dcc(tag, dcc("content", "\n".join(map(clean, lines)), lang=language))
+    return dcc(tag, dcc("content", Lines(*map(str.strip, lines)), lang=language))
 
 
 def attached(tag: str, name: str, media_type: str, data: bytes, description: str) -> Element:

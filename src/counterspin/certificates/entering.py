@@ -2,12 +2,13 @@
 
 - `check_ledger`: whether anything can be entered, before there is a result to lose
 - `enter_result`: a result's file
-- `enter_certificate`: a certificate that was issued, and the result that it certifies
+- `enter_certificate`: a certificate, entered with the result that it certifies, and its file
 - `ledger_blocks`: the entries as a table
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
@@ -15,14 +16,28 @@ from pathlib import Path
 from counterspin.calibration.result import Result
 from counterspin.certificates.ledger import (
     Entry,
+    OpenLedger,
     VerifiedLedger,
     append,
     checksum_of,
+    opened,
     verify_ledger,
 )
 from counterspin.errors import CounterspinError, RecordError
+from counterspin.frozen import frozen
 from counterspin.input import read_file
+from counterspin.output import finish, reserve, write_whole
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+
+
+@frozen
+class Said:
+    """Who answers for a certificate, why it is issued and when, and the file of its result."""
+
+    who: str
+    why: str
+    date: datetime
+    result: Path | None = None
 
 
 def check_ledger(ledger: Path) -> None:
@@ -37,10 +52,8 @@ def check_ledger(ledger: Path) -> None:
     """
     if ledger.exists():
         verify_ledger(ledger)
-    elif not ledger.resolve().parent.is_dir():
-        raise CounterspinError(
-            f"{ledger}: the ledger cannot be written: there is no folder {ledger.parent}"
-        )
+    else:
+        reserve(ledger)
 
 
 def enter_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime) -> Entry:
@@ -68,42 +81,102 @@ def enter_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime
 
 
 def enter_certificate(
-    ledger: Path,
-    of: Mapping[str, str],
-    result: Path | None,
-    *,
-    who: str,
-    why: str,
-    date: datetime,
-) -> Entry:
-    """Enter a certificate or an amendment, and before it its result if that is not there.
+    kept: Path, path: Path, data: bytes, of: Mapping[str, str], said: Said
+) -> Entry | None:
+    """Enter a certificate or an amendment, before it its result, and then give its file its name.
+
+    All of it under the ledger's lock, and the entry first: so a certificate that stands is in its
+    ledger. The finished bytes lie hidden beside their place, under a name that follows from their
+    checksum; if a kill comes between the entry and the name, the same command again finds them.
 
     Parameters
     ----------
-    ledger
+    kept
         The ledger.
+    path
+        Where the certificate is to be.
+    data
+        What is to be in that file.
     of
-        Of the certificate: its file, identifier and checksums; ``amends`` makes it an amendment.
-    result
-        The file of the result that it certifies; None if there is no such file.
-    who, why, date
-        Who answers for it, why it was issued, and when.
+        Of the certificate: identifier and checksum of its XML; ``amends`` makes it an amendment.
+    said
+        Who answers for it, why, when, and for which result.
+
+    Returns
+    -------
+    Entry or None
+        Of an interrupted command, whose certificate was found and has its name now, in place of
+        `data`, which differ from it; else None.
 
     Raises
     ------
     RecordError
-        If the ledger was altered.
+        If the ledger was altered, or has another certificate of this identifier.
     CounterspinError
-        If it cannot be written.
+        If a file is in the way, or something cannot be written.
     """
-    if result is not None:
-        checksum = _checksum(result)
+    checksum = checksum_of(data)
+    with opened(kept) as ledger:
+        reserve(path)
+        earlier = [e for e in ledger.entries if e.of.get("identifier") == of["identifier"]]
+        if any(entry.of.get("sha256") != of["sha256"] for entry in earlier):
+            for entry in earlier:
+                if entry.of.get("file") == path.name and _stands_by(path, entry):
+                    _finish(path, entry.of["file_sha256"])
+                    return entry
+            raise RecordError(
+                f"{kept}: has certificate {of['identifier']} already (entry {earlier[-1].number}), "
+                "with other content; issue an amendment (`amends`), or give another "
+                "certificate.identifier"
+            )
+        part = _hidden(path, checksum)
+        write_whole(part, lambda place: _write_to_disk(place, data), overwrite=True)
+        known = {(entry.of.get("file"), entry.of.get("file_sha256")) for entry in earlier}
+        if (path.name, checksum) not in known:
+            _enter(ledger, {"file": path.name, **of, "file_sha256": checksum}, said)
+        _finish(path, checksum)
+    return None
+
+
+def _enter(ledger: OpenLedger, of: Mapping[str, str], said: Said) -> None:
+    when = _moment(said.date)
+    if said.result is not None:
+        checksum = _checksum(said.result)
+        if checksum not in {entry.of.get("sha256") for entry in ledger.entries}:
+            own = {"file": said.result.name, "sha256": checksum}
+            ledger.append("result", own, who=said.who, why="to be certified", when=when)
         of = {**of, "result": checksum}
-        known = verify_ledger(ledger).entries if ledger.exists() else ()
-        if checksum not in {entry.of.get("sha256") for entry in known}:
-            enter_result(ledger, result, who=who, why="to be certified", date=date)
     what = "amendment" if "amends" in of else "certificate"
-    return append(ledger, what, of, who=who, why=why, when=_moment(date))
+    ledger.append(what, of, who=said.who, why=said.why, when=when)
+
+
+def _hidden(path: Path, checksum: str) -> Path:
+    """Return where a certificate lies until it has its name."""
+    return path.resolve().parent / f".{checksum[:16]}{path.suffix}"
+
+
+def _stands_by(path: Path, entry: Entry) -> bool:
+    """Return whether the bytes of an entry lie hidden beside a place."""
+    expected = entry.of.get("file_sha256", "")
+    try:
+        return checksum_of(read_file(_hidden(path, expected))) == expected
+    except OSError:
+        return False
+
+
+def _write_to_disk(place: Path, data: bytes) -> None:
+    # The entry is on the disk before the file has its name: its bytes must be there too.
+    with place.open("wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _finish(path: Path, checksum: str) -> None:
+    try:
+        finish(_hidden(path, checksum), path)
+    except OSError as error:
+        raise CounterspinError(f"{path}: cannot be written ({error.strerror})") from error
 
 
 def ledger_blocks(verified: VerifiedLedger) -> Iterator[Block]:

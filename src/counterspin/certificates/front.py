@@ -27,13 +27,14 @@ from counterspin.certificates.elements import factor
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
 from counterspin.certificates.statements import Verdicts
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.characters import Lines
 from counterspin.reports.numbers import format_count, format_estimate, format_number
 from counterspin.reports.typography import typeset, typeset_block
 
 TITLE: Final = "Calibration certificate"
 
 #: Where somebody signs on paper.
-_LINE: Final = "\n_____________________________________"
+_LINE: Final = Lines("", "_____________________________________")
 _ELECTRONIC: Final = "electronic, in the XML"
 
 
@@ -76,7 +77,7 @@ def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> 
     for line in (wording.BASED_ON, *wording.deviation_lines(settings)):
         yield Paragraph(typeset(line))
     yield Heading("Results")
-    for line in wording.despite_lines(result, names):
+    for line in (*wording.despite_lines(result, names), *wording.seal_lines(result)):
         yield Paragraph(typeset(line), "warning")
     yield from _results(lab, result, stated)
     yield Heading("Statements")
@@ -166,7 +167,7 @@ def _circumstances(lab: Lab, result: Result) -> Iterator[tuple[str, str]]:
     if lab.certificate.procedure is not None:
         yield "Procedure", lab.certificate.procedure
     yield "Method", wording.method_name(result)
-    yield "Test", "\n".join(wording.test_lines(result))
+    yield "Test", Lines(*wording.test_lines(result))
     if result.runs:
         rates = (f"{name}: {run.rate:.7g} rad/s" for name, run in result.runs.items())
         yield "Rates", ", ".join(rates)

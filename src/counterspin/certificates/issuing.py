@@ -16,7 +16,6 @@ from typing import Any, Final, Literal
 
 from counterspin.calibration.conformity import with_conformity
 from counterspin.calibration.findings import judge_result
-from counterspin.calibration.pages.full_report import identifier_of
 from counterspin.calibration.pages.publishing import issue_date
 from counterspin.calibration.result import Result
 from counterspin.certificates.administrative import Issue
@@ -32,7 +31,7 @@ from counterspin.certificates.build import certificate as dcc_document
 from counterspin.certificates.build import check_certifiable, to_bytes
 from counterspin.certificates.capability import with_capability
 from counterspin.certificates.conversion import with_exact_g
-from counterspin.certificates.entering import check_ledger, enter_certificate
+from counterspin.certificates.entering import Said, enter_certificate
 from counterspin.certificates.front import TITLE, front_blocks, results_table, title
 from counterspin.certificates.lab import Lab, example_keys, read_lab
 from counterspin.certificates.ledger import checksum_of
@@ -42,7 +41,7 @@ from counterspin.certificates.signature import Signer, is_signed, read_signer, s
 from counterspin.certificates.statements import Verdicts
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.frozen import frozen
-from counterspin.output import write_whole
+from counterspin.output import reserve, write_whole
 from counterspin.reports.blocks import Block, Heading, Paragraph
 from counterspin.reports.numbers import format_number
 
@@ -111,24 +110,22 @@ class Certificate:
         CampaignError
             If the name ends otherwise.
         CounterspinError
-            If there is such a file already, or it cannot be written; or the ledger cannot, or was
-            altered: then nothing is written.
+            If there is such a file already, or it cannot be written; or the ledger cannot, was
+            altered, or has this identifier with other content: then nothing is written.
         """
         path, kept = Path(path), None if self.draft else ledger or self.ledger
         check_place(path)
-        if kept is not None:
-            check_ledger(kept)
         data = self.pdf() if path.suffix.lower() == ".pdf" else self.xml
-        write_whole(path, lambda part: part.write_bytes(data))
-        if kept is not None:
-            of = {"file": path.name, **self.entry, "file_sha256": checksum_of(data)}
-            try:
-                enter_certificate(
-                    kept, of, self.result, who=self.signed_by, why=self.reason, date=issue_date()
-                )
-            except CounterspinError:
-                path.unlink()
-                raise
+        if kept is None:
+            write_whole(path, lambda part: part.write_bytes(data))
+            return path
+        said = Said(self.signed_by, self.reason, issue_date(), self.result)
+        earlier = enter_certificate(kept, path, data, self.entry, said)
+        if earlier is not None:
+            self.notes.append(
+                f"An interrupted command had entered certificate {self.identifier} already, on "
+                f"{earlier.when}: {path} is the one of that entry ({earlier.number})."
+            )
         return path
 
 
@@ -149,6 +146,7 @@ def check_place(output: Path) -> None:
             f"{output} exists; a certificate replaces no file, least of all an issued one: name "
             "another"
         )
+    reserve(output)
 
 
 def certificate(
@@ -212,7 +210,7 @@ def certificate(
         raise RecordError(f"{result}: {error}") from error
     signer = read_signer(key, cert) if key is not None and cert is not None else None
     amended, old = (None, b"") if amends is None else read_amended(amends)
-    issue = _issue(data, original, amended, signed=signer is not None)
+    issue = _issue(data, original, amended, despite, signed=signer is not None)
     if issue.draft and signer is not None:
         raise CampaignError("the laboratory's data", [_EXAMPLE])
     certified = with_capability(judged, data)
@@ -292,10 +290,18 @@ def _signer_notes(signer: Signer | None, issue: Issue) -> Iterator[str]:
         )
 
 
-def _issue(lab: Lab, result: Result, amended: Amended | None, *, signed: bool) -> Issue:
-    day = lab.certificate.issued
+def _identifier(lab: Lab, result: Result, despite: str | None) -> str:
+    """Return an identifier that follows from the bytes of the result and the laboratory's data."""
+    said = lab.model_dump_json(by_alias=True, exclude_unset=True, warnings="none")
+    rests_on = (checksum_of(result.content), said, despite or "")
+    return f"CS-{checksum_of(chr(0).join(rests_on).encode('utf-8', 'surrogatepass'))[:12]}"
+
+
+def _issue(
+    lab: Lab, result: Result, amended: Amended | None, despite: str | None, *, signed: bool
+) -> Issue:
     draft = bool(example_keys(lab))
-    unnamed = identifier_of(result) if amended is None else amended.next_identifier()
+    unnamed = _identifier(lab, result, despite) if amended is None else amended.next_identifier()
     identifier = lab.certificate.identifier or unnamed
     if amended is not None and identifier == amended.identifier:
         raise CampaignError(
@@ -304,7 +310,8 @@ def _issue(lab: Lab, result: Result, amended: Amended | None, *, signed: bool) -
         )
     return Issue(
         identifier=f"DRAFT-{identifier}" if draft else identifier,
-        date=issue_date() if day is None else datetime.combine(day, time(), UTC),
+        # A day: so XML and PDF of a certificate that are made one after the other are the same one.
+        date=datetime.combine(lab.certificate.issued or issue_date().date(), time(), UTC),
         signed=signed,
         draft=draft,
         amended=amended,

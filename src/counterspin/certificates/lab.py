@@ -43,7 +43,7 @@ def _words(value: str) -> str:
     if not stripped:
         raise ValueError("must not be empty")
     if clean(stripped) != stripped:
-        raise ValueError("contains a control character, which XML cannot represent")
+        raise ValueError("contains a control character, which no certificate may hold")
     return stripped
 
 

@@ -5,6 +5,7 @@ changes, removes or moves an entry must write all later ones anew; a note of the
 kept elsewhere, shows even that. A line counts once its end is on the disk.
 
 - `Entry`: one line; `append`: add one
+- `opened`, `OpenLedger`: a ledger that nobody else adds to meanwhile
 - `verify_ledger`, `VerifiedLedger`: whether nothing was altered since, and where first if it was
 - `checksum_of`: SHA-256 of a file
 """
@@ -22,7 +23,7 @@ from typing import Any, Final
 
 from counterspin.errors import CounterspinError, RecordError
 from counterspin.frozen import frozen
-from counterspin.input import DOCUMENT_BYTES, read_file
+from counterspin.input import DOCUMENT_BYTES, read_file, require_file
 
 #: What the first entry says of the one before.
 _BEGINNING: Final = "0" * 64
@@ -106,29 +107,10 @@ def verify_ledger(path: Path) -> VerifiedLedger:
 def append(path: Path, what: str, of: Mapping[str, str], *, who: str, why: str, when: str) -> Entry:
     """Add an entry; several processes may do so at once, and each waits for the others.
 
-    What an interrupted writer left behind is no entry; it is taken away, and the new entry keeps it
-    in `of`, as ``unfinished``.
-
-    Parameters
-    ----------
-    path
-        The ledger; it is made where there is none.
-    what, of, who, why, when
-        As of `Entry`.
-
-    Raises
-    ------
-    RecordError
-        If the ledger was altered: it is not continued.
-    CounterspinError
-        If it cannot be written.
+    Parameters and errors as of `opened` and `OpenLedger.append`.
     """
-    try:
-        with _locked(path) as file:
-            return _appended(file, path, (what, of, who, why, when))
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise CounterspinError(f"{path}: the ledger cannot be written ({reason})") from error
+    with opened(path) as ledger:
+        return ledger.append(what, of, who=who, why=why, when=when)
 
 
 def checksum_of(data: bytes) -> str:
@@ -136,58 +118,123 @@ def checksum_of(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def _appended(file: int, path: Path, said: tuple[str, Mapping[str, str], str, str, str]) -> Entry:
-    what, of, who, why, when = said
-    size = os.fstat(file).st_size
-    if size > DOCUMENT_BYTES:
-        raise RecordError(f"{path}: has more than {DOCUMENT_BYTES} bytes; begin another ledger")
-    whole = b""
-    while part := os.read(file, size + 1):
-        whole += part
-    before = _verified(whole, str(path))
-    if before.unfinished:
-        os.ftruncate(file, size - len(before.unfinished))
-        of = {**of, "unfinished": before.unfinished.decode("utf-8", "replace")}
-    content = {
-        "number": len(before.entries) + 1,
-        "previous": before.head,
-        "when": when,
-        "who": who,
-        "what": what,
-        "why": why,
-        "of": dict(of),
-    }
-    content["hash"] = _hash(content)
-    line = _line(content)
-    written = 0
-    while written < len(line):
-        written += os.write(file, line[written:])
-    os.fsync(file)
-    return _entry(content)
+class OpenLedger:
+    """A ledger that is held: others who would add to it wait.
+
+    Parameters
+    ----------
+    path
+        The ledger.
+    file
+        Its file, open for adding; RecordError if it was altered.
+    """
+
+    def __init__(self, path: Path, file: int) -> None:
+        self._path, self._file = path, file
+        self._size = os.fstat(file).st_size
+        if self._size > DOCUMENT_BYTES:
+            raise RecordError(f"{path}: has more than {DOCUMENT_BYTES} bytes; begin another ledger")
+        whole = b""
+        while part := os.read(file, self._size + 1):
+            whole += part
+        verified = _verified(whole, str(path))
+        self.entries, self._unfinished = verified.entries, verified.unfinished
+        self._head = verified.head
+
+    def append(self, what: str, of: Mapping[str, str], *, who: str, why: str, when: str) -> Entry:
+        """Add an entry; it is on the disk when this returns.
+
+        What an interrupted writer left behind is no entry; it is taken away, and the new entry
+        keeps it in `of`, as ``unfinished``.
+
+        Parameters
+        ----------
+        what, of, who, why, when
+            As of `Entry`.
+
+        Raises
+        ------
+        CounterspinError
+            If it cannot be written.
+        """
+        if self._unfinished:
+            of = {**of, "unfinished": self._unfinished.decode("utf-8", "replace")}
+        content = {
+            "number": len(self.entries) + 1,
+            "previous": self._head,
+            "when": when,
+            "who": who,
+            "what": what,
+            "why": why,
+            "of": dict(of),
+        }
+        content["hash"] = _hash(content)
+        line = _line(content)
+        try:
+            if self._unfinished:
+                os.ftruncate(self._file, self._size - len(self._unfinished))
+                self._unfinished = b""
+            written = 0
+            while written < len(line):
+                written += os.write(self._file, line[written:])
+            os.fsync(self._file)
+        except OSError as error:
+            raise _not_written(self._path, error) from error
+        entry = _entry(content)
+        self.entries, self._head = (*self.entries, entry), entry.digest
+        return entry
 
 
 @contextmanager
-def _locked(path: Path) -> Iterator[int]:
-    """Open a ledger for adding; whoever has it keeps others waiting, and lets go when it dies."""
+def opened(path: Path) -> Iterator[OpenLedger]:
+    """Hold a ledger; it is made where there is none.
+
+    Whoever has it keeps others waiting, and lets go when it dies.
+
+    Raises
+    ------
+    RecordError
+        If the ledger was altered: it is not continued.
+    CounterspinError
+        If it cannot be opened, or is no file.
+    """
     made = not path.exists()
     flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
-    file = os.open(path, flags, 0o666)
     try:
-        if sys.platform == "win32":
-            import msvcrt
-
-            msvcrt.locking(file, msvcrt.LK_LOCK, 1)
-        else:
-            import fcntl
-
-            fcntl.flock(file, fcntl.LOCK_EX)
-        yield file
+        # A pipe would be waited for until somebody writes to it.
+        file = os.open(path, flags | getattr(os, "O_NONBLOCK", 0), 0o666)
+    except OSError as error:
+        raise _not_written(path, error) from error
+    try:
+        try:
+            require_file(path, os.fstat(file).st_mode)
+            _lock(file)
+            ledger = OpenLedger(path, file)
+        except OSError as error:
+            raise _not_written(path, error) from error
+        yield ledger
         if made and hasattr(os, "O_DIRECTORY"):
             folder = os.open(path.resolve().parent, os.O_RDONLY)
             os.fsync(folder)
             os.close(folder)
     finally:
         os.close(file)
+
+
+def _lock(file: int) -> None:
+    if sys.platform == "win32":
+        import msvcrt
+
+        msvcrt.locking(file, msvcrt.LK_LOCK, 1)
+    else:
+        import fcntl
+
+        fcntl.flock(file, fcntl.LOCK_EX)
+
+
+def _not_written(path: Path, error: OSError) -> CounterspinError:
+    reason = error.strerror or str(error)
+    return CounterspinError(f"{path}: the ledger cannot be written ({reason})")
 
 
 # Lines

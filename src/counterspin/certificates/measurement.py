@@ -187,7 +187,7 @@ def _result_file(result: Result) -> Element:
                 "byteData",
                 "result.json",
                 "application/json",
-                result.to_json().encode(),
+                result.content,
                 "The calibration's result with budget, noise and residuals, which counterspin and "
                 "other programs read.",
             ),

@@ -84,7 +84,7 @@ def read_certificate(document: bytes, source: str) -> Certified:
                 for part in _all(root, _RESULT)
                 if part.get("refId")
             },
-            amends=next((element.text for element in _all(root, _REPLACED)), None),
+            amends=next((_text(element) for element in _all(root, _REPLACED)), None),
         )
     except (ArithmeticError, KeyError, ValueError) as error:
         raise RecordError(
@@ -119,7 +119,7 @@ def _coefficient(quantity: Element, real: Element, gravity: float) -> Coefficien
     return Coefficient(
         value=from_si(_number(_one(real, "si:value")), unit, gravity),
         u=u,
-        dof=_number(dof[0].text) if dof else None,
+        dof=_number(_text(dof[0])) if dof else None,
         unit=unit,
         estimated=True,
     )
@@ -130,7 +130,10 @@ def _covariance(
 ) -> npt.NDArray[np.float64]:
     in_si = np.array(
         [
-            [_number(value.text) for value in _all(column, "si:covarianceXMLList/si:valueXMLList")]
+            [
+                _number(_text(value))
+                for value in _all(column, "si:covarianceXMLList/si:valueXMLList")
+            ]
             for column in _all(together, _COLUMN)
         ]
     ).T
@@ -151,8 +154,8 @@ def _designation(root: Element, part: Element) -> str:
     return _one(root, path, item=part.get("refId", ""))
 
 
-def _number(text: str | None) -> float:
-    number = float(text or "")
+def _number(text: str) -> float:
+    number = float(text)
     if not math.isfinite(number):
         raise ValueError(f"{text} is not a finite number")
     return number
@@ -164,6 +167,13 @@ def _all(element: Element, path: str, **variables: str) -> list[Any]:
 
 def _one(element: Element, path: str, **variables: str) -> str:
     matches = _all(element, path, **variables)
-    if not matches or not matches[0].text:
+    if not matches or not _text(matches[0]):
         raise ValueError(f"there is no {path.rpartition('/')[2]}")
-    return str(matches[0].text)
+    return _text(matches[0])
+
+
+def _text(element: Element) -> str:
+    if len(element):
+        # Only what stands before it would be read.
+        raise ValueError(f"something else than text stands in {element.tag.rpartition('}')[2]}")
+    return str(element.text or "")

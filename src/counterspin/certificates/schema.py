@@ -60,10 +60,14 @@ def check_schema(document: bytes, schema: Path, source: str) -> None:
     )
 
 
-def parse(document: bytes, source: str) -> Any:
-    """Return the root of a document called `source`; RecordError if it is not XML."""
+def parse(document: bytes, source: str, *, comments: bool = False) -> Any:
+    """Return the root of a document called `source`; RecordError if it is not XML.
+
+    Comments are taken away, as a signature does not cover them: a number in which one stands reads
+    alike whether it is signed or not. With `comments` they stay.
+    """
     try:
-        root = etree.fromstring(document, parser())
+        root = etree.fromstring(document, parser(remove_comments=not comments))
     except etree.LxmlError as error:
         seen = "" if document.lstrip()[:1] == b"<" else looks_like(document) or "other text"
         reason = f"it is {seen}" if seen else str(error)

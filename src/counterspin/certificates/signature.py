@@ -166,7 +166,7 @@ def verify(document: bytes, certificate: Path, source: str) -> Verified:
     from signxml.exceptions import InvalidDigest
 
     trusted = _read_certificates(certificate)[0]
-    root = parse(document, source)
+    root = parse(document, source, comments=True)  # it may cover them after all
     if root.find(_SIGNATURE) is None:
         raise RecordError(f"{source}: is not signed")
     try:

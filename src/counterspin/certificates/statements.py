@@ -51,6 +51,7 @@ def statements(
         *_said("Draft", *([wording.DRAFT] if issue.draft else ())),
         *_said("Amendment", *amendment_lines(issue.amended), norm="ISO/IEC 17025:2017"),
         *_said("Misfit of the result", *wording.despite_lines(result, names)),
+        *_said("File of the result", *wording.seal_lines(result)),
         _traceability(lab),
         dcc(
             "statement",

@@ -208,6 +208,16 @@ def known_beforehand(name: str, result: Result, settings: CertificateSettings) -
     return said
 
 
+def seal_lines(result: Result) -> list[str]:
+    """Return what is to be said of a result whose file has no seal; nothing of another."""
+    if result.sealed:
+        return []
+    return [
+        "The file of the result was made by an earlier version of counterspin, without seal: "
+        "nothing shows whether it was changed since. Its state was judged again from its numbers."
+    ]
+
+
 def despite_lines(result: Result, names: Sequence[str]) -> list[str]:
     """Return of a judged result that its records contradict what failed, and why it is certified.
 

@@ -18,7 +18,7 @@ from contextlib import suppress
 from errno import ENOSPC
 from typing import Any
 
-from cyclopts import App, CycloptsError
+from cyclopts import App, CycloptsError, Parameter
 
 from counterspin._version import __version__
 from counterspin.cli import (
@@ -44,11 +44,23 @@ from counterspin.cli import (
 from counterspin.cli.words import complain, spoken
 from counterspin.errors import CampaignError, CounterspinError, CounterspinWarning
 
+
+def _shown_default(value: object) -> str | None:
+    """Return a default as the help shows it; nothing where leaving an option out says it."""
+    if value is None or value is False or value == ():
+        return None
+    return "on" if value is True else str(value)
+
+
 app = App(
     name="counterspin",
     help="Calibrate inertial accelerometers on precision centrifuges.",
     version=__version__,
     help_format="plaintext",  # nothing there is Markdown, whose reader takes long to load
+    # Only what is on needs a word that turns it off, see `OnOff`.
+    default_parameter=Parameter(
+        negative_bool=(), negative_iterable=(), show_default=_shown_default
+    ),
     suppress_keyboard_interrupt=False,  # `main` has a word for it
 )
 
@@ -85,6 +97,11 @@ def _unforeseen(error: Exception) -> str:
         # A name that is too long, a folder that was taken away: none of our faults.
         where = f"{error.filename}: " if error.filename else ""
         return str(CounterspinError(f"{where}the operating system refuses: {error.strerror}"))
+    if isinstance(error, ImportError):
+        return (
+            f"a part of this installation cannot be loaded ({CounterspinError(str(error))}); "
+            "install counterspin again, or see whether memory is short"
+        )
     what = str(CounterspinError(f"{type(error).__name__}: {error}"))
     return (
         f"internal error ({what}). This is a fault of counterspin, not of your files. Whoever "

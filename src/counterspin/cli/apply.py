@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import OutputFolder, group
+from counterspin.cli.words import OnOff, OutputFolder, group
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 
@@ -74,7 +74,7 @@ class Written:
     delimiter: Literal[",", ";", "tab"] | None = None
     decimal: Literal[".", ","] | None = None
     encoding: str | None = None
-    units_row: bool | None = None
+    units_row: OnOff | None = None
     sheet: str | None = None
     group: str | None = None
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from cyclopts import Parameter
 
-from counterspin.cli.words import NOT_SAVED, Saved, group
+from counterspin.cli.words import NOT_SAVED, OnOff, Saved, group
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 
@@ -47,9 +47,9 @@ class Estimation:
 
     method: Literal["joint", "two-stage"] = "joint"
     model: Literal["exact", "as-printed"] = "exact"
-    weighted: bool = True
+    weighted: OnOff = True
     ripple: Literal["amplitude", "ratio"] = "amplitude"
-    fit_bias: bool = True
+    fit_bias: OnOff = True
     sigma: Literal["given", "residuals"] = "given"
     without: Annotated[tuple[str, ...], Parameter(consume_multiple=False)] = ()
 

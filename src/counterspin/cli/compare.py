@@ -13,18 +13,20 @@ def compare(*results: Path, saved: Saved = NOT_SAVED, report: Path | None = None
     Parameters
     ----------
     results
-        Two result files or more; each is compared with the first.
+        Two result files or more; each is compared with the first, the reference.
     report
         Write the comparison to this file too: .html, .pdf or .md.
     """
     from counterspin.comparisons.compare import compare as run
-    from counterspin.comparisons.page import file_kind, render_comparison, write_report
+    from counterspin.comparisons.page import KIND, render_comparison, write_report
     from counterspin.comparisons.result import Compared
-    from counterspin.output import reserve
+    from counterspin.output import marked, reserve
+    from counterspin.reports.publication import check_format
     from counterspin.reports.text import report_console
 
     if report is not None:
-        reserve(report, lambda: file_kind(report), overwrite=saved.overwrite)
+        check_format(report)
+        reserve(report, lambda: marked(KIND), overwrite=saved.overwrite)
     saved.reserve(Compared.file_kind)
     compared = run(*results)
     with saved.written(compared):

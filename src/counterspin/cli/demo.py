@@ -28,12 +28,16 @@ def demo(
     from counterspin.reports.charts import reserve_figures, save
     from counterspin.reports.text import report_console
     from counterspin.reproduction.demo import demo as run
-    from counterspin.reproduction.demo_page import demonstration_plots, render_demonstration
+    from counterspin.reproduction.demo_page import (
+        FIGURE,
+        demonstration_plots,
+        render_demonstration,
+    )
 
     drawn = output / f"displacement.{figure}"
-    reserve_figures([drawn], overwrite=overwrite)
+    reserve_figures([drawn], FIGURE, overwrite=overwrite)
     shown = run(output, overwrite=overwrite)
-    save(demonstration_plots(shown), drawn, overwrite=overwrite)
+    save(demonstration_plots(shown), drawn, FIGURE, overwrite=overwrite)
     report_console().print(render_demonstration(shown))
     say(
         "",

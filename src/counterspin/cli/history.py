@@ -32,22 +32,22 @@ def history(
         Draw a control chart of each instrument: .svg, .png or .pdf.
     """
     from counterspin.histories.history import history as run
-    from counterspin.histories.page import history_plots, render_history
+    from counterspin.histories.page import CHART, history_plots, render_history
     from counterspin.histories.result import History
-    from counterspin.output import reserve
-    from counterspin.reports.charts import check_format, file_kind, save
+    from counterspin.output import marked, reserve
+    from counterspin.reports.charts import check_format, save
     from counterspin.reports.text import report_console
 
     if not paths:
         raise CampaignError("history", ["give result files, or folders that hold them"])
     if figure is not None:
         check_format(figure)
-        reserve(figure, lambda: file_kind(figure), overwrite=saved.overwrite)
+        reserve(figure, lambda: marked(CHART), overwrite=saved.overwrite)
     saved.reserve(History.file_kind)
     result = run(paths, term=term, serial=serial, reliability=reliability)
     with saved.written(result):
         if figure is not None:
-            save(history_plots(result), figure, overwrite=saved.overwrite)
+            save(history_plots(result), figure, CHART, overwrite=saved.overwrite)
         report_console().print(render_history(result))
     if result.damaged:
         raise CounterspinError(

@@ -56,7 +56,7 @@ def plan(
         Folder for figures: u against time, against the highest rate, and its sources.
     """
     from counterspin.campaign.settings import exact
-    from counterspin.planning.figures import FIGURES, save_figures
+    from counterspin.planning.figures import FIGURE, FIGURES, save_figures
     from counterspin.planning.page import render_plan
     from counterspin.planning.plan import check as forecast
     from counterspin.planning.plan import plan as search
@@ -74,7 +74,7 @@ def plan(
         return
     saved.reserve(PlanResult.file_kind)
     if figures is not None:
-        reserve_figures([figures / name for name in FIGURES], overwrite=saved.overwrite)
+        reserve_figures([figures / name for name in FIGURES], FIGURE, overwrite=saved.overwrite)
     if output is not None:
         refuse_other_campaign(output)
     if check is not None:

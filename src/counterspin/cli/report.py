@@ -32,20 +32,16 @@ def report(
         Replace an earlier report; never another file.
     """
     from counterspin.calibration.pages.full_report import document
-    from counterspin.calibration.pages.publishing import (
-        check_format,
-        file_kind,
-        issue_date,
-        write_report,
-    )
+    from counterspin.calibration.pages.publishing import KIND, issue_date, write_report
     from counterspin.calibration.result import Result
-    from counterspin.output import reserve
+    from counterspin.output import marked, reserve
+    from counterspin.reports.publication import check_format
     from counterspin.reports.text import Report, report_console
 
     issued = issue_date(date)
     if output is not None:
         check_format(output)
-        reserve(output, lambda: file_kind(output), overwrite=overwrite)
+        reserve(output, lambda: marked(KIND), overwrite=overwrite)
     if source.suffix.lower() == ".json" or (source.is_file() and source.suffix != ".toml"):
         result = Result.read(source)
     else:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from counterspin.cli.words import say
+from counterspin.cli.words import OnOff, say
 from counterspin.errors import CounterspinError, installing
 
 
-def serve(directory: Path, /, *, port: int = 0, browser: bool = True) -> None:
+def serve(directory: Path, /, *, port: int = 0, browser: OnOff = True) -> None:
     """Open a page that only this machine reaches: campaigns, results, plans, certificates.
 
     Parameters

@@ -23,7 +23,7 @@ from cyclopts import App, Parameter
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import FileKind, reserve
-from counterspin.reports.typography import speakable, visible
+from counterspin.reports.characters import Lines, speakable, visible
 
 if TYPE_CHECKING:
     from counterspin.results import ResultFile
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
 OutputFolder = Annotated[Path, Parameter(name=["--output", "-o"])]
 OutputFile = Annotated[Path | None, Parameter(name=["--output", "-o"])]
 JsonFile = Annotated[Path | None, Parameter(name="--json")]
+
+#: What is on, or found out, unless ``--no-...`` turns it off; nothing else has such a word.
+OnOff = Annotated[bool, Parameter(negative_bool="no-")]
 
 #: Makes each field of a class an option of the command that has it as a parameter.
 group = Parameter(name="*")
@@ -98,12 +101,12 @@ def shell_word(path: Path) -> str:
 def say(*lines: str) -> None:
     """Print lines; what would act on the terminal, or what this cannot show, is put otherwise."""
     for line in lines:
-        _print(visible(line, lines=False), sys.stdout)
+        _print(visible(line), sys.stdout)
 
 
 def complain(text: str) -> None:
     """Print what went wrong to standard error, as `say` does, further lines indented."""
-    indented = re.sub(r"\n(?!  )", "\n  ", visible(text))
+    indented = re.sub(r"\n(?!  )", "\n  ", Lines(*text.split("\n")))
     _print(f"counterspin: {indented}", sys.stderr)
 
 

@@ -34,9 +34,9 @@ _NO_VARIANCE: Final = 1e-9
 def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -> Compared:
     """Put results beside each other: values, differences and their uncertainty, what changed.
 
-    Each is compared with the first. What two have in common is counted: the records, radius,
-    gravity, and what is known beforehand, where it is stated alike. Where it cannot be known, the
-    comparison says what was assumed.
+    Each is compared with the first that has the accelerometer. What two have in common is
+    counted: the records, radius, gravity, and what is known beforehand, where it is stated alike.
+    Where it cannot be known, the comparison says what was assumed.
 
     Parameters
     ----------
@@ -88,8 +88,10 @@ def compare(*results: Result | Path | str, names: Sequence[str] | None = None) -
                 state=result.state,
                 version=result.provenance.version,
                 date=result.details.get("date"),
+                gravity=_converted(read, place),
+                accelerometers=list(result.accelerometers),
             )
-            for label, result in zip(called, read, strict=True)
+            for place, (label, result) in enumerate(zip(called, read, strict=True))
         ],
         coefficients=coefficients,
         agreements=agreements,
@@ -157,6 +159,12 @@ def _units(results: Sequence[Result], place: int, gravity: float) -> float | Non
     Then the gravity is what was changed, and what that does is to be seen.
     """
     return None if records_of(results[place]) & records_of(results[0]) else gravity
+
+
+def _converted(results: Sequence[Result], place: int) -> float | None:
+    """Return the gravity of a result whose numbers are converted; None where they stay."""
+    own, gravity = results[place].inputs.gravity, results[0].inputs.gravity
+    return None if own == gravity or _units(results, place, gravity) is None else own
 
 
 def _pair(

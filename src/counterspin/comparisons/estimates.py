@@ -2,7 +2,7 @@
 
 - `Estimates`: values, their covariance, and what each source contributes to it
 - `SharedSource`: a prior, a considered term or an input
-- `estimates_of`: from a result
+- `estimates_of`: from a result; `g_units_ratio`: what another gravity makes of a number
 """
 
 from __future__ import annotations
@@ -95,6 +95,14 @@ def squares(moves: Sequence[Array], size: int) -> Array:
     return covariance
 
 
+def g_units_ratio(symbol: str, own: float, other: float) -> float:
+    """Return the number of a term in g-units of another gravity over that in its own.
+
+    A coefficient of n factors is in g/g^n, and so goes with g^(1 - n).
+    """
+    return (own / other) ** (1 - len(TERMS[symbol].factors)) if symbol in TERMS else 1.0
+
+
 def estimates_of(
     result: Result, name: str, symbols: Sequence[str], gravity: float | None = None
 ) -> Estimates:
@@ -113,11 +121,9 @@ def estimates_of(
     """
     accelerometer = result.accelerometers[name]
     own = [accelerometer.coefficients[symbol] for symbol in symbols]
-    ratio = 1.0 if gravity is None else result.inputs.gravity / gravity
-    # A coefficient of n factors is in g/g^n, and so goes with g^(1 - n).
-    factor = np.array(
-        [ratio ** (1 - len(TERMS[s].factors)) if s in TERMS else 1.0 for s in symbols]
-    )
+    own_gravity = result.inputs.gravity
+    given = own_gravity if gravity is None else gravity
+    factor = np.array([g_units_ratio(s, own_gravity, given) for s in symbols])
     u = np.array([c.u or 0.0 for c in own])
     correlation = np.eye(len(own))
     stated = accelerometer.correlation

@@ -1,35 +1,47 @@
 """A comparison as a page: what agrees, the values and differences, what changed.
 
 - `render_comparison`: as something that rich prints; `comparison_blocks`: the same as blocks
-- `write_report`: as .html, .pdf or .md; `file_kind`: how these are known again
+- `write_report`: as .html, .pdf or .md; `KIND`: what each of these says that it is
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from datetime import UTC
 from pathlib import Path
 from typing import Final
 
-from counterspin._version import __version__
-from counterspin.calibration.pages.publishing import COMPARISON_TITLE, check_format, issue_date
+from counterspin.calibration.pages.publishing import issue_date
+from counterspin.comparisons.estimates import g_units_ratio
 from counterspin.comparisons.result import (
     AgreementOfTwo,
     Compared,
     ComparedCoefficient,
     ComparedEstimate,
+    ComparedResult,
 )
-from counterspin.output import FileKind, holds, reserve, write_text, write_whole
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
+from counterspin.reports.blocks import (
+    Block,
+    Column,
+    Heading,
+    Paragraph,
+    Plot,
+    PlotSeries,
+    Style,
+    Table,
+)
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
     field_unit,
     format_estimate,
     format_number,
 )
+from counterspin.reports.publication import Publication
 from counterspin.reports.text import Report
 
-_TITLE: Final = COMPARISON_TITLE
+_TITLE: Final = "Comparison of results"
+
+#: What every file of one says that it is.
+KIND: Final = "a comparison"
 
 _RECORDS: Final = {
     "same": "the same records",
@@ -46,15 +58,18 @@ def render_comparison(compared: Compared) -> Report:
 def comparison_blocks(compared: Compared) -> Iterator[Block]:
     """Yield whether the results agree, their values and differences, and what changed."""
     yield Heading(_TITLE, 1)
-    for agreement in compared.agreements:
-        yield Paragraph(in_words(compared, agreement), "answer" if agreement.agrees else "warning")
+    for agreement in sorted(compared.agreements, key=lambda agreement: agreement.agrees):
+        yield Paragraph(in_words(compared, agreement), _style(agreement))
+    for result in compared.results:
+        if result.gravity is not None:
+            yield Paragraph(_conversion(compared, result, result.gravity))
     for name in dict.fromkeys(c.accelerometer for c in compared.coefficients):
         yield Heading(name)
         own = [c for c in compared.coefficients if c.accelerometer == name]
         yield _table(compared, own)
         yield from _pictures(own)
     yield Paragraph(
-        f"± is one standard uncertainty (k = 1). Differences are from {compared.results[0].name}; "
+        f"± is one standard uncertainty (k = 1). Differences are from {_references(compared)}; "
         "their u counts what both results have in common. z: difference over its u.",
         "quiet",
     )
@@ -68,9 +83,43 @@ def comparison_blocks(compared: Compared) -> Iterator[Block]:
         yield Paragraph("Nothing that the results say of themselves.")
 
 
+def _style(agreement: AgreementOfTwo) -> Style:
+    if agreement.p is None:
+        return "plain"
+    return "answer" if agreement.agrees else "warning"
+
+
+def _references(compared: Compared) -> str:
+    names = dict.fromkeys(c.accelerometer for c in compared.coefficients)
+    by_result = dict[str, list[str]]()
+    for name in names:
+        by_result.setdefault(compared.reference(name).name, []).append(name)
+    if len(by_result) == 1:
+        return next(iter(by_result))
+    return " and ".join(f"{result} ({', '.join(own)})" for result, own in by_result.items())
+
+
+def _conversion(compared: Compared, result: ComparedResult, gravity: float) -> str:
+    """Return that a result's numbers were converted to the first result's g, and by how much."""
+    moved = dict[float, list[str]]()
+    own = (c.term for c in compared.coefficients if result.has(c.accelerometer))
+    for symbol in dict.fromkeys(own):
+        percent = 100.0 * (g_units_ratio(symbol, gravity, compared.gravity) - 1.0)
+        moved.setdefault(percent, []).append(symbol)
+    amounts = (
+        f"{', '.join(symbols)} by {percent:+.2g} %" for percent, symbols in moved.items() if percent
+    )
+    return (
+        f"{result.name} was calibrated where gravity is {format_number(gravity, 9)} m/s^2. Its "
+        f"numbers are converted to the g-units of {compared.results[0].name} "
+        f"({format_number(compared.gravity, 9)} m/s^2), which changes "
+        f"{'; '.join(amounts) or 'none of them'}."
+    )
+
+
 def in_words(compared: Compared, agreement: AgreementOfTwo) -> str:
     """Return whether two results agree, in a sentence."""
-    first = compared.results[0].name
+    first = compared.reference(agreement.accelerometer).name
     whose = f"{agreement.accelerometer}: {agreement.result} and {first}"
     records = _RECORDS[agreement.records]
     if not agreement.terms:
@@ -105,36 +154,13 @@ def write_report(compared: Compared, path: Path | str, *, overwrite: bool = Fals
     CounterspinError
         If a file is in the way, or it cannot be written; nothing is left behind then.
     """
-    path = Path(path)
-    suffix = check_format(path)
-    reserve(path, lambda: file_kind(path), overwrite=overwrite)
-    blocks, made = list(comparison_blocks(compared)), issue_date()
-    identifier = " / ".join(result.name for result in compared.results)
-    if suffix == ".html":
-        from counterspin.reports.html import html
-
-        page = html(blocks, title=_TITLE, identifier=identifier, date=made, version=__version__)
-        write_text(path, page)
-    elif suffix == ".pdf":
-        from counterspin.reports.pdf import pdf
-
-        content = pdf(blocks, title=_TITLE, identifier=identifier, date=made)
-        write_whole(path, lambda part: part.write_bytes(content))
-    else:
-        from counterspin.reports.markdown import markdown
-
-        end = f"Made by counterspin compare, {made.astimezone(UTC):%Y-%m-%d %H:%M} UTC."
-        write_text(path, markdown([*blocks, Paragraph(end, "quiet")]))
-
-
-def file_kind(path: Path) -> FileKind:
-    """Return what `write_report` writes under a name, so that its own reports are known again."""
-    marks = {
-        ".html": f"<title>{_TITLE}</title>".encode(),
-        ".pdf": _TITLE.encode(),
-        ".md": b"Made by counterspin compare",
-    }
-    return FileKind("a comparison of counterspin", holds(marks[check_format(path)]))
+    page = Publication(
+        kind=KIND,
+        title=_TITLE,
+        identifier=" / ".join(result.name for result in compared.results),
+        blocks=list(comparison_blocks(compared)),
+    )
+    page.write(Path(path), issue_date(), overwrite=overwrite)
 
 
 def _table(compared: Compared, own: Sequence[ComparedCoefficient]) -> Table:
@@ -145,7 +171,9 @@ def _table(compared: Compared, own: Sequence[ComparedCoefficient]) -> Table:
         for result, estimate in zip(compared.results, coefficient.estimates, strict=True):
             if estimate.value is None or estimate.u is None:
                 quiet.add(len(rows))
-                rows.append((label, result.name, NOT_DETERMINED, "", ""))
+                there = result.has(coefficient.accelerometer)
+                why = NOT_DETERMINED if there else "not in this result"
+                rows.append((label, result.name, why, "", ""))
             else:
                 value = format_estimate(estimate.value * factor, estimate.u * factor)
                 z = "" if estimate.z is None else f"{estimate.z:.2f}"

@@ -25,7 +25,18 @@ if TYPE_CHECKING:
 
 
 class ComparedResult(ResultPart):
-    """One of the results: what it is called here, and how it was made."""
+    """One of the results: what it is called here, and how it was made.
+
+    Attributes
+    ----------
+    name
+        What it is called here.
+    gravity
+        Its own, m/s^2, where its numbers are converted to g-units of the first result's; else
+        None.
+    accelerometers
+        Those that it has; None in comparisons of earlier versions.
+    """
 
     name: str
     title: str
@@ -34,6 +45,12 @@ class ComparedResult(ResultPart):
     state: str | None
     version: str
     date: str | None
+    gravity: float | None = None
+    accelerometers: list[str] | None = None
+
+    def has(self, accelerometer: str) -> bool:
+        """Return whether an accelerometer is in this result."""
+        return self.accelerometers is None or accelerometer in self.accelerometers
 
 
 class ComparedEstimate(ResultPart):
@@ -71,14 +88,14 @@ class ComparedCoefficient(ResultPart):
 
 
 class AgreementOfTwo(ResultPart):
-    """Whether an accelerometer's coefficients agree with those of the first result.
+    """Whether an accelerometer's coefficients agree with those of the first result that has it.
 
     Attributes
     ----------
     result, accelerometer
         Which.
     records
-        Whether it rests on the ``same`` records as the first, ``part`` of them are, or they are
+        Whether it rests on the ``same`` records as that one, ``part`` of them are, or they are
         ``independent``.
     terms
         Those that both determine.
@@ -121,7 +138,7 @@ _COLUMNS: Final = (
 
 
 class Compared(ShownResult):
-    """Results beside each other.
+    """Results beside each other; what one is compared with is `reference`.
 
     Attributes
     ----------
@@ -132,7 +149,7 @@ class Compared(ShownResult):
     coefficients
         Of all accelerometers that more than one result has.
     agreements
-        Each later result with the first.
+        Each later result with the first that has the accelerometer.
     changes
         What is not the same: files, terms, noise, options, versions.
     """
@@ -144,6 +161,10 @@ class Compared(ShownResult):
     coefficients: list[ComparedCoefficient]
     agreements: list[AgreementOfTwo]
     changes: list[Change]
+
+    def reference(self, accelerometer: str) -> ComparedResult:
+        """Return the first result that has an accelerometer: the others are compared with it."""
+        return next(result for result in self.results if result.has(accelerometer))
 
     def table(self, library: str = "polars") -> Any:
         """Return the estimates as a frame, a row for each coefficient and result.

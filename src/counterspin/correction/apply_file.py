@@ -173,7 +173,12 @@ def apply_file(
         pl.Series(name, array).fill_nan(None)
         for name, array in zip(new, (correction.corrected, correction.u), strict=True)
     ]
-    write_whole(output, _writer(frame.with_columns(added), suffix, table.decimal))
+    write_whole(
+        output,
+        _writer(frame.with_columns(added), suffix, table.decimal),
+        lambda: _CORRECTED,
+        overwrite=overwrite,
+    )
     return report
 
 

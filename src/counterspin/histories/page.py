@@ -24,6 +24,9 @@ from counterspin.reports.numbers import (
 )
 from counterspin.reports.text import Report
 
+#: What a file of control charts says that it is.
+CHART: Final = "a control chart"
+
 _YEAR: Final = 365.25  #: days
 
 #: z beyond which a result asks for action (ISO 13528:2015, 9.4.2).

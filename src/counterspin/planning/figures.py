@@ -19,6 +19,9 @@ from counterspin.reports.numbers import field_unit
 #: The files, in the order of `plan_plots`.
 FIGURES: Final = ("plan-time.svg", "plan-rate.svg", "plan-sources.svg")
 
+#: What each of them says that it is.
+FIGURE: Final = "a figure of a plan"
+
 
 def plan_plots(result: PlanResult) -> tuple[Plot, Plot, Plot]:
     """Return the least u against the total time and against the highest rate, and its sources.
@@ -101,8 +104,8 @@ def save_figures(
         If a file is in the way, before any is written, or they cannot be written.
     """
     paths = tuple(Path(folder) / name for name in FIGURES)
-    reserve_figures(paths, overwrite=overwrite)
+    reserve_figures(paths, FIGURE, overwrite=overwrite)
     make_folder(Path(folder))
     for path, plot in zip(paths, plan_plots(result), strict=True):
-        save([plot], path, overwrite=overwrite)
+        save([plot], path, FIGURE, overwrite=overwrite)
     return paths

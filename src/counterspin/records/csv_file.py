@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import csv
 import io
+import os
 from collections.abc import Iterator, Sequence
 from itertools import count, islice
 from pathlib import Path
@@ -196,6 +197,8 @@ class CsvFile(ColumnFile):
         import polars as pl
 
         stamps = [name for name in wanted if name in self.stamps]
+        if self._ends_in_a_quotation_mark():
+            self._refuse_bad_lines()  # the strict parser would crash, aloud, on a cell of one mark
         if self._closely:
             self._refuse_bad_cells(wanted)
             frames = self._text(wanted).select(
@@ -272,6 +275,13 @@ class CsvFile(ColumnFile):
             times = frame.select(nanoseconds(name)).to_series()
             frame = frame.with_columns(pl.Series(name, self.seconds(times)))
         return frame
+
+    def _ends_in_a_quotation_mark(self) -> bool:
+        """Return whether the last line, not ended by a line feed, ends in one."""
+        stream: Any = self._stream if self._content is None else io.BytesIO(self._content)
+        stream.seek(max(0, stream.seek(0, os.SEEK_END) - 2))
+        end: bytes = stream.read(2)
+        return end.rstrip(b"\r").endswith(b'"')
 
     def _refuse_bad_lines(self) -> None:
         """Refuse a line with too many cells, or a quotation mark that is never closed."""

@@ -181,7 +181,7 @@ class _Reader:
         if not self._startable:
             return None
         libraries = _NATIVE.get(suffix, _TEXT)
-        command = [sys.executable, "-c", _PROGRAM, json.dumps(sys.path), *libraries]
+        command = [sys.executable, "-P", "-c", _PROGRAM, json.dumps(sys.path), *libraries]
         pipe = subprocess.PIPE
         try:
             self._process = subprocess.Popen(

@@ -13,11 +13,13 @@ What stands in this room:
 
 - `numbers`: the one place where a number becomes text
 - `blocks`: what a report is made of, before anybody sets it
+- `characters`: nothing in a text that acts on what shows it
 - `typography`: powers of ten and micro signs as in print
 - `html`, `zoomable`: blocks as a page that needs nothing else; its parts are in the folder "assets"
 - `text`: blocks in the terminal
 - `charts`: pictures as SVG in a page, or in a file; `drawing`, `chart_layout`: how they are drawn
 - `pdf`, `markdown`: blocks as a file on paper and as plain text with marks
+- `publication`: blocks as a file of a kind, in one of these faces
 - `shown`: results that show themselves in a notebook, and pictures on axes of Matplotlib
 - `progress`: a sign of life while work goes on
 """

@@ -1,7 +1,8 @@
 """What a report is made of: plain blocks of words, cells and curves, however they are set.
 
 A face draws those that it can: the terminal and Markdown leave pictures out, whose numbers stand
-in tables beside them.
+in tables beside them. Whatever a text holds, it is visible once it stands in a block
+(`counterspin.reports.characters`).
 
 - `Block`: `Heading`, `Paragraph`, `Table` of `Column` and rows, or a `Picture`
 - `Picture`: `Plot` of `PlotSeries`, `Bars` or `HeatMap`
@@ -11,15 +12,35 @@ in tables beside them.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Literal
+from typing import Any, Literal
 
 from counterspin.frozen import frozen
+from counterspin.reports.characters import visible
 
 Style = Literal["plain", "answer", "warning", "quiet", "equation", "command"]
 
 
+class _Words:
+    """What is said in words: attributes that are text, or rows of it, are made visible."""
+
+    def __post_init__(self) -> None:
+        """Make all words visible."""
+        for name, value in self.__dict__.items():
+            if isinstance(value, str) or (value and isinstance(value, tuple)):
+                self.__dict__[name] = _all_visible(value)
+
+
+def _all_visible(value: Any) -> Any:
+    match value:
+        case str():
+            return visible(value)
+        case tuple() if value and isinstance(value[0], str | tuple):
+            return tuple(map(_all_visible, value))
+    return value
+
+
 @frozen
-class Heading:
+class Heading(_Words):
     """A heading; level 1 is the report's own, 2 a chapter's, 3 what is in it."""
 
     text: str
@@ -27,7 +48,7 @@ class Heading:
 
 
 @frozen
-class Paragraph:
+class Paragraph(_Words):
     """A paragraph and what kind of thing it says."""
 
     text: str
@@ -35,7 +56,7 @@ class Paragraph:
 
 
 @frozen
-class Column:
+class Column(_Words):
     """A column: numbers are kept in one piece, words may be wrapped.
 
     Attributes
@@ -57,10 +78,10 @@ class Column:
 
 
 @frozen
-class Table:
+class Table(_Words):
     """A table; rows whose index is in `quiet` hold nothing that the data determined.
 
-    Cells may have several lines, but for those of the first column, which say what a row is about.
+    Cells may be `Lines`, but for those of the first column, which say what a row is about.
     """
 
     columns: tuple[Column, ...]
@@ -69,7 +90,7 @@ class Table:
 
 
 @frozen
-class PlotSeries:
+class PlotSeries(_Words):
     """One line, row of points, band or histogram of a plot.
 
     Attributes
@@ -101,7 +122,7 @@ class PlotSeries:
 
 
 @frozen
-class Plot:
+class Plot(_Words):
     """Curves over a common axis.
 
     Attributes
@@ -144,7 +165,7 @@ class Plot:
 
 
 @frozen
-class Bars:
+class Bars(_Words):
     """Horizontal bars, the first on top; `texts` stand at their ends."""
 
     title: str
@@ -154,7 +175,7 @@ class Bars:
 
 
 @frozen
-class HeatMap:
+class HeatMap(_Words):
     """A square matrix of numbers from -1 to 1 between things with names."""
 
     title: str

@@ -3,8 +3,8 @@
 The same picture gives the same text and the same file, byte for byte.
 
 - `svg`: one picture, without prolog, to stand in a page or on paper
-- `file_kind`: how its own pictures are known again; `reserve_figures`: places for several
 - `save`, `check_format`: pictures below each other in a file: SVG, PNG or PDF
+- `reserve_figures`: places for several such files
 
 `svg` draws no title, for whoever shows the picture sets it in words; it is the SVG's ``<title>``,
 which is read to those who do not see it. For the theme "page" every colour is a CSS custom
@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Final, Literal, cast
 
 from counterspin.errors import CounterspinError
-from counterspin.output import FileKind, holds, reserve, write_whole
+from counterspin.output import mark, marked, reserve, write_whole
 from counterspin.reports.blocks import Picture, Plot
 from counterspin.reports.drawing import COLOURS_OF_PAPER, drawn, settings
 from counterspin.reports.typography import SYMBOL, typeset_block
@@ -53,20 +53,11 @@ _METADATA: Final[Mapping[str, dict[str, str | None]]] = {
 }
 
 
-#: Where that stands in a file of each kind.
-_MARKS: Final = {
-    ".svg": b"<dc:title>counterspin",
-    ".png": b"Software\0counterspin",
-    ".pdf": b"/Creator (counterspin)",
-}
+#: Where a file of each kind has room for a remark.
+_REMARKS: Final = {".svg": "Description", ".png": "Description", ".pdf": "Subject"}
 
 
-def file_kind(path: Path) -> FileKind:
-    """Return what `save` writes under a name, so that its own pictures are known again."""
-    return FileKind("a figure that counterspin drew", holds(_MARKS[check_format(path)]))
-
-
-def reserve_figures(paths: Iterable[Path], *, overwrite: bool = False) -> None:
+def reserve_figures(paths: Iterable[Path], kind: str, *, overwrite: bool = False) -> None:
     """Refuse figures where a file would be lost, as `counterspin.output.reserve` does, before any.
 
     Raises
@@ -76,7 +67,7 @@ def reserve_figures(paths: Iterable[Path], *, overwrite: bool = False) -> None:
     """
     for path in paths:
         if path.exists():
-            reserve(path, partial(file_kind, path), overwrite=overwrite)
+            reserve(path, partial(marked, kind), overwrite=overwrite)
 
 
 def check_format(path: Path) -> str:
@@ -89,7 +80,9 @@ def check_format(path: Path) -> str:
     return kind
 
 
-def save(pictures: Sequence[Picture], path: Path, *, overwrite: bool = False) -> None:
+def save(
+    pictures: Sequence[Picture], path: Path, kind: str = "a figure", *, overwrite: bool = False
+) -> None:
     """Write pictures below each other, with their titles, as SVG, PNG or PDF.
 
     Parameters
@@ -98,8 +91,10 @@ def save(pictures: Sequence[Picture], path: Path, *, overwrite: bool = False) ->
         At least one.
     path
         The file; its ending says the format.
+    kind
+        What it says that it is; see `counterspin.output.mark`.
     overwrite
-        Whether an earlier figure may be replaced; no other file is.
+        Whether an earlier figure of this kind may be replaced; no other file is.
 
     Raises
     ------
@@ -107,14 +102,17 @@ def save(pictures: Sequence[Picture], path: Path, *, overwrite: bool = False) ->
         If the ending is none of these, a file is in the way, or the file cannot be written;
         nothing is left behind.
     """
-    kind = check_format(path)
-    reserve_figures([path], overwrite=overwrite)
+    suffix = check_format(path)
+    reserve(path, partial(marked, kind), overwrite=overwrite)
+    metadata = {**_METADATA[suffix], _REMARKS[suffix]: mark(kind)}
     printed = [cast("Picture", typeset_block(picture)) for picture in pictures]
     with settings(COLOURS_OF_PAPER):
         figure = drawn(printed, COLOURS_OF_PAPER, titled=True)
         write_whole(
             path,
-            lambda part: figure.savefig(part, format=kind[1:], dpi=160, metadata=_METADATA[kind]),
+            lambda part: figure.savefig(part, format=suffix[1:], dpi=160, metadata=metadata),
+            partial(marked, kind),
+            overwrite=overwrite,
         )
 
 
@@ -153,10 +151,7 @@ def _cleaned(text: str, picture: Picture, theme: Theme) -> str:
     text = re.sub(r"\s*<defs>\s*<style.*?</style>\s*</defs>", "", text, flags=re.DOTALL)
     text = re.sub(r"\s*<!--.*?-->", "", text, flags=re.DOTALL)
     used = set(re.findall(r'(?:href="#|url\(#)([^")]+)', text))
-    salt = (
-        "p"
-        + hashlib.sha256(f"{picture.title}{theme}{text}".encode(errors="replace")).hexdigest()[:10]
-    )
+    salt = "p" + hashlib.sha256(f"{picture.title}{theme}{text}".encode()).hexdigest()[:10]
 
     def cleaned_tag(tag: re.Match[str]) -> str:
         # Words between tags stay as they are, whatever they look like.
@@ -176,7 +171,7 @@ def _cleaned(text: str, picture: Picture, theme: Theme) -> str:
     return (
         '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink" '
         f'width="100%" {box[0]} role="img" stroke-linejoin="round"{font}>\n'
-        f" <title>{escape(_printable(picture.title), quote=False)}</title>{_printable(body)}"
+        f" <title>{escape(picture.title, quote=False)}</title>{body}"
     )
 
 
@@ -192,8 +187,3 @@ def _colour(name: str, theme: Theme) -> str:
     if theme == "light":
         return paper
     return f"var(--{name}, {'currentColor' if name == 'ink' else paper})"
-
-
-def _printable(text: str) -> str:
-    """Return the text without the characters that XML 1.0 forbids (section 2.2)."""
-    return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "\ufffd", text)

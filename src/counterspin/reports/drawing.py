@@ -8,10 +8,12 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import zip_longest
+from types import ModuleType
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -66,14 +68,30 @@ _CROWD_POINTS: Final = 150
 _MAX_NUMBERED_CELLS: Final = 16
 
 
+def _matplotlib() -> ModuleType:
+    """Load matplotlib, without the working folder's settings where that may be anybody's.
+
+    It looks for them there first, and nothing but a lie prevents that: they can make it run LaTeX,
+    wait for a pipe, or fail. PYTHONSAFEPATH says that the folder is not to be trusted; the command
+    sets it, for itself and for what it starts.
+    """
+    exists = os.path.exists
+    if os.environ.get("PYTHONSAFEPATH"):
+        os.path.exists = lambda path: path != "matplotlibrc" and exists(path)
+    try:
+        import matplotlib as mpl
+    finally:
+        os.path.exists = exists
+    return mpl
+
+
 @contextmanager
 def settings(palette: Palette) -> Iterator[None]:
     """Set matplotlib's parameters while figures are made and written, and put them back after.
 
     The same picture gives the same file: no random names are in it.
     """
-    import matplotlib as mpl
-
+    mpl = _matplotlib()
     parameters: dict[Any, Any] = {
         "svg.hashsalt": "counterspin",
         "svg.fonttype": "none",

@@ -20,14 +20,22 @@ from typing import Any
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
+from counterspin.output import mark
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, Plot, Table
+from counterspin.reports.characters import visible
 from counterspin.reports.charts import svg
 from counterspin.reports.typography import SYMBOL
 from counterspin.reports.zoomable import can_zoom, plot_data
 
 
 def html(
-    blocks: Sequence[Block], *, title: str, identifier: str, date: datetime, version: str
+    blocks: Sequence[Block],
+    *,
+    title: str,
+    identifier: str,
+    date: datetime,
+    version: str,
+    kind: str = "a page",
 ) -> str:
     """Return blocks as one HTML file that needs nothing else; the same blocks give the same text.
 
@@ -43,7 +51,10 @@ def html(
         When it was made, with its time zone.
     version
         Of the program that made it.
+    kind
+        What it says that it is; see `counterspin.output.mark`.
     """
+    title, identifier = visible(title), visible(identifier)
     page = _Page()
     summary, *chapters = page.chapters(blocks, title)
     has_heading = any(isinstance(block, Heading) and block.level == 1 for block in blocks)
@@ -58,6 +69,7 @@ def html(
             date=moment,
             day=f"{moment:%Y-%m-%d %H:%M} UTC",
             version=version,
+            mark=mark(kind),
             style=Markup(_style(page.zoomable)),
             page_mark=Markup(_css_text(identifier)),
             summary=summary["content"],

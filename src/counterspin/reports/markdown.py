@@ -15,7 +15,7 @@ from itertools import groupby
 from typing import Final
 
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table, without_pictures
-from counterspin.reports.typography import visible
+from counterspin.reports.characters import visible
 
 #: Read as markup wherever they stand; $ begins a formula on GitHub.
 _EVERYWHERE: Final = re.compile(r"[\\`*_\[\]<>|~&$#]")
@@ -47,7 +47,7 @@ def escaped(text: str, line_break: str = "\\\n") -> str:
     Parameters
     ----------
     text
-        On one line or several.
+        On one line, or `Lines`.
     line_break
         Between its lines.
     """
@@ -94,7 +94,6 @@ def _quote(style: str, texts: Sequence[str]) -> str:
 
 
 def _fenced(text: str, language: str) -> str:
-    text = visible(text)
     longest = max((len(ticks) for ticks in re.findall("`+", text)), default=0)
     fence = "`" * max(3, longest + 1)
     return f"{fence}{language}\n{text}\n{fence}"

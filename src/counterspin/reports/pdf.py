@@ -18,7 +18,9 @@ from itertools import groupby
 from typing import Any, Final, Literal
 
 from counterspin.frozen import frozen
+from counterspin.output import mark
 from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, Table
+from counterspin.reports.characters import visible
 from counterspin.reports.charts import svg
 
 #: PDF/A with any file attached: it looks the same everywhere (level b, which a contains) and its
@@ -28,8 +30,8 @@ _STANDARDS: Final = ["a-3a", "ua-1"]
 #: Stands for a character that no font has.
 _SQUARE: Final = "\N{WHITE SQUARE}"
 
-#: How typst complains of one.
-_NO_SHAPE: Final = "could not be displayed"
+#: How typst complains of one, and of one for private use.
+_NO_SHAPE: Final = ("could not be displayed", "contains the codepoint")
 
 
 @frozen
@@ -64,6 +66,7 @@ def pdf(
     title: str,
     identifier: str,
     date: datetime,
+    kind: str = "a page",
     attachments: Sequence[Attachment] = (),
 ) -> bytes:
     """Set blocks as a PDF/A-3a (ISO 19005-3) and PDF/UA-1 (ISO 14289-1).
@@ -83,6 +86,8 @@ def pdf(
         What the report is known by.
     date
         When it was made, with its time zone.
+    kind
+        What it says that it is; see `counterspin.output.mark`.
     attachments
         Files that travel in it, each of another name.
 
@@ -99,6 +104,7 @@ def pdf(
     names = [attachment.name for attachment in attachments]
     if len(set(names)) < len(names):
         raise ValueError(f"each attachment needs a name of its own; got {', '.join(names)}")
+    title, identifier = visible(title), visible(identifier)
     moment = date.astimezone(UTC).replace(microsecond=0)
     if not any(isinstance(block, Heading) and block.level == 1 for block in blocks):
         blocks = [Heading(title, 1), *blocks]
@@ -106,6 +112,7 @@ def pdf(
     data = {
         "title": title,
         "identifier": identifier,
+        "mark": mark(kind),
         "moment": moment.timetuple()[:6],
         "day": f"{moment:%Y-%m-%d %H:%M} UTC",
         "blocks": list(_parts(blocks)),
@@ -176,15 +183,14 @@ def _compiled(data: dict[str, Any], files: dict[str, bytes], moment: datetime) -
     layout = (resources.files("counterspin.reports") / "assets" / "report.typ").read_bytes()
 
     def compiled(data: Any, *, own_fonts: bool = True) -> bytes:
-        # The only lone surrogates that JSON can hold have no shape either.
-        text = json.dumps(data, ensure_ascii=False).encode(errors="replace")
+        text = json.dumps(data, ensure_ascii=False).encode()
         return _typst({"main.typ": layout, "data.json": text, **files}, moment, own_fonts)
 
     try:
         return compiled(data)
     except TypstError as error:
         # PDF/A wants a shape for each letter (ISO 19005-3, 6.2.11.8).
-        if _NO_SHAPE not in error.message:
+        if not any(complaint in error.message for complaint in _NO_SHAPE):
             raise
     letters = sorted({letter for text in _texts(data) for letter in text})
     lacking = [letter for letter in letters if not _has_shape(letter, own_fonts=True)]

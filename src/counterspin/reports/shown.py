@@ -90,12 +90,17 @@ def on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:
 
     from counterspin.reports.drawing import COLOURS_OF_PAPER, draw, settings
 
-    with settings(COLOURS_OF_PAPER):
-        if axes is None:
-            import matplotlib.pyplot as plt
+    figure = None
+    if axes is None:
+        import matplotlib.pyplot as plt
 
-            size = (7.0, 2.6 * len(pictures))
-            _, axes = plt.subplots(len(pictures), 1, figsize=size, layout="constrained")
+        # The first figure loads what shows figures in a notebook, whose settings are to stay: so
+        # it is made before those of the reports are set, which end with the drawing.
+        size, ground = (7.0, 2.6 * len(pictures)), COLOURS_OF_PAPER["ground"]
+        figure = plt.figure(figsize=size, facecolor=ground, layout="constrained")
+    with settings(COLOURS_OF_PAPER):
+        if figure is not None:
+            axes = figure.subplots(len(pictures), 1)
         own = list(np.atleast_1d(np.asarray(axes, dtype=object)).ravel())
         if len(own) != len(pictures):
             raise ValueError(f"there are {len(pictures)} pictures to draw on {len(own)} axes")

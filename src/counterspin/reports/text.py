@@ -19,7 +19,8 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from counterspin.reports.blocks import Block, Heading, Paragraph, Style, Table, without_pictures
-from counterspin.reports.typography import speakable, typeset_block, visible
+from counterspin.reports.characters import speakable
+from counterspin.reports.typography import typeset_block
 
 #: Columns of plain text, where there is no terminal to ask.
 _PLAIN_WIDTH: Final = 100
@@ -85,17 +86,13 @@ class Report:
                 yield ""
             match block:
                 case Heading(text, _):
-                    yield Text(_shown(text, options, lines=False), "bold")
+                    yield Text(speakable(text, options.encoding), "bold")
                 case Paragraph(text, style):
-                    text = _shown(text, options, lines=False)
+                    text = speakable(text, options.encoding)
                     yield Text(text, _STYLES[style], overflow="fold")
                 case Table():
                     yield from _tables(block, options)
             before = block
-
-
-def _shown(text: str, options: ConsoleOptions, *, lines: bool = True) -> str:
-    return speakable(visible(text, lines=lines), options.encoding)
 
 
 def _stand_apart(before: Block, block: Block) -> bool:
@@ -109,11 +106,8 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
 
     So no number is ever broken, but where even one column beside the names is too wide.
     """
-    titles = [_shown(column.title, options, lines=False) for column in block.columns]
-    rows = [
-        [_shown(cell, options, lines=place > 0) for place, cell in enumerate(row)]
-        for row in block.rows
-    ]
+    titles = [speakable(column.title, options.encoding) for column in block.columns]
+    rows = [[speakable(cell, options.encoding) for cell in row] for row in block.rows]
     for number, (chosen, widths) in enumerate(_parts(block, [titles, *rows], options.max_width)):
         table = RichTable(
             box=box.SIMPLE_HEAD,

@@ -118,4 +118,5 @@ def _write_description(folder: Path) -> None:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise CounterspinError(f"{folder}: cannot be used ({error.strerror})") from error
-    write_text(target, text)
+    if not target.exists():
+        write_text(target, text)

@@ -6,6 +6,8 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 
 from counterspin.arrays import Array
@@ -18,6 +20,9 @@ from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, 
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 from counterspin.reports.text import Report
 from counterspin.reproduction.demo import Demonstration
+
+#: What the file of the figure says that it is.
+FIGURE: Final = "a figure of the demonstration"
 
 
 def render_demonstration(shown: Demonstration) -> Report:

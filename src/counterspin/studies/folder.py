@@ -17,7 +17,7 @@ import polars as pl
 from counterspin.arrays import Array
 from counterspin.errors import CounterspinError, CounterspinWarning
 from counterspin.frozen import frozen
-from counterspin.output import make_folder, reserve, write_whole
+from counterspin.output import FileKind, make_folder, reserve, write_whole
 from counterspin.studies.result import StudyResult
 from counterspin.studies.work import Ledger
 
@@ -82,8 +82,9 @@ class StudyFolder:
         if (self.place / _RESULT).exists() or self.resume or (begun and self.overwrite):
             if any(figure.exists() for figure in figures):
                 from counterspin.reports.charts import reserve_figures
+                from counterspin.studies.page import FIGURE
 
-                reserve_figures(figures, overwrite=True)
+                reserve_figures(figures, FIGURE, overwrite=True)
             return
         if begun:
             raise CounterspinError(
@@ -100,7 +101,12 @@ class StudyFolder:
         if not ledger.keep:
             return
         names = [f"{one.analysis}.{one.name}" for one in ledger.reported]
-        write_whole(self.place / _TRIALS, lambda part: _parquet(part, names, ledger))
+        write_whole(
+            self.place / _TRIALS,
+            lambda part: _parquet(part, names, ledger),
+            lambda: _KEPT_TRIALS,
+            overwrite=self.overwrite or self.resume,
+        )
 
 
 def _not_of_a_study(path: Path) -> CounterspinError:
@@ -116,6 +122,10 @@ def _holds_trials(path: Path) -> bool:
     except (OSError, ValueError, pl.exceptions.PolarsError):
         return False
     return first == "trial" and all(name.endswith(_OF_A_COEFFICIENT) for name in others)
+
+
+#: What is written of each trial.
+_KEPT_TRIALS: Final = FileKind("a file of a study's trials", _holds_trials)
 
 
 def _parquet(path: Path, names: list[str], ledger: Ledger) -> None:
@@ -176,7 +186,7 @@ class StudyProgress:
 
     def _save(self, path: Path, **arrays: Any) -> None:
         fingerprint = np.array(self._fingerprint)
-        write_whole(path, partial(np.savez, fingerprint=fingerprint, **arrays))
+        write_whole(path, partial(np.savez, fingerprint=fingerprint, **arrays), overwrite=True)
 
     def resume(self) -> None:
         """Take over what an earlier study has done; what is damaged is named, and done again.

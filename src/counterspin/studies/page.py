@@ -22,6 +22,9 @@ from counterspin.reports.text import Report
 from counterspin.studies.result import CoefficientResult, StudyResult
 from counterspin.studies.tally import LEVELS, Z_BINS, Z_EDGE
 
+#: What every figure of one says that it is.
+FIGURE: Final = "a figure of a study"
+
 #: Height of one of many panels, of that of a plot by itself.
 _PANEL: Final = 0.7
 
@@ -198,9 +201,9 @@ def write_figures(result: StudyResult, folder: Path | str, *, overwrite: bool = 
         Path(folder) / "coverage.svg": coverage_plots(result),
         **{Path(folder) / f"bias-{d}.svg": bias_plots(result, d) for d in drivers},
     }
-    reserve_figures(figures, overwrite=overwrite)
+    reserve_figures(figures, FIGURE, overwrite=overwrite)
     for path, plots in figures.items():
-        save(list(plots), path, overwrite=overwrite)
+        save(list(plots), path, FIGURE, overwrite=overwrite)
 
 
 def _coefficients(result: StudyResult) -> list[tuple[str, CoefficientResult]]:

@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
 from counterspin.arrays import Array
+from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import PLATFORM_TERMS
@@ -40,8 +41,8 @@ class Case:
         Where the expected values come from: document and place, closed form, or script.
     given
         What the function is given.
-    expected
-        Name -> values, of any shape.
+    stated
+        What is expected, name -> values; None: `given` names the file where that stands.
     relative, absolute
         Largest difference, as a part of the expected value and in its unit; both together where
         both are stated. `absolute` may be one number, or by name.
@@ -52,14 +53,21 @@ class Case:
     kernel: str
     source: str
     given: Mapping[str, Any]
-    expected: Mapping[str, Array]
+    stated: Mapping[str, Any] | None
     relative: float
     absolute: float | Mapping[str, Any]
 
+    @cached_property
+    def expected(self) -> Mapping[str, Array]:
+        """What is expected, name -> values of any shape; CounterspinError if it stands nowhere."""
+        kernel = self.kernel.rpartition(":")[2]
+        stated = _REFERENCES[kernel](self.given) if self.stated is None else self.stated
+        return {name: np.array(values, np.float64) for name, values in stated.items()}
+
     def allowed(self, name: str) -> Array:
         """Return the largest difference of each number of a name, in the shape of `expected`."""
-        stated = self.absolute if isinstance(self.absolute, float | int) else self.absolute[name]
-        return np.asarray(stated) + self.relative * np.abs(self.expected[name])
+        bound = self.absolute if isinstance(self.absolute, float | int) else self.absolute[name]
+        return np.asarray(bound) + self.relative * np.abs(self.expected[name])
 
 
 @cache
@@ -80,16 +88,13 @@ def case(name: str) -> Case:
 
 
 def _read(entry: Mapping[str, Any]) -> Case:
-    expected = entry["expected"]
-    if expected is None:
-        expected = _REFERENCES[entry["kernel"].rpartition(":")[2]](entry["given"])
     return Case(
         name=entry["name"],
         requirement=entry["requirement"],
         kernel=entry["kernel"],
         source=entry["source"],
         given=entry["given"],
-        expected={name: np.array(values, np.float64) for name, values in expected.items()},
+        stated=entry["expected"],
         relative=entry["limit"].get("relative", 0.0),
         absolute=entry["limit"].get("absolute", 0.0),
     )
@@ -123,6 +128,11 @@ def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
     for mounting, symbols in integrals_asked(given).items():
         for symbol in symbols:
             key = TERMS[symbol].product if symbol in TERMS else symbol
+            if key not in table[mounting]:
+                raise CounterspinError(
+                    f"{given['file']} has no integral of {symbol}, along {mounting} in the motion "
+                    f'"{given["label"]}"; tests/reference makes it'
+                )
             sign = -1.0 if symbol == "delta_P" else 1.0
             values = np.array(table[mounting][key], np.float64)
             expected[f"{symbol} of {mounting}"] = sign * values

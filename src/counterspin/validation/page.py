@@ -1,23 +1,23 @@
 """The dossier as a person reads it.
 
 - `render_dossier`: the answer, as something that rich prints; `dossier_blocks`: all of it
-- `as_html`, `as_pdf`: as a report; `file_kind`: how these are known again
+- `publication`: all of it as a report; `KIND`: what each file of it says that it is
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Final
 
-from counterspin._version import __version__
-from counterspin.calibration.pages.publishing import issue_date
-from counterspin.output import FileKind, holds
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.publication import Publication
 from counterspin.reports.text import Report
 from counterspin.validation.result import CheckedCase, Dossier
 
 _TITLE: Final = "Validation of counterspin"
+
+#: What every file of one says that it is.
+KIND: Final = "a validation dossier"
 
 
 def render_dossier(dossier: Dossier) -> Report:
@@ -53,35 +53,10 @@ def dossier_blocks(dossier: Dossier) -> Iterator[Block]:
         yield Paragraph(text)
 
 
-def as_html(dossier: Dossier) -> str:
-    """Return the dossier as one HTML file."""
-    from counterspin.reports.html import html
-
-    return html(
-        list(dossier_blocks(dossier)),
-        title=_TITLE,
-        identifier=_identifier(dossier),
-        date=issue_date(),
-        version=__version__,
-    )
-
-
-def as_pdf(dossier: Dossier) -> bytes:
-    """Return the dossier as a PDF/A."""
-    from counterspin.reports.pdf import pdf
-
-    blocks = list(dossier_blocks(dossier))
-    return pdf(blocks, title=_TITLE, identifier=_identifier(dossier), date=issue_date())
-
-
-def file_kind(path: Path) -> FileKind:
-    """Return what is written under a name, so that earlier dossiers are known again."""
-    mark = _TITLE if path.suffix == ".pdf" else f"<title>{_TITLE}</title>"
-    return FileKind("a validation dossier", holds(mark.encode()))
-
-
-def _identifier(dossier: Dossier) -> str:
-    return f"counterspin {dossier.installation.version}"
+def publication(dossier: Dossier) -> Publication:
+    """Return the dossier as it is published."""
+    identifier = f"counterspin {dossier.installation.version}"
+    return Publication(KIND, _TITLE, identifier, list(dossier_blocks(dossier)))
 
 
 def _answer(dossier: Dossier) -> Iterator[Block]:

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 
 from counterspin.certificates.schema import load_schema
-from counterspin.output import make_folder, reserve, write_text, write_whole
+from counterspin.output import make_folder, marked, reserve
 from counterspin.validation.cases import Case, cases, document
 from counterspin.validation.installed import installation
 from counterspin.validation.kernels import NotAvailableError, ask
@@ -85,16 +85,16 @@ def _with_schema(case: Case, schema: Path | str) -> Case:
 
 
 def check(case: Case) -> CheckedCase:
-    """Run one case; an error of the function that is asked is a failure."""
+    """Run one case; an error of what is asked, or of what is expected, is its failure."""
     try:
-        found = ask(case)
+        stated, found = case.expected, ask(case)
     except NotAvailableError as error:
         return _without_numbers(case, "not run", str(error))
     except Exception as error:  # whatever it is, the assessor is to read it
         return _without_numbers(case, "failed", f"{type(error).__name__}: {error}")
     worst: tuple[float, str, float, float, float] | None = None
     count = 0
-    for name, expected in case.expected.items():
+    for name, expected in stated.items():
         got = np.asarray(found.get(name, np.nan), np.float64)
         if got.shape != expected.shape:
             return _without_numbers(case, "failed", f"{name} is not there, or of another shape")
@@ -137,25 +137,26 @@ def write_dossier(dossier: Dossier, folder: Path | str, *, overwrite: bool = Fal
     CounterspinError
         If another file is in the way, or one cannot be written.
     """
-    from counterspin.validation.page import as_html, as_pdf
+    from counterspin.calibration.pages.publishing import issue_date
+    from counterspin.validation.page import publication
 
     place = Path(folder)
     check_folder(place, overwrite=overwrite)
-    page, paper = as_html(dossier), as_pdf(dossier)
-    html, pdf, json = (place / name for name in DOSSIER_FILES)
-    write_text(html, page)
-    write_whole(pdf, lambda part: part.write_bytes(paper))
+    *pages, json = (place / name for name in DOSSIER_FILES)
+    page, issued = publication(dossier), issue_date()
+    for path in pages:
+        page.write(path, issued, overwrite=overwrite)
     dossier.write(json, overwrite=overwrite)
 
 
 def check_folder(folder: Path, *, overwrite: bool) -> None:
     """Make the folder, and refuse it where a file would be lost."""
-    from counterspin.validation.page import file_kind
+    from counterspin.validation.page import KIND
 
     make_folder(folder)
     for name in DOSSIER_FILES:
         path = folder / name
-        kind = Dossier.file_kind if path.suffix == ".json" else partial(file_kind, path)
+        kind = Dossier.file_kind if path.suffix == ".json" else partial(marked, KIND)
         reserve(path, kind, overwrite=overwrite)
 
 

@@ -6,9 +6,10 @@ import pytest
 from results import result
 
 from counterspin.calibration.pages.full_report import identifier_of
-from counterspin.calibration.pages.publishing import FORMATS, issue_date, report, write_report
+from counterspin.calibration.pages.publishing import issue_date, report, write_report
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError
+from counterspin.reports.publication import FORMATS
 
 FIXED = datetime(2026, 3, 1, 12, tzinfo=UTC)
 
@@ -42,7 +43,7 @@ def test_a_report_is_returned_as_it_is_written(kind, tmp_path):
 def test_a_report_replaces_no_other_file(tmp_path):
     record = tmp_path / "record.md"
     record.write_text("mine", encoding="utf-8")
-    with pytest.raises(CounterspinError, match="is not a report of counterspin"):
+    with pytest.raises(CounterspinError, match="is not a calibration report of counterspin"):
         write_report(result(), record, issued=FIXED, overwrite=True)
     assert record.read_text(encoding="utf-8") == "mine"
 

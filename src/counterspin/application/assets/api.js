@@ -1,5 +1,23 @@
 // @ts-check
-// What the page asks the server; every request goes to the server that the page came from.
+// What the page asks the server; every request goes to the server that the page came from, with
+// the key, which this window keeps.
+
+/** What the key is kept and asked for by. */
+const KEY = "counterspin-key";
+
+/** How long other windows have to tell the key, ms. */
+const PATIENCE = 300;
+
+/**
+ * Windows of this very server, no other is heard: one that a link of the page has opened asks for
+ * the key, and all have it anew from one that came by a link of the terminal.
+ */
+const windows = new BroadcastChannel(KEY);
+windows.addEventListener("message", ({ data }) => {
+  const key = sessionStorage.getItem(KEY);
+  if (data.asked && key) windows.postMessage({ key });
+  if (data.key && (data.renewed || !key)) sessionStorage.setItem(KEY, data.key);
+});
 
 /** An answer that is no: its status, and what the server says. */
 export class Refused extends Error {
@@ -25,17 +43,31 @@ async function ask(method, name, said = {}) {
   const given = Object.fromEntries(Object.entries(said).filter(([, value]) => value !== undefined));
   const reading = method === "GET";
   const query = reading && Object.keys(given).length ? `?${new URLSearchParams(given)}` : "";
+  return exchange(`${name}${query}`, {
+    method,
+    headers: reading ? {} : { "Content-Type": "application/json" },
+    body: reading ? undefined : JSON.stringify(given),
+  });
+}
+
+/**
+ * Send a request with the key.
+ * @param {string} path
+ * @param {{method: string, headers: Record<string, string>, body?: BodyInit}} request
+ * @returns {Promise<Response>}
+ */
+async function exchange(path, request) {
+  const key = sessionStorage.getItem(KEY);
+  const headers = { ...request.headers, ...key ? { Authorization: `Bearer ${key}` } : {} };
   let response;
   try {
-    response = await fetch(`/api/${name}${query}`, {
-      method,
-      headers: reading ? {} : { "Content-Type": "application/json" },
-      body: reading ? undefined : JSON.stringify(given),
-    });
+    response = await fetch(`/api/${path}`, { ...request, headers });
   } catch {
     throw new Refused(0, { error: "The server does not answer; was it ended?" });
   }
   if (response.ok) return response;
+  // One of an earlier server is of no use, to other windows either.
+  if (response.status === 401 && sessionStorage.getItem(KEY) === key) sessionStorage.removeItem(KEY);
   const told = await response.json().catch(() => ({ error: `The server answers ${response.status}.` }));
   throw new Refused(response.status, told);
 }
@@ -50,16 +82,47 @@ export const getText = async (name, said) => (await ask("GET", name, said)).text
 export const send = async (method, name, said) => (await ask(method, name, said)).json();
 
 /**
- * Give the link's token for the cookie; nothing to do where there is none.
+ * Bring a file.
+ * @param {string} name
+ * @param {File} file
+ * @returns {Promise<any>}
  */
+export const bring = async (name, file) =>
+  (await exchange(`files?${new URLSearchParams({ name })}`, {
+    method: "POST",
+    headers: { "Content-Type": "application/octet-stream" },
+    body: file,
+  })).json();
+
+/**
+ * Have the browser save a file; it fetches that by itself, from an address that counts once.
+ * @param {"report" | "file"} name
+ * @param {Record<string, string>} said
+ */
+export async function save(name, said) {
+  const { ticket } = await send("POST", "ticket", { name, said });
+  const link = document.createElement("a");
+  link.href = `/api/ticket/${ticket}`;
+  link.download = "";
+  link.click();
+}
+
+/** Give the link's token for the key; without one, another window may tell it. */
 export async function enter() {
   const token = /^#token=(.+)$/.exec(location.hash)?.[1];
-  if (!token) return;
-  // Neither the history nor a copied address keeps it.
-  history.replaceState(null, "", "#/");
-  await fetch("/api/session", {
-    method: "POST",
-    headers: { "Content-Type": "application/json" },
-    body: JSON.stringify({ token }),
+  if (token) {
+    // Neither the history nor a copied address keeps it.
+    history.replaceState(null, "", "#/");
+    const given = await send("POST", "session", { token }).catch(() => null);
+    if (given) {
+      sessionStorage.setItem(KEY, given.key);
+      windows.postMessage({ key: given.key, renewed: true });
+    }
+  }
+  if (sessionStorage.getItem(KEY)) return;
+  await new Promise((told) => {
+    windows.addEventListener("message", ({ data }) => data.key && told(undefined));
+    windows.postMessage({ asked: true });
+    setTimeout(told, PATIENCE);
   });
 }

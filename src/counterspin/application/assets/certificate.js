@@ -5,6 +5,7 @@ import { resultAddress } from "./addresses.js";
 import { get, send } from "./api.js";
 import { commandLine, labelled, make, say, warning } from "./dom.js";
 import { editorOf } from "./editor.js";
+import { saving } from "./result.js";
 
 /**
  * The page of a result's certificate.
@@ -29,7 +30,7 @@ export async function certificateView(result) {
       place.replaceChildren(
         make("p", { class: "answer-line" },
           `Certificate ${made.identifier} of ${made.accelerometers.join(", ")}: `,
-          make("a", { href: `/api/file?${new URLSearchParams({ name: made.file })}`, download: "" }, made.file)),
+          saving(made.file, "file", { name: made.file })),
         ...made.notes.map(/** @param {string} note */ (note) => make("p", { class: "warning" }, note)),
         commandLine(made.command));
     } catch (error) {

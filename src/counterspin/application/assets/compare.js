@@ -17,21 +17,26 @@ export async function compareView() {
   const { results } = await allResults();
   const place = make("div");
   const boxes = results.map((result) => make("input", { type: "checkbox", value: result.name }));
+  const reference = make("select", {});
   const show = () => {
     const chosen = boxes.filter((box) => box.checked).map((box) => box.value);
-    if (chosen.length >= 2) fill(place, "comparison", chosen);
+    const first = chosen.includes(reference.value) ? reference.value : chosen[0];
+    reference.replaceChildren(...chosen.map((name) =>
+      make("option", { value: name, selected: name === first }, name)));
+    if (chosen.length >= 2) fill(place, "comparison", [first, ...chosen.filter((name) => name !== first)]);
     else place.replaceChildren(make("p", { class: "quiet" }, "Choose two results or more."));
   };
-  boxes.forEach((box) => box.addEventListener("change", show));
+  [...boxes, reference].forEach((control) => control.addEventListener("change", show));
   show();
   return {
     title: "Compare",
     content: [
       make("h1", {}, "Compare results"),
-      make("fieldset", {}, make("legend", {}, "Results; each is compared with the first"),
+      make("fieldset", {}, make("legend", {}, "Results"),
         ...results.map((result, i) => make("label", { class: "choice" }, boxes[i],
           `${result.name} `, stateMark(result.state, result.words),
           ` ${(result.answers ?? []).map(/** @param {any} a */ (a) => `${a.name} = ${a.text}`).join("; ")}`))),
+      make("div", { class: "row" }, labelled("Each is compared with", reference)),
       place,
     ],
   };

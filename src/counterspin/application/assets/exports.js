@@ -2,24 +2,8 @@
 // Exports of a recorder, dragged in: what is guessed of them is said, what they do not say is asked.
 
 import { campaignAddress } from "./addresses.js";
-import { Refused, send } from "./api.js";
+import { bring, send } from "./api.js";
 import { labelled, make, say, warning } from "./dom.js";
-
-/**
- * Bring a file.
- * @param {string} name
- * @param {File} file
- */
-async function bring(name, file) {
-  const response = await fetch(`/api/files?${new URLSearchParams({ name })}`, {
-    method: "POST",
-    headers: { "Content-Type": "application/octet-stream" },
-    body: file,
-  });
-  const told = await response.json();
-  if (!response.ok) throw new Refused(response.status, told);
-  return told.name;
-}
 
 /** What begins a campaign from files. */
 export function exportsPart() {
@@ -72,7 +56,7 @@ export function exportsPart() {
       const names = [];
       for (const file of some) {
         place.replaceChildren(make("p", { class: "quiet" }, `Bringing ${file.name}.`));
-        names.push(await bring(`${folder.value.trim()}/${file.name}`, file));
+        names.push((await bring(`${folder.value.trim()}/${file.name}`, file)).name);
       }
       place.replaceChildren(make("p", { class: "quiet" }, "Looking at the files."));
       await draft(names);

@@ -1,7 +1,7 @@
 // @ts-check
 // The page: which view stands at which place.
 
-import { enter } from "./api.js";
+import { Refused, enter } from "./api.js";
 import { campaignView } from "./campaign.js";
 import { certificateView } from "./certificate.js";
 import { compareView, historyView } from "./compare.js";
@@ -57,7 +57,9 @@ async function show() {
     const words = /** @type {RegExpExecArray} */ (found.match).slice(1).map(decodeURIComponent);
     ({ title, content } = await found.place.view(...words));
   } catch (error) {
-    content = [make("h1", {}, "That did not work"), warning(/** @type {Error} */ (error).message)];
+    const keyless = error instanceof Refused && error.status === 401;
+    content = [make("h1", {}, keyless ? "This window has no key" : "That did not work"),
+      warning(/** @type {Error} */ (error).message)];
   }
   if (mine !== turn) return;
   main.replaceChildren(...content);
@@ -68,6 +70,8 @@ async function show() {
 
 let shownAt = location.hash;
 addEventListener("hashchange", () => {
+  // A link of the terminal, opened in this window.
+  if (location.hash.startsWith("#token=")) location.reload();
   // A link within a page is none to another place.
   if (!location.hash.startsWith("#/")) return;
   if (location.hash !== shownAt && unsaved() && !confirm("Leave without saving?")) {

@@ -1,8 +1,8 @@
 // @ts-check
 // A result: the report's own blocks.
 
-import { get, getText } from "./api.js";
-import { commandLine, make, warning } from "./dom.js";
+import { get, getText, save } from "./api.js";
+import { commandLine, make, say, warning } from "./dom.js";
 import { follow } from "./job.js";
 
 /**
@@ -66,14 +66,24 @@ export async function fill(place, kind, names, term) {
 }
 
 /**
+ * A button that has the browser save a file.
+ * @param {string} words
+ * @param {"report" | "file"} name
+ * @param {Record<string, string>} said
+ */
+export const saving = (words, name, said) => make("button", {
+  type: "button",
+  onclick: () => save(name, said).catch((error) => say(error.message)),
+}, words);
+
+/**
  * What can be made of a result.
  * @param {string} name
  */
 export const resultLinks = (name) => make("p", { class: "links" },
   make("a", { href: `#/certificate/${encodeURIComponent(name)}` }, "Certificate of this result"),
-  ...["html", "pdf", "md"].map((kind) => make("a", {
-    href: `/api/report?${new URLSearchParams({ name, kind })}`, download: "",
-  }, `Report as ${kind === "md" ? "Markdown" : kind.toUpperCase()}`)));
+  ...["html", "pdf", "md"].map((kind) =>
+    saving(`Report as ${kind === "md" ? "Markdown" : kind.toUpperCase()}`, "report", { name, kind })));
 
 /**
  * The page of a result.

@@ -14,6 +14,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
+from counterspin.reports.characters import visible
 
 if TYPE_CHECKING:
     import polars as pl
@@ -78,11 +79,12 @@ class Labelled:
     def _cells(self) -> list[list[str]]:
         """Return names and numbers as text, the first rows and columns of a large matrix."""
         rows, columns = _DISPLAYED_SHAPE
-        head = ["", *self.labels[:columns]]
+        labels = list(map(visible, self.labels))
+        head = ["", *labels[:columns]]
         numbers = self.values[:rows, :columns]
         body = [
             [name, *(f"{number:.3g}" for number in row)]
-            for name, row in zip(self.labels, numbers, strict=False)
+            for name, row in zip(labels, numbers, strict=False)
         ]
         return [head, *body]
 

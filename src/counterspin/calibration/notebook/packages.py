@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.errors import CounterspinError
 
 if TYPE_CHECKING:
@@ -46,8 +47,13 @@ def to_uncertainties(result: Result) -> dict[str, Any]:
 def to_gtc(result: Result) -> dict[str, Any]:
     """Return the determined coefficients as GTC's uncertain numbers, by name (``Qx.K_II``).
 
-    They form one ensemble, since their correlations come from the same records; GTC gives an
-    ensemble one number of degrees of freedom, here the smallest of the coefficients'.
+    GTC gives numbers that are correlated and have finite degrees of freedom one number of these
+    together. So each coefficient is a sum of independent parts that the coefficients share, and
+    each part of two: one of an ensemble with one degree of freedom, one with infinitely many. Their
+    sizes are such that the Welch-Satterthwaite formula, by which GTC computes, returns each
+    coefficient's own degrees of freedom. Where correlations leave no such sizes, GTC returns fewer
+    than the coefficient has, never more; it knows no fewer than 1. Degrees of freedom of what is
+    computed from several coefficients follow from the same parts, and are an approximation.
 
     Raises
     ------
@@ -58,13 +64,52 @@ def to_gtc(result: Result) -> dict[str, Any]:
     covariance = result.stated_covariance()
     found = [result.coefficient(name) for name in covariance.terms]
     u = np.sqrt(np.diag(covariance.matrix))
-    # GTC knows no fewer degrees of freedom than 1.
-    freedom = max(1.0, min((c.dof for c in found if c.dof is not None), default=math.inf))
-    values = [c.value for c in found]
-    numbers = package.multiple_ureal(values, u.tolist(), freedom, list(covariance.terms))
-    for row in range(len(found)):
-        for column in range(row):
-            r = covariance.matrix[row, column] / (u[row] * u[column])
-            if r:
-                package.set_correlation(float(np.clip(r, -1.0, 1.0)), numbers[row], numbers[column])
-    return dict(zip(covariance.terms, numbers, strict=True))
+    dof = np.array([math.inf if c.dof is None else max(1.0, c.dof) for c in found])
+    root = _root(covariance.matrix / np.outer(u, u), dof)
+    finite = _finite_parts(root, dof)
+    few = np.flatnonzero(finite)
+    of_few = package.multiple_ureal([0.0] * few.size, np.sqrt(finite[few]).tolist(), 1.0)
+    numbers = {}
+    for name, c, row in zip(covariance.terms, found, u[:, None] * root, strict=True):
+        number = package.constant(c.value)
+        for place, part in zip(few, of_few, strict=True):
+            number += float(row[place]) * part
+        numbers[name] = number
+    for place in np.flatnonzero(finite < 1.0):
+        part = package.ureal(0.0, math.sqrt(1.0 - finite[place]))
+        for name, size in zip(covariance.terms, u * root[:, place], strict=True):
+            numbers[name] += float(size) * part
+    return {name: package.result(number, label=name) for name, number in numbers.items()}
+
+
+def _root(correlation: Array, dof: Array) -> Array:
+    """Return independent parts, a row of L for each coefficient: L L^T is the correlation.
+
+    Each part belongs to one coefficient, and those with fewer degrees of freedom have it too: these
+    get them by a part that the others lack.
+    """
+    order = np.argsort(-dof)
+    values, vectors = np.linalg.eigh(correlation[np.ix_(order, order)])
+    half = vectors * np.sqrt(np.maximum(values, 0.0))
+    root = np.empty_like(half)
+    _, upper = np.linalg.qr(half.T)
+    root[order] = upper.T
+    # Rounding, and what an eigenvalue below zero had added.
+    rows: Array = root / np.linalg.norm(root, axis=1)[:, None]
+    return rows
+
+
+def _finite_parts(root: Array, dof: Array) -> Array:
+    """Return which share of each part's variance has one degree of freedom, from 0 to 1.
+
+    A coefficient of which the share s has one degree of freedom, and the rest infinitely many, has
+    1/s^2 by the Welch-Satterthwaite formula; s is linear in the shares of the parts.
+    """
+    from scipy.optimize import linprog
+
+    wanted = 1.0 / np.sqrt(dof)
+    of_parts = root**2
+    weight = 1.0 / np.maximum(wanted, 1e-6)
+    solved = linprog(weight @ of_parts, A_ub=-of_parts, b_ub=-wanted, bounds=(0.0, 1.0))
+    shares: Array = np.where(solved.x > 1e-12, np.minimum(solved.x, 1.0), 0.0)
+    return shares

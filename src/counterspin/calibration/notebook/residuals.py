@@ -1,7 +1,7 @@
 """Whole residuals of a joint fit as arrays, for an analysis of one's own.
 
-- `RunResiduals`: of one accelerometer in one run
-- `residuals_of`: of all of a fit
+- `RunResiduals`: of one accelerometer in one run; `residuals_of`: of all of a fit
+- `ReadingResiduals`: of one accelerometer's readings in one motion; `of_readings`: of a result
 - `choose`: of one accelerometer, of one run
 - `displacement_pictures`: what was recorded and what was fitted, as pictures
 """
@@ -9,7 +9,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
@@ -17,6 +19,7 @@ from counterspin.frozen import frozen
 if TYPE_CHECKING:
     import polars as pl
 
+    from counterspin.calibration.result import Result
     from counterspin.inference.joint.fit import JointFit
     from counterspin.reports.blocks import Picture
 
@@ -65,6 +68,63 @@ class RunResiduals:
         return f"<residuals of {self.accelerometer} in {self.run}: {self.time.size} in {self.unit}>"
 
 
+@frozen(eq=False)
+class ReadingResiduals:
+    """What a fit leaves of one accelerometer's readings in one motion, in g.
+
+    Attributes
+    ----------
+    accelerometer, run
+        Whose; the motion stands for the run: static, arm or counter-rotating.
+    names
+        Of the readings, n of them.
+    value
+        What was read, shape (n,).
+    fitted
+        What the fit makes of it, shape (n,).
+    residual
+        value - fitted, shape (n,).
+    u
+        Standard uncertainty of each reading, shape (n,).
+    """
+
+    accelerometer: str
+    run: str
+    names: tuple[str, ...]
+    value: Array
+    fitted: Array
+    residual: Array
+    u: Array
+
+    def frame(self) -> pl.DataFrame:
+        """Return a polars frame of `names`, `value`, `fitted`, `residual` and `u`."""
+        import polars as pl
+
+        columns = ("names", "value", "fitted", "residual", "u")
+        return pl.DataFrame({name: getattr(self, name) for name in columns})
+
+    def __repr__(self) -> str:
+        """Return whose they are, and how many."""
+        return f"<residuals of {self.accelerometer}, {self.run}: {len(self.names)} readings in g>"
+
+
+def of_readings(result: Result) -> list[ReadingResiduals]:
+    """Return the residuals of every accelerometer's readings, by motion."""
+    found = []
+    for name, accelerometer in result.accelerometers.items():
+        for motion in dict.fromkeys(reading.motion for reading in accelerometer.readings):
+            own = [reading for reading in accelerometer.readings if reading.motion == motion]
+            value, residual, u = (
+                np.array([getattr(reading, key) for reading in own])
+                for key in ("value", "residual", "u")
+            )
+            names = tuple(reading.name for reading in own)
+            found.append(
+                ReadingResiduals(name, motion, names, value, value - residual, residual, u)
+            )
+    return found
+
+
 def residuals_of(fit: JointFit, units: dict[str, str]) -> tuple[RunResiduals, ...]:
     """Return the residuals of every accelerometer in every run.
 
@@ -92,8 +152,8 @@ def residuals_of(fit: JointFit, units: dict[str, str]) -> tuple[RunResiduals, ..
 
 
 def choose(
-    residuals: Sequence[RunResiduals], accelerometer: str | None, run: str | None
-) -> list[RunResiduals]:
+    residuals: Sequence[RunResiduals | ReadingResiduals], accelerometer: str | None, run: str | None
+) -> list[Any]:
     """Return the residuals of one accelerometer, of one run, or of all.
 
     Raises
@@ -112,7 +172,9 @@ def choose(
     return chosen
 
 
-def displacement_pictures(residuals: Sequence[RunResiduals]) -> list[Picture]:
+def displacement_pictures(
+    residuals: Sequence[RunResiduals | ReadingResiduals],
+) -> list[Picture]:
     """Return what was recorded less the reference, and the fit through it, a picture a run."""
     from counterspin.reports.blocks import Plot, PlotSeries
 
@@ -130,4 +192,5 @@ def displacement_pictures(residuals: Sequence[RunResiduals]) -> list[Picture]:
             ),
         )
         for left in residuals
+        if isinstance(left, RunResiduals)
     ]

@@ -17,9 +17,9 @@ from counterspin.calibration.notebook.latex import (
     latex_text,
     latex_unit,
 )
+from counterspin.reports.characters import visible
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.reports.shown import LINES
-from counterspin.reports.typography import visible
 
 if TYPE_CHECKING:
     from counterspin.calibration.result import Result

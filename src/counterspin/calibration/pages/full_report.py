@@ -7,9 +7,7 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from collections.abc import Iterator
-from typing import Final
 
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.pages.accelerometer import accelerometer_blocks, budget_blocks
@@ -28,9 +26,6 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.reports.blocks import Block, Heading, Picture
 from counterspin.reports.typography import typeset_block
-
-#: The end of a result's JSON from its environment on.
-_ENVIRONMENT: Final = re.compile(r',\n  "environment": \{[^{}]*\}\n \}\n\}\n\Z')
 
 
 def document(result: Result) -> list[Block]:
@@ -59,13 +54,8 @@ def document(result: Result) -> list[Block]:
 
 
 def identifier_of(result: Result) -> str:
-    """Return an identifier that follows from the result alone; another result has another.
-
-    The environment, the last of its keys, does not count: the same numbers of the same inputs are
-    the same result on whatever machine.
-    """
-    text = _ENVIRONMENT.sub("\n }\n}\n", result.to_json())
-    return f"CS-{hashlib.sha256(text.encode()).hexdigest()[:12]}"
+    """Return an identifier that follows from the bytes of a result's file; another has another."""
+    return f"CS-{hashlib.sha256(result.content).hexdigest()[:12]}"
 
 
 def _chapters(result: Result) -> Iterator[Block]:

@@ -1,7 +1,7 @@
 """A report as a file: HTML, PDF or Markdown, by the ending of its name.
 
 - `report`: a result's report as text or bytes; `write_report`: to a file
-- `file_kind`: how its own files are known again
+- `KIND`: what each of them says that it is
 - `issue_date`: when it is said to have been made
 """
 
@@ -10,48 +10,15 @@ from __future__ import annotations
 import os
 from datetime import UTC, date, datetime, time
 from pathlib import Path
-from typing import Any, Final, Literal, overload
+from typing import Final, Literal, overload
 
 from counterspin.calibration.pages.full_report import document, identifier_of
 from counterspin.calibration.result import Result
 from counterspin.errors import CampaignError
-from counterspin.output import FileKind, holds, reserve, write_text, write_whole
-from counterspin.reports.blocks import Paragraph
+from counterspin.reports.publication import Publication
 
-#: Endings of the files that are written.
-FORMATS: Final = (".html", ".pdf", ".md")
-
-
-#: Stands in the place of a calibration's title in a report that compares several.
-COMPARISON_TITLE: Final = "Comparison of results"
-
-#: What stands in a report of each.
-_MARKS: Final = {
-    ".html": b'name="generator" content="counterspin',
-    ".pdf": b"counterspin",
-    ".md": b"counterspin calibrate",
-}
-
-
-def file_kind(path: Path) -> FileKind:
-    """Return what `write_report` writes under a name, so that its own reports are known again."""
-    marked, attached = holds(_MARKS[check_format(path)]), holds(b"/EmbeddedFile")
-    compares = holds(COMPARISON_TITLE.encode())
-
-    def recognises(place: Path) -> bool:
-        # A certificate's PDF says the same of its making, and carries its XML.
-        own = marked(place) and not attached(place) and not compares(place)
-        return own and place.suffix.lower() == path.suffix.lower()
-
-    return FileKind("a report of counterspin", recognises)
-
-
-def check_format(path: Path) -> str:
-    """Return the format that a file's name asks for; CampaignError if there is no such format."""
-    suffix = path.suffix.lower()
-    if suffix not in FORMATS:
-        raise CampaignError("report", [f"{path}: name the file .html, .pdf or .md"])
-    return suffix
+#: What every file of one says that it is.
+KIND: Final = "a calibration report"
 
 
 @overload
@@ -93,25 +60,12 @@ def report(
     CampaignError
         If there is no such kind.
     """
-    blocks = document(result)
-    known_by = identifier or identifier_of(result)
-    made = issued or issue_date()
-    title = result.title or "Calibration"
-    if kind == "html":
-        from counterspin.reports.html import html
-
-        version = result.provenance.version
-        return html(blocks, title=title, identifier=known_by, date=made, version=version)
+    page, made = _publication(result, identifier), issued or issue_date()
     if kind == "pdf":
-        from counterspin.reports.pdf import pdf
-
-        return pdf(blocks, title=title, identifier=known_by, date=made)
-    if kind != "md":
+        return page.pdf(made)
+    if kind not in ("html", "md"):
         raise CampaignError("report", [f"kind: {kind!r} is not html, md or pdf"])
-    from counterspin.reports.markdown import markdown
-
-    end = Paragraph(f"End of {known_by}, {made.astimezone(UTC):%Y-%m-%d %H:%M} UTC.", "quiet")
-    return markdown([*blocks, end])
+    return page.text(f".{kind}", made)
 
 
 def write_report(
@@ -144,15 +98,18 @@ def write_report(
     CounterspinError
         If a file is in the way or it cannot be written; nothing is left behind then.
     """
-    path = Path(path)
-    suffix = check_format(path)
-    reserve(path, lambda: file_kind(path), overwrite=overwrite)
-    kind: Any = suffix.removeprefix(".")
-    made: str | bytes = report(result, kind, identifier=identifier, issued=issued)
-    if isinstance(made, bytes):
-        write_whole(path, lambda part: part.write_bytes(made))
-    else:
-        write_text(path, made)
+    page = _publication(result, identifier)
+    page.write(Path(path), issued or issue_date(), overwrite=overwrite)
+
+
+def _publication(result: Result, identifier: str | None) -> Publication:
+    return Publication(
+        kind=KIND,
+        title=result.title or "Calibration",
+        identifier=identifier or identifier_of(result),
+        blocks=document(result),
+        version=result.provenance.version,
+    )
 
 
 def issue_date(text: str | None = None) -> datetime:

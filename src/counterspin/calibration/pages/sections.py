@@ -23,6 +23,7 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, RunResult
 from counterspin.inference.conformity import expanded_uncertainty
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.characters import Lines
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
     field_unit,
@@ -211,9 +212,11 @@ def _ripples(run: RunResult) -> str:
         return "-"
     # parts per million of the rate, whichever way it turns
     scale = 1e6 / abs(run.rate)
-    return "\n".join(
-        f"{ripple.harmonic}: {format_compact(ripple.amplitude * scale, ripple.u_amplitude * scale)}"
-        for ripple in run.ripples
+    return Lines(
+        *(
+            f"{one.harmonic}: {format_compact(one.amplitude * scale, one.u_amplitude * scale)}"
+            for one in run.ripples
+        )
     )
 
 

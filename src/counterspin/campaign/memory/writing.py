@@ -39,16 +39,16 @@ def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = 
         make_folder(target.parent)
         if isinstance(record, MemoryTable):
             writer = WRITERS[target.suffix.lower()]
-            write_whole(target, partial(writer, record.frame()))
+            write_whole(target, partial(writer, record.frame()), overwrite=overwrite)
         elif not (target.exists() and target.samefile(record)):
-            write_whole(target, partial(shutil.copyfile, record))
+            write_whole(target, partial(shutil.copyfile, record), overwrite=overwrite)
     make_folder(folder)
     unchanged = not source.in_memory and document == source.document
     if unchanged and source.file is not None:
         if not (description.exists() and description.samefile(source.file)):
-            write_whole(description, partial(shutil.copyfile, source.file))
+            write_whole(description, partial(shutil.copyfile, source.file), overwrite=overwrite)
     else:
-        write_text(description, write_document(document))
+        write_text(description, write_document(document), overwrite=overwrite)
     return description
 
 

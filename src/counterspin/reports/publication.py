@@ -1,0 +1,108 @@
+"""Pages of ours as files: HTML, PDF or Markdown, by the ending of the name.
+
+- `Publication`: blocks with what they are; made, and written
+- `check_format`, `FORMATS`: the endings
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from counterspin._version import __version__
+from counterspin.errors import CampaignError
+from counterspin.frozen import frozen
+from counterspin.output import mark, marked, reserve, write_whole
+from counterspin.reports.blocks import Block, Paragraph
+
+#: Endings of the files that are written.
+FORMATS: Final = (".html", ".pdf", ".md")
+
+
+def check_format(path: Path) -> str:
+    """Return the format that a file's name asks for; CampaignError if there is no such format."""
+    suffix = path.suffix.lower()
+    if suffix not in FORMATS:
+        raise CampaignError("report", [f"{path}: name the file .html, .pdf or .md"])
+    return suffix
+
+
+@frozen
+class Publication:
+    """Blocks with what they are.
+
+    Attributes
+    ----------
+    kind
+        What every file of them says that it is, such as "a comparison".
+    title, identifier
+        What it is called, and what it is known by.
+    blocks
+        The answer first.
+    version
+        Of the program that computed what they show.
+    """
+
+    kind: str
+    title: str
+    identifier: str
+    blocks: Sequence[Block]
+    version: str = __version__
+
+    def text(self, suffix: str, issued: datetime) -> str:
+        """Return it as ``.html`` or ``.md``, made at a time with its zone."""
+        if suffix == ".html":
+            from counterspin.reports.html import html
+
+            return html(
+                self.blocks,
+                title=self.title,
+                identifier=self.identifier,
+                date=issued,
+                version=self.version,
+                kind=self.kind,
+            )
+        from counterspin.reports.markdown import markdown
+
+        made = f"{issued.astimezone(UTC):%Y-%m-%d %H:%M} UTC"
+        end = Paragraph(f"End of {self.identifier}, {made}.", "quiet")
+        return f"{markdown(self.blocks)}\n<!-- {mark(self.kind)} -->\n\n{markdown([end])}"
+
+    def pdf(self, issued: datetime) -> bytes:
+        """Return it as a PDF, made at a time with its zone."""
+        from counterspin.reports.pdf import pdf
+
+        return pdf(
+            self.blocks,
+            title=self.title,
+            identifier=self.identifier,
+            date=issued,
+            kind=self.kind,
+        )
+
+    def write(self, path: Path, issued: datetime, *, overwrite: bool = False) -> None:
+        """Write it, whole or not at all.
+
+        Parameters
+        ----------
+        path
+            The file; its ending says the format.
+        issued
+            When it is said to have been made, with its time zone.
+        overwrite
+            Whether an earlier one of this kind may be replaced; nothing else is.
+
+        Raises
+        ------
+        CampaignError
+            If there is no such format.
+        CounterspinError
+            If a file is in the way, or it cannot be written; nothing is left behind then.
+        """
+        suffix, kind = check_format(path), partial(marked, self.kind)
+        reserve(path, kind, overwrite=overwrite)
+        data = self.pdf(issued) if suffix == ".pdf" else self.text(suffix, issued).encode()
+        write_whole(path, lambda part: part.write_bytes(data), kind, overwrite=overwrite)

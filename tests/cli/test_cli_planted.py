@@ -1,0 +1,116 @@
+"""Nothing that lies in the working folder is run or obeyed: it may be anybody's."""
+
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import polars as pl
+import pytest
+from campaigns import SMALL, write
+from results import result
+from served import ANSWERS
+
+from certificates import write_lab
+from counterspin import cli
+from counterspin.application.jobs import Job, Jobs, calibrate_into
+from counterspin.application.live import LiveViews
+from counterspin.calibration.calibrate import calibrate
+from counterspin.campaign.simulation import simulate
+from counterspin.records import isolation
+
+#: What a new process of Python, of multiprocessing and of the reader imports first.
+PLANTED = ("json", "signal", "multiprocessing")
+TRAP = "import pathlib\npathlib.Path(__file__ + '.ran').touch()\nraise ImportError\n"
+
+ANSWERED = [word for key, value in ANSWERS.items() for word in ("--answer", f"{key}={value}")]
+RECORDS = [f"{run}.parquet" for run in ("slow", "middle", "fast")]
+
+#: The commands that start a process or more.
+COMMANDS = [
+    ["init", "new", "--from", *RECORDS, "--yes", *ANSWERED],
+    ["calibrate", "."],
+    ["calibrate", ".", "again", "--workers", "2"],
+    ["rerun", "result.json"],
+    ["check", "slow.parquet", "--campaign", "."],
+    ["watch", ".", "--once"],
+    ["apply", "result.json", "force.parquet", "--accelerometer", "Qx", "-o", "out.parquet"],
+    ["study", ".", "--trials", "10", "--workers", "2"],
+    ["certificate", "--verify", "c.pdf"],
+]
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Return a folder with a campaign of Parquet files, a certificate, and what is planted."""
+    folder, plan = tmp_path_factory.mktemp("foreign"), tmp_path_factory.mktemp("plan")
+    short = SMALL.replace("revolutions = 20", "revolutions = 6").replace(".csv", ".parquet")
+    simulate(write(plan, short), folder)
+    calibrate(folder).write(folder / "result.json")
+    shutil.copytree(folder, folder / "again")
+    pl.DataFrame({"force": [1.0, 2.0]}).write_parquet(folder / "force.parquet")
+    result().write(folder / "r.json")
+    words = [str(folder / "r.json"), str(write_lab(folder)), "-o", str(folder / "c.pdf")]
+    assert cli.main(["certificate", *words]) == 0
+    for name in PLANTED:
+        (folder / f"{name}.py").write_text(TRAP)
+    # No settings at all, but bytes that cannot be read.
+    (folder / "matplotlibrc").write_bytes(b"\xff\n")
+    return folder
+
+
+@pytest.fixture
+def foreign(made, monkeypatch):
+    """Be in that folder, with no process of the reader that was started elsewhere."""
+    monkeypatch.chdir(made)
+    reader = isolation._Reader()
+    monkeypatch.setattr(isolation, "_READER", reader)
+    yield made
+    reader.close()
+    assert sorted(made.glob("*.ran")) == []
+
+
+@pytest.mark.parametrize("words", COMMANDS, ids=lambda words: "-".join(words[:2]))
+def test_no_module_of_the_working_folder_is_run(words, foreign):
+    if words[0] == "init":
+        shutil.rmtree(foreign / "new", ignore_errors=True)
+    assert cli.main(words) == 0
+
+
+def test_nor_by_what_the_page_starts(foreign):
+    jobs, views = Jobs(), LiveViews()
+    output = foreign / "job.json"
+
+    def make(number):
+        return Job(number, "", "job.json", "counterspin calibrate .")
+
+    job = jobs.begin(make, calibrate_into, foreign / "campaign.toml", output, "joint", None)
+    while not views.look(foreign / "campaign.toml", "")["complete"]:
+        time.sleep(0.05)
+    while job.state in ("waiting", "running"):
+        time.sleep(0.05)
+    jobs.close()
+    views.close()
+    assert (job.state, job.error) == ("done", "")
+
+
+BESIDE = Path(sys.executable).parent
+
+
+@pytest.mark.parametrize(
+    "command", [[BESIDE / "counterspin"], [sys.executable, "-m", "counterspin"]]
+)
+def test_a_process_of_its_own_obeys_nothing_there(command, foreign):
+    # As in a cell of a notebook, whose backend need not be installed for this Python.
+    environment = {**os.environ, "MPLBACKEND": "widget of another Python"}
+    environment.pop("PYTHONSAFEPATH", None)
+    for words in (
+        ["calibrate", "."],
+        ["report", "result.json", "-o", "report.html", "--overwrite"],
+    ):
+        done = subprocess.run(
+            [*command, *words], env=environment, capture_output=True, check=False, text=True
+        )
+        assert (done.returncode, done.stderr) == (0, "")
