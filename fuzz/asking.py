@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_to_bytes
 
-from served import InlineJobs
+from served import InlineJobs, told_inline
 
 from counterspin.application import interface, server
 from counterspin.application.desk import Desk as ServedDesk
@@ -57,6 +57,16 @@ class _First:
         except CounterspinError as error:
             return {"error": str(error)}
         return {"html": "", "events": list(state.events), "complete": state.complete}
+
+    def ask(self, file: Path, work: Callable[..., None], question: Any) -> Any:
+        kind, *told = told_inline(work, file, questions=[question])[-1]
+        if kind == "failed":
+            assert "internal error" not in told[0], told[0]
+            raise CounterspinError(told[0])
+        return told[-1]
+
+    def end(self, file: Path) -> None:
+        """Nothing goes on about a file."""
 
     def close(self) -> None:
         """Nothing is followed any longer."""

@@ -224,6 +224,7 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "GET plan": [{"name": "PLAN.toml"}],
         "POST plan": [{"name": "new.toml"}],
         "POST plan-try": [{"name": "PLAN.toml", "moved": {"total_time": 2000.0, "runs": 3}}],
+        "DELETE plan-try": [{"name": "PLAN.toml"}],
         "POST planned": [{"name": "PLAN.toml", "moved": {"highest_rate": 5.0}, "folder": "new"}],
         "GET jobs": [{}],
         "POST jobs": [

@@ -3,6 +3,8 @@
 import shutil
 import time
 
+import pytest
+
 from counterspin.application import live
 
 
@@ -36,4 +38,12 @@ def test_nobody_is_followed_whom_nobody_looks_at(desk, page, monkeypatch):
     while desk.live._views and time.monotonic() < deadline:
         time.sleep(0.02)
     with desk.live._lock:
-        assert not view.process.is_alive()
+        assert not view.worker.is_alive
+
+
+@pytest.mark.parametrize("goal", ["0.001", "K_II", "K_9 1e-8 g/g^2", "K_II 1e-8 m"])
+def test_a_goal_that_is_none_is_refused_before_anything_is_begun(desk, page, goal):
+    answered = page.get("/api/watch", params={"name": "three", "goal": goal})
+    assert answered.status_code == 422
+    assert "goal.target" in answered.json()["error"]
+    assert not desk.live._views

@@ -3,6 +3,9 @@
 import shutil
 
 import pytest
+from served import wait
+
+from counterspin.planning.plan import write_example
 
 PAGE = {"kind": "result", "names": "three/result.json"}
 
@@ -50,6 +53,33 @@ def test_what_is_no_page_is_refused(page, query, status):
 def test_a_campaign_without_records_is_forecast(page, folder):
     (folder / "three" / "slow.csv").unlink()
     asked = {"kind": "forecast", "names": "three/campaign.toml"}
+    picture = page.get("/api/picture", params=asked | {"place": 0})
+    assert picture.status_code == 404
+    # Asked again while it is at work, the page finds the same job.
+    jobs = [page.get("/api/page", params=asked).json()["job"] for _ in range(2)]
+    assert {(job["number"], job["kind"]) for job in jobs} == {(1, "forecast")}
+    assert wait(page, 1)["state"] == "done"
     told = page.get("/api/page", params=asked).json()
     assert "u(K<sub>" in told["html"]
     assert told["command"].startswith("counterspin plan --check ")
+
+
+def test_a_forecast_that_has_no_room_fails_in_a_sentence(page, folder):
+    """It took 15 GB in the server's own process."""
+    (folder / "endless").mkdir()
+    text = (folder / "three" / "campaign.toml").read_text().replace("drift =", "# drift =")
+    text = text.replace('rate = "0.5 rev/s"', 'rate = "1e-9 rev/s"')
+    (folder / "endless" / "campaign.toml").write_text(text)
+    asked = {"kind": "forecast", "names": "endless/campaign.toml"}
+    number = page.get("/api/page", params=asked).json()["job"]["number"]
+    job = wait(page, number)
+    assert job["state"] == "failed"
+    assert "at 1e-09 rev/s" in job["error"]
+
+
+def test_a_plan_s_forecast_can_be_stopped(page, folder):
+    write_example(folder / "PLAN.toml")
+    asked = {"kind": "plan", "names": "PLAN.toml"}
+    number = page.get("/api/page", params=asked).json()["job"]["number"]
+    page.request("DELETE", "/api/jobs", json={"number": number})
+    assert wait(page, number)["state"] == "stopped"

@@ -3,6 +3,7 @@
 import tomllib
 
 import pytest
+from served import wait
 
 from counterspin.application.plans import PLAN_KEYS
 from counterspin.planning.plan import plan, write_example
@@ -18,9 +19,22 @@ def planned(page, folder):
 
 
 def tried(page, **moved):
-    answered = page.post("/api/plan-try", json={"name": "PLAN.toml", "moved": moved})
-    assert answered.is_success, answered.text
-    return answered.json()
+    for _ in range(60):
+        answered = page.post("/api/plan-try", json={"name": "PLAN.toml", "moved": moved})
+        assert answered.is_success, answered.text
+        if "busy" not in answered.json():
+            return answered.json()
+    raise AssertionError("no answer")
+
+
+def refused(page, **moved):
+    """Return why there is no plan within limits."""
+    for _ in range(60):
+        answered = page.post("/api/plan-try", json={"name": "PLAN.toml", "moved": moved})
+        if answered.status_code == 422:
+            return answered.json()["error"]
+        assert answered.json() == {"busy": True}
+    raise AssertionError("no answer")
 
 
 def test_limits_have_the_names_of_the_plan_s_file(planned):
@@ -52,14 +66,47 @@ def test_more_time_is_better_and_few_runs_are_few(planned):
     u = [tried(planned, total_time=time)["u"][0]["u"] for time in (350.0, 700.0, 1400.0)]
     assert u == sorted(u, reverse=True)
     assert len(tried(planned, runs=2.0)["runs"]) <= 2
-    other = planned.post("/api/plan-try", json={"name": "PLAN.toml", "moved": {"colour": 1.0}})
-    assert other.status_code == 422
+    assert "no such limit" in refused(planned, colour=1.0)
+
+
+def test_one_process_answers_until_it_is_stopped_or_the_file_changes(planned, desk, folder):
+    tried(planned)
+    (first,) = desk.live._views.values()
+    tried(planned, runs=2.0)
+    assert list(desk.live._views.values()) == [first]
+    file = folder / "PLAN.toml"
+    file.write_text(file.read_text().replace("runs = 4", "runs = 3"))
+    assert len(tried(planned)["runs"]) <= 3
+    assert not first.worker.is_alive
+    planned.request("DELETE", "/api/plan-try", json={"name": "PLAN.toml"})
+    assert not desk.live._views
+
+
+def test_a_search_that_has_no_room_fails_in_a_sentence(planned, folder):
+    file = folder / "PLAN.toml"
+    text = file.read_text().replace('"700 s"', '"1e12 s"')
+    walk = 'displacement = "0.01 m"\nacceleration = "3e-6 g/Hz^0.5"'
+    file.write_text(text.replace('displacement = "0.01 m"', walk))
+    assert "there is room to search" in refused(planned)
+
+
+def test_limits_move_less_far_where_runs_would_become_too_long(planned, folder):
+    file = folder / "PLAN.toml"
+    file.write_text(file.read_text().replace('"700 s"', '"10000 s"'))
+    told = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()
+    high = {
+        limit["key"]: limit["high"] / limit["value"] for limit in told["limits"] if limit["value"]
+    }
+    assert 1.1 < high["total_time"] < 2.0
+    assert 1.1 < high["highest_rate"] < 1.2
 
 
 def test_limits_and_the_campaign_are_written(planned, folder):
     said = {"name": "PLAN.toml", "moved": {"total_time": 600.0}, "folder": "planned"}
     made = planned.post("/api/planned", json=said).json()
     assert made["command"].startswith("counterspin plan ")
+    assert made["output"] == "planned"
+    assert wait(planned, made["number"])["state"] == "done"
     text = (folder / "PLAN.toml").read_text()
     assert tomllib.loads(text)["limits"]["total_time"] == "600 s"
     assert "# records, spin-up, settling and changes of attitude" in text
@@ -77,15 +124,24 @@ def test_an_example_and_what_is_no_plan(page, folder):
     assert page.get("/api/plan", params=query).status_code == 422
 
 
-def test_a_plan_that_cannot_be_made_changes_no_file(planned, folder, monkeypatch):
+def test_a_plan_that_cannot_be_made_changes_no_file(planned, folder):
     file = folder / "PLAN.toml"
     before = file.read_text()
     said = {"name": "PLAN.toml", "moved": {"total_time": 1.0}, "folder": "planned"}
-    assert planned.post("/api/planned", json=said).status_code == 422
-    assert file.read_text() == before
-    assert not (folder / "planned").exists()
     # Nor does one whose folder cannot be made.
-    monkeypatch.setattr("counterspin.application.plans.plan", lambda _: None)
-    said |= {"moved": {"total_time": 600.0}, "folder": "three/slow.csv"}
-    assert planned.post("/api/planned", json=said).status_code == 422
-    assert file.read_text() == before
+    other = said | {"moved": {"total_time": 600.0}, "folder": "three/slow.csv"}
+    for asked in (said, other):
+        number = planned.post("/api/planned", json=asked).json()["number"]
+        assert wait(planned, number)["state"] == "failed"
+        assert file.read_text() == before
+    assert not (folder / "planned").exists()
+
+
+def test_one_that_is_stopped_changes_no_file(planned, folder):
+    before = (folder / "PLAN.toml").read_text()
+    said = {"name": "PLAN.toml", "moved": {"total_time": 600.0}, "folder": "planned"}
+    number = planned.post("/api/planned", json=said).json()["number"]
+    planned.request("DELETE", "/api/jobs", json={"number": number})
+    assert wait(planned, number)["state"] == "stopped"
+    assert (folder / "PLAN.toml").read_text() == before
+    assert not (folder / "planned").exists()

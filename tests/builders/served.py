@@ -56,12 +56,24 @@ def wait(page, number):
 class InlineJobs(Jobs):
     """Jobs that are done at once, in this process."""
 
-    def _start(self, job, work, words):
-        sent = []
-        # The server's own process keeps its Ctrl-C.
-        with patch("counterspin.application.jobs.signal.signal"):
-            work(SimpleNamespace(send=sent.append), *words)
-        kind, *why = sent[-1]
-        assert kind in ("done", "failed")
-        job.state, job.error = kind, "".join(why)
+    def _start(self, job, work, words, then):
+        *_, told = told_inline(work, *words)
+        self._hear(job, told, then)
+        assert job.state in ("done", "failed")
         assert "internal error" not in job.error, job.error
+
+
+def told_inline(work, *words, questions=()):
+    """Return all that a process would tell that is asked these questions."""
+    sent, left = [], iter(questions)
+
+    def recv():
+        try:
+            return next(left)
+        except StopIteration:
+            raise EOFError from None
+
+    # The server's own process keeps its Ctrl-C.
+    with patch("counterspin.application.processes.signal.signal"):
+        work(SimpleNamespace(send=sent.append, recv=recv), *words)
+    return sent

@@ -11,11 +11,14 @@ is done by a click is a command too, and the page says which.
 - `campaigns`: the folder's campaigns and results, with their state
 - `form`, `editing`, `descriptions`: a form made of the models' keys, the text beside it, and both
   of a campaign or a laboratory
-- `jobs`: calibrations, studies and simulations, each in a process of its own
+- `processes`: work in a process of its own, told through a pipe
+- `jobs`: what takes longer than a moment, one thing after the other: calibrations, studies,
+  simulations, forecasts, plans
 - `pages`: results, comparisons and histories as the reports' words and pictures
 - `record_plots`: records through a window of time
 - `drafts`: exports that are dragged in, and the campaigns that they make
-- `live`, `judging`: campaigns that are followed while their records grow; runs that are judged
+- `live`, `judging`: processes kept while somebody looks: campaigns that are followed while their
+  records grow, plans whose limits are moved; runs that are judged
 - `plans`: plans whose limits are moved
 - `trying`: studies and simulations of campaigns
 - `certification`: certificates, reports, and files that are taken away

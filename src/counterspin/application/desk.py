@@ -55,18 +55,31 @@ class Remembered:
         make
             Makes it; what it raises is not remembered.
         """
+        found, keep = self.find(key, files)
+        return keep(make()) if found is None else found
+
+    def find(self, key: Any, files: Sequence[Path]) -> tuple[Any, Callable[[T], T]]:
+        """Return what is remembered, or None, and what remembers what is made of the files.
+
+        Parameters
+        ----------
+        key, files
+            As for `get`.
+        """
         stamp = tuple(map(_identity, files))
+
+        def keep(made: T) -> T:
+            with self._lock:
+                self._known[key] = (stamp, made)
+                while len(self._known) > self._most:
+                    self._known.popitem(last=False)
+            return made
+
         with self._lock:
             if key in self._known and self._known[key][0] == stamp:
                 self._known.move_to_end(key)
-                found: T = self._known[key][1]
-                return found
-        made = make()
-        with self._lock:
-            self._known[key] = (stamp, made)
-            while len(self._known) > self._most:
-                self._known.popitem(last=False)
-        return made
+                return self._known[key][1], keep
+        return None, keep
 
 
 def _identity(file: Path) -> FileIdentity | None:

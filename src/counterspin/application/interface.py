@@ -302,6 +302,7 @@ ENDPOINTS: Final[Mapping[tuple[str, str], Endpoint]] = {
         LimitsAsked,
         lambda desk, asked: plans.tried_plan(desk, asked.name, asked.moved),
     ),
+    ("DELETE", "plan-try"): (Named, lambda desk, asked: plans.end_trying(desk, asked.name)),
     ("POST", "planned"): (
         PlannedAsked,
         lambda desk, asked: plans.begin_planned(desk, asked.name, asked.moved, asked.folder),

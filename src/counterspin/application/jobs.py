@@ -1,7 +1,6 @@
 """What goes on while the page is used, each job in a process of its own.
 
 - `Jobs`: begins them, one at a time, and knows what becomes of them; `Job`: one of them
-- `tell_of`: what a process does, told to the server
 - `calibrate_into`: a calibration's
 
 A page that is loaded again finds its job; a process that is ended leaves no half result.
@@ -9,32 +8,30 @@ A page that is loaded again finds its job; a process that is ended leaves no hal
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
-import warnings
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final, Literal
 
+from counterspin.application.processes import Progress, Worker, tell_of
 from counterspin.calibration.options import Method
-from counterspin.errors import CounterspinError, CounterspinWarning
-from counterspin.workers import SPAWNING
+from counterspin.errors import CounterspinError
 
 #: How many finished jobs are remembered.
 _MAX_FINISHED_JOBS: Final = 50
 
-#: Takes how much is done, and how much there is.
-Progress = Callable[[int, int], None]
+#: Takes what a job's process has made, and may fail of it.
+Then = Callable[[Any], None]
 
 JobState = Literal["waiting", "running", "done", "failed", "stopped"]
 
 
 @dataclass
 class Job:
-    """A calibration, a study or a simulation.
+    """Work that takes longer than a moment.
 
     Attributes
     ----------
@@ -43,7 +40,7 @@ class Job:
     campaign
         The campaign's name in the folder.
     output
-        The result's name there, or the folder's that is filled.
+        The result's name there, or the folder's that is filled; empty: it is only shown.
     command
         The same as a command.
     kind
@@ -62,12 +59,17 @@ class Job:
     campaign: str
     output: str
     command: str
-    kind: Literal["calibration", "study", "simulation"] = "calibration"
+    kind: Literal["calibration", "study", "simulation", "forecast", "plan"] = "calibration"
     state: JobState = "waiting"
     progress: tuple[int, int] = (0, 0)
     error: str = ""
     seconds: float = 0.0
     stop: threading.Event = field(default_factory=threading.Event, repr=False)
+
+    @property
+    def aim(self) -> tuple[str, ...]:
+        """What no two jobs may be at work on at once."""
+        return (self.output,) if self.output else (self.kind, self.campaign)
 
     def shown(self) -> dict[str, Any]:
         """Return what the page is told."""
@@ -89,7 +91,13 @@ class Jobs:
         with self._lock:
             return sorted(self._jobs.values(), key=lambda job: -job.number)
 
-    def begin(self, make: Callable[[int], Job], work: Callable[..., None], *words: Any) -> Job:
+    def begin(
+        self,
+        make: Callable[[int], Job],
+        work: Callable[..., None],
+        *words: Any,
+        then: Then = lambda _: None,
+    ) -> Job:
         """Begin a job, or return the one that is at work on the same result already.
 
         Parameters
@@ -100,24 +108,29 @@ class Jobs:
             What its process calls, with the end of a pipe, as `tell_of` takes it, and `words`.
         words
             What its process is given.
+        then
+            Called here, in the server, with what the process has made; a CounterspinError is why
+            the job failed. Of a job that is stopped nothing is made.
         """
         with self._lock:
             if self._closed:
                 raise CounterspinError("the server is ending")
             job = make(self._number + 1)
             for other in self._jobs.values():
-                if other.state in ("waiting", "running") and other.output == job.output:
+                if other.state in ("waiting", "running") and other.aim == job.aim:
                     return other
             self._number += 1
             self._jobs[job.number] = job
             over = [n for n, j in self._jobs.items() if j.state not in ("waiting", "running")]
             for number in over[:-_MAX_FINISHED_JOBS]:
                 del self._jobs[number]
-        self._start(job, work, words)
+        self._start(job, work, words, then)
         return job
 
-    def _start(self, job: Job, work: Callable[..., None], words: tuple[Any, ...]) -> None:
-        threading.Thread(target=self._work, args=(job, work, words), daemon=True).start()
+    def _start(
+        self, job: Job, work: Callable[..., None], words: tuple[Any, ...], then: Then
+    ) -> None:
+        threading.Thread(target=self._work, args=(job, work, words, then), daemon=True).start()
 
     def stop(self, number: int) -> Job:
         """End a job; CounterspinError if there is none of that number."""
@@ -138,74 +151,43 @@ class Jobs:
         with self._turn:
             pass  # whoever was at work has ended its process
 
-    def _work(self, job: Job, work: Callable[..., None], words: tuple[Any, ...]) -> None:
+    def _work(
+        self, job: Job, work: Callable[..., None], words: tuple[Any, ...], then: Then
+    ) -> None:
         with self._turn:
             if job.stop.is_set():
                 job.state = "stopped"
                 return
             job.state, begun = "running", time.monotonic()
-            here, there = SPAWNING.Pipe(duplex=False)
-            process = SPAWNING.Process(target=work, args=(there, *words), daemon=True)
             try:
-                process.start()
-            except OSError as error:  # no memory, or too many processes
-                job.error = f"the process that works on it cannot begin: {error.strerror}"
-                job.state = "failed"
-                here.close()
+                worker = Worker(work, *words)
+            except CounterspinError as error:
+                job.error, job.state = str(error), "failed"
                 return
-            finally:
-                there.close()
             try:
                 while not job.stop.is_set() and job.state == "running":
-                    if here.poll(0.05):
-                        self._hear(job, here)
+                    if (told := worker.hear(0.05)) is not None:
+                        self._hear(job, told, then)
                     job.seconds = time.monotonic() - begun
             finally:
                 if job.stop.is_set() and job.state == "running":
-                    process.terminate()
                     job.state = "stopped"
-                process.join(5.0)
-                if process.is_alive():
-                    process.kill()
-                here.close()
+                worker.end()
 
     @staticmethod
-    def _hear(job: Job, here: Connection) -> None:
-        try:
-            kind, *told = here.recv()
-        except (EOFError, OSError):
-            job.error = "the process that worked on it died; perhaps memory ran out"
-            job.state = "failed"
-            return
-        if kind == "progress":
-            job.progress = (told[0], told[1])
-        elif kind == "done":
-            job.state = "done"
-        else:
-            job.error, job.state = told[0], "failed"
-
-
-def tell_of(there: Connection, work: Callable[[Progress], None]) -> None:
-    """Do something in a process of its own, and tell how far it is and how it ended.
-
-    Parameters
-    ----------
-    there
-        Takes ``("progress", done, in all)``, then ``("done",)`` or ``("failed", why)``.
-    work
-        Is given what takes its progress.
-    """
-    # Ctrl-C in the terminal is for the server, which ends its jobs.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # What a result warns of stands in it.
-    warnings.simplefilter("ignore", CounterspinWarning)
-    try:
-        work(lambda done, total: there.send(("progress", done, total)))
-        there.send(("done",))
-    except CounterspinError as error:
-        there.send(("failed", str(error)))
-    except Exception as error:
-        there.send(("failed", f"internal error ({type(error).__name__}: {error})"))
+    def _hear(job: Job, told: tuple[Any, ...], then: Then) -> None:
+        match told:
+            case ("progress", done, total):
+                job.progress = (done, total)
+            case ("done", made):
+                try:
+                    then(made)
+                except CounterspinError as error:
+                    job.error, job.state = str(error), "failed"
+                else:
+                    job.state = "done"
+            case (_, why):
+                job.error, job.state = why, "failed"
 
 
 def calibrate_into(

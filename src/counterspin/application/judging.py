@@ -13,6 +13,7 @@ from counterspin.application.desk import Desk
 from counterspin.application.folder import NotThereError
 from counterspin.monitoring.check import check
 from counterspin.monitoring.page import render_check
+from counterspin.monitoring.reaching import goals_of
 from counterspin.reports.html import part
 from counterspin.reports.typography import typeset_block
 
@@ -41,8 +42,14 @@ def followed(desk: Desk, name: str, goal: str) -> dict[str, Any]:
         The campaign's folder.
     goal
         Such as ``K_II 1e-8 g/g^2``; empty: none.
+
+    Raises
+    ------
+    CampaignError
+        If the goal names no term or no uncertainty.
     """
     campaign = desk.campaign(name)
+    goals_of(campaign, [goal] if goal else [])  # a mistake is told before anything is begun
     told = desk.live.look(campaign.path, goal)
     if "error" in told:
         told = told | {"error": desk.folder.spoken(told["error"])}

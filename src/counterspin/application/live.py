@@ -1,43 +1,45 @@
-"""Runs judged while the centrifuge turns: one record at once, a campaign while its records grow.
+"""Processes that are kept for as long as somebody looks at what they tell.
 
-- `LiveViews`: campaigns that are followed, each in a process of its own, as long as somebody looks
-- `follow_into`: what that process does
+- `LiveViews`: campaigns that are followed while their records grow, and plans that are searched
+- `follow_into`: what the process of a campaign does
 """
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any, Final
 
+from counterspin.application.processes import Progress, Worker, tell_of
 from counterspin.errors import CounterspinError
-from counterspin.reports.html import part
-from counterspin.reports.typography import typeset_block
-from counterspin.workers import SPAWNING
+from counterspin.input import FileIdentity
 
-#: Seconds after which a campaign that nobody looks at any more is followed no longer.
+#: Seconds after which a process ends at whose words nobody looks any more.
 UNSEEN_SECONDS: Final = 15.0
 
-#: Most campaigns that are followed at once.
+#: Most processes that are kept at once.
 _MAX_FOLLOWED: Final = 4
+
+
+#: How long an answer is waited for before it is said that the work goes on, s.
+_PATIENCE: Final = 1.0
 
 
 @dataclass
 class _View:
-    process: BaseProcess
-    here: Connection
-    asked: float
-    told: dict[str, Any]
+    worker: Worker
+    stamp: FileIdentity | None = None
+    asked: float = 0.0
+    told: dict[str, Any] = field(default_factory=dict)
+    answers: dict[Hashable, Any] = field(default_factory=dict)
 
 
 class LiveViews:
-    """The campaigns that are followed."""
+    """The processes that are kept."""
 
     def __init__(self) -> None:
         self._views: dict[tuple[Path, str], _View] = {}
@@ -58,55 +60,109 @@ class LiveViews:
         dict
             ``html``, ``events`` and ``complete``; or ``error``, and it is followed no longer.
         """
+        nothing = {"html": "", "events": [], "complete": False}
         with self._lock:
-            view = self._views.get((campaign, goal))
-            if view is None:
-                if len(self._views) >= _MAX_FOLLOWED:
-                    raise CounterspinError("too many campaigns are followed at once")
-                view = self._views[campaign, goal] = _begun(campaign, goal)
-                if len(self._views) == 1:
-                    threading.Thread(target=self._forget, daemon=True).start()
-            view.asked = time.monotonic()
-            with suppress(EOFError, OSError):
-                while view.here.poll():
-                    view.told = view.here.recv()
-            if not view.process.is_alive() and not view.told.get("complete"):
-                view.told.setdefault("error", "the process that followed the records died")
-            if "error" in view.told or view.told.get("complete"):
-                _ended(self._views.pop((campaign, goal)))
-            return view.told
+            key = (campaign, goal)
+            view = self._view(key, None, follow_into, campaign, goal)
+            over = False
+            while not over and (heard := view.worker.hear()) is not None:
+                match heard:
+                    case ("told", told):
+                        view.told = told
+                    case ("failed", why):
+                        view.told, over = {"error": why}, True
+                    case _:
+                        over = True
+            if over:
+                self._views.pop(key).worker.end()
+            return nothing | view.told
+
+    def ask(self, file: Path, work: Callable[..., None], question: Hashable) -> Any:
+        """Return a process's answer to a question about a file; None while it works on it.
+
+        The process is begun with the first question, and kept for the next.
+
+        Parameters
+        ----------
+        file
+            The file; where it has changed, the process begins anew.
+        work
+            What the process calls with the end of a pipe, as of
+            `counterspin.application.processes.tell_of`, and the file; it is sent questions, and
+            tells each with its answer.
+        question
+            The question.
+
+        Raises
+        ------
+        CounterspinError
+            If the process fails, or too many are kept.
+        """
+        until = time.monotonic() + _PATIENCE
+        while True:
+            with self._lock:
+                key = (file, work.__name__)
+                view = self._view(key, FileIdentity.of(file), work, file)
+                if question not in view.answers:
+                    view.answers[question] = None
+                    view.worker.ask(question)
+                while (heard := view.worker.hear()) is not None:
+                    match heard:
+                        case ("told", asked, answer):
+                            view.answers[asked] = answer
+                        case (_, why):
+                            self._views.pop(key).worker.end()
+                            raise CounterspinError(why)
+                if view.answers[question] is not None:
+                    return view.answers.pop(question)
+            if time.monotonic() > until:
+                return None
+            time.sleep(0.02)
+
+    def end(self, file: Path) -> None:
+        """End what is done about a file."""
+        with self._lock:
+            for key in [key for key in self._views if key[0] == file]:
+                self._views.pop(key).worker.end()
+
+    def _view(
+        self,
+        key: tuple[Path, str],
+        stamp: FileIdentity | None,
+        work: Callable[..., None],
+        *words: Any,
+    ) -> _View:
+        """Return the process of a key; a new one if there is none, or the file has changed."""
+        view = self._views.get(key)
+        if view is not None and view.stamp != stamp:
+            self._views.pop(key).worker.end()
+            view = None
+        if view is None:
+            if len(self._views) >= _MAX_FOLLOWED:
+                raise CounterspinError("too many campaigns and plans are looked at at once")
+            view = self._views[key] = _View(Worker(work, *words), stamp)
+            if len(self._views) == 1:
+                threading.Thread(target=self._forget, daemon=True).start()
+        view.asked = time.monotonic()
+        return view
 
     def _forget(self) -> None:
-        """Stop following what nobody looks at, until nothing is followed."""
+        """End what nobody looks at, until nothing is left."""
         while True:
             time.sleep(UNSEEN_SECONDS / 5.0)
             with self._lock:
                 for key, view in list(self._views.items()):
                     if time.monotonic() - view.asked > UNSEEN_SECONDS:
-                        _ended(self._views.pop(key))
+                        self._views.pop(key).worker.end()
                 if not self._views:
                     return
 
     def close(self) -> None:
-        """Stop following all of them."""
+        """End all of them."""
         with self._lock:
             for view in self._views.values():
-                _ended(view)
+                view.worker.end()
             self._views.clear()
-
-
-def _begun(campaign: Path, goal: str) -> _View:
-    here, there = SPAWNING.Pipe(duplex=False)
-    process = SPAWNING.Process(target=follow_into, args=(there, campaign, goal), daemon=True)
-    process.start()
-    there.close()
-    return _View(process, here, time.monotonic(), {"html": "", "events": [], "complete": False})
-
-
-def _ended(view: _View) -> None:
-    view.process.terminate()
-    view.process.join(5.0)
-    view.here.close()
 
 
 def follow_into(there: Connection, campaign: Path, goal: str) -> None:
@@ -115,23 +171,20 @@ def follow_into(there: Connection, campaign: Path, goal: str) -> None:
     Parameters
     ----------
     there
-        Takes what `LiveViews.look` returns.
+        Takes what `LiveViews.look` returns, as ``("told", state)``.
     campaign, goal
         As there.
     """
-    # Ctrl-C in the terminal is for the server.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    from counterspin.monitoring.page import render_watch
-    from counterspin.monitoring.watch import watch
 
-    try:
+    def work(_: Progress) -> None:
+        from counterspin.monitoring.page import render_watch
+        from counterspin.monitoring.watch import watch
+        from counterspin.reports.html import part
+        from counterspin.reports.typography import typeset_block
+
         for state in watch(campaign, goals=[goal] if goal else []):
             blocks = list(map(typeset_block, render_watch(state).blocks))
-            html = part(blocks, title="Live")
-            there.send({"html": html, "events": state.events, "complete": state.complete})
-    except CounterspinError as error:
-        there.send({"error": str(error)})
-    except (BrokenPipeError, ConnectionError):
-        return
-    except Exception as error:
-        there.send({"error": f"internal error ({type(error).__name__}: {error})"})
+            told = {"events": state.events, "complete": state.complete}
+            there.send(("told", {"html": part(blocks, title="Live"), **told}))
+
+    tell_of(there, work)

@@ -1,14 +1,16 @@
 """Pages of other rooms' blocks: results, comparisons, histories and plans, in words and pictures.
 
 - `page_of`: the words, with places for the pictures; `picture_of`: one of them
+- `plan_result_into`, `forecast_into`: what the processes of those do that take long
 - `Kind`: what there are pages of
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from multiprocessing.connection import Connection
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import TYPE_CHECKING, Any, Final, Literal, cast
 
 from counterspin.application.commands import (
     compare_command,
@@ -20,12 +22,37 @@ from counterspin.application.commands import (
 )
 from counterspin.application.desk import Desk
 from counterspin.application.folder import NotThereError
+from counterspin.application.jobs import Job
+from counterspin.application.processes import Progress, tell_of
 from counterspin.campaign.toml_file import load_document
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Block, Picture
 from counterspin.reports.typography import typeset_block
 
+if TYPE_CHECKING:
+    from counterspin.planning.result import PlanResult
+
 Kind = Literal["result", "comparison", "history", "plan", "forecast", "study"]
+
+
+@frozen
+class Calculation:
+    """A page that takes longer than a moment, and is made of what a job tells.
+
+    Attributes
+    ----------
+    kind
+        Of the job.
+    work, file
+        What its process does, and with which file; it tells a `PlanResult`.
+    command
+        That prints or writes the same.
+    """
+
+    kind: Literal["plan", "forecast"]
+    work: Callable[..., None]
+    file: Path
+    command: str
 
 
 @frozen(eq=False)
@@ -63,24 +90,38 @@ def _history(desk: Desk, names: Sequence[str], term: str) -> Page:
     return Page(f"History of {term}", list(history_blocks(found)), command)
 
 
-def _plan(desk: Desk, names: Sequence[str], _: str) -> Page:
-    from counterspin.planning.page import plan_blocks
-    from counterspin.planning.plan import plan
-
+def _plan(desk: Desk, names: Sequence[str], _: str) -> Calculation:
     file = desk.file(names[0])
     desk.require_inside(file.parent, load_document(file))
-    found = plan(file).result
-    return Page(found.title, _typeset(plan_blocks(found)), plan_command(file, None))
+    return Calculation("plan", plan_result_into, file, plan_command(file, None))
 
 
-def _forecast(desk: Desk, names: Sequence[str], _: str) -> Page:
-    from counterspin.planning.page import plan_blocks
-    from counterspin.planning.plan import check
-
+def _forecast(desk: Desk, names: Sequence[str], _: str) -> Calculation:
     file = desk.file(names[0])
     desk.campaign(desk.folder.name(file.parent))
-    found = check(file)
-    return Page(found.title, _typeset(plan_blocks(found)), forecast_command(file.parent))
+    return Calculation("forecast", forecast_into, file, forecast_command(file.parent))
+
+
+def plan_result_into(there: Connection, file: Path) -> None:
+    """Find the best plan, and tell what there is to say of it, as of `processes.tell_of`."""
+
+    def work(progress: Progress) -> PlanResult:
+        from counterspin.planning.plan import plan
+
+        return plan(file, progress=progress).result
+
+    tell_of(there, work)
+
+
+def forecast_into(there: Connection, file: Path) -> None:
+    """Forecast a campaign, and tell what it will say, as of `processes.tell_of`."""
+
+    def work(_: Progress) -> PlanResult:
+        from counterspin.planning.plan import check
+
+        return check(file)
+
+    tell_of(there, work)
 
 
 def _study(desk: Desk, names: Sequence[str], _: str) -> Page:
@@ -97,7 +138,7 @@ def _typeset(blocks: Sequence[Block]) -> list[Block]:
     return list(map(typeset_block, blocks))
 
 
-_MAKERS: Final[Mapping[Kind, Callable[[Desk, Sequence[str], str], Page]]] = {
+_MAKERS: Final[Mapping[Kind, Callable[[Desk, Sequence[str], str], Page | Calculation]]] = {
     "result": _result,
     "comparison": _comparison,
     "history": _history,
@@ -108,7 +149,7 @@ _MAKERS: Final[Mapping[Kind, Callable[[Desk, Sequence[str], str], Page]]] = {
 
 
 def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str, Any]:
-    """Return a page's title, its blocks as HTML, and its command.
+    """Return a page's title, its blocks as HTML, and its command; or the job that makes it.
 
     Parameters
     ----------
@@ -122,6 +163,8 @@ def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str
     from counterspin.reports.html import part
 
     made = _page(desk, kind, names, term)
+    if isinstance(made, Job):
+        return {"job": made.shown()}
     files = [desk.file(name) for name in names]
     text = desk.remembered.get(
         ("html", kind, *files, term), files, lambda: part(made.blocks, title=made.title)
@@ -135,11 +178,13 @@ def picture_of(desk: Desk, kind: Kind, names: Sequence[str], term: str, place: i
     Raises
     ------
     NotThereError
-        If there are fewer.
+        If there are fewer, or the page is still being made.
     """
     from counterspin.reports.charts import svg
 
     made = _page(desk, kind, names, term)
+    if isinstance(made, Job):
+        raise NotThereError("the page of this picture is still being made")
     pictures = [block for block in made.blocks if isinstance(block, Picture)]
     if not 0 <= place < len(pictures):
         raise NotThereError(f"there is no picture {place}")
@@ -152,8 +197,23 @@ def picture_of(desk: Desk, kind: Kind, names: Sequence[str], term: str, place: i
         )
 
 
-def _page(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> Page:
+def _page(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> Page | Job:
+    """Return a page that is remembered or made at once, or the job that makes it."""
     files: list[Path] = [desk.file(name) for name in names]
-    return desk.remembered.get(
-        ("page", kind, *files, term), files, lambda: _MAKERS[kind](desk, names, term)
-    )
+    known, keep = desk.remembered.find(("page", kind, *files, term), files)
+    if known is not None:
+        return cast("Page", known)
+    made = _MAKERS[kind](desk, names, term)
+    if isinstance(made, Page):
+        return keep(made)
+    calculation = made
+
+    def make(number: int) -> Job:
+        return Job(number, names[0], "", calculation.command, calculation.kind)
+
+    def show(found: PlanResult) -> None:
+        from counterspin.planning.page import plan_blocks
+
+        keep(Page(found.title, _typeset(plan_blocks(found)), calculation.command))
+
+    return desk.jobs.begin(make, calculation.work, calculation.file, then=show)

@@ -2,7 +2,8 @@
 
 - `plan_overview`: the limits of a plan, each with its range; `PLAN_KEYS`: which there are
 - `tried_plan`: the best plan within other limits, in a fraction of a second
-- `begin_planned`: writes limits into the file, and the planned campaign into a folder
+- `begin_planned`: plans, and then writes limits into the file and the campaign into a folder
+- `search_into`, `plan_into`: what their processes do
 - `begin_plan`: an example to start from
 - `is_plan`: whether a document is a plan
 """
@@ -12,22 +13,33 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
 from counterspin.application.commands import plan_command
-from counterspin.application.desk import Desk, Remembered
+from counterspin.application.desk import Desk
 from counterspin.application.editing import changed
+from counterspin.application.jobs import Job
+from counterspin.application.processes import Progress, tell_of
 from counterspin.calibration.joint_parts import unit_of
+from counterspin.campaign.resolved import MOST_ROWS
 from counterspin.campaign.toml_file import load_document, parse_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder
 from counterspin.physics.accelerometer import TERMS
 from counterspin.planning.design import Limits
-from counterspin.planning.plan import plan, refuse_other_campaign, write_campaign, write_example
-from counterspin.planning.plan_file import read_plan
+from counterspin.planning.plan import (
+    Planned,
+    plan,
+    refuse_other_campaign,
+    write_campaign,
+    write_example,
+)
+from counterspin.planning.plan_file import Plan, read_plan
 from counterspin.planning.search import Search
+from counterspin.records.reduction import BLOCKS_PER_REVOLUTION
 from counterspin.reports.numbers import field_unit, format_uncertainty
 from counterspin.reports.typography import typeset
 from counterspin.workers import one_blas_thread
@@ -35,8 +47,8 @@ from counterspin.workers import one_blas_thread
 #: How far limits on time and rate can be moved, as factors of what the plan says.
 LIMIT_FACTORS: Final = (4.0, 2.0)
 
-_MAX_SEARCHES: Final = 6
-_SEARCHES: Final = Remembered(_MAX_SEARCHES)
+#: A search looks no less far beyond its limits: so much more of them is tried by itself.
+_LEAST_FACTOR: Final = 1.11
 
 
 @frozen
@@ -84,13 +96,13 @@ def plan_overview(desk: Desk, name: str) -> dict[str, Any]:
         The plan's file.
     """
     file = desk.file(name)
-    search = _search(desk, file)
-    values = _values(search.limits)
+    described = _plan(desk, file)
+    values, highs = _values(described.limits), _highs(described)
     return {
         "name": name,
-        "title": search.plan.stand_in.title or name,
-        "goal": search.plan.goal.kind,
-        "names": list(search.plan.goal.sizes),
+        "title": described.stand_in.title or name,
+        "goal": described.goal.kind,
+        "names": list(described.goal.sizes),
         "limits": [
             {
                 "key": key,
@@ -98,7 +110,7 @@ def plan_overview(desk: Desk, name: str) -> dict[str, Any]:
                 "unit": limit.unit,
                 "value": values[key],
                 "low": _low(limit, values[key]),
-                "high": values[key] * limit.high or 60.0,
+                "high": highs[key],
                 "whole": limit.whole,
             }
             for key, limit in PLAN_KEYS.items()
@@ -131,20 +143,42 @@ def _values(limits: Limits) -> dict[str, float]:
     }
 
 
-def _search(desk: Desk, file: Path) -> Search:
-    def make() -> Search:
+def _plan(desk: Desk, file: Path) -> Plan:
+    def make() -> Plan:
         document = load_document(file)
         desk.require_inside(file.parent, document)
         if not is_plan(document):
             raise CampaignError(str(file), ["no plan of records: it has no [limits] and [goal]"])
-        return Search(read_plan(file), LIMIT_FACTORS)
+        return read_plan(file)
 
-    return _SEARCHES.get(file, [file], make)
+    return desk.remembered.get(("plan", file), [file], make)
 
 
-@one_blas_thread()
+def _reach(described: Plan) -> tuple[float, float]:
+    """Return how far time and rate can be moved: less far where runs become too long."""
+    limits = described.limits
+    turns = min(limits.longest_run, limits.total_time) * limits.rate[1] / (2.0 * math.pi)
+    room = MOST_ROWS / BLOCKS_PER_REVOLUTION / (turns * LIMIT_FACTORS[0] * LIMIT_FACTORS[1])
+    shrunk = min(1.0, math.sqrt(room))
+    return (
+        max(_LEAST_FACTOR, LIMIT_FACTORS[0] * shrunk),
+        max(_LEAST_FACTOR, LIMIT_FACTORS[1] * shrunk),
+    )
+
+
+def _highs(described: Plan) -> dict[str, float]:
+    """Return the highest value to which each limit can be moved."""
+    reach = dict(zip(("total_time", "highest_rate"), _reach(described), strict=True))
+    values = _values(described.limits)
+    return {
+        key: values[key] * reach.get(key, limit.high) or 60.0 for key, limit in PLAN_KEYS.items()
+    }
+
+
 def tried_plan(desk: Desk, name: str, moved: Mapping[str, float]) -> dict[str, Any]:
     """Return what the best plan within other limits would tell, and its runs.
+
+    It is searched in a process that is kept while it is asked, as `LiveViews.ask` has it.
 
     Parameters
     ----------
@@ -153,14 +187,52 @@ def tried_plan(desk: Desk, name: str, moved: Mapping[str, float]) -> dict[str, A
     moved
         Key of `PLAN_KEYS` -> value, SI; those that are not named are as the plan says.
 
+    Returns
+    -------
+    dict
+        ``busy`` instead, while it is searched: to be asked again.
+
     Raises
     ------
     CounterspinError
         If no plan keeps within them, or reaches the target.
     """
     file = desk.file(name)
-    search = _search(desk, file)
-    limits = _moved(search.limits, moved)
+    _plan(desk, file)
+    told: dict[str, Any] | None = desk.live.ask(file, search_into, tuple(sorted(moved.items())))
+    if told is None:
+        return {"busy": True}
+    if "error" in told:
+        raise CounterspinError(told["error"])
+    return told
+
+
+def end_trying(desk: Desk, name: str) -> dict[str, Any]:
+    """End the process that searches a plan; the next question begins another."""
+    desk.live.end(desk.file(name))
+    return {"name": name}
+
+
+def search_into(there: Connection, file: Path) -> None:
+    """Search plans within the limits that are asked for; `there` is told as of `LiveViews.ask`."""
+
+    @one_blas_thread()
+    def work(_: Progress) -> None:
+        described = read_plan(file)
+        search = Search(described, _reach(described))
+        while True:
+            moved = there.recv()
+            try:
+                found = _tried(search, dict(moved))
+            except CounterspinError as error:
+                found = {"error": str(error)}
+            there.send(("told", moved, found))
+
+    tell_of(there, work)
+
+
+def _tried(search: Search, moved: Mapping[str, float]) -> dict[str, Any]:
+    limits = _moved(search.plan, moved)
     if limits.total_time < limits.shortest:
         raise CounterspinError("No run fits into these limits: it would take longer than there is.")
     optimum = search.best(limits)
@@ -192,14 +264,14 @@ def _line(name: str, u: float) -> dict[str, Any]:
     }
 
 
-def _moved(limits: Limits, moved: Mapping[str, float]) -> Limits:
-    values = _values(limits)
+def _moved(described: Plan, moved: Mapping[str, float]) -> Limits:
+    limits = described.limits
+    values, highs = _values(limits), _highs(described)
     for key, value in moved.items():
         limit = PLAN_KEYS.get(key)
         if limit is None:
             raise CounterspinError(f"{key}: there is no such limit to move")
-        low, high = _low(limit, values[key]), values[key] * limit.high or 60.0
-        values[key] = min(max(value, low), high)
+        values[key] = min(max(value, _low(limit, values[key])), highs[key])
     total = values["total_time"]
     longest = limits.longest_run
     if longest >= limits.total_time:
@@ -216,7 +288,9 @@ def _moved(limits: Limits, moved: Mapping[str, float]) -> Limits:
 
 
 def begin_planned(desk: Desk, name: str, moved: Mapping[str, float], folder: str) -> dict[str, Any]:
-    """Write limits into a plan's file, plan, and write the campaign into a new folder.
+    """Begin to plan within other limits; return the job.
+
+    When it is done, the limits stand in the plan's file, and the campaign in a new folder.
 
     Parameters
     ----------
@@ -238,7 +312,7 @@ def begin_planned(desk: Desk, name: str, moved: Mapping[str, float], folder: str
         raise CounterspinError("give the campaign's folder a name")
     refuse_other_campaign(place)
     before = desk.folder.read(name)
-    text, values = before.text, _values(_search(desk, file).limits)
+    text, values = before.text, _values(_plan(desk, file).limits)
     for key, value in moved.items():
         if key in PLAN_KEYS and not math.isclose(value, values[key], rel_tol=1e-9):
             limit = PLAN_KEYS[key]
@@ -246,10 +320,21 @@ def begin_planned(desk: Desk, name: str, moved: Mapping[str, float], folder: str
             text = changed(
                 text, ["limits", key], f"{written:g} {limit.unit}" if limit.unit else written
             )
-    # Planned before anything is written: a plan that cannot be made changes no file.
-    planned = plan(parse_document(text.encode("utf-8"), name))
-    make_folder(place)
-    if text != before.text:
-        desk.folder.write(name, text, before.version)
-    write_campaign(planned, place)
-    return {"name": desk.folder.name(place), "command": plan_command(file, place)}
+    document = parse_document(text.encode("utf-8"), name)
+
+    def make(number: int) -> Job:
+        return Job(number, name, desk.folder.name(place), plan_command(file, place), "plan")
+
+    def write(planned: Planned) -> None:
+        # Planned before anything is written: a plan that cannot be made changes no file.
+        make_folder(place)
+        if text != before.text:
+            desk.folder.write(name, text, before.version)
+        write_campaign(planned, place)
+
+    return desk.jobs.begin(make, plan_into, document, then=write).shown()
+
+
+def plan_into(there: Connection, where: Mapping[str, Any] | Path) -> None:
+    """Find the best plan, and tell it; `there` is told as of `processes.tell_of`."""
+    tell_of(there, lambda progress: plan(where, progress=progress))

@@ -12,6 +12,8 @@ const WORDS = /** @type {Record<string, [string, string]>} */ ({
   calibration: ["Reading runs", "Estimating"],
   study: ["Trials", "Writing the result"],
   simulation: ["Simulating", "Simulating"],
+  forecast: ["Forecasting", "Forecasting"],
+  plan: ["Planning", "Planning"],
 });
 
 const PAUSE = 250;
@@ -58,7 +60,7 @@ export function follow(job, place, done) {
         show(now);
         setTimeout(ask, PAUSE);
       } else if (now?.state === "done") {
-        say(`Wrote ${now.output}.`);
+        if (now.output) say(`Wrote ${now.output}.`);
         done();
       } else {
         place.replaceChildren(warning(now?.error || `The ${job.kind} was stopped.`));

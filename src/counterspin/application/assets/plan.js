@@ -2,8 +2,9 @@
 // Plans: limits as sliders, and the best plan's uncertainty while they move.
 
 import { get, send } from "./api.js";
-import { commandLine, labelled, make, say, warning } from "./dom.js";
+import { commandLine, labelled, make, warning } from "./dom.js";
 import { campaignAddress } from "./addresses.js";
+import { follow } from "./job.js";
 import { fill } from "./result.js";
 
 /** The list of plans. */
@@ -71,6 +72,30 @@ export async function planView(name) {
           make("td", { class: "right" }, duration(run.seconds)),
           make("td", {}, run.attitude))))));
   };
+  /**
+   * Ask until there is an answer; whoever leaves the page, or stops, asks no more.
+   * @param {Record<string, number>} wanted
+   */
+  const search = async (wanted) => {
+    let stopped = false;
+    const stop = make("button", {
+      type: "button",
+      onclick: () => {
+        stopped = true;
+        send("DELETE", "plan-try", { name });
+      },
+    }, "Stop");
+    const begun = Date.now();
+    const seconds = make("span");
+    for (let asked = 0; ; asked += 1) {
+      const told = await send("POST", "plan-try", { name, moved: wanted });
+      if (!told.busy) return told;
+      if (stopped || (asked > 4 && !wrong.isConnected)) throw new Error("The search was stopped.");
+      if (asked === 0) wrong.replaceChildren(make("div", { class: "job" }, make("progress", { "aria-label": "Progress of the search" }),
+        make("p", { class: "quiet" }, "Searching the best plan", seconds), stop));
+      seconds.textContent = `, ${Math.round((Date.now() - begun) / 1000)} s`;
+    }
+  };
   // One question at a time; the last place of a slider is always asked.
   const ask = async () => {
     if (busy) {
@@ -79,7 +104,7 @@ export async function planView(name) {
     }
     busy = true;
     try {
-      show(await send("POST", "plan-try", { name, moved }));
+      show(await search({ ...moved }));
       wrong.replaceChildren();
     } catch (error) {
       wrong.replaceChildren(warning(/** @type {Error} */ (error).message));
@@ -112,11 +137,9 @@ export async function planView(name) {
     class: "row",
     onsubmit: async (/** @type {Event} */ event) => {
       event.preventDefault();
-      written.replaceChildren(make("p", { class: "quiet" }, "Planning."));
       try {
-        const made = await send("POST", "planned", { name, moved, folder: folder.value });
-        say(`Wrote ${made.name}/campaign.toml.`);
-        location.hash = campaignAddress(made.name);
+        const job = await send("POST", "planned", { name, moved, folder: folder.value });
+        follow(job, written, () => { location.hash = campaignAddress(job.output); });
       } catch (error) {
         written.replaceChildren(warning(/** @type {Error} */ (error).message));
       }

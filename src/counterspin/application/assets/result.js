@@ -3,6 +3,7 @@
 
 import { get, getText, getTextNow, save } from "./api.js";
 import { commandLine, make, say, warning } from "./dom.js";
+import { follow } from "./job.js";
 
 /**
  * Fetch the pictures of a page as they come near the screen, and all of them before it is printed.
@@ -34,7 +35,7 @@ function fetchPictures(part, asked) {
 }
 
 /**
- * A page of blocks as a part of this page.
+ * A page of blocks as a part of this page; none while a job makes it.
  * @param {string} kind
  * @param {string[]} names
  * @param {string} [term]
@@ -42,6 +43,7 @@ function fetchPictures(part, asked) {
 export async function pagePart(kind, names, term) {
   const asked = { kind, names: names.join("\n"), ...term === undefined ? {} : { term } };
   const told = await get("page", asked);
+  if (told.job) return { told, part: null };
   const part = make("div", { class: "report" });
   // Escaped by the report's own templates.
   part.innerHTML = told.html;
@@ -60,6 +62,10 @@ export async function fill(place, kind, names, term) {
   place.replaceChildren(make("p", { class: "quiet" }, "Working."));
   try {
     const { told, part } = await pagePart(kind, names, term);
+    if (!part) {
+      follow(told.job, place, () => fill(place, kind, names, term));
+      return;
+    }
     part.querySelector("h1")?.remove();
     place.replaceChildren(part, commandLine(told.command));
     globalThis.counterspin.draw(part);
