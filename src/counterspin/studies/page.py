@@ -15,7 +15,16 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
+from counterspin.reports.blocks import (
+    Block,
+    Column,
+    Heading,
+    Paragraph,
+    Plot,
+    PlotSeries,
+    Style,
+    Table,
+)
 from counterspin.reports.charts import reserve_figures, save
 from counterspin.reports.numbers import field_unit, format_number
 from counterspin.reports.text import Report
@@ -60,9 +69,10 @@ def render_study(result: StudyResult) -> Report:
             listed = ", ".join(analysis.undetermined)
             blocks.append(Paragraph(f"Not determined by the records: {listed}.", "quiet"))
     blocks.append(Heading("Verdict"))
-    for line in result.verdict:
-        good = "is trustworthy" in line
-        blocks.append(Paragraph(line, "answer" if good else "warning"))
+    judged = all(analysis.trustworthy is not None for analysis in result.analyses.values())
+    for place, line in enumerate(result.verdict):
+        style: Style = "answer" if "is trustworthy" in line else "warning"
+        blocks.append(Paragraph(line, style if judged or place == 0 else "quiet"))
     blocks.append(
         Paragraph(
             "Bias with its standard error. In 68, 95, 99 %: share of the trials whose interval of "

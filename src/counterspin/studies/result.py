@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 #: A coverage of 95 % intervals between these is as good as it gets in practice.
 _GOOD_COVERAGE: Final = (0.94, 0.96)
 
+#: With fewer trials the share of intervals that hold the truth is known too badly to judge.
+FEWEST_TRIALS: Final = 200
+
 #: A bias below this part of the claimed u leaves the coverage within 0.4 % of 95 %.
 _LARGEST_BIAS: Final = 0.2
 
@@ -53,7 +56,7 @@ class CoefficientResult(ResultPart):
     efficiency
         The bound's variance over the mean square error; None without a bound.
     trustworthy
-        Whether its intervals hold the truth as often as they say.
+        Whether its intervals hold the truth as often as they say; None with too few trials.
     finding
         The same in words.
     against
@@ -73,7 +76,7 @@ class CoefficientResult(ResultPart):
     histogram: list[int]
     bound: float | None
     efficiency: float | None
-    trustworthy: bool
+    trustworthy: bool | None
     finding: str
     against: dict[str, BiasAgainst]
 
@@ -86,7 +89,7 @@ class AnalysisResult(ResultPart):
     engine
         The engine used, in words.
     trustworthy
-        Whether all its coefficients are.
+        Whether all its coefficients are; None with too few trials.
     coefficients
         What it reports, by owner and symbol.
     undetermined
@@ -94,7 +97,7 @@ class AnalysisResult(ResultPart):
     """
 
     engine: str
-    trustworthy: bool
+    trustworthy: bool | None
     coefficients: dict[str, CoefficientResult]
     undetermined: list[str]
 
@@ -197,8 +200,8 @@ def _numbers(values: Any) -> list[float | None]:
     return [float(value) if math.isfinite(value) else None for value in values]
 
 
-def judge(reported: Reported, summary: Summary) -> tuple[bool, str]:
-    """Return whether a coefficient's claims hold, and why or why not.
+def judge(reported: Reported, summary: Summary) -> tuple[bool | None, str]:
+    """Return whether a coefficient's claims hold, and why or why not; None: too few trials.
 
     Parameters
     ----------
@@ -212,6 +215,8 @@ def judge(reported: Reported, summary: Summary) -> tuple[bool, str]:
         abs(summary.bias) > 3.0 * summary.se_bias and abs(summary.bias) > _LARGEST_BIAS * summary.u
     )
     claimed = f"the 95 % intervals hold the truth in {100.0 * share:.4g} % of the trials"
+    if summary.trials < FEWEST_TRIALS:
+        return None, f"of {reported.symbol}, {claimed}"
     if low <= _GOOD_COVERAGE[1] and high >= _GOOD_COVERAGE[0] and not biased:
         return True, f"{reported.symbol} is unbiased and {claimed}"
     if biased:
@@ -235,6 +240,8 @@ def judge(reported: Reported, summary: Summary) -> tuple[bool, str]:
 
 def verdict_of(analyses: Mapping[str, AnalysisResult]) -> list[str]:
     """Say which analyses are trustworthy, the best of them first, and why not the others."""
+    if any(analysis.trustworthy is None for analysis in analyses.values()):
+        return _unjudged(analyses)
     good = {name: analysis for name, analysis in analyses.items() if analysis.trustworthy}
     lines = []
     if not good:
@@ -254,6 +261,18 @@ def verdict_of(analyses: Mapping[str, AnalysisResult]) -> list[str]:
             findings = (c.finding for c in analysis.coefficients.values() if not c.trustworthy)
             lines.append(f"{name} is not: {'; '.join(findings)}.")
     return lines
+
+
+def _unjudged(analyses: Mapping[str, AnalysisResult]) -> list[str]:
+    """Say what too few trials gave."""
+    trials = min(c.trials for one in analyses.values() for c in one.coefficients.values())
+    return [
+        f"{trials} trials are too few for a verdict, which takes {FEWEST_TRIALS}; 1000 tell more.",
+        *(
+            f"{name}: {'; '.join(c.finding for c in analysis.coefficients.values())}."
+            for name, analysis in analyses.items()
+        ),
+    ]
 
 
 def _mean_square_error(analysis: AnalysisResult) -> float:

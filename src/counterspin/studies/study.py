@@ -192,7 +192,7 @@ def _result(
     analyses = {
         name: AnalysisResult(
             engine=words[name],
-            trustworthy=all(c.trustworthy for c in own.values()),
+            trustworthy=_all_of([c.trustworthy for c in own.values()]),
             coefficients=own,
             undetermined=undetermined[name],
         )
@@ -209,6 +209,10 @@ def _result(
         verdict=verdict_of(analyses),
         provenance={"version": __version__},
     )
+
+
+def _all_of(judged: list[bool | None]) -> bool | None:
+    return None if None in judged else all(judged)
 
 
 def _in_words(varying: Varying) -> str:

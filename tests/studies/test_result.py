@@ -1,0 +1,34 @@
+"""What a study's figures amount to, in words."""
+
+import pytest
+from campaigns import SMALL, write
+
+from counterspin.reports.blocks import Paragraph
+from counterspin.studies.page import render_study
+from counterspin.studies.result import FEWEST_TRIALS, StudyResult
+from counterspin.studies.study import study
+
+
+@pytest.mark.parametrize("trials", [4, FEWEST_TRIALS - 1])
+def test_too_few_trials_are_not_judged(tmp_path, trials):
+    """At 4 trials of 4, of 3 and of 2 the intervals of every analysis hold 95 %, or may."""
+    result = study(write(tmp_path, SMALL), trials=trials)
+    assert {one.trustworthy for one in result.analyses.values()} == {None}
+    first, *numbers = result.verdict
+    assert first.startswith(f"{trials} trials are too few for a verdict")
+    assert len(numbers) == len(result.analyses)
+    assert all("95 % intervals hold the truth in" in line for line in numbers)
+    assert "trustworthy" not in " ".join(result.verdict)
+    # Kept, read and shown, nothing of it is green.
+    result.write(tmp_path / "study.json")
+    again = StudyResult.read(tmp_path / "study.json")
+    assert again.verdict == result.verdict
+    styles = [b.style for b in render_study(again).blocks if isinstance(b, Paragraph)]
+    assert "answer" not in styles
+    assert styles.count("warning") == 1
+
+
+def test_enough_trials_are_judged(tmp_path):
+    result = study(write(tmp_path, SMALL), trials=FEWEST_TRIALS)
+    assert None not in {one.trustworthy for one in result.analyses.values()}
+    assert "too few" not in " ".join(result.verdict)
