@@ -103,7 +103,7 @@ export async function resultView(name) {
   return {
     title: told.title,
     content: [
-      part,
+      ...part ? [part] : [],
       resultLinks(name),
       commandLine(told.command),
     ],
