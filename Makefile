@@ -64,7 +64,7 @@ format: $(READY) ## Format the code and mend what the linter can
 	$(BIN)/python -m ruff format .
 
 bench: $(READY) $(BENCH) ## Time the main jobs; make bench FULL=--full for the sizes of the targets
-	$(BIN)/python benchmarks $(FULL)
+	$(BIN)/python benchmarks $(FULL) $(if $(KEEP),--keep)
 
 docs: $(READY) $(DOCS) ## Build the documentation's site in build/site
 	$(BIN)/sphinx-build $(SPHINX) -b html -j $$((4 * $(JOBS))) docs build/site

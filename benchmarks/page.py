@@ -1,6 +1,7 @@
 """How soon a record is drawn in the page of `counterspin serve`, in Chromium.
 
-    python benchmarks/page.py          # 100,000 and 1,000,000 rows; kept in page.json
+    python benchmarks/page.py          # 100,000 and 1,000,000 rows; in build/benchmarks too
+    python benchmarks/page.py --keep   # for a release: in benchmarks, for the docs
 
 For each record: the first look, for which its file is read, a later one, and a zoom; seconds from
 the click to the last curve, the fastest of three. It stands outside of `make bench`, for it needs
@@ -9,7 +10,7 @@ Chromium.
 
 from __future__ import annotations
 
-import json
+import argparse
 import sys
 import tempfile
 import threading
@@ -23,6 +24,7 @@ from counterspin.application.folder import ServedFolder
 from counterspin.application.guard import Door
 from counterspin.application.server import listening, server_of
 from header import EAST, NORTH, header
+from table import note
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "tests" / "builders"))
 
@@ -76,7 +78,7 @@ def zoomed(tab) -> float:
     return time.perf_counter() - begun
 
 
-def main() -> None:
+def main(keep: bool) -> None:
     from chromium import chromium
 
     with tempfile.TemporaryDirectory() as place, listening(0) as listener:
@@ -98,10 +100,10 @@ def main() -> None:
                 found[rows] = [round(seconds, 2) for seconds in best]
         server.should_exit = True
         thread.join()
-    text = json.dumps(found, indent=1) + "\n"
-    print(text, end="")
-    Path(__file__).with_suffix(".json").write_text(text, encoding="utf-8")
+    note("page", found, keep)
 
 
 if __name__ == "__main__":
-    main()
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--keep", action="store_true", help="renew what docs quote")
+    main(parser.parse_args().keep)

@@ -3,6 +3,7 @@
 - `Table`: figures with a heading and a remark
 - `render`: tables as Markdown
 - `save`, `load`: as Markdown and JSON
+- `place`: the folder for what was measured, or for what is kept of it; `note`: some figures there
 - `merge`: tables of which some were measured again
 - `insert`: into a page of documentation
 - `options`: the choices that all scripts offer
@@ -60,6 +61,20 @@ def _text(cell: Cell) -> str:
     if isinstance(cell, float):
         return f"{cell:.0f}" if 100.0 <= abs(cell) < 1e5 else f"{cell:.3g}"
     return str(cell)
+
+
+def place(root: Path, keep: bool) -> Path:
+    """Return the folder of what documentation quotes, or that of what anybody measures."""
+    return root / ("benchmarks" if keep else "build/benchmarks")
+
+
+def note(name: str, figures: object, keep: bool) -> None:
+    """Print some figures, and write them as JSON."""
+    folder = place(Path(__file__).parent.parent, keep)
+    folder.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(figures, indent=1) + "\n"
+    print(text, end="")
+    (folder / f"{name}.json").write_text(text, encoding="utf-8")
 
 
 def save(tables: Sequence[Table], folder: Path) -> None:

@@ -1,12 +1,14 @@
 """How much of a core `counterspin watch` takes beside a recorder that writes 1000 rows a second.
 
-    python benchmarks/watching.py [SECONDS]       # 100; what is printed is kept in watching.json
+    python benchmarks/watching.py [--seconds 100]   # what is printed is in build/benchmarks too
+    python benchmarks/watching.py --keep            # for a release: in benchmarks, for the docs
 
 Two runs are there, the third is written by a second process, line by line in small parts, as a
 recorder does. Printed: processor time of the watch over the time it ran, start included; how far
 it was behind at its end; and its u of K_II beside that of `calibrate`.
 """
 
+import argparse
 import json
 import os
 import subprocess
@@ -16,6 +18,7 @@ import time
 from pathlib import Path
 
 import counterspin as cs
+from table import note
 
 ROWS_A_SECOND = 1000
 
@@ -51,7 +54,7 @@ def write_slowly(source, target):
     print(time.time())
 
 
-def main(seconds):
+def main(seconds, keep):
     """Run both and print what was measured."""
     with tempfile.TemporaryDirectory() as place:
         folder = campaign(Path(place), seconds)
@@ -74,7 +77,7 @@ def main(seconds):
         result = cs.calibrate(folder).coefficient("Qx.K_II")
         (found,) = states[-1][1]["coefficients"]
         cpu = used.ru_utime + used.ru_stime
-        kept = {
+        figures = {
             "rows a second": ROWS_A_SECOND,
             "states": len(states),
             "processor time, s": round(cpu, 2),
@@ -84,13 +87,15 @@ def main(seconds):
             "u of K_II less that of calibrate, parts of it": found["u"] / result.u - 1.0,
             "memory, MB": round(used.ru_maxrss / 1024),
         }
-        text = json.dumps(kept, indent=1) + "\n"
-        print(text, end="")
-        Path(__file__).with_suffix(".json").write_text(text, encoding="utf-8")
+        note("watching", figures, keep)
 
 
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--write"]:
         write_slowly(*map(Path, sys.argv[2:4]))
     else:
-        main(int(sys.argv[1]) if len(sys.argv) > 1 else 100)
+        parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+        parser.add_argument("--seconds", type=int, default=100)
+        parser.add_argument("--keep", action="store_true", help="renew what docs quote")
+        chosen = parser.parse_args()
+        main(chosen.seconds, chosen.keep)

@@ -113,6 +113,8 @@ NAMES: tuple[str, ...] = (
         "three/result.json\n" * 50,
         "odd",
         "odd/campaign.toml",
+        "odd/LAB.toml",
+        "linked",
     ),
     *(
         "three/certificate.pdf",
@@ -212,6 +214,7 @@ def valid_requests(folder: Path) -> dict[str, tuple[str, str, Any]]:
         "POST certificate": [
             {"result": result, "lab": "LAB.toml", "output": "three/certificate.xml"},
             {"result": result, "lab": "LAB.toml", "output": "new.pdf"},
+            {"result": result, "lab": "odd/LAB.toml", "output": "new.xml"},
         ],
         "GET file": [{"name": result}, {"name": "PLAN.toml"}],
         "POST ticket": [
@@ -488,6 +491,12 @@ def write_odd(folder: Path) -> None:
     text = (folder / "three" / "campaign.toml").read_text(encoding="utf-8")
     text = text.replace('record = "slow.csv"', 'record = "../../outside/secret.csv"')
     (odd / "campaign.toml").write_text(text, encoding="utf-8")
+    (odd / "sub").symlink_to(outside)
+    lab = (folder / "LAB.toml").read_text(encoding="utf-8")
+    lab = lab.replace("[certificate]\n", '[certificate]\nledger = "sub/ledger.jsonl"\n')
+    (odd / "LAB.toml").write_text(lab, encoding="utf-8")
+    (folder / "linked").mkdir()
+    (folder / "linked" / "campaign.toml").symlink_to(outside / "campaign.toml")
 
 
 #: What takes more than 50 ms is asked a tenth as often.

@@ -144,3 +144,32 @@ def test_the_page_s_campaign_is_one(tmp_path):
     campaign = counterspin.read_campaign(tmp_path / "100")
     assert list(campaign.accelerometers) == ["Qx", "Qy"]
     assert (tmp_path / "100" / campaign.runs[0].record).exists()
+
+
+@pytest.fixture
+def measuring(tmp_path, monkeypatch):
+    """Return `python benchmarks` in a repository of its own, where a study took four seconds."""
+    spec = importlib.util.spec_from_file_location("all_benchmarks", FOLDER / "__main__.py")
+    made = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(made)
+    table = importlib.import_module("table")
+    found = [table.Table("Study", "", ["", "time"], [["one", 4.0]])]
+    monkeypatch.setattr(made, "BENCHMARKS", {"study": SimpleNamespace(tables=lambda *_: found)})
+    monkeypatch.setattr(made, "ROOT", tmp_path)
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "benchmarks.md").write_text(f"{table.BEGIN}\n{table.END}\n")
+    return made.main
+
+
+def test_what_anybody_measures_is_not_what_documentation_quotes(measuring, tmp_path):
+    page = tmp_path / "docs" / "benchmarks.md"
+    before = page.read_text()
+    measuring(["--full"])
+    assert not (tmp_path / "benchmarks").exists()
+    assert page.read_text() == before
+    assert "| one | 4 |" in (tmp_path / "build" / "benchmarks" / "results.md").read_text()
+    measuring(["--full", "--keep"])
+    assert "| one | 4 |" in (tmp_path / "benchmarks" / "results.md").read_text()
+    assert "| one | 4 |" in page.read_text()
+    with pytest.raises(SystemExit):
+        measuring(["--keep"])

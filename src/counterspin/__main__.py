@@ -17,7 +17,7 @@ from typing import Final
 
 #: Address space that libraries reserve while they are loaded, bytes; some of them end the process
 #: where they do not get it, before anybody could say why.
-_LEAST_BYTES: Final = 2_000_000_000
+_LEAST_BYTES: Final = 1_500_000_000
 
 
 def run() -> int:

@@ -1,9 +1,11 @@
 """The page in a browser, as a person uses it."""
 
+import io
 import re
 import shutil
 import threading
 
+import pypdf
 import pytest
 from chromium import chromium, needs_chromium
 from served import InlineJobs, token_of
@@ -322,6 +324,20 @@ def test_a_try_is_shown_in_its_own_place(opened, desk):
     tab.get_by_role("button", name="Calibrate").click()
     tab.wait_for_url("**/#/result/three%2Ftry.json")
     tab.get_by_role("heading", name="Is it good?").wait_for()
+
+
+def test_what_is_printed_has_every_figure_though_nobody_has_scrolled_to_it(opened):
+    tab = opened("/result/three%2Fresult.json")
+    tab.locator("figure").first.wait_for()
+    empty = "document.querySelectorAll('.still:empty').length"
+    assert tab.evaluate(empty) > 0
+    pages = pypdf.PdfReader(io.BytesIO(tab.pdf())).pages
+    assert tab.evaluate(empty) == 0
+    text = " ".join(page.extract_text() for page in pages)
+    first = "(one) => one.querySelector('text').textContent"
+    labels = tab.evaluate(f"[...document.querySelectorAll('.still svg')].map({first})")
+    assert labels
+    assert [label for label in labels if label not in text] == []
 
 
 def test_results_are_compared_with_the_one_that_is_chosen(opened, desk):

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 from dataclasses import fields
 
 import polars as pl
@@ -446,6 +447,8 @@ def test_strong_ripple_is_warned_of_unless_k_iii_is_known(tmp_path, terms):
     strong = ("ratio = 1e-5", "ratio = 1e-2")
     (warning,) = qx(result_of(tmp_path / "a", model, strong)).warnings
     assert warning.startswith("Qx: K_III is neither estimated nor known beforehand")
+    assert "ug/g^3, it moves K_II by " in warning
+    assert not re.search(r"\de-?0|[ \d]g/g", warning)
     assert "Give it a prior" in warning
     assert qx(result_of(tmp_path / "b", model)).warnings == []
     prior = ('scale_factor = "1.002 g/g"', 'scale_factor = "1.002 g/g"\nK_III = "0 ± 1e-6 g/g^3"')

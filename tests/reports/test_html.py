@@ -18,7 +18,7 @@ from counterspin.reports.blocks import (
     Table,
 )
 from counterspin.reports.charts import svg
-from counterspin.reports.html import _asset, part
+from counterspin.reports.html import _asset, cell, part
 from counterspin.reports.zoomable import can_zoom, plot_data
 
 
@@ -114,6 +114,18 @@ def test_tables_say_what_heads_what(tree, name):
     assert box.get("class") == "scroll"
     assert box.get("tabindex") == "0"
     assert words(table.xpath("preceding::h2[1]")[0]) in " ".join(box.get("aria-label").split())
+
+
+def test_an_answer_with_reservations_has_its_own_colour():
+    made = [Paragraph("a", "answer"), Paragraph("b", "reserved"), Paragraph("c", "reserved")]
+    for text in (page(made=made), part(made, title="T"), cell(made)):
+        boxes = parsed(text).xpath("//div[starts-with(@class, 'answers')]")
+        assert [(box.get("class"), len(box)) for box in boxes] == [
+            ("answers", 1),
+            ("answers reserved", 2),
+        ]
+    for style in ("report.css", "cell.css"):
+        assert ".answers.reserved {" in _asset(style)
 
 
 def test_every_picture_has_a_caption_and_stands_still_without_a_script(tree, name):
@@ -348,14 +360,23 @@ def contrast(one, other):
 def test_words_and_lines_stand_out_from_their_ground(theme):
     colours = dict(re.findall(r"(--[\w-]+): (#[0-9a-f]{6});", palettes()[theme]))
     grounds = [
-        colours[name] for name in ("--ground", "--raised", "--good-ground", "--warning-ground")
+        colours[name]
+        for name in (
+            *("--ground", "--raised"),
+            *("--good-ground", "--reserved-ground", "--warning-ground"),
+        )
     ]
     # WCAG 2.1: 4.5 for words (1.4.3), 3 for what is drawn (1.4.11).
     for ground in grounds:
         assert contrast(colours["--ink"], ground) >= 4.5
         assert contrast(colours["--muted"], ground) >= 4.5
     assert contrast(colours["--link"], colours["--ground"]) >= 4.5
-    for name in ("--warning", "--good", *(f"--series-{index}" for index in range(1, 7))):
+    for name in (
+        "--warning",
+        "--good",
+        "--reserved",
+        *(f"--series-{index}" for index in range(1, 7)),
+    ):
         assert contrast(colours[name], colours["--ground"]) >= 3.0
 
 

@@ -342,6 +342,7 @@ def test_verdict_and_warnings_are_in_words_and_yellow_after_the_answer():
     )
     assert "\x1b[33mWarning: run2" in stream.getvalue()
     assert "\x1b[33mQx is to be used" in stream.getvalue()
+    assert "\x1b[1;33mK_II of Qx" in stream.getvalue()
 
 
 def test_budget_is_written_when_asked_for():

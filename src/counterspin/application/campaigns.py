@@ -265,7 +265,7 @@ def begin_campaign(desk: Desk, name: str, test: Test) -> dict[str, Any]:
 
     if not name:
         raise CounterspinError("give the new campaign's folder a name")
-    folder = desk.folder.path(name)
+    folder = desk.place(name)
     init(folder, test)
     return {"name": name, "command": init_command(folder, test)}
 

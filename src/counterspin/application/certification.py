@@ -13,6 +13,7 @@ from typing import Any, Final, Literal
 from counterspin.application.commands import certificate_command
 from counterspin.application.desk import Desk
 from counterspin.application.folder import OutsideError
+from counterspin.campaign.toml_file import load_document
 from counterspin.certificates.issuing import issue_certificate
 from counterspin.errors import CounterspinError
 from counterspin.input import read_file
@@ -32,6 +33,8 @@ def begin_certificate(desk: Desk, result: str, lab: str, output: str) -> dict[st
         The certificate, ``.xml`` or ``.pdf``; no file is replaced.
     """
     files = desk.file(result), desk.file(lab), desk.folder.path(output)
+    # The ledger, too.
+    desk.require_inside(files[1].parent, load_document(files[1]))
     with desk.drawing:
         made = issue_certificate(*files)
     return {

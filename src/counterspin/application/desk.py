@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -140,44 +140,56 @@ class Desk:
         document = load_document(path)
         self.require_inside(path.parent, document)
         # A table of readings is part of the description.
-        files = [path, *(path.parent / file for file in _files(document))]
-        campaign = self.remembered.get(("campaign", path), files, lambda: read_campaign(path))
-        for file in (*(run.record for run in campaign.runs), *campaign.tables):
-            if not self.folder.holds(file):
-                raise OutsideError(f"{file} is not in this folder, and is not read from here")
-        return campaign
+        files = [path, *(path.parent / name for _, name in _texts(document))]
+        return self.remembered.get(("campaign", path), files, lambda: read_campaign(path))
 
-    def require_inside(self, folder: Path, document: dict[str, Any]) -> None:
-        """Raise CampaignError if a description names files that are not in the folder."""
+    def place(self, name: str) -> Path:
+        """Return where new files go, in a folder that may be there already.
+
+        Raises
+        ------
+        OutsideError
+            If the name leads out of the folder, or a link that stands there does.
+        """
+        path = self.folder.path(name)
+        if path.is_dir():
+            for file in path.iterdir():
+                if file.is_symlink() and not self.folder.holds(file):
+                    raise OutsideError(f"{self.folder.name(file)} leads out of this folder")
+        return path
+
+    def require_inside(self, folder: Path, document: Mapping[str, Any]) -> None:
+        """Raise CampaignError if a document names files that are not in the folder.
+
+        Every text is taken for the name of a file, at whichever key it stands: none is missed.
+
+        Parameters
+        ----------
+        folder
+            In which the document stands, or will.
+        document
+            A campaign's description, a plan, the laboratory's data.
+        """
         wrong = [
-            f"{key}: {file!r} is not in the folder that is served, and is not read from here"
-            for key, file in _named(document)
-            if not self.folder.holds(folder / file)
+            f"{key}: {name!r} is not in the folder that is served, and is not used from here"
+            for key, name in _texts(document)
+            if not self.folder.holds_named(folder, name)
         ]
         if wrong:
             raise CampaignError(str(folder / DESCRIPTION_NAME), wrong)
 
 
-def _files(document: dict[str, Any]) -> list[str]:
-    return [file for _, file in _named(document)]
+def _texts(document: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """Yield the texts of a document, with their keys."""
 
-
-def _named(document: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the files that a description names, with their keys, whatever else is wrong with it.
-
-    Every text at a key that names a file, at any depth: a key that is added later is not missed.
-    """
-    found: list[tuple[str, str]] = []
-
-    def look(value: Any, path: str) -> None:
-        if isinstance(value, dict):
+    def look(value: Any, path: str) -> Iterator[tuple[str, str]]:
+        if isinstance(value, str):
+            yield path, value
+        elif isinstance(value, Mapping):
             for key, item in value.items():
-                if key in ("record", "file") and isinstance(item, str):
-                    found.append((f"{path}{key}", item))
-                look(item, f"{path}{key}.")
+                yield from look(item, f"{path}.{key}" if path else str(key))
         elif isinstance(value, list):
             for place, item in enumerate(value):
-                look(item, f"{path.rstrip('.')}[{place}].")
+                yield from look(item, f"{path}[{place}]")
 
-    look(document, "")
-    return found
+    return look(document, "")

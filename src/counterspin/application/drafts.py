@@ -112,7 +112,7 @@ def begin_drafted(
     answers
         By the questions' keys.
     """
-    place = desk.folder.path(folder)
+    place = desk.place(folder)
     said = {key: answer for key, answer in answers.items() if answer.strip()}
     write_description(_draft(desk, names), said, place)
     files = [desk.file(name) for name in names]

@@ -15,7 +15,7 @@ import os
 import threading
 from collections.abc import Iterator
 from itertools import islice
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 from typing import Final
 
 from counterspin.errors import CounterspinError
@@ -105,6 +105,24 @@ class ServedFolder:
             return path.resolve().is_relative_to(self.root)
         except (OSError, RuntimeError, ValueError):
             return False  # a link to itself, a name that is too long
+
+    def holds_named(self, folder: Path, name: str) -> bool:
+        """Tell whether a text, taken for the name of a file beside a document, stays in the folder.
+
+        Parameters
+        ----------
+        folder
+            The document's, in the folder that is served.
+        name
+            Any text; most are no names of files, and nothing of that name is there.
+        """
+        parts = PurePath(name).parts
+        if not parts:
+            return True
+        plain = ".." not in parts and not PurePath(name).is_absolute()
+        if plain and not os.path.lexists(folder / parts[0]):
+            return True  # no link leads on from there
+        return self.holds(folder / name)
 
     def name(self, path: Path) -> str:
         """Return a path's name within the folder; one outside keeps its own."""

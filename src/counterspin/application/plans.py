@@ -310,7 +310,7 @@ def begin_planned(desk: Desk, name: str, moved: Mapping[str, float], folder: str
         If there is a campaign already, or the file cannot be changed.
     """
     file = desk.file(name)
-    place = desk.folder.path(folder)
+    place = desk.place(folder)
     if not folder:
         raise CounterspinError("give the campaign's folder a name")
     refuse_other_campaign(place)

@@ -57,7 +57,7 @@ class SeenRecord:
 def record_overview(desk: Desk, name: str, run: str) -> dict[str, Any]:
     """Return a record's columns, rows, first and last time, and what is used of it."""
     campaign, found = _run(desk, name, run)
-    record = _record(desk, campaign, found)
+    record = _record(campaign, found)
     return {
         "columns": [
             {"name": column, "unit": unit}
@@ -85,7 +85,7 @@ def record_window(
     parts
         Into how many parts the window is divided, such as pixels; few rows stand as they are.
     """
-    record = _record(desk, *_run(desk, name, run))
+    record = _record(*_run(desk, name, run))
     # One more on either side, so that lines leave the window.
     first = max(int(np.searchsorted(record.time, window[0])) - 1, 0)
     last = int(np.searchsorted(record.time, window[1], side="right")) + 1
@@ -141,14 +141,12 @@ def _run(desk: Desk, name: str, run: str) -> tuple[Campaign, Run]:
     raise NotThereError(f"{name}: there is no run {run!r} with a record")
 
 
-def _record(desk: Desk, campaign: Campaign, run: Run) -> SeenRecord:
+def _record(campaign: Campaign, run: Run) -> SeenRecord:
     files = [campaign.path, run.record]
-    return _RECORDS.get((campaign.path, run.name), files, lambda: _read(desk, campaign, run))
+    return _RECORDS.get((campaign.path, run.name), files, lambda: _read(campaign, run))
 
 
-def _read(desk: Desk, campaign: Campaign, run: Run) -> SeenRecord:
-    if not desk.folder.holds(run.record):
-        raise CounterspinError(f"{run.record}: not in the folder that is served")
+def _read(campaign: Campaign, run: Run) -> SeenRecord:
     columns = record_columns(campaign, run)
     specs, names, units = [columns.time], [], []
     if columns.angle is not None:

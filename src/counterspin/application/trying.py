@@ -85,7 +85,7 @@ def begin_simulation(desk: Desk, name: str, folder: str) -> dict[str, Any]:
     """
     path = desk.description(name)
     desk.campaign(name)
-    place = desk.folder.path(folder)
+    place = desk.place(folder)
     if not folder:
         raise CounterspinError("give the folder of the simulated records a name")
     if (place / DESCRIPTION_NAME).exists():

@@ -19,6 +19,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import ARCSEC, DEGREE_PER_HOUR, PLATFORM_TERMS
+from counterspin.reports.numbers import field_unit, format_number
 
 #: Drift (deg/h) times time squared (s^2) at which first order in the attitude errs by 0.01 m.
 _FIRST_ORDER_LIMIT: Final = 0.2 * 400.0**2
@@ -123,9 +124,11 @@ def _large_tilt(
     assert coefficient.u
     ratio = shift / coefficient.u
     tilt = float(np.linalg.norm(size)) / ARCSEC
+    unit, factor = field_unit(coefficient.unit)
     text = (
         f"The tilt of {run} may reach {tilt:.3g} arcsec (value and 2 u): beyond first order it "
-        f"moves {subject} by up to {shift:.2g} {coefficient.unit}, {ratio:.2g} of its u. The model "
+        f"moves {subject} by up to {format_number(shift * factor, 2)} {unit}, "
+        f"{format_number(ratio, 2)} of its u. The model "
         f"is of first order, good up to about {tilt / math.sqrt(ratio):.2g} arcsec here."
     )
     return Finding(code="large-tilt", subject=subject, text=text, size=ratio)

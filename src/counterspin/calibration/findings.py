@@ -39,7 +39,7 @@ from counterspin.inference.diagnostics import (
     normal_equivalent,
 )
 from counterspin.inference.distributions import normal_quantile
-from counterspin.reports.numbers import format_number
+from counterspin.reports.numbers import field_unit, format_number
 
 #: Beyond this many standard uncertainties (2e-9 by chance) no uncertainty explains a difference.
 CONTRADICTION_SIGMAS: Final = 6.0
@@ -361,10 +361,12 @@ def _disagreeing_run(
     size = normal_equivalent(z, worst.dof)
     if size <= agreement_of(compared * accelerometers):
         return
+    unit, factor = field_unit("g/g^2")
     yield Finding(
         code="run-disagrees",
         subject=f"{name}.K_II",
-        text=f"Without {worst.run} K_II moves by {worst.shift:.2g} g/g^2, {z:.1f} times "
+        text=f"Without {worst.run} K_II moves by {format_number(worst.shift * factor, 2)} {unit}, "
+        f"{z:.1f} times "
         "what its uncertainty explains: this run disagrees with the others.",
         size=size,
         contradicts=size > CONTRADICTION_SIGMAS,

@@ -36,6 +36,7 @@ from counterspin.inference.two_stage.request import credible_limit
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
 from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.shared_terms import OWN_TERMS, term
+from counterspin.reports.numbers import field_unit, format_number
 
 #: Below this probability a misfit is no accident.
 _SMALLEST_P: Final = 0.001
@@ -173,9 +174,11 @@ def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding
         typical = campaign.model.typical[symbol]
         shift = abs(float(second.shift(symbol)[0])) * typical
         if shift > u:
+            (unit, factor), (moved, to_moved) = map(field_unit, (term(symbol).unit, "g/g^2"))
             text = (
                 f"{symbol} is neither estimated nor known beforehand; at a typical size, "
-                f"{typical:.3g} {term(symbol).unit}, it moves K_II by {shift:.2g} g/g^2, "
+                f"{format_number(typical * factor)} {unit}, it moves K_II by "
+                f"{format_number(shift * to_moved, 2)} {moved}, "
                 "more than its uncertainty. Give it a prior, or use the joint method."
             )
             subject = f"{name}.{symbol}"

@@ -12,12 +12,15 @@ in tables beside them. Whatever a text holds, it is visible once it stands in a 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Literal
+from typing import Any, Final, Literal
 
 from counterspin.frozen import frozen
 from counterspin.reports.characters import visible
 
-Style = Literal["plain", "answer", "warning", "quiet", "equation", "command"]
+Style = Literal["plain", "answer", "reserved", "warning", "quiet", "equation", "command"]
+
+#: Styles of what was asked for: as it is, and with reservations.
+ANSWERS: Final[tuple[Style, ...]] = ("answer", "reserved")
 
 
 class _Words:

@@ -21,7 +21,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from counterspin.output import mark
-from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, Plot, Table
+from counterspin.reports.blocks import ANSWERS, Block, Heading, Paragraph, Picture, Plot, Table
 from counterspin.reports.characters import visible
 from counterspin.reports.charts import svg
 from counterspin.reports.typography import SYMBOL
@@ -187,9 +187,9 @@ class _Page:
         items: list[dict[str, Any]] = []
         for kind, group in groupby(blocks, _kind):
             members = list(group)
-            if kind == "answers":
+            if kind in ANSWERS:
                 lines = [_answer(block.text) for block in members if isinstance(block, Paragraph)]
-                items.append({"kind": kind, "lines": lines})
+                items.append({"kind": "answers", "style": kind, "lines": lines})
             else:
                 for block in members:
                     if isinstance(block, Heading):
@@ -229,8 +229,8 @@ def _kind(block: Block) -> str:
     match block:
         case Heading():
             return "heading"
-        case Paragraph(style="answer"):
-            return "answers"
+        case Paragraph(style="answer" | "reserved" as style):
+            return style
         case Paragraph():
             return "paragraph"
         case Table():

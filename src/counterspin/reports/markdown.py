@@ -14,7 +14,15 @@ from collections.abc import Iterator, Sequence
 from itertools import groupby
 from typing import Final
 
-from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table, without_pictures
+from counterspin.reports.blocks import (
+    ANSWERS,
+    Block,
+    Column,
+    Heading,
+    Paragraph,
+    Table,
+    without_pictures,
+)
 from counterspin.reports.characters import visible
 
 #: Read as markup wherever they stand; $ begins a formula on GitHub.
@@ -80,7 +88,7 @@ def _set(block: Heading | Paragraph | Table) -> str:
 
 def _quoted(block: Block) -> str | None:
     """Return the style of what is set apart by a bar at its side."""
-    apart = isinstance(block, Paragraph) and block.style in {"answer", "warning"}
+    apart = isinstance(block, Paragraph) and block.style in {*ANSWERS, "warning"}
     return block.style if apart and isinstance(block, Paragraph) else None
 
 
@@ -89,7 +97,7 @@ def _quote(style: str, texts: Sequence[str]) -> str:
     for number, text in enumerate(texts):
         said = escaped(text)
         lines += [""] if number else []
-        lines += (f"**{said}**" if style == "answer" else said).split("\n")
+        lines += (f"**{said}**" if style in ANSWERS else said).split("\n")
     return "\n".join(f"> {line}".rstrip() for line in lines)
 
 

@@ -19,7 +19,7 @@ from typing import Any, Final, Literal
 
 from counterspin.frozen import frozen
 from counterspin.output import mark
-from counterspin.reports.blocks import Block, Heading, Paragraph, Picture, Table
+from counterspin.reports.blocks import ANSWERS, Block, Heading, Paragraph, Picture, Table
 from counterspin.reports.characters import visible
 from counterspin.reports.charts import svg
 
@@ -140,10 +140,10 @@ def pdf(
 def _parts(blocks: Sequence[Block]) -> Iterator[dict[str, Any]]:
     """Yield what the layout calls a part: a block, or answers that follow each other."""
     pictures = 0
-    for answers, group in groupby(blocks, _is_answer):
-        if answers:
+    for style, group in groupby(blocks, _answers):
+        if style is not None:
             texts = [block.text for block in group if isinstance(block, Paragraph)]
-            yield {"kind": "answers", "texts": texts}
+            yield {"kind": "answers", "texts": texts, "reserved": style == "reserved"}
             continue
         for block in group:
             match block:
@@ -158,8 +158,9 @@ def _parts(blocks: Sequence[Block]) -> Iterator[dict[str, Any]]:
                     pictures += 1
 
 
-def _is_answer(block: Block) -> bool:
-    return isinstance(block, Paragraph) and block.style == "answer"
+def _answers(block: Block) -> str | None:
+    """Return the style of an answer."""
+    return block.style if isinstance(block, Paragraph) and block.style in ANSWERS else None
 
 
 def _table(block: Table) -> dict[str, Any]:

@@ -34,6 +34,7 @@ _COLUMN_GAP: Final = 2
 _STYLES: Final[dict[Style, str]] = {
     "plain": "",
     "answer": "bold green",
+    "reserved": "bold yellow",
     "warning": "yellow",
     "quiet": "dim",
     "equation": "italic",

@@ -20,9 +20,9 @@ SYMBOL: Final = r"([KE])_([A-Z]{1,3}|\d|n)(?!\w|\.\w)"
 RAISED: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 #: A power of ten that stands by itself, before a unit or after a cross.
-_POWER: Final = re.compile(r"(?<![\w.])1e(-?\d+)(?!\w)")
+_POWER: Final = re.compile(r"(?<![\w.])1e([-+]?\d+)(?!\w)")
 #: A number, perhaps with its uncertainty in brackets, times a power of ten.
-_TIMES_POWER: Final = re.compile(r"(?<![\w.])(\d+(?:\.\d+)?(?:\([\d.]+\))?)e(-?\d+)(?!\w)")
+_TIMES_POWER: Final = re.compile(r"(?<![\w.])(\d+(?:\.\d+)?(?:\([\d.]+\))?)e([-+]?\d+)(?!\w)")
 _EXPONENT: Final = re.compile(r"(?<=\w)\^(-?\d)(?!\.?\d)")
 #: Micro before a gram-force alone: nothing else in a report is called ug.
 _MICRO: Final = re.compile(r"(?<![\w.])ug(?!\w|\.\w)")
@@ -36,10 +36,16 @@ def typeset(text: str) -> str:
 
     Words and other numbers stay as they are.
     """
-    text = _POWER.sub(lambda found: "10" + found[1].translate(RAISED), text)
-    text = _TIMES_POWER.sub(lambda found: f"{found[1]} × 10{found[2].translate(RAISED)}", text)
+    text = _POWER.sub(lambda found: f"10{_raised(found[1])}", text)
+    text = _TIMES_POWER.sub(lambda found: f"{found[1]} × 10{_raised(found[2])}", text)
     text = _EXPONENT.sub(lambda found: found[1].translate(RAISED), text)
     return _SIGN.sub("−", _CROSS.sub(" × ", _MICRO.sub("µg", text)))
+
+
+def _raised(exponent: str) -> str:
+    """Return an exponent as it is printed; Python writes ``e-09`` and ``e+12``."""
+    sign = "-" if exponent.startswith("-") else ""
+    return f"{sign}{exponent.lstrip('+-0') or '0'}".translate(RAISED)
 
 
 def _typeset_cell(cell: str) -> str:

@@ -82,6 +82,13 @@ def test_a_contradicted_result_says_so_first_and_has_neither_interval_nor_colour
     assert not [text for text in texts(blocks) if "95 %: " in text]
 
 
+def test_the_colour_of_the_answer_follows_the_state():
+    drives = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -4.0}]
+    for made, style in ((result(), "answer"), (result(jackknife=drives), "reserved")):
+        (line,) = (b for b in document(made) if getattr(b, "text", "").startswith("K_II of Qx ="))
+        assert line.style == style
+
+
 def test_an_accepted_misfit_is_printed_with_its_reason_and_done_again_with_it():
     accepted = judge_result(result(residual=MISFIT), "the arm's play is known")
     written = texts(document(accepted))

@@ -24,7 +24,7 @@ def test_reservations_say_the_gravest_first_and_how_many_more():
         jackknife=[{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -3.1}],
     )
     assert told == (
-        "Qx is to be used with reservations: Without slow K_II moves by 1e-08 g/g^2, 3.1 times "
+        "Qx is to be used with reservations: Without slow K_II moves by 0.01 ug/g^2, 3.1 times "
         "what its uncertainty explains: this run disagrees with the others. There are 2 more "
         "findings. In its favour: the residuals look like the stated noise (p = 0.5); the "
         "two-stage method agrees."

@@ -51,6 +51,16 @@ async function ask(method, name, said = {}) {
 }
 
 /**
+ * Add the key, where there is one.
+ * @param {Record<string, string>} headers
+ * @returns {Record<string, string>}
+ */
+function withKey(headers) {
+  const key = sessionStorage.getItem(KEY);
+  return key ? { ...headers, Authorization: `Bearer ${key}` } : headers;
+}
+
+/**
  * Send a request with the key.
  * @param {string} path
  * @param {{method: string, headers: Record<string, string>, body?: BodyInit}} request
@@ -58,7 +68,7 @@ async function ask(method, name, said = {}) {
  */
 async function exchange(path, request) {
   const key = sessionStorage.getItem(KEY);
-  const headers = { ...request.headers, ...key ? { Authorization: `Bearer ${key}` } : {} };
+  const headers = withKey(request.headers);
   let response;
   try {
     response = await fetch(`/api/${path}`, { ...request, headers });
@@ -77,6 +87,20 @@ export const get = async (name, said) => (await ask("GET", name, said)).json();
 
 /** @type {(name: string, said?: Record<string, any>) => Promise<string>} */
 export const getText = async (name, said) => (await ask("GET", name, said)).text();
+
+/**
+ * Ask for a text and wait for it, where nothing may go on before: printing waits for no promise.
+ * @param {string} name
+ * @param {Record<string, string>} said
+ * @returns {string}
+ */
+export function getTextNow(name, said) {
+  const request = new XMLHttpRequest();
+  request.open("GET", `/api/${name}?${new URLSearchParams(said)}`, false);
+  for (const [header, value] of Object.entries(withKey({}))) request.setRequestHeader(header, value);
+  request.send();
+  return request.status === 200 ? request.responseText : "";
+}
 
 /** @type {(method: string, name: string, said: Record<string, any>) => Promise<any>} */
 export const send = async (method, name, said) => (await ask(method, name, said)).json();

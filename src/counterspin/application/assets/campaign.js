@@ -86,8 +86,8 @@ export async function campaignView(name) {
   if (result && result.state !== "damaged") {
     const { told, part } = await pagePart("result", [result.name]);
     // The campaign's own title stands above.
-    part.querySelector("h1")?.remove();
-    content.push(make("section", { "aria-label": "Result" }, part),
+    part?.querySelector("h1")?.remove();
+    content.push(make("section", { "aria-label": "Result" }, ...part ? [part] : []),
       resultLinks(result.name), commandLine(told.command));
   }
   return { title: campaign.title, content };

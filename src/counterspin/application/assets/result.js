@@ -1,28 +1,37 @@
 // @ts-check
 // A result: the report's own blocks.
 
-import { get, getText, save } from "./api.js";
+import { get, getText, getTextNow, save } from "./api.js";
 import { commandLine, make, say, warning } from "./dom.js";
 import { follow } from "./job.js";
 
 /**
- * Fetch the pictures of a page as they come near the screen.
+ * Fetch the pictures of a page as they come near the screen, and all of them before it is printed.
  * @param {HTMLElement} part
- * @param {(place: string) => Promise<string>} picture
+ * @param {Record<string, any>} asked the page
  */
-export function fetchPictures(part, picture) {
+function fetchPictures(part, asked) {
   const near = new IntersectionObserver((seen) => {
     for (const { target, isIntersecting } of seen) {
       if (!isIntersecting) continue;
       near.unobserve(target);
       const box = /** @type {HTMLElement} */ (target);
-      picture(box.dataset.place ?? "").then(
+      getText("picture", { ...asked, place: box.dataset.place }).then(
         (svg) => { box.innerHTML = svg; },
         (error) => { box.textContent = error.message; });
     }
   }, { rootMargin: "600px" });
   // What can be zoomed is drawn here.
   part.querySelectorAll("figure:not(.zoomable) .still[data-place]").forEach((box) => near.observe(box));
+  const beforePrint = () => {
+    if (!part.isConnected) return removeEventListener("beforeprint", beforePrint);
+    // Those that can be zoomed are still on paper.
+    part.querySelectorAll(".still[data-place]:empty").forEach((target) => {
+      const box = /** @type {HTMLElement} */ (target);
+      box.innerHTML = getTextNow("picture", { ...asked, place: box.dataset.place ?? "" });
+    });
+  };
+  addEventListener("beforeprint", beforePrint);
 }
 
 /**
@@ -32,13 +41,13 @@ export function fetchPictures(part, picture) {
  * @param {string} [term]
  */
 export async function pagePart(kind, names, term) {
-  const asked = { kind, names: names.join("\n"), term };
+  const asked = { kind, names: names.join("\n"), ...term === undefined ? {} : { term } };
   const told = await get("page", asked);
   if (told.job) return { told, part: null };
   const part = make("div", { class: "report" });
   // Escaped by the report's own templates.
   part.innerHTML = told.html;
-  fetchPictures(part, (place) => getText("picture", { ...asked, place }));
+  fetchPictures(part, asked);
   return { told, part };
 }
 
@@ -94,7 +103,7 @@ export async function resultView(name) {
   return {
     title: told.title,
     content: [
-      part,
+      ...part ? [part] : [],
       resultLinks(name),
       commandLine(told.command),
     ],

@@ -20,7 +20,7 @@ from counterspin.calibration.pages.accelerometer import (
 from counterspin.calibration.pages.conformity import conformity_blocks
 from counterspin.calibration.pages.verdict import misfit_blocks, verdict_blocks
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import Coefficient, RunResult
+from counterspin.calibration.result_parts import Coefficient, RunResult, State
 from counterspin.inference.conformity import expanded_uncertainty
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.characters import Lines
@@ -102,8 +102,8 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
     yield from misfit_blocks(result)
     for name, accelerometer in result.accelerometers.items():
         if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
-            stands = accelerometer.state != "contradicted"
-            yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g, stands=stands)
+            state = accelerometer.state
+            yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g, state=state)
     for warning in result.warnings:
         yield Paragraph(f"Warning: {warning}", "warning")
     known = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
@@ -119,8 +119,10 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
     )
 
 
-def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool, stands: bool) -> Paragraph:
-    """Return K_II in one line; one that does not stand has neither interval nor colour."""
+def _answer_line(
+    name: str, coefficient: Coefficient, *, in_g: bool, state: State | None
+) -> Paragraph:
+    """Return K_II in one line; one that is contradicted has neither interval nor colour."""
     value, u, unit = in_field_units(coefficient)
     if not coefficient.estimated or value is None or u is None:
         prior = (
@@ -130,7 +132,7 @@ def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool, stands: boo
     text = f"{name} = {format_estimate(value, u, unit)}"
     if in_g:
         text += f" = {format_estimate(coefficient.value, coefficient.u, coefficient.unit)}"
-    if not stands:
+    if state == "contradicted":
         return Paragraph(text)
     if u > 0.0:
         half = expanded_uncertainty(u, coefficient.dof)
@@ -140,7 +142,7 @@ def _answer_line(name: str, coefficient: Coefficient, *, in_g: bool, stands: boo
     if coefficient.u_typical is not None:
         typical = format_uncertainty(coefficient.u_typical * field_unit(coefficient.unit)[1])
         text += f"; ± {typical} {unit} with what the model leaves out at typical sizes"
-    return Paragraph(text, "answer")
+    return Paragraph(text, "reserved" if state == "reservations" else "answer")
 
 
 # Platform and runs

@@ -1,0 +1,88 @@
+"""Documents of the folder name files of the folder, and no others."""
+
+import pytest
+from served import ANSWERS
+
+from counterspin.certificates.lab import write_example as write_lab
+from counterspin.errors import CampaignError
+from counterspin.planning.plan import write_example as write_plan
+
+RESULT = "three/result.json"
+
+
+@pytest.fixture
+def outside(folder):
+    """Return a folder beside the one that is served, to which links within lead."""
+    place = folder.parent / "outside"
+    place.mkdir()
+    for inner in (folder, folder / "three"):
+        (inner / "sub").symlink_to(place)
+    return place
+
+
+def _issued(page, output):
+    said = {"result": RESULT, "lab": "LAB.toml", "output": output}
+    return page.post("/api/certificate", json=said)
+
+
+def test_no_ledger_is_kept_outside(page, folder, outside):
+    lab = write_lab(folder / "LAB.toml")
+    text = lab.read_text()
+    head = "[certificate]\n"
+    assert head in text
+    lab.write_text(text.replace(head, head + 'ledger = "sub/led.jsonl"\n'))
+    told = _issued(page, "new.xml")
+    assert told.status_code == 422
+    assert told.json()["problems"][0].startswith(
+        "certificate.ledger: 'sub/led.jsonl' is not in the"
+    )
+    assert list(outside.iterdir()) == []
+    assert not (folder / "new.xml").exists()
+    lab.write_text(text.replace(head, head + 'ledger = "led.jsonl"\n'))
+    assert _issued(page, "new.xml").status_code == 200
+
+
+@pytest.mark.parametrize(
+    ("line", "key"),
+    [
+        ('continued_in = ["more.csv", "sub/more.csv"]', "continued_in[1]"),
+        ('pulses = "sub/pulses.csv"', "pulses"),
+        ('truth = {whatever = {comes = "/etc/hostname"}}', "truth.whatever.comes"),
+        ('temperature = "sub/../../secret"', "temperature"),
+    ],
+)
+def test_no_key_of_a_description_leads_out(desk, folder, outside, line, key):
+    file = folder / "three" / "campaign.toml"
+    assert desk.campaign("three").runs
+    file.write_text(file.read_text().replace("[[runs]]\n", f"[[runs]]\n{line}\n", 1))
+    with pytest.raises(CampaignError, match="not in the folder that is served") as refused:
+        desk.campaign("three")
+    assert [problem.partition(":")[0] for problem in refused.value.problems] == [f"runs[0].{key}"]
+
+
+def test_words_are_no_names_of_files(desk, folder):
+    file = folder / "three" / "campaign.toml"
+    title = "Qx / Qy .. at 1 g/g^2, https://example.org: \u00b1 \U0001f600" + "x" * 5000
+    text = file.read_text().replace("[campaign]\n", f'[campaign]\ntitle = "{title}"\n')
+    file.write_text(text)
+    assert desk.campaign("three").title == title
+
+
+def test_nothing_new_is_written_through_a_link(page, folder, outside):
+    (folder / "new").mkdir()
+    (folder / "new" / "campaign.toml").symlink_to(outside / "campaign.toml")
+    write_plan(folder / "PLAN.toml")
+    files = {"folder": "new", "names": ["three/slow.csv", "three/fast.csv"], "answers": ANSWERS}
+    asked = {
+        "campaign": {"name": "new"},
+        "simulation": {"name": "three", "folder": "new"},
+        "drafted": files,
+        "planned": {"name": "PLAN.toml", "folder": "new"},
+    }
+    for name, said in asked.items():
+        told = page.post(f"/api/{name}", json=said)
+        assert (told.status_code, told.json()["error"]) == (
+            403,
+            "new/campaign.toml leads out of this folder",
+        )
+    assert list(outside.iterdir()) == []
