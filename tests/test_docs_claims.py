@@ -75,8 +75,8 @@ NUMBERS = [
     ),
     (
         "bulwark",
-        "has at most {} runs with records, and a campaign {} readings.",
-        [resolved.MOST_RUNS, resolved.MOST_READINGS],
+        "has at most {} records, one for each run and accelerometer, and a campaign {} readings.",
+        [resolved.MOST_RECORDS, resolved.MOST_READINGS],
     ),
     ("study", "With fewer than {} trials it says that they are too few", [FEWEST_TRIALS]),
     ("methods", "blocks of at most {} revolution.", [1 / reduction.BLOCKS_PER_REVOLUTION]),

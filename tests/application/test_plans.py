@@ -92,7 +92,7 @@ def test_a_search_that_has_no_room_fails_in_a_sentence(planned, folder):
 
 def test_limits_move_less_far_where_runs_would_become_too_long(planned, folder):
     file = folder / "PLAN.toml"
-    file.write_text(file.read_text().replace('"700 s"', '"10000 s"'))
+    file.write_text(file.read_text().replace('"700 s"', '"20000 s"'))
     told = planned.get("/api/plan", params={"name": "PLAN.toml"}).json()
     high = {
         limit["key"]: limit["high"] / limit["value"] for limit in told["limits"] if limit["value"]

@@ -39,11 +39,12 @@ if TYPE_CHECKING:
 #: only on paper. A line of a description can state any length, and what is made from it takes
 #: memory and time in proportion: at the bound, below 2 GB and about a minute. What is read from
 #: files has no such bound.
-MOST_ROWS: Final = 800_000
+MOST_ROWS: Final = 1_500_000
 
-#: Most readings of a campaign, and most runs of which a forecast or a study is made.
+#: Most readings of a campaign, and most records, one for each run and accelerometer, of which a
+#: forecast or a study is made.
 MOST_READINGS: Final = 10_000
-MOST_RUNS: Final = 100
+MOST_RECORDS: Final = 60
 
 
 def sample_count(duration: float, sampling_rate: float) -> int:
@@ -549,8 +550,9 @@ def require_room(
         if duration is not None
     ]
     total = sum(rows for rows, _ in sizes)
-    if purpose != "simulation" and len(campaign.runs) > MOST_RUNS:
-        words = f"runs: {len(campaign.runs)}, and a {purpose} has room for {MOST_RUNS}"
+    records = len(campaign.runs) * len(campaign.accelerometers)
+    if purpose != "simulation" and records > MOST_RECORDS:
+        words = f"runs: they have {records} records, and a {purpose} has room for {MOST_RECORDS}"
         raise CampaignError(str(campaign.path), [words])
     advice = (
         f"rows to compute, and a {purpose} has room for {MOST_ROWS:.0e}; choose fewer "

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, Field, PlainValidator
 
 from counterspin.campaign.attitude import attitude_rows
-from counterspin.campaign.resolved import MOST_READINGS, MOST_RUNS
+from counterspin.campaign.resolved import MOST_READINGS, MOST_RECORDS
 from counterspin.campaign.settings import (
     PositiveRatio,
     Schema,
@@ -70,7 +70,7 @@ class LimitsSettings(SettingsSection):
     total_time: Seconds
     highest_rate: Rate | None = None
     lowest_rate: Rate | None = None
-    rates: Annotated[list[Rate], Field(min_length=1, max_length=MOST_RUNS)] | None = None
+    rates: Annotated[list[Rate], Field(min_length=1, max_length=MOST_RECORDS)] | None = None
     specific_force: Annotated[float, read_exactly("g"), AfterValidator(positive)] | None = None
     senses: Literal["one", "both"] = "one"
     settling: Duration = 0.0
@@ -78,7 +78,7 @@ class LimitsSettings(SettingsSection):
     spin_down: SpinUp | None = None
     fewest_revolutions: Annotated[PositiveRatio, AfterValidator(_one_or_more)] = 5.0
     longest_run: Seconds | None = None
-    runs: Annotated[int, AfterValidator(positive), Field(le=MOST_RUNS)] = 8
+    runs: Annotated[int, AfterValidator(positive), Field(le=MOST_RECORDS)] = 8
     fewest_rates: Annotated[int, AfterValidator(positive)] = 1
     attitudes: list[Annotated[Any, PlainValidator(_attitude)]] = Field(
         default_factory=lambda: ["level"], min_length=1, max_length=MOST_ATTITUDES

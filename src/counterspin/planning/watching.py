@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from counterspin.inference.readings import blocks_at
 from counterspin.planning.faults import Fault
 from counterspin.planning.forecast import Forecast, expected_values
 from counterspin.planning.relaxation import Places
+
+#: Columns of faults that are there at once; of one that each run has anew there is one a run.
+_PARTS_AT_ONCE: Final = 16
 
 
 @frozen(eq=False)
@@ -90,6 +94,25 @@ class Watched:
 
 def watch(prediction: Forecast, faults: Sequence[Fault]) -> Watched:
     """Return what a campaign's fit would make of faults, each by itself."""
+    groups: list[list[Fault]] = [[]]
+    for fault in faults:
+        if groups[-1] and sum(len(f.parts) for f in (*groups[-1], fault)) > _PARTS_AT_ONCE:
+            groups.append([])
+        groups[-1].append(fault)
+    found = [_watched(prediction, group) for group in groups]
+    return Watched(
+        tuple(faults),
+        tuple(moved for one in found for moved in one.moved),
+        tuple(left for one in found for left in one.left),
+        {
+            name: tuple(left for one in found for left in one.left_in[name])
+            for name in found[0].left_in
+        },
+        found[0].freedom,
+    )
+
+
+def _watched(prediction: Forecast, faults: Sequence[Fault]) -> Watched:
     model, campaign = prediction.fit.model, prediction.campaign
     parts = [(index, part) for index, fault in enumerate(faults) for part in fault.parts]
     before, count = len(model.considered), len(parts)
