@@ -15,6 +15,7 @@ import math
 import re
 import shutil
 import tomllib
+import zlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -48,6 +49,8 @@ from counterspin.errors import RecordError
 from counterspin.exports.guessing import guess_file
 from counterspin.exports.looking import look
 from counterspin.histories.history import history
+from counterspin.planning.plan import check as forecast_campaign
+from counterspin.planning.plan import plan as make_plan
 from counterspin.planning.plan_file import read_plan
 from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.records.tables import read_numbers, read_table
@@ -57,6 +60,7 @@ from fuzz import ROOT, connections, native, requests
 from fuzz.format import Format
 from fuzz.mutations import (
     mutate_bytes,
+    mutate_sizes,
     mutate_table,
     mutate_text,
     mutate_tree,
@@ -161,6 +165,31 @@ def study_file(place: Path) -> Format:
     """Return a study's description."""
     texts = [SMALL, resource_text("reproduction", "paper.toml") + STUDY, *_tables_of("study.md")]
     return Format(".toml", _toml_maker(_whole(texts, read_study, place)), read_study)
+
+
+def sizes(place: Path) -> Format:
+    """Return a description of which all is made that needs no records; its sizes are extreme."""
+    of_campaign = SMALL.replace("revolutions = 20", "revolutions = 6") + "[study]\ntrials = 4\n"
+    plan_text = resource_text("planning").replace("runs = 14", "runs = 2")
+    texts = [of_campaign, of_campaign, plan_text, *_whole(_tables_of("plan.md"), make_plan, place)]
+    trees = [tomllib.loads(text) for text in texts]
+    makers = (
+        forecast_campaign,
+        lambda path: study(path, trials=4),
+        lambda path: simulate(read_campaign(path)),
+    )
+
+    def make(rng: Random) -> bytes:
+        return write_toml(mutate_sizes(rng, rng.choice(trees))).encode()
+
+    def use(path: Path) -> None:
+        content = path.read_bytes()
+        if b'"limits"' in content:
+            make_plan(path)
+        else:
+            makers[zlib.crc32(content) % len(makers)](path)
+
+    return Format(".toml", make, use)
 
 
 def lab(place: Path) -> Format:
@@ -492,6 +521,7 @@ FORMATS: dict[str, Entry] = {
     "plan": Entry(plan),
     "reading-plan": Entry(reading_plan),
     "study": Entry(study_file),
+    "sizes": Entry(sizes, 0.02),
     "study-progress": Entry(study_progress, 0.002),
     "lab": Entry(lab, 1.5),
     "result": Entry(result_file, 3.0),

@@ -4,6 +4,7 @@ Everything is drawn from the `random.Random` that is given, so that a case is kn
 
 - `mutate_bytes`, `mutate_text`: without regard to what it means
 - `mutate_tree`: dicts, lists and values, as TOML and JSON have them
+- `mutate_sizes`: lengths, rates and numbers of things in such a tree, beyond all bounds
 - `mutate_xml`: elements
 - `mutate_table`: rows of cells
 - `write_toml`: any tree as TOML, right or wrong
@@ -48,6 +49,12 @@ HOSTILE: list[Any] = [
     "-5 %",
     "1 rev/s",
     "1 ppm",
+    "1e-6 rev/s",
+    "1e-30 rev/s",
+    "1e12 rev/s",
+    "1e12 Hz",
+    "1e12 s",
+    "1e-12 s",
     "x" * 70000,
     "\x1b[2J\x1b]0;owned\x07",
     "\u202eevil\u2066",
@@ -79,7 +86,10 @@ HOSTILE: list[Any] = [
     2**31,
     2**63 - 1,
     -(2**63),
+    10**9,
+    10**15,
     10**18,
+    1e12,
     0.0,
     -0.0,
     1.0,
@@ -260,6 +270,35 @@ def mutate_tree(rng: Random, tree: Any, others: list[Any]) -> Any:
             holder, key = rng.choice(list(_places(tree)) or [([0], 0)])
             for _ in range(rng.choice((20, 90))):
                 holder[key] = rng.choice(([holder[key]], {"a": holder[key]}))
+    return tree
+
+
+#: Keys whose values say how much there is of something.
+_SIZES = (
+    *("rate", "duration", "revolutions", "sampling_rate", "start", "stop", "harmonic", "per"),
+    *("total_time", "highest_rate", "lowest_rate", "longest_run", "settling", "rates"),
+    *("fewest_revolutions", "fewest_rates", "runs", "readings", "positions", "time", "trials"),
+)
+#: Nothing near to what can just be done: that takes up to a minute.
+_EXTREMES = ("1e-300", "1e-30", "1e-12", "1e-9", "1e9", "1e12", "1e15", "1e30", "1e300")
+
+
+def mutate_sizes(rng: Random, tree: Any) -> Any:
+    """Return a tree in which one or two sizes are beyond all bounds, or far below."""
+    tree = copy.deepcopy(tree)
+    places = [
+        (holder, key)
+        for holder, key in _places(tree)
+        if (key in _SIZES or rng.random() < 0.05) and isinstance(holder[key], str | int | float)
+    ]
+    for holder, key in rng.sample(places, min(len(places), rng.choice((1, 1, 1, 2)))):
+        extreme = rng.choice(_EXTREMES)
+        if isinstance(holder[key], str):
+            holder[key] = _NUMBER.sub(extreme, holder[key], count=1)
+        else:
+            value = float(extreme)
+            whole = isinstance(holder[key], int) and 1.0 <= value < 1e20
+            holder[key] = int(value) if whole else value
     return tree
 
 

@@ -27,7 +27,7 @@ CASES = sorted((ROOT / "tests" / "cases").glob("*/*.case"))
 #: Cases of the short run: of documents, and of records, whose reader starts again after many.
 DOCUMENTS, RECORDS = 200, 4
 #: Formats of which a case takes long.
-SLOW = ("calibration", "study-progress", "requests", "connections")
+SLOW = ("calibration", "sizes", "study-progress", "requests", "connections")
 #: Cases of requests to the application, and of connections to its server.
 ASKED = {"requests": 30, "connections": 12}
 
@@ -76,6 +76,17 @@ def test_a_few_new_cases_of_each_format(bench):
             assert verdict != "found", f"{name}, seed 2, number {number}\n{words}"
             verdicts.add(verdict)
         assert "refused" in verdicts
+
+
+def test_no_size_that_a_description_states_takes_all_memory(bench):
+    form, path = bench("sizes")
+    verdicts = []
+    for number in range(20):
+        path.write_bytes(content("sizes", form, 2, number))
+        verdict, words = judge(form, path)
+        assert verdict != "found", f"seed 2, number {number}\n{words}"
+        verdicts.append(verdict)
+    assert verdicts.count("refused") > 5
 
 
 @pytest.mark.parametrize("name", ASKED)

@@ -63,6 +63,8 @@ class LimitKey:
         Its range, as factors of what the plan says.
     whole
         Whether it is a whole number.
+    least
+        Below which it never is.
     """
 
     words: str
@@ -70,6 +72,7 @@ class LimitKey:
     low: float
     high: float
     whole: bool = False
+    least: float = 0.0
 
 
 #: Key of [limits] -> how it is moved.
@@ -77,8 +80,8 @@ PLAN_KEYS: Final[Mapping[str, LimitKey]] = {
     "total_time": LimitKey("Time at the centrifuge", "s", 0.25, LIMIT_FACTORS[0]),
     "highest_rate": LimitKey("Highest rate", "rad/s", 0.5, LIMIT_FACTORS[1]),
     "settling": LimitKey("Settling of each run", "s", 0.0, 4.0),
-    "runs": LimitKey("Runs at most", "", 0.25, 2.0, whole=True),
-    "fewest_revolutions": LimitKey("Revolutions of a run at least", "", 0.5, 4.0),
+    "runs": LimitKey("Runs at most", "", 0.25, 2.0, whole=True, least=1.0),
+    "fewest_revolutions": LimitKey("Revolutions of a run at least", "", 0.5, 4.0, least=1.0),
 }
 
 
@@ -130,7 +133,7 @@ def begin_plan(desk: Desk, name: str) -> dict[str, Any]:
 
 def _low(limit: LimitKey, value: float) -> float:
     low = value * limit.low
-    return max(1.0, round(low)) if limit.whole else low
+    return max(limit.least, round(low) if limit.whole else low)
 
 
 def _values(limits: Limits) -> dict[str, float]:

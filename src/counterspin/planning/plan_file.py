@@ -35,6 +35,10 @@ from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, Pla
 #: Lowest rate where none is given, as a part of the highest.
 _LOWEST_RATE_PART: Final = 0.125
 
+#: Fewest samples of the shortest run, and most revolutions of the longest.
+_FEWEST_SAMPLES: Final = 3.0
+_MOST_REVOLUTIONS: Final = 1e9
+
 #: Columns of the records, where the plan does not say them.
 _RECORDS: Final[Mapping[str, Any]] = {
     "time": {"column": "time_s", "unit": "s"},
@@ -278,6 +282,18 @@ def _limits(
             ("limits", "longest_run"),
             f"{fewest:g} revolutions take {fewest * 2.0 * math.pi / high:.4g} s at the highest "
             "rate already; allow a longer run or fewer revolutions",
+        )
+    samples = fewest * 2.0 * math.pi / high * settings.sampling_rate
+    if samples < _FEWEST_SAMPLES:
+        problems.add(
+            ("limits", "sampling_rate"),
+            f"{fewest:g} revolutions at {high:.6g} rad/s have {samples:.3g} samples at "
+            f"{settings.sampling_rate:.6g} Hz; give a higher one, or a lower highest_rate",
+        )
+    if longest * high > 2.0 * math.pi * _MOST_REVOLUTIONS:
+        problems.add(
+            ("limits", "total_time"),
+            f"a run of {longest:.4g} s at {high:.6g} rad/s is longer than any that can be made",
         )
     limits = Limits(
         types=tuple(RunType(name, sense) for name in attitudes for sense in senses),

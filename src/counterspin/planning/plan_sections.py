@@ -31,6 +31,13 @@ def _not_negative(value: float) -> float:
     return value
 
 
+def _one_or_more(value: float) -> float:
+    # Within less than a revolution what the angle does is hardly to be told apart.
+    if value < 1.0:
+        raise ValueError("must be one revolution at least")
+    return value
+
+
 Rate = Annotated[float, read_exactly("rad/s"), AfterValidator(positive)]
 SpinUp = Annotated[float, read_exactly("rad/s^2"), AfterValidator(positive)]
 Duration = Annotated[float, read_exactly("s"), AfterValidator(_not_negative)]
@@ -69,7 +76,7 @@ class LimitsSettings(SettingsSection):
     settling: Duration = 0.0
     spin_up: SpinUp | None = None
     spin_down: SpinUp | None = None
-    fewest_revolutions: PositiveRatio = 5.0
+    fewest_revolutions: Annotated[PositiveRatio, AfterValidator(_one_or_more)] = 5.0
     longest_run: Seconds | None = None
     runs: Annotated[int, AfterValidator(positive), Field(le=MOST_RUNS)] = 8
     fewest_rates: Annotated[int, AfterValidator(positive)] = 1

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Final
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
 from counterspin.studies.noise import RecordNoise
 from counterspin.studies.strobed_effects import StrobedMotion
+
+#: A displacement begins with an offset and a velocity of its own, which two samples would fit.
+_FEWEST_SAMPLES: Final = 3
 
 
 @frozen
@@ -106,7 +110,7 @@ def world_of(campaign: Campaign) -> World:
     Raises
     ------
     CampaignError
-        If an accelerometer's record is no displacement.
+        If an accelerometer's record is no displacement, or a run has too few samples.
     """
     others = [a.name for a in campaign.accelerometers.values() if a.observable != "displacement"]
     if others:
@@ -120,6 +124,15 @@ def world_of(campaign: Campaign) -> World:
             ],
         )
     assert campaign.simulation is not None
+    rate = campaign.simulation.sampling_rate
+    short = [
+        f"runs[{index}]: {run.duration:.4g} s have too few samples at {rate:.4g} Hz; a trial takes "
+        "three at least, and many for a good one"
+        for index, run in enumerate(campaign.runs)
+        if run.duration is not None and sample_count(run.duration, rate) < _FEWEST_SAMPLES
+    ]
+    if short:
+        raise CampaignError(str(campaign.path), short)
     noise = campaign.simulation.truth.noise
     return World(
         runs=tuple(run.name for run in campaign.runs),
@@ -129,7 +142,7 @@ def world_of(campaign: Campaign) -> World:
         mountings={name: a.mounting for name, a in campaign.accelerometers.items()},
         site=campaign.site,
         radius=campaign.radius.value,
-        sampling_rate=campaign.simulation.sampling_rate,
+        sampling_rate=rate,
         angle_recorded=campaign.angle is not None,
         noise=RecordNoise(
             white=float(noise.displacement),

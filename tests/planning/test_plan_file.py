@@ -1,0 +1,22 @@
+"""What a plan's file may ask for."""
+
+import pytest
+
+from counterspin.errors import CampaignError
+from counterspin.planning.plan_file import read_plan
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("fewest_revolutions = 5", "fewest_revolutions = 1e-12", "must be one revolution at least"),
+        ('highest_rate = "1 rev/s"', 'highest_rate = "1e30 rev/s"', "samples at 50 Hz; give a"),
+        ('sampling_rate = "50 Hz"', 'sampling_rate = "1e-9 Hz"', "5e-09 samples at 1e-09 Hz"),
+        ('total_time = "700 s"', 'total_time = "1e30 s"', "longer than any that can be made"),
+    ],
+)
+def test_sizes_of_no_machine_are_refused_with_their_reason(starter, old, new, words):
+    """A search among these ended in an error of its own."""
+    with pytest.raises(CampaignError) as caught:
+        read_plan(starter((old, new)))
+    assert any(words in problem for problem in caught.value.problems), caught.value
