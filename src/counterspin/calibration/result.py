@@ -40,7 +40,7 @@ from counterspin.physics.shared_terms import SHARED_TERMS
 from counterspin.reports.shown import ShownResult, on_axes
 
 if TYPE_CHECKING:
-    from counterspin.calibration.notebook.residuals import RunResiduals
+    from counterspin.calibration.notebook.residuals import ReadingResiduals, RunResiduals
     from counterspin.reports.blocks import Block, Picture
 
 #: Why a result has no whole residuals: its file holds what the pictures need, and no more.
@@ -194,7 +194,9 @@ class Result(ShownResult):
 
         return to_gtc(self)
 
-    def residuals(self, accelerometer: str | None = None, run: str | None = None) -> list[Any]:
+    def residuals(
+        self, accelerometer: str | None = None, run: str | None = None
+    ) -> list[RunResiduals | ReadingResiduals]:
         """Return whole residuals as arrays, of all accelerometers and runs or of those named.
 
         Returns
