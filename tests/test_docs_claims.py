@@ -21,7 +21,7 @@ from counterspin.calibration import (
     two_stage_findings,
 )
 from counterspin.calibration.diagnosis import search
-from counterspin.campaign import conditions
+from counterspin.campaign import conditions, resolved
 from counterspin.certificates import build
 from counterspin.comparisons import rerun
 from counterspin.inference import conformity, diagnostics, identifiability
@@ -37,6 +37,7 @@ from counterspin.physics.shared_terms import DEGREE_PER_HOUR, SHARED_TERMS
 from counterspin.records import pieces, reduction, spikes
 from counterspin.reproduction import plan as paper
 from counterspin.studies import surrogate
+from counterspin.studies.result import FEWEST_TRIALS
 from counterspin.validation.cases import cases
 from counterspin.validation.validate import check
 from kept_table import RATES
@@ -64,6 +65,20 @@ NUMBERS = [
             for rate, time in ((2.0 * math.pi, 100.0), (0.5 * math.pi, 400.0))
         ],
     ),
+    *(
+        (page, words, [resolved.MOST_ROWS])
+        for page, words in (
+            ("bulwark", "has room for {} rows at once"),
+            ("plan", "a checked campaign may have {} rows together"),
+            ("study", "in memory: at most {} rows of all runs"),
+        )
+    ),
+    (
+        "bulwark",
+        "has at most {} runs with records, and a campaign {} readings.",
+        [resolved.MOST_RUNS, resolved.MOST_READINGS],
+    ),
+    ("study", "With fewer than {} trials it says that they are too few", [FEWEST_TRIALS]),
     ("methods", "blocks of at most {} revolution.", [1 / reduction.BLOCKS_PER_REVOLUTION]),
     ("methods", "is known to ±1.96/(4 trials)^½: ±{} with 200 trials", [1.96 / math.sqrt(800)]),
     ("methods", "ripple's harmonics {} to {}, whether", [1, angle_error.HARMONICS]),

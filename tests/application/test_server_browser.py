@@ -4,6 +4,7 @@ import io
 import re
 import shutil
 import threading
+import time
 
 import pypdf
 import pytest
@@ -154,6 +155,38 @@ def test_a_plan_answers_while_its_slider_moves(opened, folder):
     assert tab.get_by_label("Highest rate").get_attribute("aria-valuetext") == "4 rad/s"
     assert tab.locator("output:not([aria-live=off])").count() == 0
     assert tab.locator("tbody tr").count() == 3
+
+
+def test_a_plan_is_made_by_a_job_and_its_search_can_be_stopped(opened, desk, folder):
+    example = write_example(folder / "PLAN.toml")
+    example.write_text(example.read_text().replace("runs = 14", "runs = 2"))
+    ask, desk.live.ask = desk.live.ask, lambda *_: time.sleep(0.2)
+    tab = opened("/plan/PLAN.toml")
+    tab.get_by_text("Searching the best plan,").wait_for()
+    tab.get_by_role("button", name="Stop").click()
+    tab.get_by_text("The search was stopped.").wait_for()
+    desk.live.ask = ask
+    tab.get_by_text("with its forecast in full").click()
+    tab.get_by_role("heading", name="What limits it").wait_for()
+    tab.get_by_label("Folder of the planned campaign").fill("new")
+    tab.get_by_role("button", name="Write these limits and the campaign").click()
+    tab.wait_for_url("**#/campaign/new")
+    assert (folder / "new" / "campaign.toml").is_file()
+
+
+def test_a_wrong_goal_is_told_at_its_field_and_another_is_taken(opened):
+    tab = opened("/live/three")
+    goal = tab.get_by_label("Goal")
+    goal.fill("0.001")
+    goal.press("Tab")
+    wrong = tab.locator("#goal-mistake")
+    wrong.get_by_text("is not estimated").wait_for()
+    assert goal.get_attribute("aria-invalid") == "true"
+    goal.fill("K_II 1 g/g^2")
+    goal.press("Tab")
+    tab.get_by_text(": met").first.wait_for()
+    assert wrong.inner_text() == ""
+    assert goal.get_attribute("aria-invalid") is None
 
 
 def test_a_phone_scrolls_in_one_direction(opened):
