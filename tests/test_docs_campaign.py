@@ -9,7 +9,7 @@ import pytest
 
 from counterspin.campaign import settings, specification
 from counterspin.campaign.truth import TRUTH_TABLES
-from counterspin.physics.shared_terms import MOTION_TERMS, OWN_TERMS
+from counterspin.physics.terms import MOTION_TERMS, OWN_TERMS
 from counterspin.units import UNITS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "campaign.md").read_text(encoding="utf-8")

@@ -6,10 +6,10 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import ModelSettings
 from counterspin.campaign.terms import BARE_NAMES, acts, resolve_model, rows_of
-from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting
+from counterspin.physics.accelerometer import QX, QY, QZ, Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.observation import parabola
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import SHARED_TERMS, TERMS
 
 LEVEL = np.eye(3)
 OBLIQUE = Mounting.from_axes([1.0, 1.0, 0.0], "down")

@@ -17,9 +17,8 @@ from counterspin.certificates.coverage import coverage_factor, region_factor
 from counterspin.certificates.elements import NAMESPACES, clean, factor, number
 from counterspin.certificates.reading import read_certificate
 from counterspin.errors import RecordError
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.physics.si_units import from_si, si_unit, to_si
+from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 from counterspin.units import unit_factor
 
 G = 9.80665

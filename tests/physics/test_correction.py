@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from counterspin.errors import ConvergenceError
-from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting, indicated
+from counterspin.physics.accelerometer import QX, QY, QZ, Mounting, indicated
 from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
 from counterspin.physics.inversion import NotInvertibleError, invert
+from counterspin.physics.terms import TERMS
 
 SETTINGS = settings(deadline=None, derandomize=True, max_examples=80)
 

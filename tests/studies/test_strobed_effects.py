@@ -9,10 +9,10 @@ from counterspin.errors import ConvergenceError
 from counterspin.inference.two_stage.first_stage import first_stage
 from counterspin.inference.two_stage.strobes import Strobes, strobe_angle
 from counterspin.physics import observation
-from counterspin.physics.accelerometer import QX, QY, TERMS
+from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
-from counterspin.physics.shared_terms import PLATFORM_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.physics.terms import PLATFORM_TERMS, TERMS, term
 from counterspin.studies.strobed_effects import StrobedMotion, effects, obstacle
 from counterspin.studies.surrogate import Surrogate, box_of
 

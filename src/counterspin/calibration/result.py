@@ -34,9 +34,8 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import CounterspinError
-from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.observation import ORDERS
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import SHARED_TERMS, TERMS
 from counterspin.reports.shown import ShownResult, on_axes
 
 if TYPE_CHECKING:
@@ -331,7 +330,7 @@ def _to_gravity(result: Result, accelerometer: AccelerometerResult, symbol: str)
     c = accelerometer.coefficients[symbol]
     if result.method == "two-stage" and symbol in TERMS and c.value is not None:
         # b2 of a coefficient of degree n goes with g^(1-n).
-        return (len(TERMS[symbol].factors) - 1) * c.value / result.inputs.gravity
+        return (len(TERMS[symbol].effect.factors) - 1) * c.value / result.inputs.gravity
     for line in accelerometer.budget.get(symbol, ()):
         if line.source == "site.gravity (input)" and line.sensitivity is not None:
             return line.sensitivity

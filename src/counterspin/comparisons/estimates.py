@@ -16,7 +16,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 
 #: How a line of a budget names its source and what kind it is.
 _LINE: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encoder)\)")
