@@ -103,7 +103,9 @@ def test_names_that_no_accelerometer_may_have_are_listed():
 def test_harmonics_of_the_path_are_those_of_the_terms():
     for name in ("centrifuge.imbalance", "encoder.harmonic"):
         (first, last) = re.search(rf"`{name}\.N` \(N = (\d)(?: to|,) (\d)\)", PAGE).groups()
-        orders = {row.harmonic for row in MOTION_TERMS.values() if row.symbol.startswith(name)}
+        orders = {
+            row.effect.harmonic for row in MOTION_TERMS.values() if row.symbol.startswith(name)
+        }
         assert orders == set(range(int(first), int(last) + 1))
 
 

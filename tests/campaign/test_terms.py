@@ -72,7 +72,7 @@ def test_tilts_that_act_are_those_through_which_gravity_leaks(mounting, attitude
     gravity = np.array([0.0, 0.0, Site(9.8, 0.7).gravity])
     input_axis = mounting.matrix[0] @ rows
     for row in BARE_NAMES["platform.tilt"]:
-        leak = -np.cross(np.eye(3)[row.axis], gravity) @ input_axis  # -(psi x f)
+        leak = -np.cross(np.eye(3)[row.effect.axis], gravity) @ input_axis  # -(psi x f)
         assert acts(row, mounting, rows) == (abs(leak) > 1e-6)
 
 
@@ -155,7 +155,7 @@ def test_a_sensitivity_that_acts_leaves_a_mean_at_some_start_angle():
     """Against the closed form, which has start angle zero, and its quarter turn."""
     quarter = Mounting.from_axes("south", "down"), Mounting.from_axes("east", "down")
     for row in BARE_NAMES["platform.g_sensitivity"]:
-        if row.force_axis == 2:
+        if row.effect.force_axis == 2:
             continue  # a drift, which leaves no mean but t^3
         for mounting, turned in zip((QX, QY), quarter, strict=True):
             # A quarter turn about up takes x to y: the same machine from another start angle.

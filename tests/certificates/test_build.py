@@ -61,8 +61,8 @@ def test_the_error_model_is_the_same_in_si(unit):
     force = np.array([[-23.0], [4.0], [11.0]])  # m/s^2
     for row in TERMS.values():
         if row.unit == unit:
-            in_g = G * 0.7 * row.evaluate(force / G)
-            in_si = to_si(0.7, unit, G) * row.evaluate(force)
+            in_g = G * 0.7 * row.effect.evaluate(force / G)
+            in_si = to_si(0.7, unit, G) * row.effect.evaluate(force)
             scale = G if unit == "rad" else 1.0  # an angle is not counted in g either way
             assert in_si * scale == pytest.approx(in_g * scale, rel=1e-14)
 

@@ -26,7 +26,7 @@ SIZES = {"": 0.1, "I": 0.1, "II": 3e-4, "III": 1e-5, "IIII": 5e-8}
 
 def size(symbol):
     row = TERMS[symbol]
-    return SIZES["I" * len(row.factors)] if len(row.factors) != 1 else 0.1
+    return SIZES["I" * len(row.effect.factors)] if len(row.effect.factors) != 1 else 0.1
 
 
 def coefficients():
@@ -50,7 +50,9 @@ def test_slopes_are_the_derivatives_of_the_products(symbol):
     i, p, o = axes = sympy.symbols("I P O", real=True)
     names = {"I": i, "P": p, "O": o, "|I|": sympy.Abs(i)}
     row = TERMS[symbol]
-    product = row.sign * math.prod((names[f] for f in row.factors), start=sympy.Integer(1))
+    product = row.effect.sign * math.prod(
+        (names[f] for f in row.effect.factors), start=sympy.Integer(1)
+    )
     for at in ((1.3, -0.7, 2.1), (-1.9, 0.4, -0.6)):
         for axis, variable in zip("IPO", axes, strict=True):
             exact = float(sympy.diff(product, variable).subs(dict(zip(axes, at, strict=True))))

@@ -95,7 +95,7 @@ def test_box_is_cut_to_what_a_surrogate_may_hold():
 
 def test_kinks_are_those_of_the_odd_term_alone():
     assert {symbol: why for symbol in TERMS if (why := obstacle(symbol))} == {
-        row.symbol: "has a kink" for row in TERMS.values() if "|I|" in row.factors
+        row.symbol: "has a kink" for row in TERMS.values() if "|I|" in row.effect.factors
     }
     turning = {symbol for symbol in PLATFORM_TERMS if obstacle(symbol)}
     assert turning == {s for s in PLATFORM_TERMS if s.startswith("platform.g2_sensitivity")}
