@@ -56,13 +56,15 @@ def test_slopes_are_the_derivatives_of_the_products(symbol):
     for at in ((1.3, -0.7, 2.1), (-1.9, 0.4, -0.6)):
         for axis, variable in zip("IPO", axes, strict=True):
             exact = float(sympy.diff(product, variable).subs(dict(zip(axes, at, strict=True))))
-            assert row.slope(np.array(at)[:, None], axis)[0] == pytest.approx(exact, rel=1e-14)
-    assert row.power == sympy.Poly(product.subs(sympy.Abs(i), i), i).degree()
+            assert row.effect.slope(np.array(at)[:, None], axis)[0] == pytest.approx(
+                exact, rel=1e-14
+            )
+    assert row.effect.power == sympy.Poly(product.subs(sympy.Abs(i), i), i).degree()
 
 
 def test_no_product_is_of_higher_than_fourth_power_in_the_input_axis():
     """The turning point is found as the root of a quadratic or a cubic."""
-    assert max(row.power for row in TERMS.values()) == 4
+    assert max(row.effect.power for row in TERMS.values()) == 4
 
 
 # --- one accelerometer ----------------------------------------------------------------------

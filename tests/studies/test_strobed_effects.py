@@ -99,4 +99,4 @@ def test_kinks_are_those_of_the_odd_term_alone():
     }
     turning = {symbol for symbol in PLATFORM_TERMS if obstacle(symbol)}
     assert turning == {s for s in PLATFORM_TERMS if s.startswith("platform.g2_sensitivity")}
-    assert term("K_II").factors == ("I", "I")
+    assert term("K_II").effect.factors == ("I", "I")
