@@ -12,7 +12,7 @@ from pypdf import PdfReader
 import counterspin as cs
 from certificates import SCHEMA, needs_schema
 from counterspin.cli import main
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.validation import validate as validating
 from counterspin.validation.cases import case, cases
