@@ -161,7 +161,7 @@ def changed(
     coefficients
         Terms of `TERMS` and of `CONDITION_TERMS` by symbol; those not named are nominal.
     conditions, force
-        As of `ConditionTerm.lever`.
+        As of `counterspin.physics.effects.Slope.lever`.
     """
     at_start = {symbol: value for symbol, value in coefficients.items() if symbol in TERMS}
     for symbol, slope in coefficients.items():
