@@ -22,7 +22,7 @@ from counterspin.campaign.description import read_campaign
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.inference.joint.estimation import estimate
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 from kept_table import DOCS, KeptTable, channel, frame, runs, table_of
 
 #: Trials of a case: usually, where one takes long, and where the noise of displacement is found.

@@ -17,7 +17,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.pages.verdict import verdict_sentence
 from counterspin.calibration.result import Result
 from counterspin.campaign.simulation import simulate
-from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS, term
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, term
 from counterspin.reports.numbers import field_unit, format_number
 from kept_table import DOCS, UNITS, KeptTable, channel, frame, runs, table_of
 

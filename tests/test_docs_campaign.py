@@ -9,7 +9,7 @@ import pytest
 
 from counterspin.campaign import settings, specification
 from counterspin.campaign.truth import TRUTH_TABLES
-from counterspin.physics.shared_terms import MOTION_TERMS, OWN_TERMS
+from counterspin.physics.terms import MOTION_TERMS, OWN_TERMS
 from counterspin.units import UNITS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "campaign.md").read_text(encoding="utf-8")
@@ -103,7 +103,9 @@ def test_names_that_no_accelerometer_may_have_are_listed():
 def test_harmonics_of_the_path_are_those_of_the_terms():
     for name in ("centrifuge.imbalance", "encoder.harmonic"):
         (first, last) = re.search(rf"`{name}\.N` \(N = (\d)(?: to|,) (\d)\)", PAGE).groups()
-        orders = {row.harmonic for row in MOTION_TERMS.values() if row.symbol.startswith(name)}
+        orders = {
+            row.effect.harmonic for row in MOTION_TERMS.values() if row.symbol.startswith(name)
+        }
         assert orders == set(range(int(first), int(last) + 1))
 
 

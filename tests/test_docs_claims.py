@@ -29,11 +29,10 @@ from counterspin.inference.distributions import normal_cdf
 from counterspin.inference.joint import encoder, mistakes, outliers
 from counterspin.inference.noise import unseen_noise, variance_components, wander
 from counterspin.physics import angle_error
-from counterspin.physics.accelerometer import QX, TERMS
-from counterspin.physics.conditions import CONDITION_TERMS
+from counterspin.physics.accelerometer import QX
 from counterspin.physics.motion import EARTH_RATE
 from counterspin.physics.observation import columns, parabola
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR, SHARED_TERMS
+from counterspin.physics.terms import CONDITION_TERMS, DEGREE_PER_HOUR, SHARED_TERMS, TERMS
 from counterspin.records import pieces, reduction, spikes
 from counterspin.reproduction import plan as paper
 from counterspin.studies import surrogate
@@ -511,7 +510,7 @@ def test_names_of_terms_are_those_of_the_standard(page):
     )
     named = 0
     for terms, standard in rows:
-        for symbol in (one for one in terms.split(", ") if TERMS[one].ieee.startswith("K")):
-            assert re.search(rf"\b{TERMS[symbol].ieee}\b", standard), (symbol, standard)
+        for symbol in (one for one in terms.split(", ") if TERMS[one].effect.ieee.startswith("K")):
+            assert re.search(rf"\b{TERMS[symbol].effect.ieee}\b", standard), (symbol, standard)
             named += 1
     assert named >= 7

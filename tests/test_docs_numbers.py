@@ -29,7 +29,7 @@ from counterspin.histories import control, due, page, shared
 from counterspin.inference import conformity, diagnostics
 from counterspin.inference.distributions import normal_cdf
 from counterspin.monitoring import observing
-from counterspin.physics import conditions, gravity, motion, shared_terms
+from counterspin.physics import gravity, motion, terms
 from counterspin.planning import design, plan_file, requirements, search
 from counterspin.records import clock, excel_file, reading, reduction
 from counterspin.reproduction import plan as paper
@@ -37,7 +37,7 @@ from counterspin.studies import description, result, study, surrogate, tally
 
 DOCS = Path(__file__).parents[1] / "docs"
 ARCSEC = math.radians(1.0) / 3600.0
-MOTION = shared_terms.MOTION_TERMS
+MOTION = terms.MOTION_TERMS
 RESULT = cs.read_result(DOCS / "examples" / "three-rate" / "result.json")
 DIGITS = len(identifier_of(RESULT).removeprefix("CS-"))
 PLAN = tomllib.loads((files("counterspin.planning") / "starter.toml").read_text("utf-8"))
@@ -90,7 +90,7 @@ ROWS = {
         ("higher harmonics ({} arcsec)", MOTION["encoder.harmonic.3.cos"].typical / ARCSEC),
         ("imbalance ({} µm)", 1e6 * MOTION["centrifuge.imbalance.1.cos"].typical),
         ("an arm that stretches ({} for each m/s²)", MOTION["centrifuge.stretch"].typical),
-        ("by heating ({} µg/g²)", 1e6 * conditions.CONDITION_TERMS["K_F.heating"].typical),
+        ("by heating ({} µg/g²)", 1e6 * terms.CONDITION_TERMS["K_F.heating"].typical),
         ('"If relaxed by {} %"', 100.0 * search._RELAXATION),
         ("u would grow by {}; where", math.hypot(1.0, requirements._TOLERABLE_PART_OF_U) - 1.0),
     ],

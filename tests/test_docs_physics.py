@@ -8,14 +8,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from counterspin.physics.accelerometer import QX, QY, QZ, TERMS
-from counterspin.physics.conditions import CONDITION_TERMS
-from counterspin.physics.inputs import UNCERTAIN_INPUTS
-from counterspin.physics.machine import MACHINE_TERMS
+from counterspin.physics.accelerometer import QX, QY, QZ
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import columns, parabola
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR, OWN_TERMS, SHARED_TERMS
 from counterspin.physics.spindle import Spindle
+from counterspin.physics.terms import (
+    CONDITION_TERMS,
+    DEGREE_PER_HOUR,
+    INPUTS,
+    OWN_TERMS,
+    READING_TERMS,
+    SHARED_TERMS,
+    TERMS,
+)
 from counterspin.reproduction.plan import TABLE_1
 
 PAGE = (Path(__file__).parents[1] / "docs" / "physics.md").read_text(encoding="utf-8")
@@ -38,9 +43,9 @@ def test_accelerometer_table_lists_exactly_the_terms():
         [
             row.symbol,
             # a bare bar would end the cell
-            f"`{'-' if row.sign < 0 else ''}{row.product}`".replace("|", r"\|"),
+            f"`{'-' if row.effect.sign < 0 else ''}{row.effect.text}`".replace("|", r"\|"),
             row.unit,
-            row.ieee,
+            row.effect.ieee,
             row.words,
             f"{row.limit:g}",
             f"{row.typical:g}",
@@ -68,14 +73,13 @@ def test_table_of_conditions_lists_exactly_the_terms():
 
 def test_inputs_are_those_of_the_code():
     expected = [
-        [f"`{row.symbol}`", row.unit, row.words, f"{row.typical:g}"]
-        for row in UNCERTAIN_INPUTS.values()
+        [f"`{row.symbol}`", row.unit, row.words, f"{row.typical:g}"] for row in INPUTS.values()
     ]
     assert rows_between("inputs") == expected
 
 
 def test_every_typical_size_says_where_it_comes_from():
-    known = {**MACHINE_TERMS, **OWN_TERMS, **SHARED_TERMS, **UNCERTAIN_INPUTS}
+    known = {**READING_TERMS, **OWN_TERMS, **SHARED_TERMS, **INPUTS}
     covered = []
     for names, size, source in rows_between("sources"):
         patterns = re.findall(r"`([\w.*]+)`", names)

@@ -10,7 +10,7 @@ from counterspin.campaign.memory.changes import SHORT
 from counterspin.campaign.readings import ReadingRunSettings
 from counterspin.campaign.readings_table import _COLUMNS, ReadingsSettings
 from counterspin.certificates import lab
-from counterspin.physics.machine import MACHINE_TERMS
+from counterspin.physics.terms import READING_TERMS
 from counterspin.planning import plan_sections
 from counterspin.studies import description
 from counterspin.studies.choice import EngineName
@@ -111,9 +111,9 @@ def test_terms_of_the_machine_are_all_listed_with_their_units():
     axes = ("outward", "forward", "up", "east", "north")
     turn = listed.pop("fixture.misalignment.MOUNTING.AXIS")
     listed |= {f"fixture.misalignment.MOUNTING.{axis}": turn for axis in axes}
-    assert set(listed) == set(MACHINE_TERMS)
+    assert set(listed) == set(READING_TERMS)
     assert {symbol: unit for symbol, unit in listed.items() if unit != "per K"} == {
-        symbol: row.unit for symbol, row in MACHINE_TERMS.items() if "per" not in listed[symbol]
+        symbol: row.unit for symbol, row in READING_TERMS.items() if "per" not in listed[symbol]
     }
 
 

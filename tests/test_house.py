@@ -17,8 +17,7 @@ from packaging.requirements import Requirement
 
 from counterspin._version import __version__
 from counterspin.campaign.simulation import simulate
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "src" / "counterspin"
@@ -139,10 +138,9 @@ def lists_of_terms(source):
 # A choice of terms is no list of terms; each is named here, so that a new one is thought about.
 CHOICES = {
     "campaign/terms.py": [["K_F", "K_I", "K_II", "K_III"]],  # estimated where none are named
-    "physics/conditions.py": [["K_F", "K_I", "K_II"]],  # those with a slope with temperature
     "reproduction/equations.py": [["K_II", "K_III", "K_IP"]],  # the integrals printed under Eq. 13
 }
-TABLE = "physics/accelerometer.py"
+TABLE = "physics/terms.py"
 
 
 @every_module

@@ -128,17 +128,17 @@ if TYPE_CHECKING:
     from counterspin.physics.accelerometer import QX as QX
     from counterspin.physics.accelerometer import QY as QY
     from counterspin.physics.accelerometer import QZ as QZ
-    from counterspin.physics.accelerometer import TERMS as TERMS
     from counterspin.physics.accelerometer import Mounting as Mounting
     from counterspin.physics.accelerometer import indicated as indicated
     from counterspin.physics.motion import Site as Site
     from counterspin.physics.motion import Trajectory as Trajectory
     from counterspin.physics.observation import columns as columns
     from counterspin.physics.observation import reference as reference
-    from counterspin.physics.shared_terms import SHARED_TERMS as SHARED_TERMS
     from counterspin.physics.spindle import Ripple as Ripple
     from counterspin.physics.spindle import Spindle as Spindle
     from counterspin.physics.spindle import fit_spindle as fit_spindle
+    from counterspin.physics.terms import SHARED_TERMS as SHARED_TERMS
+    from counterspin.physics.terms import TERMS as TERMS
     from counterspin.planning.forecast import Forecast as Forecast
     from counterspin.planning.forecast import forecast as forecast
     from counterspin.planning.plan import Planned as Planned
@@ -193,10 +193,10 @@ _OFFERED = {
     "inference.two_stage.strobes": ("by_angle", "by_nominal_rate", "strobe_angle"),
     "inference.two_stage.request": ("TwoStageRequest",),
     "inference.two_stage.second_stage": ("SecondStage", "StrobedRun", "second_stage"),
-    "physics.accelerometer": ("QX", "QY", "QZ", "TERMS", "Mounting", "indicated"),
+    "physics.accelerometer": ("QX", "QY", "QZ", "Mounting", "indicated"),
     "physics.motion": ("Site", "Trajectory"),
     "physics.observation": ("columns", "reference"),
-    "physics.shared_terms": ("SHARED_TERMS",),
+    "physics.terms": ("SHARED_TERMS", "TERMS"),
     "physics.spindle": ("Ripple", "Spindle", "fit_spindle"),
     "calibration.pages.publishing": ("report", "write_report"),
     "certificates.issuing": ("Certificate", "certificate"),

@@ -110,6 +110,10 @@ class ResultFile(ResultPart):
         seal = f'"{_seal_of(text)}"' if self._sealed else "null"
         return re.sub(r'"seal": [^\n]*,', f'"seal": {seal},', text, count=1)
 
+    def with_seal(self) -> Self:
+        """Return it with the seal of its own file, to stand in another result's."""
+        return self.model_copy(update={"seal": json.loads(self.to_json())["seal"]})
+
     def write(self, path: Path | str, *, overwrite: bool = False) -> None:
         """Write the JSON file, whole or not at all.
 

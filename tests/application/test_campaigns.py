@@ -6,6 +6,7 @@ import time
 
 import pytest
 from campaigns import SMALL, write
+from results import sealed
 
 from counterspin.application.campaigns import as_json
 
@@ -59,7 +60,7 @@ def test_a_try_does_not_stand_for_the_campaign(page, folder):
     now = own.stat().st_mtime
     for later, (name, method) in enumerate([("b", "joint"), ("c", "joint"), ("d", "two-stage")], 1):
         other = own.with_name(f"{name}.json")
-        other.write_text(json.dumps(told | {"method": method}))
+        other.write_text(sealed(told | {"method": method}))
         os.utime(other, (now + later, now + later))
 
     def names():

@@ -8,7 +8,7 @@ from counterspin.application.form import SECTIONS, campaign_form, lab_form, run_
 from counterspin.campaign.settings import DocumentSettings
 from counterspin.campaign.truth import TRUTH_TABLES
 from counterspin.certificates.lab import Lab
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 
 
 def section(form, key):

@@ -11,8 +11,8 @@ from counterspin.physics import simulation
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import LEVEL, ORDERS, reference
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR, term
 from counterspin.physics.spindle import Spindle
+from counterspin.physics.terms import DEGREE_PER_HOUR, term
 
 SITE = Site(9.8066, math.radians(45.75))
 RATES = (math.pi / 2, math.pi, 2 * math.pi)

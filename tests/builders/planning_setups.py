@@ -10,10 +10,10 @@ from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
-from counterspin.physics.accelerometer import QX, QY, TERMS
+from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR, term
 from counterspin.physics.spindle import Spindle
+from counterspin.physics.terms import DEGREE_PER_HOUR, TERMS, term
 from counterspin.planning.experimental_setup import PlannedInstrument, Setup
 from counterspin.records.reduction import block_size
 

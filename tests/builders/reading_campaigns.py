@@ -6,11 +6,12 @@ import numpy as np
 
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.readings import Readings
-from counterspin.physics.accelerometer import TERMS, Mounting
-from counterspin.physics.conditions import RunConditions, changed
-from counterspin.physics.machine import machine_term
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site
+from counterspin.physics.simulation import changed
 from counterspin.physics.station import FRAMES, Station, mean_products
+from counterspin.physics.terms import TERMS, term
 
 SITE = Site(9.80665, 0.8)
 TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "K_II": 15e-6, "K_III": 2e-6}
@@ -18,7 +19,7 @@ ARM = FRAMES["arm"]
 
 
 def unknown(symbol, prior=(0.0, math.inf), owner="A", kind=Unknown):
-    row = TERMS.get(symbol) or machine_term(symbol)[0]
+    row = term(symbol)
     return kind(owner, symbol, prior, row.limit)
 
 

@@ -13,7 +13,7 @@ from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.memory.making import make_campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.inference.joint.unknowns import Unknown
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR
+from counterspin.physics.terms import DEGREE_PER_HOUR
 
 
 def view(fit: SimpleNamespace, campaign: SimpleNamespace | None = None) -> AccelerometerView:

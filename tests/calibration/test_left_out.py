@@ -10,8 +10,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.left_out import decisive
 from counterspin.calibration.pages.sections import sections
 from counterspin.campaign.simulation import simulate
-from counterspin.physics.inputs import UNCERTAIN_INPUTS
-from counterspin.physics.shared_terms import term
+from counterspin.physics.terms import INPUTS, term
 
 EXACT_INPUTS = (
     ('gravity = "9.8066 m/s^2"', 'gravity = "9.8066 ± 1e-4 m/s^2"'),
@@ -35,7 +34,7 @@ def again(records, folder, text, method):
 
 def considering(left_out):
     """Return the description that considers all of that at its typical size."""
-    terms = [symbol for symbol in left_out if symbol not in UNCERTAIN_INPUTS]
+    terms = [symbol for symbol in left_out if symbol not in INPUTS]
     # The scale factor is stated where the accelerometer is.
     priors = [
         f'"{s}" = "{term(s).nominal!r} ± {term(s).typical!r} {term(s).unit}"'

@@ -5,7 +5,7 @@ from campaigns import SMALL, campaign_of, changed
 
 from counterspin.campaign.conditions import conditions_of, origin_of
 from counterspin.errors import CampaignError
-from counterspin.physics.conditions import RunConditions
+from counterspin.physics.effects import RunConditions
 
 STATED = {
     "slow": ("21 degC", "90 s"),

@@ -13,8 +13,8 @@ from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site
-from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, term
 
 BASE = (
     changed(

@@ -5,8 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import SHARED_TERMS, TERMS
 from counterspin.units import ADVICE, UNITS, unit_factor
 
 G = 9.8066

@@ -13,7 +13,7 @@ from counterspin.campaign.specification import (
 )
 from counterspin.errors import CampaignError
 from counterspin.inference.conformity import DecisionRule
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 
 G = 9.8
 

@@ -13,7 +13,7 @@ from counterspin.campaign.simulation import simulate
 from counterspin.campaign.starter import Test, init
 from counterspin.cli import main
 from counterspin.errors import CounterspinError
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 from counterspin.studies.study import study
 
 

@@ -6,10 +6,10 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import ModelSettings
 from counterspin.campaign.terms import BARE_NAMES, acts, resolve_model, rows_of
-from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting
+from counterspin.physics.accelerometer import QX, QY, QZ, Mounting
 from counterspin.physics.motion import Site
 from counterspin.physics.observation import parabola
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import SHARED_TERMS, TERMS
 
 LEVEL = np.eye(3)
 OBLIQUE = Mounting.from_axes([1.0, 1.0, 0.0], "down")
@@ -72,7 +72,7 @@ def test_tilts_that_act_are_those_through_which_gravity_leaks(mounting, attitude
     gravity = np.array([0.0, 0.0, Site(9.8, 0.7).gravity])
     input_axis = mounting.matrix[0] @ rows
     for row in BARE_NAMES["platform.tilt"]:
-        leak = -np.cross(np.eye(3)[row.axis], gravity) @ input_axis  # -(psi x f)
+        leak = -np.cross(np.eye(3)[row.effect.axis], gravity) @ input_axis  # -(psi x f)
         assert acts(row, mounting, rows) == (abs(leak) > 1e-6)
 
 
@@ -155,7 +155,7 @@ def test_a_sensitivity_that_acts_leaves_a_mean_at_some_start_angle():
     """Against the closed form, which has start angle zero, and its quarter turn."""
     quarter = Mounting.from_axes("south", "down"), Mounting.from_axes("east", "down")
     for row in BARE_NAMES["platform.g_sensitivity"]:
-        if row.force_axis == 2:
+        if row.effect.force_axis == 2:
             continue  # a drift, which leaves no mean but t^3
         for mounting, turned in zip((QX, QY), quarter, strict=True):
             # A quarter turn about up takes x to y: the same machine from another start angle.

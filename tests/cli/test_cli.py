@@ -15,11 +15,10 @@ import pypdf
 import pytest
 
 from counterspin import cli
-from counterspin.calibration.pages import publishing
 from counterspin.calibration.result import Result
 from counterspin.certificates import issuing
 from counterspin.cli.validate import validate
-from counterspin.reports import charts
+from counterspin.reports import charts, publication
 from counterspin.reproduction.demo import demo
 from counterspin.validation.validate import DOSSIER_FILES
 
@@ -57,8 +56,8 @@ def test_help_names_nothing_that_leaving_an_option_out_says(command, monkeypatch
     ("command", "option", "endings"),
     [
         ("certificate", "output", issuing.FORMATS),
-        ("report", "output", publishing.FORMATS),
-        ("compare", "report", publishing.FORMATS),
+        ("report", "output", publication.FORMATS),
+        ("compare", "report", publication.FORMATS),
         ("history", "figure", charts._METADATA),
     ],
 )

@@ -31,7 +31,8 @@ from counterspin.calibration.result_parts import (
 from counterspin.correction.apply import ApplyOptions, apply, instrument_of
 from counterspin.correction.apply_file import apply_file
 from counterspin.errors import CampaignError, ConvergenceError
-from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, indicated
+from counterspin.physics.accelerometer import QX, QY, QZ, indicated
+from counterspin.physics.terms import TERMS
 
 PAGE = (Path(__file__).parents[2] / "docs" / "apply.md").read_text(encoding="utf-8")
 G = 9.8066

@@ -18,7 +18,7 @@ from counterspin.histories import result as history_result
 from counterspin.histories.history import history
 from counterspin.histories.page import control_plot, history_blocks, history_plots
 from counterspin.histories.result import History
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 from counterspin.reports.blocks import Plot
 from counterspin.reports.charts import save
 

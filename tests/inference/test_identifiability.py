@@ -12,8 +12,8 @@ from counterspin.inference.least_squares import solve
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import columns as exact_columns
-from counterspin.physics.shared_terms import term
 from counterspin.physics.spindle import Spindle
+from counterspin.physics.terms import term
 
 GRAVITY, RADIUS, SIGMA = 9.8066, 2.5, 0.01
 RATES = (np.pi / 2, np.pi, 2 * np.pi)

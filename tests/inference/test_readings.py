@@ -21,8 +21,9 @@ from scipy.special import stdtrit
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.identifiability import assess
 from counterspin.inference.readings import solve_readings
-from counterspin.physics.accelerometer import TERMS, Mounting
+from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.station import Station
+from counterspin.physics.terms import TERMS
 
 FULL = 2000 if os.environ.get("COUNTERSPIN_FULL") else None
 SIGMA = 2e-6

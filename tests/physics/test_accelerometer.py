@@ -1,159 +1,18 @@
-"""The one term table, the mountings, and the error model of Eq. 7."""
+"""The mountings, and the error model of Eq. 7."""
 
 import itertools
 import math
 
 import numpy as np
 import pytest
+from equation_7 import EQUATION_7
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from counterspin.physics.accelerometer import (
-    DIRECTIONS,
-    QX,
-    QY,
-    QZ,
-    TERMS,
-    Mounting,
-    Term,
-    direction,
-    indicated,
-)
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR, PLATFORM_TERMS, PlatformTerm, term
+from counterspin.physics.accelerometer import DIRECTIONS, QX, QY, QZ, Mounting, direction, indicated
+from counterspin.physics.terms import TERMS
 
 SETTINGS = settings(deadline=None, derandomize=True, max_examples=60)
-
-# --- the table ------------------------------------------------------------------------------
-
-
-def test_no_term_is_listed_twice():
-    symbols = [*TERMS, *PLATFORM_TERMS]
-    assert len(symbols) == len(set(symbols)) == 13 + 27
-    assert all(row.symbol == symbol for symbol, row in (TERMS | PLATFORM_TERMS).items())
-    # No product under two names, in whatever order its factors are written.
-    products = [tuple(sorted(row.factors)) for row in TERMS.values()]
-    assert len(set(products)) == len(products)
-    assert len({row.ieee.lower() for row in TERMS.values()}) == len(TERMS)
-    assert len({row.words for row in (TERMS | PLATFORM_TERMS).values()}) == len(symbols)
-    effects = [(row.kind, row.axis, row.force_axis) for row in PLATFORM_TERMS.values()]
-    assert len(set(effects)) == len(effects)
-
-
-# Eq. 7 extended to IEEE Std 1293, by hand: value of each signed product at (i, p, o).
-EQUATION_7 = {
-    "K_F": lambda i, p, o: 1.0,
-    "K_I": lambda i, p, o: i,
-    "K_II": lambda i, p, o: i * i,
-    "K_III": lambda i, p, o: i * i * i,
-    "K_4": lambda i, p, o: i**4,
-    "K_IP": lambda i, p, o: i * p,
-    "K_IO": lambda i, p, o: i * o,
-    "K_PO": lambda i, p, o: p * o,
-    "K_PP": lambda i, p, o: p * p,
-    "K_OO": lambda i, p, o: o * o,
-    "K_OQ": lambda i, p, o: i * abs(i),
-    "delta_O": lambda i, p, o: p,
-    "delta_P": lambda i, p, o: -o,
-}
-IEEE = dict(
-    zip(
-        EQUATION_7,
-        [
-            "K0",
-            "K1",
-            "K2",
-            "K3",
-            "K4",
-            "Kip",
-            "Kio",
-            "Kpo",
-            "Kpp",
-            "Koo",
-            "Koq",
-            "delta_o",
-            "delta_p",
-        ],
-        strict=True,
-    )
-)
-
-
-@pytest.mark.parametrize("symbol", EQUATION_7)
-def test_every_product_is_that_of_equation_7(symbol):
-    for ipo in itertools.product([-1.5, 0.7, 2.0], [-0.9, 1.1], [0.3, -2.2]):
-        expected = EQUATION_7[symbol](*ipo)
-        assert TERMS[symbol].evaluate(np.array(ipo)) == pytest.approx(expected, rel=1e-15)
-    assert TERMS[symbol].ieee == IEEE[symbol]
-
-
-def test_products_keep_the_shape_of_their_times():
-    force = np.random.default_rng(1).normal(size=(3, 4, 5))
-    for symbol, row in TERMS.items():
-        expected = np.broadcast_to(EQUATION_7[symbol](*force), (4, 5))
-        np.testing.assert_allclose(row.evaluate(force), expected, rtol=1e-15)
-
-
-@pytest.mark.parametrize("symbol", EQUATION_7)
-def test_units_follow_the_degree_of_the_product(symbol):
-    """In g-units a coefficient of degree n has the unit g/g^n: doubling the force shows n."""
-    row = TERMS[symbol]
-    force = np.array([1.3, -0.7, 0.4])
-    degree = round(math.log2(row.evaluate(2 * force) / row.evaluate(force)))
-    if symbol.startswith("delta"):
-        assert degree == 1
-        assert row.unit == "rad"
-    else:
-        assert row.unit == {0: "g", 1: "g/g", 2: "g/g^2", 3: "g/g^3", 4: "g/g^4"}[degree]
-
-
-def test_products_in_words_and_perfect_values():
-    assert {s: row.product for s, row in TERMS.items() if s in ("K_F", "K_III", "K_OQ")} == {
-        "K_F": "1",
-        "K_III": "a_I^3",
-        "K_OQ": "a_I*|a_I|",
-    }
-    assert TERMS["K_IP"].product == "a_I*a_P"
-    nominal = {symbol: row.nominal for symbol, row in TERMS.items() if row.nominal}
-    assert nominal == {"K_I": 1.0}
-    assert all(row.nominal == 0.0 for row in PLATFORM_TERMS.values())
-    assert all(row.limit > 0.0 for row in (TERMS | PLATFORM_TERMS).values())
-
-
-def test_platform_terms_are_those_of_three_axes_and_of_nine_pairs():
-    expected = {}
-    for i, name in enumerate(["east", "north", "up"]):
-        expected[f"platform.tilt.{name}"] = ("tilt", i, None, "rad", True)
-        expected[f"platform.drift.{name}"] = ("drift", i, None, "rad/s", False)
-        key = f"platform.g2_sensitivity.{name}"
-        expected[key] = ("g2_sensitivity", i, None, "rad/s/g^2", False)
-    for (i, a), (j, b) in itertools.product(enumerate("xyz"), repeat=2):
-        key = f"platform.g_sensitivity.{a}{b}"
-        expected[key] = ("g_sensitivity", i, j, "rad/s/g", False)
-        expected[f"platform.compliance.{a}{b}"] = ("compliance", i, j, "rad/g", False)
-    found = {
-        s: (row.kind, row.axis, row.force_axis, row.unit, row.per_run)
-        for s, row in PLATFORM_TERMS.items()
-    }
-    assert found == expected
-    assert not any(row.per_run for row in TERMS.values())
-
-
-def test_term_finds_rows_of_both_tables():
-    assert isinstance(term("K_II"), Term)
-    assert isinstance(term("platform.drift.up"), PlatformTerm)
-    assert term("K_OQ") is TERMS["K_OQ"]
-
-
-@pytest.mark.parametrize("symbol", ["K2", "k_ii", "", "platform.tilt.west"])
-def test_term_lists_the_known_ones(symbol):
-    with pytest.raises(ValueError, match=r"known: K_F, .*, platform\.compliance\.zz") as error:
-        term(symbol)
-    assert repr(symbol) in str(error.value)
-
-
-def test_a_degree_per_hour():
-    assert pytest.approx(math.pi / 180 / 3600, rel=1e-15) == DEGREE_PER_HOUR
-
 
 # --- mountings ------------------------------------------------------------------------------
 

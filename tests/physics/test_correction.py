@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from counterspin.errors import ConvergenceError
-from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting, indicated
+from counterspin.physics.accelerometer import QX, QY, QZ, Mounting, indicated
 from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
 from counterspin.physics.inversion import NotInvertibleError, invert
+from counterspin.physics.terms import TERMS
 
 SETTINGS = settings(deadline=None, derandomize=True, max_examples=80)
 
@@ -25,7 +26,7 @@ SIZES = {"": 0.1, "I": 0.1, "II": 3e-4, "III": 1e-5, "IIII": 5e-8}
 
 def size(symbol):
     row = TERMS[symbol]
-    return SIZES["I" * len(row.factors)] if len(row.factors) != 1 else 0.1
+    return SIZES["I" * len(row.effect.factors)] if len(row.effect.factors) != 1 else 0.1
 
 
 def coefficients():
@@ -49,17 +50,21 @@ def test_slopes_are_the_derivatives_of_the_products(symbol):
     i, p, o = axes = sympy.symbols("I P O", real=True)
     names = {"I": i, "P": p, "O": o, "|I|": sympy.Abs(i)}
     row = TERMS[symbol]
-    product = row.sign * math.prod((names[f] for f in row.factors), start=sympy.Integer(1))
+    product = row.effect.sign * math.prod(
+        (names[f] for f in row.effect.factors), start=sympy.Integer(1)
+    )
     for at in ((1.3, -0.7, 2.1), (-1.9, 0.4, -0.6)):
         for axis, variable in zip("IPO", axes, strict=True):
             exact = float(sympy.diff(product, variable).subs(dict(zip(axes, at, strict=True))))
-            assert row.slope(np.array(at)[:, None], axis)[0] == pytest.approx(exact, rel=1e-14)
-    assert row.power == sympy.Poly(product.subs(sympy.Abs(i), i), i).degree()
+            assert row.effect.slope(np.array(at)[:, None], axis)[0] == pytest.approx(
+                exact, rel=1e-14
+            )
+    assert row.effect.power == sympy.Poly(product.subs(sympy.Abs(i), i), i).degree()
 
 
 def test_no_product_is_of_higher_than_fourth_power_in_the_input_axis():
     """The turning point is found as the root of a quadratic or a cubic."""
-    assert max(row.power for row in TERMS.values()) == 4
+    assert max(row.effect.power for row in TERMS.values()) == 4
 
 
 # --- one accelerometer ----------------------------------------------------------------------

@@ -18,11 +18,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
-from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting, indicated
+from counterspin.physics.accelerometer import QX, QY, QZ, Mounting, indicated
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns, reference
-from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 from counterspin.records.reading import ANY_REVOLUTIONS
 from counterspin.validation.cases import document
 
@@ -68,7 +68,7 @@ def test_columns_agree_with_the_reference_to_1e_11(label, name, observable):
     symbols = [*TERMS, *(symbol for symbol in PLATFORM_TERMS if symbol in shown)]
     got = columns(trajectory_of(case), MOUNTINGS[name], symbols, times, observable)
     for symbol, column in zip(symbols, got.T, strict=True):
-        key = TERMS[symbol].product if symbol in TERMS else symbol
+        key = TERMS[symbol].effect.text if symbol in TERMS else symbol
         sign = -1.0 if symbol == "delta_P" else 1.0
         expected = sign * np.array(table[key], dtype=float)
         # An exact zero is left by whole waves of up to R omega^3 g; 1e-12 of those remains.
@@ -175,7 +175,7 @@ def simulated_errors(mounting, departures, attitude, times):
     coefficients = {s: TERMS[s].nominal + departures.get(s, 0.0) for s in TERMS}
     values = {kind: [] for kind in ("tilt", "drift", *MATRICES, "g2_sensitivity")}
     for symbol, row in PLATFORM_TERMS.items():
-        values[row.kind].append(departures.get(symbol, 0.0))
+        values[row.effect.kind].append(departures.get(symbol, 0.0))
     sensitivity, compliance = (np.reshape(values[kind], (3, 3)) for kind in MATRICES)
     start = attitude @ rodrigues(-np.array(values["tilt"]))
 

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from counterspin.physics.accelerometer import QX, QY, QZ, TERMS, Mounting
+from counterspin.physics.accelerometer import QX, QY, QZ, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import columns, parabola
-from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 
 R, g, t = sp.symbols("R g t", positive=True)
 w = sp.symbols("omega", real=True, nonzero=True)

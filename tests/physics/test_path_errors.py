@@ -11,9 +11,9 @@ from counterspin.physics.accelerometer import QX, QY, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns, parabola, reference
 from counterspin.physics.path_errors import encoder_error, true_trajectory
-from counterspin.physics.shared_terms import MOTION_TERMS
 from counterspin.physics.simulation import recorded
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.physics.terms import MOTION_TERMS
 
 SITE = Site(9.8066, 0.7985)
 SPINDLE = Spindle(-2.4, 3e-4, (Ripple(1, 4e-3, 0.8), Ripple(2, 3e-3, -1.0)), start_angle=0.5)
@@ -85,13 +85,13 @@ def test_columns_of_the_encoder_are_derivatives_of_what_is_computed_from_its_ang
 ):
     """The record against the reference of a spindle that turns as the encoder says."""
     step = 1e-4
-    row = MOTION_TERMS[symbol]
+    error = MOTION_TERMS[symbol].effect
 
     def misread(size):
         """Return the true motion less the reference's, whose angle is theta + size wave(theta)."""
         t = sp.symbols("t", real=True)
         theta = 0.5 - 2.4 * t + 0.01 * sp.sin(1.3 * t)
-        wave = getattr(sp, row.quadrature)(row.harmonic * theta)
+        wave = getattr(sp, error.quadrature)(error.harmonic * theta)
         order = 2 - ORDERS[observable]
         change = []
         for angle in (theta, theta + size * wave):

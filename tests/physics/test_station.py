@@ -7,12 +7,12 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
-from counterspin.physics.accelerometer import QX, TERMS, Mounting, direction
+from counterspin.physics.accelerometer import QX, Mounting, direction
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.path_errors import path_change
-from counterspin.physics.shared_terms import MOTION_TERMS
 from counterspin.physics.spindle import Spindle
 from counterspin.physics.station import FRAMES, Station, mean_products
+from counterspin.physics.terms import TERMS
 from counterspin.validation.cases import document
 
 REFERENCE = document("arm_forces.json")
@@ -80,8 +80,7 @@ def test_a_level_platform_on_a_tilted_axis_goes_up_and_down(case):
         change = replace(level, axis_tilt=tilt).force(site, angle) - level.force(site, angle)
         assert np.abs(change[0] - exact).max() < site.earth_rate**2 * radius + 1e-12 * size
         trajectory = Trajectory(Spindle(rate, start_angle=angle[0]), radius, site)
-        row = MOTION_TERMS[f"centrifuge.axis_tilt.{about}"]
-        path = path_change(row, trajectory.at(np.zeros(1)), 0)[0]
+        path = path_change(f"centrifuge.axis_tilt.{about}", trajectory.at(np.zeros(1)), 0)[0]
         assert np.abs(path - exact).max() < site.earth_rate**2 * radius + 1e-12 * size
 
 

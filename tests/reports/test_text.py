@@ -28,8 +28,7 @@ from counterspin.calibration.result_parts import (
     RippleResult,
     RunResult,
 )
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 from counterspin.reports.blocks import Column, Heading, Paragraph, Table
 from counterspin.reports.characters import Lines
 from counterspin.reports.numbers import NOT_DETERMINED

@@ -9,10 +9,10 @@ from counterspin.errors import ConvergenceError
 from counterspin.inference.two_stage.first_stage import first_stage
 from counterspin.inference.two_stage.strobes import Strobes, strobe_angle
 from counterspin.physics import observation
-from counterspin.physics.accelerometer import QX, QY, TERMS
+from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
-from counterspin.physics.shared_terms import PLATFORM_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.physics.terms import PLATFORM_TERMS, TERMS, term
 from counterspin.studies.strobed_effects import StrobedMotion, effects, obstacle
 from counterspin.studies.surrogate import Surrogate, box_of
 
@@ -95,8 +95,8 @@ def test_box_is_cut_to_what_a_surrogate_may_hold():
 
 def test_kinks_are_those_of_the_odd_term_alone():
     assert {symbol: why for symbol in TERMS if (why := obstacle(symbol))} == {
-        row.symbol: "has a kink" for row in TERMS.values() if "|I|" in row.factors
+        row.symbol: "has a kink" for row in TERMS.values() if "|I|" in row.effect.factors
     }
     turning = {symbol for symbol in PLATFORM_TERMS if obstacle(symbol)}
     assert turning == {s for s in PLATFORM_TERMS if s.startswith("platform.g2_sensitivity")}
-    assert term("K_II").factors == ("I", "I")
+    assert term("K_II").effect.factors == ("I", "I")

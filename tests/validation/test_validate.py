@@ -12,7 +12,7 @@ from pypdf import PdfReader
 import counterspin as cs
 from certificates import SCHEMA, needs_schema
 from counterspin.cli import main
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.validation import validate as validating
 from counterspin.validation.cases import case, cases
@@ -130,7 +130,8 @@ def test_a_kernel_that_is_off_by_a_millionth_is_named(kernel, monkeypatch):
 
 def test_a_term_without_integrals_fails_its_own_cases_and_says_so(monkeypatch):
     """What is not expected of one function is no matter of the others."""
-    new = replace(TERMS["K_4"], symbol="K_NEW", factors=5 * ("I",))
+    fourth = TERMS["K_4"]
+    new = replace(fourth, symbol="K_NEW", effect=replace(fourth.effect, factors=5 * ("I",)))
     monkeypatch.setattr("counterspin.validation.cases.TERMS", {**TERMS, "K_NEW": new})
     cases.cache_clear()
     asked = [one for one in cases() if one.kernel.endswith(":columns")][:1]

@@ -27,7 +27,7 @@ from counterspin.campaign.starter import Test
 from counterspin.campaign.toml_file import DESCRIPTION_NAME, load_document
 from counterspin.errors import CampaignError, CounterspinError, RecordError
 from counterspin.input import DOCUMENT_BYTES
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 from counterspin.reports.numbers import format_estimate
 from counterspin.reports.typography import typeset
 

@@ -37,7 +37,7 @@ from counterspin.campaign.settings import (
 )
 from counterspin.campaign.specification import SpecificationSettings
 from counterspin.certificates.lab import Lab
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 from counterspin.studies.description import StudySettings
 
 #: Section of ``campaign.toml`` -> its model.

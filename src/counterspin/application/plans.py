@@ -28,7 +28,7 @@ from counterspin.campaign.toml_file import load_document, parse_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 from counterspin.planning.design import Limits
 from counterspin.planning.plan import (
     Planned,

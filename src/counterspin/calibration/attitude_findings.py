@@ -17,8 +17,7 @@ from counterspin.calibration.findings import not_determined
 from counterspin.calibration.result_parts import AccelerometerResult, Coefficient, Finding
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.joint.unknowns import Unknown
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import ARCSEC, DEGREE_PER_HOUR, PLATFORM_TERMS
+from counterspin.physics.terms import ARCSEC, DEGREE_PER_HOUR, PLATFORM_TERMS, TERMS
 from counterspin.reports.numbers import field_unit, format_number
 
 #: Drift (deg/h) times time squared (s^2) at which first order in the attitude errs by 0.01 m.
@@ -97,14 +96,14 @@ def _largest_tilt(campaign: Campaign, estimated: Mapping[str, Coefficient]) -> A
     """Return how large the tilt about each axis may be, |value| + 2 u, rad, shape (3,)."""
     size = np.zeros(3)
     for symbol, row in PLATFORM_TERMS.items():
-        if row.kind != "tilt":
+        if row.effect.kind != "tilt":
             continue
         known = estimated.get(symbol)
         if symbol in campaign.model.considered:
             prior = campaign.model.priors[symbol]
-            size[row.axis] = abs(prior.value) + 2.0 * prior.u
+            size[row.effect.axis] = abs(prior.value) + 2.0 * prior.u
         elif known is not None and known.value is not None:
-            size[row.axis] = abs(known.value) + 2.0 * (known.u or 0.0)
+            size[row.effect.axis] = abs(known.value) + 2.0 * (known.u or 0.0)
     return size
 
 

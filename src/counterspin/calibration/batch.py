@@ -13,6 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
+from pydantic import field_serializer
+
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.options import Method, TwoStageOptions
 from counterspin.calibration.result import Result
@@ -37,6 +39,16 @@ class BatchResult(ShownResult):
     KIND: ClassVar[str] = "batch"
 
     campaigns: dict[str, Result | FailedCampaign]
+
+    @field_serializer("campaigns", when_used="json")
+    def _with_seals(
+        self, campaigns: dict[str, Result | FailedCampaign]
+    ) -> dict[str, Result | FailedCampaign]:
+        """Seal each result too: whoever takes one out has the file that it would have had."""
+        return {
+            folder: outcome.with_seal() if isinstance(outcome, Result) else outcome
+            for folder, outcome in campaigns.items()
+        }
 
     @property
     def failed(self) -> dict[str, str]:

@@ -59,7 +59,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.estimation import Estimate, estimate
 from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 
 
 @frozen

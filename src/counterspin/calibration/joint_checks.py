@@ -31,8 +31,7 @@ from counterspin.inference.joint import encoder
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.joint.runs_left_out import RunLeftOut, leave_out
 from counterspin.inference.joint.slow_parts import slow_parts
-from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import OWN_TERMS
+from counterspin.physics.terms import OWN_TERMS, shown_by_readings
 from counterspin.reports.numbers import format_number
 
 #: Part of u(K_II) below which a shift's own uncertainty is rounding.
@@ -191,7 +190,7 @@ def _considered(view: AccelerometerView, index: int) -> dict[tuple[str, str], tu
             strict=False,
         )
         if term.symbol not in encoder.SYMBOLS
-        and (term.symbol in OWN_TERMS or machine_term(term.symbol) is None)
+        and (term.symbol in OWN_TERMS or not shown_by_readings(term.symbol))
     }
 
 

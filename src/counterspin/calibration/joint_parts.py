@@ -27,28 +27,18 @@ from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment, Confounded
 from counterspin.inference.joint.budget import ENCODER, NOISE, UNSEEN, Line, budget
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.variance_components import COMPONENTS, VarianceComponents
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import SHARED_TERMS, symbol_of, term
+from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of, term
 
-_UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True)) | {
-    "centrifuge.radius": "m",
-    "site.gravity": "m/s^2",
-    "site.latitude": "rad",
-    TIMING: "s",
-}
+_UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True))
 WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of a random-walk coefficient
 _ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}  # a ripple: rad/s
 
 
 def unit_of(symbol: str) -> str:
     """Return the unit of a term, of an unknown of the rotation or of an uncertain input."""
-    if (machine := machine_term(symbol)) is not None:
-        return machine[0].unit
     return _UNITS.get(symbol) or term(symbol).unit
 
 

@@ -27,11 +27,8 @@ from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.physics import observation
-from counterspin.physics.accelerometer import Term
-from counterspin.physics.conditions import ConditionTerm
-from counterspin.physics.inputs import UNCERTAIN_INPUTS
-from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS, term
+from counterspin.physics.effects import Product, Slope
+from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, Term, term
 
 #: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
 _ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
@@ -153,10 +150,10 @@ def left_out_of_machine(campaign: Campaign, name: str) -> tuple[Considered, ...]
     own = tuple(reading for reading in campaign.readings if reading.accelerometer == name)
     terms = []
     for symbol in symbols_shown(own):
-        row, mounting = machine_term(symbol) or (None, "")
-        if row is None or symbol in known or symbol == f"centrifuge.radius.{mounting}":
+        if symbol in known or symbol.startswith("centrifuge.radius."):
             continue
-        owner = name if row.of_accelerometer else ""
+        row = term(symbol)
+        owner = name if row.per_accelerometer else ""
         terms.append(Considered(owner, symbol, (0.0, 0.0), row.limit))
     return tuple(terms)
 
@@ -169,9 +166,9 @@ def exact_terms(campaign: Campaign, name: str) -> set[str]:
     return {symbol for symbol, prior in stated.items() if prior.u == 0.0}
 
 
-def _acts(campaign: Campaign, row: Term | ConditionTerm) -> bool:
+def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
     """Return whether a term can act on records: one of temperature needs more than one run."""
-    by_warmth = isinstance(row, ConditionTerm) and row.condition == "temperature"
+    by_warmth = isinstance(row.effect, Slope) and row.effect.condition == "temperature"
     return not by_warmth or len(campaign.runs) > 1
 
 
@@ -197,9 +194,7 @@ def _uncertain_inputs(campaign: Campaign) -> Mapping[str, float]:
 
 def exact_inputs(campaign: Campaign) -> dict[str, float]:
     """Return the inputs that are stated as exact, with the uncertainty to be assumed of each."""
-    return {
-        name: UNCERTAIN_INPUTS[name].typical for name, u in _inputs(campaign).items() if u == 0.0
-    }
+    return {name: INPUTS[name].typical for name, u in _inputs(campaign).items() if u == 0.0}
 
 
 def noise_of(campaign: Campaign) -> dict[str, NoiseRequest]:

@@ -14,7 +14,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -34,10 +33,7 @@ from counterspin.inference.joint.omitted_terms import sensitivities
 from counterspin.inference.readings import Readings
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.inputs import UNCERTAIN_INPUTS
-from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import term
+from counterspin.physics.terms import TERMS, term
 
 
 def joint_omissions(views: Sequence[AccelerometerView]) -> dict[str, dict[str, OmittedTerm]]:
@@ -151,10 +147,7 @@ def _omitted(
         for name, effect in zip(coefficients, effects, strict=True)
         if name in TERMS
     }
-    row: Any = UNCERTAIN_INPUTS.get(symbol)
-    if row is None:
-        machine = machine_term(symbol)
-        row = machine[0] if machine is not None else term(symbol)
+    row = term(symbol)
     return OmittedTerm(
         sensitivity=moves.get("K_II"),
         unit=row.unit,

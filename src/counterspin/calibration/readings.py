@@ -39,8 +39,7 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.readings import Position, Readings, ReadingsFit, judge, solve_readings
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.machine import machine_term
+from counterspin.physics.terms import TERMS, term
 from counterspin.records.mean import mean_of_record
 
 #: Terms that no position at 1 g tells from K_II and K_F: the squares' sum is that of gravity.
@@ -63,12 +62,12 @@ def machine_of(campaign: Campaign) -> tuple[list[Unknown], list[Considered]]:
     """Return what a campaign with readings estimates and considers beside the usual terms."""
     machine = campaign.machine
     unknowns = [
-        Unknown(owner, symbol, machine.prior(symbol), _limit(symbol))
+        Unknown(owner, symbol, machine.prior(symbol), term(symbol).limit)
         for symbol in machine.terms
         for owner in _owners(campaign, symbol)
     ]
     considered = [
-        Considered(owner, symbol, machine.prior(symbol), _limit(symbol))
+        Considered(owner, symbol, machine.prior(symbol), term(symbol).limit)
         for symbol in machine.considered
         for owner in _owners(campaign, symbol)
     ]
@@ -91,14 +90,7 @@ def only_at_rest(campaign: Campaign) -> bool:
 
 
 def _owners(campaign: Campaign, symbol: str) -> list[str]:
-    row, _ = machine_term(symbol) or (None, "")
-    return list(campaign.accelerometers) if row is not None and row.of_accelerometer else [""]
-
-
-def _limit(symbol: str) -> float:
-    row, _ = machine_term(symbol) or (None, "")
-    assert row is not None
-    return row.limit
+    return list(campaign.accelerometers) if term(symbol).per_accelerometer else [""]
 
 
 @frozen

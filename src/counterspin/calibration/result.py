@@ -34,13 +34,12 @@ from counterspin.calibration.result_parts import (
 )
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import CounterspinError
-from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.observation import ORDERS
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import SHARED_TERMS, TERMS
 from counterspin.reports.shown import ShownResult, on_axes
 
 if TYPE_CHECKING:
-    from counterspin.calibration.notebook.residuals import RunResiduals
+    from counterspin.calibration.notebook.residuals import ReadingResiduals, RunResiduals
     from counterspin.reports.blocks import Block, Picture
 
 #: Why a result has no whole residuals: its file holds what the pictures need, and no more.
@@ -194,7 +193,9 @@ class Result(ShownResult):
 
         return to_gtc(self)
 
-    def residuals(self, accelerometer: str | None = None, run: str | None = None) -> list[Any]:
+    def residuals(
+        self, accelerometer: str | None = None, run: str | None = None
+    ) -> list[RunResiduals | ReadingResiduals]:
         """Return whole residuals as arrays, of all accelerometers and runs or of those named.
 
         Returns
@@ -329,7 +330,7 @@ def _to_gravity(result: Result, accelerometer: AccelerometerResult, symbol: str)
     c = accelerometer.coefficients[symbol]
     if result.method == "two-stage" and symbol in TERMS and c.value is not None:
         # b2 of a coefficient of degree n goes with g^(1-n).
-        return (len(TERMS[symbol].factors) - 1) * c.value / result.inputs.gravity
+        return (len(TERMS[symbol].effect.factors) - 1) * c.value / result.inputs.gravity
     for line in accelerometer.budget.get(symbol, ()):
         if line.source == "site.gravity (input)" and line.sensitivity is not None:
             return line.sensitivity

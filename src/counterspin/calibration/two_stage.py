@@ -43,7 +43,7 @@ from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
-from counterspin.physics.shared_terms import OWN_TERMS, term
+from counterspin.physics.terms import OWN_TERMS, term
 
 
 @frozen

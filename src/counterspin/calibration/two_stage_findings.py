@@ -34,8 +34,7 @@ from counterspin.inference.identifiability import assess, write_combination
 from counterspin.inference.two_stage.held_priors import HeldPrior, held_priors
 from counterspin.inference.two_stage.request import credible_limit
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import OWN_TERMS, term
+from counterspin.physics.terms import OWN_TERMS, TERMS, term
 from counterspin.reports.numbers import field_unit, format_number
 
 #: Below this probability a misfit is no accident.

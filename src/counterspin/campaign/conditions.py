@@ -15,7 +15,8 @@ from counterspin.campaign.checking import Problems
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import Campaign, ErrorModel, Run
 from counterspin.frozen import frozen
-from counterspin.physics.conditions import CONDITION_TERMS, RunConditions
+from counterspin.physics.effects import RunConditions
+from counterspin.physics.terms import CONDITION_TERMS
 
 #: By how much it is assumed to become warmer in a campaign that records no temperature, K.
 UNKNOWN_WARMING: Final = 1.0
@@ -52,7 +53,7 @@ def check_conditions(
         Where mistakes are noted.
     """
     for symbol, row in CONDITION_TERMS.items():
-        if row.condition == "force" and symbol in model.terms:
+        if row.effect.condition == "force" and symbol in model.terms:
             problems.add(
                 ("model", "terms"),
                 f'"{symbol}" cannot be told from K_II; put it into model.considered, with a prior',
@@ -60,7 +61,7 @@ def check_conditions(
     used = [row for s, row in CONDITION_TERMS.items() if s in {*model.terms, *model.considered}]
     used += [row for s, row in CONDITION_TERMS.items() if s in set(also)]
     for key in ("temperature", "time"):
-        asking = next((row.symbol for row in used if row.condition == key), None)
+        asking = next((row.symbol for row in used if row.effect.condition == key), None)
         stated = [getattr(run, key) is not None for _, run in runs]
         if asking is None and (key == "temperature" or not any(stated)):
             continue

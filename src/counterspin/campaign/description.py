@@ -73,8 +73,9 @@ from counterspin.campaign.toml_file import (
 )
 from counterspin.campaign.truth import TRUTH_TABLES, resolve_simulation
 from counterspin.errors import CampaignError
-from counterspin.physics.accelerometer import COMMON_NAMES, TERMS, Mounting
+from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Site
+from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import check_unit, unit_factor
 

@@ -20,9 +20,13 @@ from counterspin.campaign.settings import CentrifugeSettings, ModelSettings
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.frozen import frozen
 from counterspin.inference.least_squares import NO_PRIOR
-from counterspin.physics.conditions import CONDITION_TERMS
-from counterspin.physics.machine import MACHINE_TERMS, machine_term
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import (
+    CONDITION_TERMS,
+    READING_TERMS,
+    SHARED_TERMS,
+    shown_by_readings,
+    term,
+)
 
 #: What a name of the machine's terms begins with.
 _FAMILIES: Final = ("centrifuge.", "fixture.", "head.")
@@ -49,7 +53,7 @@ class MachineModel:
     Attributes
     ----------
     terms, considered
-        Symbols of `counterspin.physics.machine.MACHINE_TERMS`, with the mountings' names.
+        Symbols of `counterspin.physics.terms.READING_TERMS`, with the mountings' names.
     priors
         Symbol -> what is known of it, less nominal; SI.
     """
@@ -95,7 +99,7 @@ def resolve_machine(
     known = symbols_shown(readings, recorded=recorded)
     terms = _expanded(settings.terms or (), "terms", known, problems)
     for index, name in enumerate(settings.terms or ()):
-        if name in CONDITION_TERMS and CONDITION_TERMS[name].condition == "force":
+        if name in CONDITION_TERMS and CONDITION_TERMS[name].effect.condition == "force":
             problems.add(
                 ("model", "terms", index),
                 f'"{name}" cannot be told from K_II; put it into model.considered, with a prior',
@@ -187,9 +191,7 @@ def _given(
         if not symbols:
             problems.add(path, f'no reading shows "{key}"' + did_you_mean(key, known))
         for symbol in symbols:
-            row, _ = machine_term(symbol) or (None, "")
-            assert row is not None
-            prior = problems.attempt(path, parse, text, row.unit)
+            prior = problems.attempt(path, parse, text, term(symbol).unit)
             if prior is not None:
                 priors[symbol] = less_nominal(symbol, prior, centrifuge)
     return priors
@@ -215,7 +217,7 @@ def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tup
     motions |= {"counter-rotating"} if recorded else set()
     mountings = dict.fromkeys((r.mounting, r.motion) for r in readings if r.mounting)
     symbols: dict[str, None] = {}
-    for row in MACHINE_TERMS.values():
+    for row in READING_TERMS.values():
         if not motions & set(row.motions):
             continue
         if not row.per_mounting:
@@ -229,8 +231,8 @@ def symbols_shown(readings: Sequence[Reading], *, recorded: bool = False) -> tup
 
 
 def _is_machine(name: str) -> bool:
-    whole = "." in name and any(symbol.startswith(f"{name}.") for symbol in MACHINE_TERMS)
-    if whole or machine_term(name) is not None:
+    whole = "." in name and any(symbol.startswith(f"{name}.") for symbol in READING_TERMS)
+    if whole or shown_by_readings(name):
         return True
     shown_by_records = any(f"{symbol}.".startswith(f"{name}.") for symbol in SHARED_TERMS)
     return name.startswith(_FAMILIES) and not shown_by_records

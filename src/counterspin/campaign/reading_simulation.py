@@ -20,9 +20,8 @@ from counterspin.campaign.reading_groups import groups_of
 from counterspin.campaign.readings import Reading
 from counterspin.campaign.resolved import Campaign, sample_count
 from counterspin.inference.readings import Readings
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.conditions import CONDITION_TERMS
 from counterspin.physics.station import Station, mean_products
+from counterspin.physics.terms import CONDITION_TERMS, TERMS
 
 
 def indications(
@@ -57,7 +56,7 @@ def _effective(group: Readings, coefficients: Mapping[str, float]) -> Array:
     nominal = [coefficients.get(symbol, row.nominal) for symbol, row in TERMS.items()]
     effective = np.tile(nominal, (group.size, 1))
     for symbol in CONDITION_TERMS.keys() & coefficients.keys():
-        place = list(TERMS).index(CONDITION_TERMS[symbol].coefficient)
+        place = list(TERMS).index(CONDITION_TERMS[symbol].effect.coefficient)
         effective[:, place] += coefficients[symbol] * group.lever(symbol)
     return effective
 
@@ -163,6 +162,6 @@ def _instantaneous(station: Station, group: Readings, effective: Array, angle: A
     """Return the indicated specific force at each angle, m/s^2."""
     gravity = group.site.gravity
     a_ipo = station.axes_under_load() @ station.force(group.site, angle).T / gravity
-    products = np.stack([row.evaluate(a_ipo) for row in TERMS.values()])
+    products = np.stack([row.effect.evaluate(a_ipo) for row in TERMS.values()])
     found: Array = gravity * (effective @ products)
     return found

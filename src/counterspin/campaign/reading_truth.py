@@ -21,9 +21,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import CentrifugeSettings, exact
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.campaign.truth import TRUTH_MARGIN
-from counterspin.physics.accelerometer import COMMON_NAMES
-from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import OWN_TERMS
+from counterspin.physics.terms import COMMON_NAMES, OWN_TERMS, term
 
 #: The machine's table of [truth], and the key of [truth.noise] that readings have.
 _MACHINE: Final = "machine"
@@ -140,11 +138,10 @@ def resolve_reading_truth(
         elif not symbols:
             problems.add(path, f'no reading shows "{key}"' + did_you_mean(key, known))
         for symbol in symbols:
-            row, _ = machine_term(symbol) or (None, "")
-            assert row is not None
-            value = problems.attempt(path, exact, text, row.unit)
+            unit = term(symbol).unit
+            value = problems.attempt(path, exact, text, unit)
             if value is not None:
-                given = less_nominal(symbol, Quantity(value, 0.0, row.unit), centrifuge)
+                given = less_nominal(symbol, Quantity(value, 0.0, unit), centrifuge)
                 machine[symbol] = given.value
     stretch = _table(raw, "centrifuge").get("stretch")
     if stretch is not None and _STRETCH in known:
@@ -200,8 +197,7 @@ def unfit_readings(campaign: Campaign) -> list[str]:
             )
             break
     for symbol, value in truth.machine.items():
-        row, _ = machine_term(symbol) or (None, "")
-        assert row is not None
+        row = term(symbol)
         if not math.fabs(value) <= TRUTH_MARGIN * row.limit:
             problems.append(
                 f"truth.machine, {symbol}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} "

@@ -31,9 +31,7 @@ from pydantic import (
 
 from counterspin.campaign.attitude import attitude_rows, read_direction
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.conditions import CONDITION_TERMS
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import CONDITION_TERMS, SHARED_TERMS, TERMS
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
 from counterspin.units import unit_factor

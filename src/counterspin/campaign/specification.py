@@ -21,7 +21,7 @@ from counterspin.campaign.quantity import NUMBER, PLUS_MINUS, parse
 from counterspin.campaign.settings import SettingsSection, exact
 from counterspin.frozen import frozen
 from counterspin.inference.conformity import DecisionRule, RuleName
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 
 _FORMS: Final = '"abs <= A UNIT", "<= A UNIT", ">= A UNIT", "A to B UNIT" or "V ± T UNIT"'
 

@@ -25,22 +25,16 @@ from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.resolved import ErrorModel
 from counterspin.campaign.settings import ModelSettings, exact
 from counterspin.campaign.toml_file import flat_keys
-from counterspin.physics.accelerometer import TERMS, Mounting
-from counterspin.physics.shared_terms import (
-    OWN_TERMS,
-    SHARED_TERMS,
-    MotionTerm,
-    PlatformTerm,
-    SharedTerm,
-    term,
-)
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.effects import PathError, Turn
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TERMS, Term, term
 
 #: The model of a campaign without [model] terms: the paper's.
 DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
 
 
-def _bare_names() -> dict[str, tuple[SharedTerm, ...]]:
-    names: dict[str, list[SharedTerm]] = {}
+def _bare_names() -> dict[str, tuple[Term[Turn | PathError], ...]]:
+    names: dict[str, list[Term[Turn | PathError]]] = {}
     for symbol, row in SHARED_TERMS.items():
         parts = symbol.split(".")
         for length in range(2, len(parts)):
@@ -49,14 +43,14 @@ def _bare_names() -> dict[str, tuple[SharedTerm, ...]]:
 
 
 #: Bare name, such as ``platform.tilt`` or ``encoder.harmonic.1`` -> the rows it stands for.
-BARE_NAMES: Final[Mapping[str, tuple[SharedTerm, ...]]] = _bare_names()
+BARE_NAMES: Final[Mapping[str, tuple[Term[Turn | PathError], ...]]] = _bare_names()
 
 _NORTH: Final = np.array([0.0, 1.0, 0.0])
 _UP: Final = np.array([0.0, 0.0, 1.0])
 _ROUNDING: Final = 1e-9  #: of a unit vector; above roundoff, below any angle of a mounting
 
 
-def acts(row: SharedTerm, mounting: Mounting, attitude: Array) -> bool:
+def acts(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bool:
     """Return whether a shared term reaches an accelerometer to first order in some run.
 
     Parameters
@@ -69,27 +63,29 @@ def acts(row: SharedTerm, mounting: Mounting, attitude: Array) -> bool:
         Rows: where the platform's axes point in the run, shape (3, 3).
     """
     input_axis = mounting.turned(attitude).input_axis
-    if isinstance(row, MotionTerm):
+    effect = row.effect
+    if isinstance(effect, PathError):
         # A tilted axis lifts the platform; all else moves it in the level plane.
-        moved = input_axis[2:] if row.kind == "axis_tilt" else input_axis[:2]
+        moved = input_axis[2:] if effect.kind == "axis_tilt" else input_axis[:2]
         return float(np.linalg.norm(moved)) > _ROUNDING
-    if row.kind == "compliance":
-        return float(np.linalg.norm(np.cross(attitude[row.axis], input_axis))) > _ROUNDING
-    steady = row.force_axis is not None and abs(float(attitude[row.force_axis] @ _UP)) > _ROUNDING
-    if steady and _leans(row, input_axis, attitude):
+    if effect.kind == "compliance":
+        return float(np.linalg.norm(np.cross(attitude[effect.axis], input_axis))) > _ROUNDING
+    along = effect.force_axis
+    steady = along is not None and abs(float(attitude[along] @ _UP)) > _ROUNDING
+    if steady and _leans(effect, input_axis, attitude):
         return True  # as a drift
-    return _leaves_a_mean(row, input_axis, attitude, None)
+    return _leaves_a_mean(effect, input_axis, attitude, None)
 
 
-def _leans(row: PlatformTerm, input_axis: Array, attitude: Array) -> bool:
+def _leans(turn: Turn, input_axis: Array, attitude: Array) -> bool:
     """Return whether gravity leaks into the input axis as the platform turns by a term."""
-    axis = np.eye(3)[row.axis] if row.kind == "tilt" else attitude[row.axis]
+    axis = np.eye(3)[turn.axis] if turn.kind == "tilt" else attitude[turn.axis]
     return abs(float(np.cross(axis, input_axis) @ _UP)) > _ROUNDING
 
 
 def rows_of(
     name: str, mountings: Iterable[Mounting], attitudes: Iterable[Array]
-) -> tuple[SharedTerm, ...]:
+) -> tuple[Term[Turn | PathError], ...]:
     """Return what a bare name stands for.
 
     Of the platform these are the components that leave an acceleration, in any run that starts at
@@ -104,17 +100,15 @@ def rows_of(
     """
     pairs = list(product(mountings, attitudes))
 
-    def meant(row: SharedTerm, mounting: Mounting, attitude: Array) -> bool:
-        if isinstance(row, MotionTerm):
+    def meant(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bool:
+        if isinstance(row.effect, PathError):
             return acts(row, mounting, attitude)
-        return _leaves_a_mean(row, mounting.turned(attitude).input_axis, attitude, _NORTH)
+        return _leaves_a_mean(row.effect, mounting.turned(attitude).input_axis, attitude, _NORTH)
 
     return tuple(row for row in BARE_NAMES[name] if any(meant(row, *pair) for pair in pairs))
 
 
-def _leaves_a_mean(
-    row: PlatformTerm, input_axis: Array, attitude: Array, start: Array | None
-) -> bool:
+def _leaves_a_mean(turn: Turn, input_axis: Array, attitude: Array, start: Array | None) -> bool:
     """Return whether a term leaves an acceleration over whole revolutions.
 
     Parameters
@@ -125,14 +119,14 @@ def _leaves_a_mean(
         Direction in which the platform moves at t = 0, shape (3,); None: any level direction.
     """
     # Tilts are about geographic axes, the others about the platform's own.
-    axis = np.eye(3)[row.axis] if row.kind == "tilt" else attitude[row.axis]
+    axis = np.eye(3)[turn.axis] if turn.kind == "tilt" else attitude[turn.axis]
     turned = np.cross(axis, input_axis)  # gravity leaks in by its vertical part
     leaning = abs(float(turned @ _UP))
-    if row.force_axis is None:
+    if turn.force_axis is None:
         return leaning > _ROUNDING
     # The vertical force is steady: a sensitivity to it is a drift or a tilt, the same in all runs.
-    force = attitude[row.force_axis] * (1.0 - _UP)
-    if row.kind == "compliance":
+    force = attitude[turn.force_axis] * (1.0 - _UP)
+    if turn.kind == "compliance":
         return abs(float(turned @ force)) > _ROUNDING
     # The force's integral is the velocity, a quarter turn behind it.
     across = abs(float(np.cross(_UP, force) @ turned))

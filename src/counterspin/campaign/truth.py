@@ -34,8 +34,8 @@ from counterspin.campaign.settings import (
     SimulationSettings,
     SpindleTruthSettings,
 )
-from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS, term
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, term
 
 #: Tables of [truth] that are not accelerometers, and so no names for one.
 TRUTH_TABLES: Final = ("spindle", "platform", "centrifuge", "encoder", "noise", "machine")
@@ -162,7 +162,7 @@ def resolve_run_truth(
     for symbol, row in SHARED_TERMS.items():
         family, *keys = symbol.split(".")
         # A run's own `drift` is the spindle's; of the shared errors it has the tilt only.
-        own_value = _stated(own, keys) if row.kind == "tilt" else None
+        own_value = _stated(own, keys) if row.per_run else None
         value = _stated(shared[family], keys) if own_value is None else own_value
         if value:
             values[symbol] = value

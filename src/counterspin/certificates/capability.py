@@ -14,8 +14,8 @@ from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, Correlation
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.lab import Lab
-from counterspin.physics.accelerometer import COMMON_NAMES, TERMS
 from counterspin.physics.si_units import to_si
+from counterspin.physics.terms import COMMON_NAMES, TERMS
 from counterspin.reports.numbers import field_unit, format_uncertainty
 
 

@@ -30,7 +30,7 @@ from counterspin.campaign.toml_file import load_document
 from counterspin.certificates.elements import clean
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import write_text
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 
 #: Where a calibration may take place, in the words of the schema.
 _PLACES: Final = ("laboratory", "customer", "laboratoryBranch", "customerBranch", "other")

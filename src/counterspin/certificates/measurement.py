@@ -31,8 +31,8 @@ from counterspin.certificates.elements import (
 from counterspin.certificates.lab import ITEM_STATES, Lab
 from counterspin.certificates.statements import quantity_id
 from counterspin.inference.conformity import COVERAGE
-from counterspin.physics.shared_terms import SHARED_TERMS
 from counterspin.physics.si_units import SiUnit, si_unit, to_si
+from counterspin.physics.terms import SHARED_TERMS
 
 #: What the measurement result across accelerometers is called.
 TOGETHER: Final = "All accelerometers together"

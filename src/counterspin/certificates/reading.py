@@ -18,8 +18,8 @@ from counterspin.certificates.elements import NAMESPACES, Element
 from counterspin.certificates.schema import parse
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.si_units import from_si
+from counterspin.physics.terms import TERMS
 
 _RESULT: Final = "dcc:measurementResults/dcc:measurementResult"
 _GRAVITY: Final = (

@@ -27,8 +27,8 @@ from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import factor
 from counterspin.certificates.lab import CertificateSettings
 from counterspin.inference.conformity import COVERAGE
-from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.si_units import SiUnit, si_unit
+from counterspin.physics.terms import TERMS
 from counterspin.reports.blocks import Paragraph
 from counterspin.reports.numbers import (
     field_unit,
@@ -272,7 +272,7 @@ def coefficient_line(symbol: str, coefficient: Coefficient) -> str:
     k = coverage_factor(coefficient.dof)
     row = TERMS.get(symbol)
     words = "" if row is None else f"{row.words[:1].upper()}{row.words[1:]}"
-    what = "" if row is None else f"{words} ({row.ieee} in IEEE Std 1293); "
+    what = "" if row is None else f"{words} ({row.effect.ieee} in IEEE Std 1293); "
     stated = stated_in(si_unit(coefficient.unit)[0])
     return f"{what}{symbol} = {shown_in_g(coefficient, k)} (U, k = {factor(k)}); {stated}"
 

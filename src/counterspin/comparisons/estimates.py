@@ -16,7 +16,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 
 #: How a line of a budget names its source and what kind it is.
 _LINE: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encoder)\)")
@@ -100,7 +100,7 @@ def g_units_ratio(symbol: str, own: float, other: float) -> float:
 
     A coefficient of n factors is in g/g^n, and so goes with g^(1 - n).
     """
-    return (own / other) ** (1 - len(TERMS[symbol].factors)) if symbol in TERMS else 1.0
+    return (own / other) ** (1 - len(TERMS[symbol].effect.factors)) if symbol in TERMS else 1.0
 
 
 def estimates_of(

@@ -22,8 +22,9 @@ from counterspin.calibration.result_parts import AccelerometerResult, Coefficien
 from counterspin.campaign.quantity import parse
 from counterspin.errors import CampaignError, RecordError
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import TERMS, Mounting
+from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.correction import CalibratedAccelerometer, Known, correct, missing_axes
+from counterspin.physics.terms import TERMS
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.units import unit_factor
 

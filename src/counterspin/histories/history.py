@@ -37,8 +37,7 @@ from counterspin.histories.result import (
 )
 from counterspin.histories.shared import in_common
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import SHARED_TERMS, TERMS
 
 
 def history(
@@ -175,7 +174,7 @@ def _in_units_of(gravity: float, record: DatedResult, term: str) -> DatedResult:
 
     A coefficient of n factors is in g/g^n, and so inversely as g^(n - 1).
     """
-    factor = (record.gravity / gravity) ** (1 - len(TERMS[term].factors))
+    factor = (record.gravity / gravity) ** (1 - len(TERMS[term].effect.factors))
     limits = record.limits
     if limits is not None:
         low, high = (None if end is None else end * factor for end in limits[:2])

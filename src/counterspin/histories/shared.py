@@ -14,7 +14,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 
 #: How a budget names what is common: an input of the campaign -> where the result states it.
 _INPUTS: Final = {

@@ -26,10 +26,9 @@ from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.joint.fit import solve_blocks, solve_relaxed
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.least_squares import Solution
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.machine import machine_term, moved
 from counterspin.physics.motion import Site
-from counterspin.physics.station import Station, mean_products
+from counterspin.physics.station import Station, mean_products, moved
+from counterspin.physics.terms import CONDITION_TERMS, TERMS, is_term, mounting_of, term
 
 #: Rounds in which derivatives and noise must settle; two or three are usual.
 _ROUNDS: Final = 50
@@ -155,22 +154,21 @@ class Readings:
 
     def acting(self, symbol: str) -> Array:
         """Return 1 for each reading on which a term of the machine acts, else 0, shape (n,)."""
-        row, mounting = machine_term(symbol) or (None, "")
-        if row is None or self.motion not in row.motions:
+        if not is_term(symbol) or self.motion not in term(symbol).motions:
             return np.zeros(self.size)
-        if not row.per_mounting:
+        mounting = mounting_of(symbol)
+        if not mounting:
             return np.ones(self.size)
         return np.array([float(own == mounting) for own in self.mountings])
 
     def lever(self, symbol: str) -> Array:
         """Return what a slope of a coefficient is multiplied with: K, s or g^2, shape (n,)."""
-        row, _ = machine_term(symbol) or (None, "")
-        assert row is not None
-        if row.recorded == "force":
+        condition = CONDITION_TERMS[symbol].effect.condition
+        if condition == "force":
             g = self.site.gravity
             forces = [station.radius * station.rate**2 / g for station in self.stations]
             return np.asarray(np.square(forces))
-        return self.temperature if row.recorded == "temperature" else self.time
+        return self.temperature if condition == "temperature" else self.time
 
 
 @frozen
@@ -423,9 +421,8 @@ class _Part:
             if symbol in TERMS:
                 place, lever = _SYMBOLS.index(symbol), np.ones(group.size)
             elif everything[index].owner:
-                row, _ = machine_term(symbol) or (None, "")
-                assert row is not None
-                place, lever = _SYMBOLS.index(row.multiplies), group.lever(symbol)
+                changing = CONDITION_TERMS[symbol].effect.coefficient
+                place, lever = _SYMBOLS.index(changing), group.lever(symbol)
             else:
                 continue
             columns[:, index] = products[:, place] * lever

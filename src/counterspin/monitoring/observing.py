@@ -16,7 +16,7 @@ from counterspin.campaign.resolved import Campaign, Run
 from counterspin.errors import RecordError
 from counterspin.input import FileIdentity
 from counterspin.monitoring.following import APPENDED, FollowedTable
-from counterspin.physics.conditions import RunConditions
+from counterspin.physics.effects import RunConditions
 from counterspin.records.record import Record
 
 #: Revolutions of a record before anything can be said of it.

@@ -4,15 +4,14 @@ Modules, lowest first:
 
 - `spindle`: the angle model of the spindle (Eq. 1-4) and its fit to a recorded angle
 - `angle_error`: how far that fit may be from the true angle, and the effect on the motion
-- `accelerometer`: mountings, the error model (Eq. 7) and the table of its terms
-- `conditions`: slopes of coefficients with temperature, time and force
-- `shared_terms`: error terms of what carries the accelerometers
-- `inputs`: radius, gravity, latitude, timing, and how well they are known where nobody says
+- `effects`: the few kinds of what an error term does
+- `terms`: the table of all error terms and uncertain inputs
+- `accelerometer`: mountings, and the error model (Eq. 7)
 - `si_units`: from g-units to SI
 - `gravity`: what gravity is to be expected at a latitude and a height
 - `motion`: exact position, velocity and specific force of the platform; harmful acceleration
-- `station`: where one reading is taken, at rest, on an arm or on a double turntable
-- `machine`: what centrifuge, fixture, dividing head, temperature and time do to it
+- `station`: where one reading is taken, at rest, on an arm or on a double turntable, and what
+  centrifuge, fixture and dividing head do to it
 - `quadrature`: single and double time integrals along a trajectory, to rounding
 - `path_errors`: an unbalanced spindle, an arm that stretches, an eccentric encoder
 - `observation`: columns, the displacement per unit of each coefficient
@@ -43,7 +42,7 @@ displacement
 column
     The displacement error per unit of one coefficient along a trajectory.
 term
-    One row of the table: a coefficient and the product of specific forces that it multiplies.
+    One row of the table: something that may be wrong, how large it may be, and its effect.
 
 Units are SI and angles radians unless said. Coefficients of the accelerometer are in g-units
 (g, g/g, g/g^2, g/g^3, and rad for misalignments), g being the site's own plumb-line gravity.

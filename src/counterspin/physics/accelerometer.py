@@ -1,22 +1,12 @@
-"""The accelerometer: its axes, its error model and **the** table of terms (Eq. 7-9).
+"""The accelerometer: where its axes point, and what it indicates (Eq. 7-9).
 
-Every coefficient that counterspin knows is one row of `TERMS` (the accelerometer's own) or of
-`counterspin.physics.shared_terms` (of what carries it). Simulation, design matrices, budgets,
-reports and documentation all read these tables; there is no other list of coefficients.
-
-Accelerometer coefficients are in g-units (g, g/g, g/g^2, ...), g being the site's own gravity.
-Eq. 7 does not divide by the scale factor K_I; IEEE Std 1293 factors it out, so that the paper's
-K_II is K1 x K2 there, and likewise for the other terms.
-
-- `Term`, `TERMS`: the table
 - `Mounting`, `direction`, `QX`, `QY`, `QZ`: where the axes point
-- `indicated`: the error model itself, Eq. 7
+- `indicated`: the error model itself, Eq. 7, with the products of `counterspin.physics.terms`
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from typing import Final
 
@@ -24,143 +14,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-
-
-@frozen
-class Term:
-    """One error term of the accelerometer: coefficient x product of a_I, a_P, a_O.
-
-    Attributes
-    ----------
-    symbol
-        The paper's symbol, the name used everywhere.
-    factors
-        The product, factor by factor: ``("I", "I")`` is a_I^2, ``("I", "|I|")`` is a_I|a_I|.
-    words
-        What it is called.
-    ieee
-        The name in IEEE Std 1293, before that standard's division by K1.
-    limit
-        The largest credible size (g-units). A standard uncertainty that is not below it says
-        that the data do not determine the coefficient.
-    typical
-        Standard uncertainty to assume where nothing is known of it (g-units): the order of
-        magnitude that is left in navigation-grade instruments after compensation.
-    nominal
-        The value of a perfect accelerometer.
-    sign
-        The sign with which the product enters Eq. 7.
-    """
-
-    symbol: str
-    factors: tuple[str, ...]
-    words: str
-    ieee: str
-    limit: float
-    typical: float
-    nominal: float = 0.0
-    sign: float = 1.0
-
-    per_run = False
-
-    @property
-    def product(self) -> str:
-        """The product in plain text, such as ``a_I^2``; ``1`` for the bias."""
-        if self.factors == ("I", "|I|"):
-            return "a_I*|a_I|"
-        powers = Counter(self.factors)
-        return "*".join(f"a_{f}" + (f"^{n}" if n > 1 else "") for f, n in powers.items()) or "1"
-
-    @property
-    def power(self) -> int:
-        """How many times a_I or |a_I| stands in the product."""
-        return sum(factor in ("I", "|I|") for factor in self.factors)
-
-    @property
-    def unit(self) -> str:
-        """The unit in g-units; misalignments are angles."""
-        if self.symbol.startswith("delta"):
-            return "rad"
-        degree = len(self.factors)
-        return "g" if degree == 0 else "g/g" if degree == 1 else f"g/g^{degree}"
-
-    def evaluate(self, a_ipo: Array) -> Array:
-        """Return the signed product for specific force along the axes.
-
-        Parameters
-        ----------
-        a_ipo
-            Specific force along I, P, O in g, shape (3, ...).
-
-        Returns
-        -------
-        Array
-            Shape ``a_ipo.shape[1:]``, in g to the power of the product's degree.
-        """
-        value = np.full(a_ipo.shape[1:], self.sign, dtype=np.float64)
-        for factor in self.factors:
-            value *= _component(a_ipo, factor)
-        return value
-
-    def slope(self, a_ipo: Array, axis: str) -> Array:
-        """Return the signed product's derivative along one axis.
-
-        Parameters
-        ----------
-        a_ipo
-            Specific force along I, P, O in g, shape (3, ...).
-        axis
-            ``I``, ``P`` or ``O``.
-
-        Returns
-        -------
-        Array
-            Shape ``a_ipo.shape[1:]``, in g to the power of the product's degree less one.
-        """
-        total = np.zeros(a_ipo.shape[1:])
-        for place, factor in enumerate(self.factors):
-            if factor.strip("|") != axis:
-                continue
-            value = np.full(a_ipo.shape[1:], self.sign, dtype=np.float64)
-            if factor == "|I|":
-                value *= np.sign(a_ipo[0])
-            for other in self.factors[:place] + self.factors[place + 1 :]:
-                value *= _component(a_ipo, other)
-            total += value
-        return total
-
-
-def _component(a_ipo: Array, factor: str) -> Array:
-    along: Array = np.abs(a_ipo[0]) if factor == "|I|" else a_ipo["IPO".index(factor)]
-    return along
-
-
-TERMS: Final[Mapping[str, Term]] = {
-    row.symbol: row
-    for row in (
-        Term("K_F", (), "bias", "K0", 0.1, 1e-4),
-        Term("K_I", ("I",), "scale factor", "K1", 0.1, 1e-4, nominal=1.0),
-        Term("K_II", ("I", "I"), "second-order coefficient", "K2", 1e-4, 1e-5),
-        Term("K_III", ("I", "I", "I"), "third-order coefficient", "K3", 1e-4, 1e-6),
-        Term("K_4", ("I", "I", "I", "I"), "fourth-order coefficient", "K4", 1e-5, 1e-9),
-        Term("K_IP", ("I", "P"), "cross-coupling of input and pendulous axes", "Kip", 1e-4, 2e-6),
-        Term("K_IO", ("I", "O"), "cross-coupling of input and output axes", "Kio", 1e-4, 2e-6),
-        Term("K_PO", ("P", "O"), "cross-coupling of pendulous and output axes", "Kpo", 1e-4, 2e-6),
-        Term("K_PP", ("P", "P"), "second-order pendulous-axis coefficient", "Kpp", 1e-4, 2e-6),
-        Term("K_OO", ("O", "O"), "second-order output-axis coefficient", "Koo", 1e-4, 2e-6),
-        Term("K_OQ", ("I", "|I|"), "odd second-order coefficient", "Koq", 1e-4, 1e-6),
-        Term("delta_O", ("P",), "misalignment about the output axis", "delta_o", 1e-2, 5e-5),
-        Term(
-            "delta_P",
-            ("O",),
-            "misalignment about the pendulous axis",
-            "delta_p",
-            1e-2,
-            5e-5,
-            sign=-1.0,
-        ),
-    )
-}
+from counterspin.physics.terms import TERMS
 
 DIRECTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
     "east": (1.0, 0.0, 0.0),
@@ -190,10 +44,6 @@ def direction(value: str | Sequence[float]) -> Array:
     if vec.shape != (3,) or not math.isfinite(length) or length == 0.0:
         raise ValueError(f"a direction needs three finite components, not all zero; got {value}")
     return vec / length
-
-
-#: What files call the terms that everybody knows by a name.
-COMMON_NAMES: Final = {"bias": "K_F", "scale_factor": "K_I"}
 
 
 @frozen
@@ -311,5 +161,5 @@ def indicated(mounting: Mounting, coefficients: Mapping[str, float], force: Arra
     for row in TERMS.values():
         value = coefficients.get(row.symbol, row.nominal)
         if value != 0.0:
-            total += value * row.evaluate(a_ipo)
+            total += value * row.effect.evaluate(a_ipo)
     return total

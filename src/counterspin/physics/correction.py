@@ -18,8 +18,9 @@ import numpy as np
 
 from counterspin.arrays import Array, semidefinite_root
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import TERMS, Mounting
+from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.inversion import NotInvertibleError, invert
+from counterspin.physics.terms import TERMS
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
 
@@ -56,7 +57,7 @@ class CalibratedAccelerometer:
         return tuple(
             symbol
             for place, (symbol, value) in enumerate(self.coefficients.items())
-            if axis in TERMS[symbol].factors and (value or self.covariance[place, place])
+            if axis in TERMS[symbol].effect.factors and (value or self.covariance[place, place])
         )
 
 
@@ -248,13 +249,13 @@ def _total_slope(instrument: CalibratedAccelerometer, a_ipo: Array, axis: str) -
     for row in TERMS.values():
         value = instrument.coefficients.get(row.symbol, row.nominal)
         if value != 0.0:
-            total += value * row.slope(a_ipo, axis)
+            total += value * row.effect.slope(a_ipo, axis)
     return total
 
 
 def _variance(instrument: CalibratedAccelerometer, a_ipo: Array) -> Array:
     products = np.stack(
-        [TERMS[symbol].evaluate(a_ipo) for symbol in instrument.coefficients], axis=1
+        [TERMS[symbol].effect.evaluate(a_ipo) for symbol in instrument.coefficients], axis=1
     )
     # A sum of squares: no error of the covariance makes it less than nothing.
     parts = products @ semidefinite_root(instrument.covariance)

@@ -17,7 +17,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
 
@@ -126,7 +126,7 @@ def _rising(
 def _polynomial(coefficients: Mapping[str, float], side: Array, p: Array, o: Array) -> Array:
     """Return the indication's coefficients in powers of |a_I|, lowest first, shape (m, n)."""
     unit = np.stack([side, p, o])
-    given = {row: coefficients.get(row.symbol, row.nominal) for row in TERMS.values()}
+    given = {row.effect: coefficients.get(row.symbol, row.nominal) for row in TERMS.values()}
     used = {row: value for row, value in given.items() if value != 0.0}
     poly = np.zeros((1 + max([3, *(row.power for row in used)]), side.size))
     for row, value in used.items():

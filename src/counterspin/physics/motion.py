@@ -20,7 +20,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.physics import quadrature
-from counterspin.physics.conditions import AT_REFERENCE, RunConditions
+from counterspin.physics.effects import AT_REFERENCE, RunConditions
 from counterspin.physics.spindle import Spindle
 
 _TINY: Final = float(np.finfo(float).tiny)

@@ -22,12 +22,12 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.physics import quadrature
-from counterspin.physics.accelerometer import Mounting, Term
-from counterspin.physics.conditions import AT_REFERENCE, ConditionTerm
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.effects import AT_REFERENCE, Effect, PathError, Product, Slope, Turn
 from counterspin.physics.motion import Motion, Site, Trajectory
 from counterspin.physics.path_errors import path_change
 from counterspin.physics.quadrature import Panels
-from counterspin.physics.shared_terms import AnyTerm, MotionTerm, PlatformTerm, SharedTerm, term
+from counterspin.physics.terms import term
 
 #: How often each observable integrates the specific force.
 ORDERS: Final = {"displacement": 2, "velocity": 1, "specific_force": 0}
@@ -145,44 +145,41 @@ def columns(
     [4.9, 490.0]
     """
     order = ORDERS[observable]
-    rows = [term(symbol) for symbol in symbols]
+    does = [term(symbol).effect for symbol in symbols]
     shown = _Shown(trajectory, mounting.turned(attitude), attitude, times, order)
-    linear = {i: vector for i, row in enumerate(rows) if (vector := shown.along(row)) is not None}
-    bias = [i for i, row in enumerate(rows) if row.symbol == "K_F"]
-    kinked = [i for i, row in enumerate(rows) if isinstance(row, Term) and _has_kink(row)]
-    path = [i for i, row in enumerate(rows) if isinstance(row, MotionTerm)]
-    slopes = {i: row for i, row in enumerate(rows) if isinstance(row, ConditionTerm)}
-    smooth = [i for i in range(len(rows)) if i not in (*linear, *bias, *kinked, *path, *slopes)]
-    result = np.empty((len(rows), times.size))
+    linear = {i: vector for i, one in enumerate(does) if (vector := shown.along(one)) is not None}
+    bias = [i for i, symbol in enumerate(symbols) if symbol == "K_F"]
+    kinked = {i: one for i, one in enumerate(does) if isinstance(one, Product) and one.has_kink}
+    path = [i for i, one in enumerate(does) if isinstance(one, PathError)]
+    slopes = {i: one for i, one in enumerate(does) if isinstance(one, Slope)}
+    apart = {*linear, *bias, *kinked, *path, *slopes}
+    smooth = {
+        i: one for i, one in enumerate(does) if i not in apart and isinstance(one, Product | Turn)
+    }
+    if unseen := set(range(len(does))) - apart - set(smooth):
+        raise ValueError(f"no record shows {', '.join(symbols[i] for i in sorted(unseen))}")
+    result = np.empty((len(does), times.size))
     result[bias] = trajectory.site.gravity * times**order / max(1, order)
     if kinked:
-        with_kink = [row for row in rows if isinstance(row, Term) and _has_kink(row)]
-        result[kinked] = shown.kinked(with_kink)
+        result[list(kinked)] = shown.kinked(list(kinked.values()))
     if smooth or linear:
-        integrated = [row for i in smooth if not isinstance(row := rows[i], ConditionTerm)]
-        result[smooth], force = shown.smooth(integrated, bool(linear))
+        result[list(smooth)], force = shown.smooth(list(smooth.values()), bool(linear))
         for i, vector in linear.items():
             result[i] = vector @ force
     for i in path:
-        row = rows[i]
-        assert isinstance(row, MotionTerm)
-        result[i] = path_change(row, shown.motion, order) @ shown.input_axis
-    sloping = list(dict.fromkeys(row.coefficient for row in slopes.values()))
+        result[i] = path_change(symbols[i], shown.motion, order) @ shown.input_axis
+    sloping = list(dict.fromkeys(slope.coefficient for slope in slopes.values()))
     if sloping:
         own = columns(trajectory, mounting, sloping, times, observable, attitude=attitude)
-    for i, row in slopes.items():
-        lever = row.lever(trajectory.conditions, trajectory.centripetal)
-        result[i] = lever * own[:, sloping.index(row.coefficient)]
-        if row.condition == "time":  # it goes on changing within the run
+    for i, slope in slopes.items():
+        lever = slope.lever(trajectory.conditions, trajectory.centripetal)
+        result[i] = lever * own[:, sloping.index(slope.coefficient)]
+        if slope.condition == "time":  # it goes on changing within the run
             result[i] += trajectory.site.gravity * times ** (order + 1) / math.factorial(order + 1)
     # The accelerometer sees what is shared through its scale factor.
-    shared = [i for i, row in enumerate(rows) if isinstance(row, PlatformTerm | MotionTerm)]
+    shared = [i for i, one in enumerate(does) if isinstance(one, Turn | PathError)]
     result[shared] *= scale_factor
     return result.T
-
-
-def _has_kink(row: Term) -> bool:
-    return "|I|" in row.factors
 
 
 def over_blocks(function: Callable[[Array], Array], times: Array, spread: Array) -> Array:
@@ -245,45 +242,44 @@ class _Shown:
         """The input axis in the run's attitude, east-north-up, shape (3,)."""
         return self._axes.input_axis
 
-    def along(self, row: AnyTerm) -> Array | None:
+    def along(self, effect: Effect) -> Array | None:
         """Return the vector whose product with the specific force is the term, if there is one."""
-        if isinstance(row, Term):
-            if len(row.factors) != 1:
-                return None
-            axis: Array = row.sign * self._axes.matrix["IPO".index(row.factors[0])]
-            return axis
-        if not isinstance(row, PlatformTerm) or row.kind != "tilt":
-            return None
-        # (-psi x f) . I = f . (psi x I)
-        return np.cross(np.eye(3)[row.axis], self._axes.input_axis)
+        match effect:
+            case Product(factors=(factor,), sign=sign):
+                axis: Array = sign * self._axes.matrix["IPO".index(factor)]
+                return axis
+            case Turn(kind="tilt", axis=about):
+                # (-psi x f) . I = f . (psi x I)
+                return np.cross(np.eye(3)[about], self._axes.input_axis)
+        return None
 
-    def smooth(self, rows: Sequence[Term | SharedTerm], with_force: bool) -> tuple[Array, Array]:
+    def smooth(self, effects: Sequence[Product | Turn], with_force: bool) -> tuple[Array, Array]:
         """Return the integrals of terms, (k, n), and where wanted of the force, (3, n)."""
         if self._order == 0:
-            return self._integrands(rows, self.motion), self.motion.specific_force.T
+            return self._integrands(effects, self.motion), self.motion.specific_force.T
         panels, motion = _along(self._trajectory, self._duration)
-        integrals = self._integrals(rows, panels, motion, with_force and self._order == 2)
+        integrals = self._integrals(effects, panels, motion, with_force and self._order == 2)
         if self._order == 1:
             return integrals, self.motion.velocity_of_specific_force.T
         if not with_force:
             return integrals, np.empty((0, self._times.size))
         return integrals[2:], self._double_integral_of_force(integrals[:2])
 
-    def kinked(self, rows: Sequence[Term | SharedTerm]) -> Array:
+    def kinked(self, effects: Sequence[Product | Turn]) -> Array:
         """Return the integrals of terms that have a kink where a_I changes sign, (k, n)."""
         motion, along = self._trajectory, self._axes.input_axis
         if self._order == 0:
-            return self._integrands(rows, self.motion)
+            return self._integrands(effects, self.motion)
         of_panels = partial(
             quadrature.panel_edges, motion.spindle, self._duration, coarse=motion.coarse
         )
         breaks = quadrature.sign_changes(lambda t: motion.specific_force(t) @ along, of_panels())
         panels = Panels(of_panels(breaks))
-        return self._integrals(rows, panels, motion.at(panels.nodes))
+        return self._integrals(effects, panels, motion.at(panels.nodes))
 
     def _integrals(
         self,
-        rows: Sequence[Term | SharedTerm],
+        effects: Sequence[Product | Turn],
         panels: Panels,
         motion: Motion,
         with_path: bool = False,
@@ -292,18 +288,18 @@ class _Shown:
 
         All functions are integrated together: where the times lie in the panels is found once.
         """
-        terms = self._integrands(rows, motion)
+        terms = self._integrands(effects, motion)
         if self._order == 1:
             return panels.integrals(self._times, once=terms)
         path = motion.position.T[:2] if with_path else None
         return panels.integrals(self._times, once=path, twice=terms)
 
-    def _integrands(self, rows: Sequence[Term | SharedTerm], motion: Motion) -> Array:
+    def _integrands(self, effects: Sequence[Product | Turn], motion: Motion) -> Array:
         """Return what the terms integrate, m/s^2 per unit coefficient and K_I, shape (k, m)."""
         sensed = _Sensed(motion, self._axes, self._attitude)
-        values = np.empty((len(rows), motion.t.size))
-        for index, row in enumerate(rows):
-            values[index] = sensed.integrand(row)
+        values = np.empty((len(effects), motion.t.size))
+        for index, effect in enumerate(effects):
+            values[index] = sensed.integrand(effect)
         return values
 
     def _double_integral_of_force(self, path: Array) -> Array:
@@ -335,24 +331,23 @@ class _Sensed:
         self._attitude = attitude
         self._gravity = motion.trajectory.site.gravity
 
-    def integrand(self, row: Term | SharedTerm) -> Array:
+    def integrand(self, effect: Product | Turn) -> Array:
         """Return what a term integrates, m/s^2 per unit coefficient and K_I, shape (m,)."""
-        if isinstance(row, Term):
-            return self._gravity * row.evaluate(self._a_ipo)
-        assert isinstance(row, PlatformTerm)  # errors of the path are no integrals
-        integrand: Array = self._turn(row) * self._turned[row.axis]
+        if isinstance(effect, Product):
+            return self._gravity * effect.evaluate(self._a_ipo)
+        integrand: Array = self._attitude_error(effect) * self._turned[effect.axis]
         return integrand
 
-    def _turn(self, row: PlatformTerm) -> Array:
+    def _attitude_error(self, turn: Turn) -> Array:
         """Return the attitude error per unit of a term that is no tilt, rad, (m,)."""
-        if row.kind == "drift":
+        if turn.kind == "drift":
             return self._motion.t
-        if row.kind == "g2_sensitivity":
+        if turn.kind == "g2_sensitivity":
             return self._motion.square_of_specific_force / self._gravity**2
-        assert row.force_axis is not None
-        along = self._gained if row.kind == "g_sensitivity" else self._along_platform
-        turn: Array = along[row.force_axis]
-        return turn
+        assert turn.force_axis is not None
+        along = self._gained if turn.kind == "g_sensitivity" else self._along_platform
+        error: Array = along[turn.force_axis]
+        return error
 
     @cached_property
     def _a_ipo(self) -> Array:
@@ -403,37 +398,37 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
     matrix = mounting.matrix
     if abs(matrix[0, 2]) > 1e-9 or abs(abs(matrix[1, 2]) - 1.0) > 1e-9:
         raise ValueError("closed forms need a horizontal input axis and a vertical pendulous axis")
-    row = term(symbol)
     force = radius * rate**2 / gravity
-    if isinstance(row, ConditionTerm):
-        return 0.5 * gravity * row.lever(AT_REFERENCE, force)
-    if isinstance(row, Term):
-        vertical = float(matrix[1, 2]) ** row.factors.count("P")  # a_P is -1 with P down
-        horizontal = force ** sum(factor != "P" for factor in row.factors)
-        return 0.5 * gravity * row.sign * vertical * horizontal * _mean_of_harmonics(row.factors)
-    if isinstance(row, PlatformTerm):
-        return _parabola_of_platform(row, matrix, rate, radius, gravity)
+    match term(symbol).effect:
+        case Slope() as slope:
+            return 0.5 * gravity * slope.lever(AT_REFERENCE, force)
+        case Product(factors=factors, sign=sign):
+            vertical = float(matrix[1, 2]) ** factors.count("P")  # a_P is -1 with P down
+            horizontal = force ** sum(factor != "P" for factor in factors)
+            return 0.5 * gravity * sign * vertical * horizontal * _mean_of_harmonics(factors)
+        case Turn() as turn:
+            return _parabola_of_platform(turn, matrix, rate, radius, gravity)
     return 0.0  # the path comes back to where it was after each revolution
 
 
 def _parabola_of_platform(
-    row: PlatformTerm, matrix: Array, rate: float, radius: float, gravity: float
+    turn: Turn, matrix: Array, rate: float, radius: float, gravity: float
 ) -> float:
     force = radius * rate**2 / gravity
-    seen = np.cross(np.eye(3)[row.axis], matrix[0])
-    if row.kind == "tilt":
+    seen = np.cross(np.eye(3)[turn.axis], matrix[0])
+    if turn.kind == "tilt":
         return 0.5 * gravity * float(seen[2])
-    if row.kind == "g_sensitivity" and row.force_axis in (0, 1):
+    if turn.kind == "g_sensitivity" and turn.force_axis in (0, 1):
         # psi follows the velocity gained since the start. About the vertical it turns the
         # centripetal force, and the product has a mean where the two directions cross;
         # about a horizontal axis the start velocity stays behind as a tilt against gravity.
-        along = float(np.cross(np.eye(3)[row.force_axis], seen)[2])
-        start_velocity = radius * rate if row.force_axis == 1 else 0.0
+        along = float(np.cross(np.eye(3)[turn.force_axis], seen)[2])
+        start_velocity = radius * rate if turn.force_axis == 1 else 0.0
         return 0.25 * radius * rate * force * along - 0.5 * float(seen[2]) * start_velocity
-    if row.kind == "compliance" and row.force_axis is not None:
+    if turn.kind == "compliance" and turn.force_axis is not None:
         # Gravity leans the platform for good; a level force comes round with what it turns.
-        level = row.force_axis < 2
-        return 0.5 * gravity * float(seen[row.force_axis]) * (0.5 * force**2 if level else 1.0)
+        level = turn.force_axis < 2
+        return 0.5 * gravity * float(seen[turn.force_axis]) * (0.5 * force**2 if level else 1.0)
     return 0.0
 
 

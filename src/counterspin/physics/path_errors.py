@@ -18,8 +18,9 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.physics.angle_error import displaced
+from counterspin.physics.effects import PathError
 from counterspin.physics.motion import Motion, Trajectory
-from counterspin.physics.shared_terms import MOTION_TERMS, MotionTerm
+from counterspin.physics.terms import MOTION_TERMS
 
 
 def true_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Trajectory:
@@ -32,13 +33,13 @@ def true_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Traj
     shared
         Shared terms by symbol, SI; those that do not change the path are left alone.
     """
-    rows = {MOTION_TERMS[s]: value for s, value in shared.items() if s in MOTION_TERMS}
+    errors = [(MOTION_TERMS[s].effect, value) for s, value in shared.items() if s in MOTION_TERMS]
     imbalance = tuple(
-        (row.harmonic, value, 0.0) if row.quadrature == "cos" else (row.harmonic, 0.0, value)
-        for row, value in rows.items()
-        if row.kind == "imbalance" and value != 0.0
+        (error.harmonic, value, 0.0) if error.quadrature == "cos" else (error.harmonic, 0.0, value)
+        for error, value in errors
+        if error.kind == "imbalance" and value != 0.0
     )
-    stretch = sum(value for row, value in rows.items() if row.kind == "stretch")
+    stretch = shared.get("centrifuge.stretch", 0.0)
     tilt = (
         shared.get("centrifuge.axis_tilt.east", 0.0),
         shared.get("centrifuge.axis_tilt.north", 0.0),
@@ -60,20 +61,22 @@ def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
     """
     total = np.zeros_like(angle)
     for symbol, value in shared.items():
-        row = MOTION_TERMS.get(symbol)
-        if row is not None and row.kind == "encoder" and value != 0.0:
-            wave = np.cos if row.quadrature == "cos" else np.sin
-            total += value * wave(row.harmonic * angle)
+        if symbol not in MOTION_TERMS or value == 0.0:
+            continue
+        error = MOTION_TERMS[symbol].effect
+        if error.kind == "encoder":
+            wave = np.cos if error.quadrature == "cos" else np.sin
+            total += value * wave(error.harmonic * angle)
     return total
 
 
-def path_change(row: MotionTerm, circle: Motion, order: int) -> Array:
+def path_change(symbol: str, circle: Motion, order: int) -> Array:
     """Return the true motion less that of the circle at the recorded angle.
 
     Parameters
     ----------
-    row
-        The error.
+    symbol
+        The error, one of `MOTION_TERMS`.
     circle
         The motion on the circle, at the recorded angle, at n times.
     order
@@ -84,10 +87,10 @@ def path_change(row: MotionTerm, circle: Motion, order: int) -> Array:
     Array
         Per unit of the term, in east-north-up, shape (n, 3).
     """
-    if row.kind == "encoder":
-        return _turned_back(row, circle, order)
+    if (error := MOTION_TERMS[symbol].effect).kind == "encoder":
+        return _turned_back(error, circle, order)
     # The motion is linear in radius and tilt: a whole unit of the error shows its derivative.
-    moved = true_trajectory(circle.trajectory, {row.symbol: 1.0}).at(circle.t)
+    moved = true_trajectory(circle.trajectory, {symbol: 1.0}).at(circle.t)
     change: Array
     if order == 2:
         change = moved.position - circle.position
@@ -98,13 +101,13 @@ def path_change(row: MotionTerm, circle: Motion, order: int) -> Array:
     return change
 
 
-def _turned_back(row: MotionTerm, circle: Motion, order: int) -> Array:
+def _turned_back(error: PathError, circle: Motion, order: int) -> Array:
     """Return what the encoder's error makes of the motion: the true angle is behind by it."""
-    trajectory, n = circle.trajectory, row.harmonic
+    trajectory, n = circle.trajectory, error.harmonic
     angle, rate, acceleration = circle.angle, circle.rate, circle.angular_acceleration
     cos, sin = np.cos(n * angle), np.sin(n * angle)
     # wave and its derivative by the angle's n-fold
-    wave, slope = (cos, -sin) if row.quadrature == "cos" else (sin, cos)
+    wave, slope = (cos, -sin) if error.quadrature == "cos" else (sin, cos)
     curve = (n * rate) ** 2 * wave - n * acceleration * slope
     turned = (-wave[:, None], -(n * rate * slope)[:, None], curve[:, None])
 

@@ -5,6 +5,7 @@ This module does not: it turns the specific force by the platform's whole attitu
 through the complete error model and integrates, products of small terms included.
 
 - `attitude_error`: the platform's rotation vector
+- `changed`: coefficients as they are under a run's conditions, at its start
 - `recorded`: the indicated displacement, velocity or specific force, without noise
 - `accelerometer_walk`, `bias_wander`: noise of accelerometer and bias, integrated as often as the
   observable is
@@ -21,10 +22,10 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.physics import observation, quadrature
 from counterspin.physics.accelerometer import Mounting, indicated
-from counterspin.physics.conditions import CONDITION_TERMS, changed
+from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.path_errors import true_trajectory
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.terms import CONDITION_TERMS, PLATFORM_TERMS, TERMS
 
 #: Flicker of a bias has a longest period of a day, Hz; what is slower is bias.
 SLOWEST_FLICKER: Final = 1.0 / 86400.0
@@ -62,7 +63,7 @@ def attitude_error(
     psi = np.zeros((times.size, 3))
     motion, g = trajectory.at(times), trajectory.site.gravity
     for symbol, value in platform.items():
-        row = PLATFORM_TERMS[symbol]
+        row = PLATFORM_TERMS[symbol].effect
         if row.kind == "tilt":
             psi[:, row.axis] += value
             continue
@@ -120,7 +121,7 @@ def recorded(
     trend = sum(
         slope
         for symbol, slope in coefficients.items()
-        if symbol in CONDITION_TERMS and CONDITION_TERMS[symbol].condition == "time"
+        if symbol in CONDITION_TERMS and CONDITION_TERMS[symbol].effect.condition == "time"
     )
     coefficients = changed(coefficients, trajectory.conditions, trajectory.centripetal)
     scale_error = coefficients.get("K_I", 1.0) - 1.0
@@ -148,6 +149,29 @@ def recorded(
         edges = quadrature.panel_edges(trajectory.spindle, duration, breaks)
     error = quadrature.integrate(lambda t: residual(t)[None], edges, times, order)[:, 0]
     return base + scale_error * exact + error
+
+
+def changed(
+    coefficients: Mapping[str, float], conditions: RunConditions, force: float
+) -> dict[str, float]:
+    """Return an accelerometer's coefficients as they are at the start of a run.
+
+    Parameters
+    ----------
+    coefficients
+        Terms of `TERMS` and of `CONDITION_TERMS` by symbol; those not named are nominal.
+    conditions, force
+        As of `counterspin.physics.effects.Slope.lever`.
+    """
+    at_start = {symbol: value for symbol, value in coefficients.items() if symbol in TERMS}
+    for symbol, slope in coefficients.items():
+        row = CONDITION_TERMS.get(symbol)
+        if row is None or slope == 0.0:
+            continue
+        changing = row.effect.coefficient
+        before = at_start.get(changing, TERMS[changing].nominal)
+        at_start[changing] = before + slope * row.effect.lever(conditions, force)
+    return at_start
 
 
 def _turned(force: Array, psi: Array) -> Array:

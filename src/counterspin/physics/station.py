@@ -10,6 +10,7 @@ the arm, forward (the way that the arm moves at a positive rate) and up on an ar
 right-handed.
 
 - `Station`: motion, axes and machine
+- `moved`: a station with one of the machine's terms changed
 - `mean_products`: what each coefficient counts with at each of several stations
 - `FRAMES`: the names of directions in each motion's frame
 """
@@ -17,14 +18,17 @@ right-handed.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Final, Literal
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import DIRECTIONS, TERMS, Mounting
+from counterspin.physics.accelerometer import DIRECTIONS, Mounting
+from counterspin.physics.effects import Displacement, PathError
 from counterspin.physics.motion import Site
+from counterspin.physics.terms import TERMS, term
 
 MotionKind = Literal["counter-rotating", "arm", "static"]
 
@@ -188,6 +192,54 @@ def mean_products(stations: Sequence[Station], site: Site) -> Array:
     forces = _forces(stations, site, angles)
     a_ipo = np.einsum("nij,nmj->inm", _axes_under_load(stations), forces)
     a_ipo /= site.gravity
-    products = np.stack([row.evaluate(a_ipo) for row in TERMS.values()], axis=-1)
+    products = np.stack([row.effect.evaluate(a_ipo) for row in TERMS.values()], axis=-1)
     means: Array = products.mean(axis=1)
     return means
+
+
+def moved(station: Station, symbol: str, size: float, head: Array) -> Station:
+    """Return a station with one of the machine's terms larger by a size.
+
+    Parameters
+    ----------
+    station
+        Where the reading was taken.
+    symbol
+        A term of the machine that moves stations.
+    size
+        By how much, in the term's unit.
+    head
+        The axis about which the dividing head turns, in the station's frame, shape (3,).
+
+    Raises
+    ------
+    ValueError
+        If the term moves no station.
+    """
+    match term(symbol).effect:
+        case Displacement("radius"):
+            return replace(station, radius=station.radius + size)
+        case PathError("stretch"):
+            return replace(station, stretch=station.stretch + size)
+        case PathError("axis_tilt", about=axis):
+            east, north = station.axis_tilt
+            east, north = (east + size, north) if axis == "east" else (east, north + size)
+            return replace(station, axis_tilt=(east, north))
+        case Displacement("droop"):
+            return replace(station, droop=station.droop + size)
+        case Displacement("misalignment", axis):
+            return _turned_by(station, size * _axis_of(axis, station.motion))
+        case Displacement("zero"):
+            return _turned_by(station, size * head)
+    raise ValueError(f"{symbol} moves no station")
+
+
+def _axis_of(name: str, motion: str) -> Array:
+    """Return the unit vector of a named axis in a motion's frame; zero where it has none."""
+    names = ("outward", "forward", "up") if motion == "arm" else ("east", "north", "up")
+    return np.array([float(name == other) for other in names])
+
+
+def _turned_by(station: Station, turn: Array) -> Station:
+    east, north, up = np.array(station.turn) + turn
+    return replace(station, turn=(float(east), float(north), float(up)))

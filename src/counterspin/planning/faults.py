@@ -23,8 +23,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Considered
-from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import MOTION_TERMS, MotionTerm, term
+from counterspin.physics.terms import MOTION_TERMS, term
 
 #: What a record shows of one unit of a fault: shape (n, k); None where nothing.
 Columns = Callable[[Series], Array | None]
@@ -71,11 +70,11 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
     """Return what may be wrong for an accelerometer: what its model leaves out."""
     by_symbol: dict[str, list[Considered]] = {}
     for left_out in left_out_of(campaign, name):
-        by_symbol.setdefault(_family(left_out.symbol), []).append(left_out)
+        by_symbol.setdefault(term(left_out.symbol).family, []).append(left_out)
     terms = [
         Fault(
             symbol,
-            _words(parts[0].symbol),
+            term(parts[0].symbol).words_of_family,
             campaign.model.typical[parts[0].symbol],
             term(parts[0].symbol).unit,
             tuple(_of_term(part, campaign) for part in parts),
@@ -86,9 +85,9 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
     own = tuple(reading for reading in campaign.readings if reading.accelerometer == name)
     known = {*campaign.machine.terms, *campaign.machine.considered, *by_symbol}
     for symbol in symbols_shown(own):
-        row, _ = machine_term(symbol) or (None, "")
-        if row is not None and symbol not in known:
-            owner = name if row.of_accelerometer else ""
+        if symbol not in known:
+            row = term(symbol)
+            owner = name if row.per_accelerometer else ""
             shown = Considered(owner, symbol, (0.0, 0.0), row.limit)
             parts = (Part(lambda _: None, shown),)
             terms.append(Fault(symbol, row.words, row.typical, row.unit, parts))
@@ -97,25 +96,14 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
 
 def of_path(symbol: str) -> Fault:
     """Return an error of the path, both quadratures: such as ``encoder.harmonic.1``."""
-    rows = [row for row in MOTION_TERMS.values() if _family(row.symbol) == symbol]
+    rows = [row for row in MOTION_TERMS.values() if row.family == symbol]
     return Fault(
         symbol,
-        _words(rows[0].symbol),
+        rows[0].words_of_family,
         rows[0].typical,
         rows[0].unit,
         tuple(Part(_seen(row.symbol)) for row in rows),
     )
-
-
-def _family(symbol: str) -> str:
-    """Return a term's symbol, without the quadrature of a harmonic."""
-    row = MOTION_TERMS.get(symbol)
-    return symbol.removesuffix(f".{row.quadrature}") if row is not None else symbol
-
-
-def _words(symbol: str) -> str:
-    row = term(symbol)
-    return row.of_harmonic if isinstance(row, MotionTerm) else row.words
 
 
 def _seen(symbol: str) -> Columns:

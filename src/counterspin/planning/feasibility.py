@@ -20,7 +20,7 @@ from counterspin.inference import least_squares
 from counterspin.inference.blocks import Block
 from counterspin.inference.identifiability import Assessment, assess
 from counterspin.inference.joint.budget import budget
-from counterspin.physics.shared_terms import symbol_of, term
+from counterspin.physics.terms import symbol_of, term
 from counterspin.planning.design import Predictor, RunType
 from counterspin.planning.forecast import forecast, setup_of
 from counterspin.planning.relaxation import relax

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.inference.joint.budget import budget
-from counterspin.physics.shared_terms import symbol_of, term
+from counterspin.physics.terms import symbol_of, term
 from counterspin.planning.design import Design
 from counterspin.planning.forecast import forecast
 from counterspin.planning.plan_file import Plan

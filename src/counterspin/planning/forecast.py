@@ -37,8 +37,8 @@ from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.readings import blocks_at
 from counterspin.physics.motion import Trajectory
 from counterspin.physics.observation import ORDERS
-from counterspin.physics.shared_terms import OWN_TERMS
 from counterspin.physics.spindle import Spindle
+from counterspin.physics.terms import OWN_TERMS
 from counterspin.planning.experimental_setup import PlannedInstrument, Setup
 from counterspin.records.reduction import block_size
 

@@ -13,9 +13,7 @@ from typing import Final
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.pages.accelerometer import not_apart
 from counterspin.calibration.result_parts import BudgetLine
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import SHARED_TERMS, symbol_of
+from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
 from counterspin.planning.result import (
     GoalResult,
     PlannedAccelerometer,
@@ -215,12 +213,15 @@ def _advice(result: PlanResult, terms: list[str]) -> str:
     if (
         own
         and min(rates) * max(rates) > 0.0
-        and any(row.kind in ("drift", "g_sensitivity") for row in platform)
+        and any(
+            row.symbol.startswith(("platform.drift.", "platform.g_sensitivity."))
+            for row in platform
+        )
     ):
         # Drift and g-sensitivity change their sign with the sense, the accelerometer's do not.
         return "The other sense of the spin separates them."
     one_rate = max(map(abs, rates)) < 1.001 * min(map(abs, rates))
-    if one_rate and len({len(row.factors) for row in own}) > 1:
+    if one_rate and len({len(row.effect.factors) for row in own}) > 1:
         return "Other rates separate them."
     if not platform and len({run.attitude for run in result.runs}) == 1:
         return "They need a second attitude, or knowledge of one of them beforehand."
@@ -387,7 +388,7 @@ def _unit(name: str) -> str:
 
 
 def _symbol(name: str) -> str:
-    return name if machine_term(name) is not None else symbol_of(name)
+    return symbol_of(name)
 
 
 def _spoken(name: str) -> str:

@@ -27,8 +27,7 @@ from counterspin.campaign.toml_file import load_document
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.inference.joint.unknowns import Unknown
-from counterspin.physics.conditions import CONDITION_TERMS
-from counterspin.physics.shared_terms import term
+from counterspin.physics.terms import CONDITION_TERMS, term
 from counterspin.planning.design import Limits, RunType
 from counterspin.planning.plan_sections import GoalSettings, LimitsSettings, PlanDocument
 
@@ -174,10 +173,11 @@ def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
         listed = model.get(key)
         for index, name in enumerate(listed if isinstance(listed, list) else ()):
             row = CONDITION_TERMS.get(name) if isinstance(name, str) else None
-            if row is not None and row.condition != "force":
+            condition = "force" if row is None else row.effect.condition
+            if condition != "force":
                 problems.add(
                     ("model", key, index),
-                    f'"{name}" depends on the {row.condition} of each run, which a plan does not '
+                    f'"{name}" depends on the {condition} of each run, which a plan does not '
                     "know; leave it out here, add it to the campaign that the plan makes, and "
                     "check that one",
                 )

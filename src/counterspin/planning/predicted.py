@@ -19,8 +19,8 @@ from counterspin.calibration.result_parts import ConfoundedTerms, OmittedTerm
 from counterspin.campaign.reading_groups import groups_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
-from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.station import FRAMES
+from counterspin.physics.terms import TERMS
 from counterspin.planning.faults import faults_of, mean_square, square
 from counterspin.planning.forecast import Forecast
 from counterspin.planning.result import (

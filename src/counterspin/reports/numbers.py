@@ -21,7 +21,7 @@ from decimal import ROUND_HALF_EVEN, Decimal
 from typing import Final
 
 from counterspin.frozen import frozen
-from counterspin.physics.shared_terms import ARCSEC, DEGREE_PER_HOUR
+from counterspin.physics.terms import ARCSEC, DEGREE_PER_HOUR
 
 NOT_DETERMINED: Final = "not determined"
 

@@ -15,7 +15,7 @@ from counterspin.calibration.pages.accelerometer import in_field_units
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.second_stage import StrobedRun
-from counterspin.physics.shared_terms import term
+from counterspin.physics.terms import term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Plot, PlotSeries, Table
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 from counterspin.reports.text import Report

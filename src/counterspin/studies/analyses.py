@@ -15,7 +15,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint.estimation import NoiseRequest
 from counterspin.inference.joint.unknowns import ROTATION, Unknowns
 from counterspin.inference.two_stage.request import TwoStageRequest
-from counterspin.physics.shared_terms import OWN_TERMS
+from counterspin.physics.terms import OWN_TERMS
 from counterspin.studies.description import StudyDescription
 
 

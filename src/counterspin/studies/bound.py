@@ -14,7 +14,7 @@ from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
 from counterspin.inference.joint.unknowns import Unknowns
 from counterspin.inference.noise.model import NoiseModel
-from counterspin.physics.accelerometer import TERMS
+from counterspin.physics.terms import TERMS
 from counterspin.studies.draws import StudyTruth
 from counterspin.studies.joint_engine import scale_factors
 from counterspin.studies.noise import NOISE_LEVELS

@@ -16,7 +16,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
-from counterspin.physics.shared_terms import term
+from counterspin.physics.terms import term
 from counterspin.studies.analyses import Analysis, JointRequest, analyses_of
 from counterspin.studies.bound import cramer_rao, fit_of_truth
 from counterspin.studies.description import StudyDescription

@@ -41,7 +41,7 @@ from counterspin.campaign.toml_file import (
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
 from counterspin.studies.draws import OTHERS, RADIUS, Varying
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 

@@ -20,8 +20,8 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.resolved import Campaign
 from counterspin.frozen import frozen
-from counterspin.physics.shared_terms import OWN_TERMS
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.physics.terms import OWN_TERMS
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
 DRIFT: Final = "spindle.drift"  #: C, 1/s

@@ -27,7 +27,7 @@ from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.joint.fit import solve_blocks
 from counterspin.inference.readings import Readings, blocks_at
-from counterspin.physics.machine import machine_term
+from counterspin.physics.terms import shown_by_readings
 from counterspin.records.mean import stretches
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import Draws, StudyTruth
@@ -93,7 +93,7 @@ class ReadingsEngine:
         machine = {
             symbol: value
             for (owner, symbol), value in true.items()
-            if not owner and machine_term(symbol)
+            if not owner and shown_by_readings(symbol)
         }
         radius = float(draws.radius[0])
         read = []

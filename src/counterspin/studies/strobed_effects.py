@@ -24,11 +24,11 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import Mounting, Term
-from counterspin.physics.conditions import ConditionTerm
+from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.effects import Effect, PathError, Product, Slope, Turn
 from counterspin.physics.motion import Site
-from counterspin.physics.shared_terms import AnyTerm, MotionTerm, PlatformTerm, term
 from counterspin.physics.spindle import TURN, Spindle
+from counterspin.physics.terms import term
 
 _PANELS: Final = 2
 _NODES: Final = 12
@@ -97,15 +97,17 @@ class StrobedMotion:
 
 def obstacle(symbol: str) -> str | None:
     """Return why this quadrature cannot take a term, in words after its symbol; None if it can."""
-    row = term(symbol)
-    if isinstance(row, Term):
-        return "has a kink" if "|I|" in row.factors else None
-    if isinstance(row, MotionTerm):
-        return "changes the path"
-    if isinstance(row, ConditionTerm):
-        return "changes from run to run"
-    # Its turn before the first strobe is an integral without a closed form.
-    return "has no closed form" if row.kind == "g2_sensitivity" else None
+    match term(symbol).effect:
+        case Product(has_kink=True):
+            return "has a kink"
+        case PathError():
+            return "changes the path"
+        case Slope():
+            return "changes from run to run"
+        case Turn(kind="g2_sensitivity"):
+            # Its turn before the first strobe is an integral without a closed form.
+            return "has no closed form"
+    return None
 
 
 def effects(
@@ -208,7 +210,7 @@ def _effects(
     field = _Force(motion, rotation, radius, times.reshape(-1, radius.size))
     curvatures = np.empty((len(symbols), radius.size))
     for index, symbol in enumerate(symbols):
-        curvatures[index] = _effect(motion, term(symbol), field, weight, gain)
+        curvatures[index] = _effect(motion, term(symbol).effect, field, weight, gain)
     return curvatures, size
 
 
@@ -277,30 +279,31 @@ class _Force:
 
 def _effect(
     motion: StrobedMotion,
-    row: AnyTerm,
+    effect: Effect,
     field: _Force,
     weight: Array,
     gain: Array,
 ) -> Array:
     g = motion.site.gravity
     axes = motion.mounting
-    if isinstance(row, Term):
-        if not row.factors:
+    if isinstance(effect, Product):
+        if not effect.factors:
             return np.full(field.radius.size, 0.5 * g)
-        if len(row.factors) == 1:
-            axis = row.sign * axes.matrix["IPO".index(row.factors[0])]
+        if len(effect.factors) == 1:
+            axis = effect.sign * axes.matrix["IPO".index(effect.factors[0])]
             return _linear(motion, axis, field, weight, gain)
         a_ipo = np.stack([field.along(axis) for axis in axes.matrix]) / g
-        return _weighted(weight, g * row.evaluate(a_ipo))
-    assert isinstance(row, PlatformTerm)
-    if row.kind == "tilt":
-        return _linear(motion, np.cross(np.eye(3)[row.axis], axes.input_axis), field, weight, gain)
-    arm = np.cross(motion.attitude[row.axis], axes.input_axis)
+        return _weighted(weight, g * effect.evaluate(a_ipo))
+    assert isinstance(effect, Turn)
+    if effect.kind == "tilt":
+        axis = np.cross(np.eye(3)[effect.axis], axes.input_axis)
+        return _linear(motion, axis, field, weight, gain)
+    arm = np.cross(motion.attitude[effect.axis], axes.input_axis)
     turned = field.along(arm)
-    if row.force_axis is None:
+    if effect.force_axis is None:
         return _weighted(weight, field.times * turned)
-    axis = motion.attitude[row.force_axis]
-    lean = field.along(axis) if row.kind == "compliance" else field.velocity_along(axis)
+    axis = motion.attitude[effect.force_axis]
+    lean = field.along(axis) if effect.kind == "compliance" else field.velocity_along(axis)
     return _weighted(weight, lean * turned / g)
 
 

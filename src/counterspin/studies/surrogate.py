@@ -24,7 +24,7 @@ import numpy.typing as npt
 from counterspin.arrays import Array
 from counterspin.errors import ConvergenceError
 from counterspin.frozen import frozen
-from counterspin.physics.shared_terms import term
+from counterspin.physics.terms import term
 from counterspin.studies.strobed_effects import StrobedMotion, effects
 
 DEGREE: Final = 4

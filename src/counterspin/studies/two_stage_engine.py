@@ -21,8 +21,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.least_squares import REGULARISATION
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest, credible_limit
 from counterspin.physics import as_printed
-from counterspin.physics.accelerometer import Term
-from counterspin.physics.shared_terms import term
+from counterspin.physics.terms import Term, term
 from counterspin.studies.draws import Draws, of_run
 from counterspin.studies.noise import curvature_noise, residual_variances
 from counterspin.studies.strobed_effects import StrobedMotion, effects

@@ -14,7 +14,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
 from counterspin.physics import observation
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.terms import PLATFORM_TERMS
 from counterspin.studies.analyses import JointRequest
 from counterspin.studies.draws import (
     DRIFT,
@@ -128,11 +128,12 @@ def _second_order(world: World, truth: StudyTruth) -> float:
         turned = 0.0
         speed = 2.0 * world.radius * abs(world.spindles[run].rate)
         for symbol, row in PLATFORM_TERMS.items():
+            turn = row.effect
             reach = [abs(truth.mean("", symbol))]
             bounds = [varying.reach for varying in truth.varying if varying.symbol == symbol]
             reach += [max(map(abs, low_high)) for low_high in bounds]
             vertical = (
-                row.force_axis is not None and abs(world.attitudes[run][row.force_axis][2]) > 1e-9
+                turn.force_axis is not None and abs(world.attitudes[run][turn.force_axis][2]) > 1e-9
             )
             force = 1.0 if vertical else speed**2 / (4.0 * world.radius * world.site.gravity)
             grows = {
@@ -141,7 +142,7 @@ def _second_order(world: World, truth: StudyTruth) -> float:
                 "g_sensitivity": duration if vertical else speed / world.site.gravity,
                 "g2_sensitivity": duration * (1.0 + force**2),
                 "compliance": force,
-            }[row.kind]
+            }[turn.kind]
             turned += max(reach) * grows
         worst = max(worst, 0.25 * world.site.gravity * turned**2 * duration**2)
     return worst

@@ -19,7 +19,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.two_stage.strobes import strobe_angle
 from counterspin.physics.accelerometer import Mounting
-from counterspin.physics.conditions import RunConditions
+from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.spindle import Spindle
 from counterspin.studies.noise import RecordNoise

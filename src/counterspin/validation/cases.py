@@ -19,8 +19,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import PLATFORM_TERMS
+from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 
 DATA: Final = Path(__file__).parent / "data"
 
@@ -127,7 +126,7 @@ def _integrals(given: Mapping[str, Any]) -> dict[str, Any]:
     expected = {}
     for mounting, symbols in integrals_asked(given).items():
         for symbol in symbols:
-            key = TERMS[symbol].product if symbol in TERMS else symbol
+            key = TERMS[symbol].effect.text if symbol in TERMS else symbol
             if key not in table[mounting]:
                 raise CounterspinError(
                     f"{given['file']} has no integral of {symbol}, along {mounting} in the motion "

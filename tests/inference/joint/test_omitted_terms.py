@@ -10,7 +10,7 @@ from counterspin.inference.joint import omitted_terms
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
 from counterspin.inference.joint.omitted_terms import sensitivities
 from counterspin.inference.joint.unknowns import Considered, Unknowns
-from counterspin.physics.shared_terms import DEGREE_PER_HOUR, term
+from counterspin.physics.terms import DEGREE_PER_HOUR, term
 
 PLAIN = {"K_F": 0.004, "K_I": 1.001, "K_II": 2e-5}
 NOISE = {"Qx": NoiseRequest(0.01, 0.0)}

@@ -16,7 +16,7 @@ from counterspin.inference.joint.unknowns import Considered, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import POWER, Unseen, lengthened, unseen_walk
 from counterspin.inference.noise.variance_components import KEEPING_GAIN
-from counterspin.physics.shared_terms import term
+from counterspin.physics.terms import term
 
 FULL = bool(os.environ.get("COUNTERSPIN_FULL"))
 TRUTH = {"K_F": 5.03e-3, "K_I": 1.00197, "K_II": 2.7e-5, "K_III": 3.4e-6}

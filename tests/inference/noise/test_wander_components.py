@@ -20,7 +20,7 @@ from counterspin.inference.noise.restricted_likelihood import (
     RestrictedLikelihood,
 )
 from counterspin.inference.noise.wander_components import estimate_wandering
-from counterspin.physics.conditions import RunConditions
+from counterspin.physics.effects import RunConditions
 from counterspin.physics.simulation import bias_wander
 
 COEFFICIENTS = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2e-5, "K_III": 3e-6}

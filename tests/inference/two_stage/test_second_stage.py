@@ -18,10 +18,10 @@ from counterspin.inference.two_stage.second_stage import StrobedRun
 from counterspin.inference.two_stage.second_stage import second_stage as resolved
 from counterspin.inference.two_stage.strobes import Strobes, strobe_angle
 from counterspin.physics import observation, simulation
-from counterspin.physics.accelerometer import QX, QY, TERMS
+from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
-from counterspin.physics.shared_terms import PLATFORM_TERMS
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.physics.terms import PLATFORM_TERMS, TERMS
 
 TRIALS = 20_000 if os.environ.get("COUNTERSPIN_FULL") else 400
 

@@ -16,7 +16,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint import mistakes
 from counterspin.inference.joint.alternatives import Alternative
 from counterspin.inference.joint.fit import JointFit
-from counterspin.physics.inputs import UNCERTAIN_INPUTS
+from counterspin.physics.terms import INPUTS
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 
 #: What a quantity is off by where its unit was mistaken, and the words.
@@ -95,7 +95,7 @@ class Explanation:
         return _shown(self.value, self.u, unit)
 
     def _prior(self) -> Described:
-        if self.other.symbol in UNCERTAIN_INPUTS:
+        if self.other.symbol in INPUTS:
             return self._input()
         (index,) = self.other.priors
         stated, spread = self.fit.model.unknowns[index].prior
@@ -119,7 +119,7 @@ class Explanation:
         )
 
     def _input(self) -> Described:
-        known, campaign = UNCERTAIN_INPUTS[self.other.symbol], self.campaign
+        known, campaign = INPUTS[self.other.symbol], self.campaign
         stated = {
             "centrifuge.radius": campaign.radius.value,
             "site.gravity": campaign.gravity.value,

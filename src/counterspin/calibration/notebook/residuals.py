@@ -9,7 +9,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -153,7 +153,7 @@ def residuals_of(fit: JointFit, units: dict[str, str]) -> tuple[RunResiduals, ..
 
 def choose(
     residuals: Sequence[RunResiduals | ReadingResiduals], accelerometer: str | None, run: str | None
-) -> list[Any]:
+) -> list[RunResiduals | ReadingResiduals]:
     """Return the residuals of one accelerometer, of one run, or of all.
 
     Raises

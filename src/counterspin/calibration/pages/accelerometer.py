@@ -26,9 +26,7 @@ from counterspin.calibration.result_parts import (
     NoiseLine,
     ReadingResult,
 )
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import is_term, mounting_of, term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
     NOT_DETERMINED,
@@ -152,10 +150,10 @@ def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
 def _names(symbol: str) -> tuple[str, str]:
     """Return symbol and words of a term; a run's own term keeps the run's name in brackets."""
     bare, bracket, run = symbol.partition(" (")
-    if (machine := machine_term(bare)) is not None:
-        return symbol, machine[0].words + (f" {machine[1]}" if machine[1] else "")
-    row = TERMS.get(bare) or SHARED_TERMS.get(bare)
-    return (symbol, row.words + bracket + run) if row else _SPINDLE.get(bare, (symbol, ""))
+    if not is_term(bare):
+        return _SPINDLE.get(bare, (symbol, ""))
+    mounting = f" {mounting_of(bare)}" if mounting_of(bare) else ""
+    return symbol, term(bare).words + mounting + bracket + run
 
 
 def _cells(coefficient: Coefficient) -> tuple[str, str, str]:
@@ -213,8 +211,8 @@ def _confounded(confounded: ConfoundedTerms) -> str:
     )
     if confounded.value is None:
         return text + "."
-    row = TERMS.get(confounded.terms[0]) or SHARED_TERMS.get(confounded.terms[0].partition(" (")[0])
-    unit, factor = field_unit(row.unit if row else "")
+    symbol = confounded.terms[0].partition(" (")[0]
+    unit, factor = field_unit(term(symbol).unit if is_term(symbol) else "")
     u = None if confounded.u is None else confounded.u * factor
     return f"{text} = {format_estimate(confounded.value * factor, u, unit)}."
 

@@ -15,8 +15,8 @@ from counterspin.calibration.options import TwoStageOptions, acceptance_words, c
 from counterspin.calibration.pages.motions import reading_blocks, readings_of
 from counterspin.calibration.result import Result
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
-from counterspin.physics.accelerometer import TERMS, Term
-from counterspin.physics.shared_terms import MOTION_TERMS, PLATFORM_TERMS
+from counterspin.physics.effects import Product
+from counterspin.physics.terms import MOTION_TERMS, PLATFORM_TERMS, TERMS, Term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import format_number
 
@@ -102,11 +102,11 @@ def _method(result: Result) -> str:
     )
 
 
-def _sum(terms: Iterable[Term]) -> str:
+def _sum(terms: Iterable[Term[Product]]) -> str:
     parts = []
     for term in terms:
-        product = term.product.replace("*", " ")
-        sign = "−" if term.sign < 0.0 else "+"
+        product = term.effect.text.replace("*", " ")
+        sign = "−" if term.effect.sign < 0.0 else "+"
         parts.append(f"{sign} {term.symbol}" + ("" if product == "1" else f" {product}"))
     return " ".join(parts).removeprefix("+ ")
 

@@ -11,8 +11,7 @@ from typing import Final
 
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import ReadingResult
-from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import SHARED_TERMS, shown_by_readings
 from counterspin.reports.blocks import Block, Column, Paragraph, Table
 from counterspin.reports.numbers import format_number
 
@@ -109,7 +108,7 @@ def reading_blocks(result: Result) -> Iterator[Block]:
     )
     for motion in motions:
         yield Paragraph(_FORCES[motion], "equation")
-    machine = [s for s in result.platform if s not in SHARED_TERMS and machine_term(s)]
+    machine = [s for s in result.platform if s not in SHARED_TERMS and shown_by_readings(s)]
     if machine:
         yield Paragraph(f"Estimated with the coefficients, of the machine: {', '.join(machine)}.")
 

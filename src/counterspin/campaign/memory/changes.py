@@ -20,7 +20,7 @@ from counterspin.campaign.settings import OBSERVABLES, DocumentSettings
 from counterspin.campaign.terms import DEFAULT_TERMS
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.errors import CampaignError
-from counterspin.physics.accelerometer import COMMON_NAMES, TERMS
+from counterspin.physics.terms import COMMON_NAMES, TERMS
 
 #: Short names of keys that are changed often.
 SHORT: Final[Mapping[str, KeyPath]] = {

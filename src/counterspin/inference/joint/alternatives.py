@@ -31,8 +31,7 @@ from counterspin.inference.distributions import student_cdf
 from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.relaxed import widened
 from counterspin.inference.least_squares import Solution
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import SHARED_TERMS, TERMS
 
 
 @frozen

@@ -25,9 +25,10 @@ from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics import observation, quadrature
-from counterspin.physics.accelerometer import TERMS, Term
 from counterspin.physics.angle_error import SLOW, AngleError, displaced
+from counterspin.physics.effects import Product
 from counterspin.physics.spindle import MAX_HARMONICS
+from counterspin.physics.terms import TERMS
 
 #: The terms: of the first three each one, of each harmonic's ripple two quadratures.
 SYMBOLS: Final = tuple(f"encoder.{part}" for part in SLOW) + tuple(
@@ -79,7 +80,7 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
     places = [_symbols(error).index(symbol) for symbol in symbols]
     motion, order = series.trajectory, series.order
     matrix = series.mounting.turned(series.attitude).matrix
-    rows = {TERMS[symbol]: value for symbol, value in coefficients.items() if value != 0.0}
+    rows = {TERMS[symbol].effect: value for symbol, value in coefficients.items() if value != 0.0}
     linear = matrix[0] + sum(
         value * row.sign * matrix["IPO".index(row.factors[0])]
         for row, value in rows.items()
@@ -110,7 +111,7 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
             total += of_products(t).T
         elif curved:
             edges = quadrature.panel_edges(motion.spindle, float(t.max()))
-            if any("|I|" in row.factors for row in curved):
+            if any(row.has_kink for row in curved):
                 kinks = quadrature.sign_changes(
                     lambda s: motion.specific_force(s) @ matrix[0], edges
                 )
@@ -121,7 +122,7 @@ def columns(series: Series, symbols: Sequence[str], coefficients: Mapping[str, f
     return observation.over_blocks(seen, series.time, series.spread)
 
 
-def _slope(rows: Mapping[Term, float], a_ipo: Array) -> Array:
+def _slope(rows: Mapping[Product, float], a_ipo: Array) -> Array:
     """Return the derivative of the sum of coefficient x product along I, P, O, shape (3, n)."""
     return np.stack(
         [sum(value * row.slope(a_ipo, axis) for row, value in rows.items()) for axis in "IPO"]

@@ -27,9 +27,8 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.inputs import TIMING, input_column, rotation_column
 from counterspin.inference.joint.unknowns import ROTATION, Considered
 from counterspin.physics import observation
-from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.own_velocity import AxisError, taken
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import SHARED_TERMS, TERMS
 
 SCALE: Final = "scale"  #: relative change of an accelerometer's recorded output
 RUN_SCALE: Final = "run scale"  #: the same in one run only

@@ -18,8 +18,7 @@ from counterspin.inference.joint import encoder
 from counterspin.inference.joint.inputs import input_column, rotation_column
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Unknowns
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.shared_terms import SHARED_TERMS
+from counterspin.physics.terms import SHARED_TERMS, TERMS
 
 
 @frozen

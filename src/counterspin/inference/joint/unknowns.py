@@ -13,9 +13,7 @@ from typing import Final
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
 from counterspin.inference.least_squares import REGULARISATION
-from counterspin.physics.accelerometer import TERMS
-from counterspin.physics.machine import machine_term
-from counterspin.physics.shared_terms import OWN_TERMS, SHARED_TERMS
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TERMS, shown_by_readings
 
 #: Rotation of a run as unknowns, where no angle is recorded: rad, rad/s, 1/s.
 ROTATION: Final = ("spindle.start_angle", "spindle.rate", "spindle.drift")
@@ -69,8 +67,8 @@ class Unknown:
         """Return whether the unknown can show in a series."""
         if self.symbol in OWN_TERMS:
             return self.owner == series.accelerometer
-        if self.symbol not in SHARED_TERMS and machine_term(self.symbol) is not None:
-            return False  # it shows in readings
+        if self.symbol not in SHARED_TERMS and shown_by_readings(self.symbol):
+            return False
         return self.owner in ("", series.run)
 
 

@@ -17,10 +17,9 @@ from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.two_stage.first_stage import Parabola, first_stage
 from counterspin.inference.two_stage.strobes import Strobes
-from counterspin.physics.accelerometer import TERMS
 from counterspin.physics.as_printed import RippleModel
 from counterspin.physics.motion import Trajectory
-from counterspin.physics.shared_terms import term
+from counterspin.physics.terms import TERMS, term
 
 DRIFT: Final = "spindle.drift"  #: second unknown where the nominal angle is the reference, 1/s
 RIPPLE: Final = "spindle.ripple"  #: as printed: w_p sin(phi) in rad/s, or (w_p/w0) sin(phi)
@@ -132,7 +131,7 @@ class TwoStageRequest:
         """Return what relative errors of 1 of radius and gravity would move an estimate by."""
         if symbol not in TERMS:
             return (0.0, 0.0)
-        degree = len(TERMS[symbol].factors)
+        degree = len(TERMS[symbol].effect.factors)
         return (-degree * value, (degree - 1) * value)
 
 

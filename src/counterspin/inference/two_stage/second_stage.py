@@ -35,7 +35,7 @@ from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageReque
 from counterspin.physics import as_printed, observation
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Trajectory
-from counterspin.physics.shared_terms import term
+from counterspin.physics.terms import term
 
 #: Rates closer than this (relative) do not help to tell unknowns apart.
 _SAME_RATE_WITHIN: Final = 1e-3

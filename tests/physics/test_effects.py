@@ -6,13 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from counterspin.physics.accelerometer import QX, QZ, TERMS
-from counterspin.physics.conditions import CONDITION_TERMS, RunConditions, changed
+from counterspin.physics.accelerometer import QX, QZ
+from counterspin.physics.effects import RunConditions
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import ORDERS, columns, parabola
-from counterspin.physics.shared_terms import term
-from counterspin.physics.simulation import recorded
+from counterspin.physics.simulation import changed, recorded
 from counterspin.physics.spindle import Ripple, Spindle
+from counterspin.physics.terms import CONDITION_TERMS, TERMS, term
 
 SITE = Site(9.8066, 0.7985)
 SPINDLE = Spindle(-2.4, 3e-4, (Ripple(1, 4e-3, 0.8),), start_angle=0.5)
@@ -69,5 +69,5 @@ def test_at_the_reference_nothing_changes():
 @pytest.mark.parametrize("row", CONDITION_TERMS.values(), ids=CONDITION_TERMS)
 def test_rows_are_those_of_the_tables(row):
     assert term(row.symbol) is row
-    assert row.unit.startswith(TERMS[row.coefficient].unit.partition("/")[0])
+    assert row.unit.startswith(TERMS[row.effect.coefficient].unit.partition("/")[0])
     assert 0 < row.typical < row.limit < math.inf

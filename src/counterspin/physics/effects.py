@@ -1,0 +1,242 @@
+"""What an error term does: the few kinds of effect that rows of the table of terms have.
+
+- `Product`: of an accelerometer, a coefficient times a product of specific forces (Eq. 7)
+- `Slope`: of one of its coefficients, a change with temperature, time or force
+- `Turn`: of the platform's attitude, and so of every accelerometer's axes
+- `PathError`: of the centrifuge or its encoder, a path other than the recorded circle
+- `Displacement`: of the machine, another radius or direction at one reading
+- `Input`: of a quantity that the description states
+- `RunConditions`, `AT_REFERENCE`: what there is to know of a run beside its motion
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+
+
+@frozen
+class RunConditions:
+    """What is known of a run beside its motion.
+
+    Attributes
+    ----------
+    start
+        When it began, s from the beginning of the campaign.
+    warmth
+        Its temperature less the reference temperature, K.
+    """
+
+    start: float = 0.0
+    warmth: float = 0.0
+
+
+#: At the beginning of a campaign, at the reference temperature.
+AT_REFERENCE: Final = RunConditions()
+
+
+@frozen
+class Product:
+    """Coefficient times a product of a_I, a_P, a_O: the accelerometer's own error model, Eq. 7.
+
+    Attributes
+    ----------
+    factors
+        The product, factor by factor: ``("I", "I")`` is a_I^2, ``("I", "|I|")`` is a_I|a_I|.
+    ieee
+        The coefficient's name in IEEE Std 1293, before that standard's division by K1.
+    sign
+        The sign with which the product enters Eq. 7.
+    """
+
+    factors: tuple[str, ...]
+    ieee: str
+    sign: float = 1.0
+
+    @property
+    def text(self) -> str:
+        """The product in plain text, such as ``a_I^2``; ``1`` for the bias."""
+        if self.factors == ("I", "|I|"):
+            return "a_I*|a_I|"
+        powers = Counter(self.factors)
+        return "*".join(f"a_{f}" + (f"^{n}" if n > 1 else "") for f, n in powers.items()) or "1"
+
+    @property
+    def power(self) -> int:
+        """How many times a_I or |a_I| stands in the product."""
+        return sum(factor in ("I", "|I|") for factor in self.factors)
+
+    @property
+    def has_kink(self) -> bool:
+        """Whether its slope jumps where a_I changes sign."""
+        return "|I|" in self.factors
+
+    def evaluate(self, a_ipo: Array) -> Array:
+        """Return the signed product for specific force along the axes.
+
+        Parameters
+        ----------
+        a_ipo
+            Specific force along I, P, O in g, shape (3, ...).
+
+        Returns
+        -------
+        Array
+            Shape ``a_ipo.shape[1:]``, in g to the power of the product's degree.
+        """
+        value = np.full(a_ipo.shape[1:], self.sign, dtype=np.float64)
+        for factor in self.factors:
+            value *= _component(a_ipo, factor)
+        return value
+
+    def slope(self, a_ipo: Array, axis: str) -> Array:
+        """Return the signed product's derivative along one axis.
+
+        Parameters
+        ----------
+        a_ipo
+            Specific force along I, P, O in g, shape (3, ...).
+        axis
+            ``I``, ``P`` or ``O``.
+
+        Returns
+        -------
+        Array
+            Shape ``a_ipo.shape[1:]``, in g to the power of the product's degree less one.
+        """
+        total = np.zeros(a_ipo.shape[1:])
+        for place, factor in enumerate(self.factors):
+            if factor.strip("|") != axis:
+                continue
+            value = np.full(a_ipo.shape[1:], self.sign, dtype=np.float64)
+            if factor == "|I|":
+                value *= np.sign(a_ipo[0])
+            for other in self.factors[:place] + self.factors[place + 1 :]:
+                value *= _component(a_ipo, other)
+            total += value
+        return total
+
+
+def _component(a_ipo: Array, factor: str) -> Array:
+    along: Array = np.abs(a_ipo[0]) if factor == "|I|" else a_ipo["IPO".index(factor)]
+    return along
+
+
+@frozen
+class Slope:
+    """What one of an accelerometer's coefficients grows by, per unit of a condition.
+
+    Attributes
+    ----------
+    coefficient
+        Symbol of the term that changes.
+    condition
+        ``temperature`` (K from the reference temperature), ``time`` (s from the beginning of the
+        campaign) or ``force`` (the square of the centripetal one at the run's rate, g^2).
+    """
+
+    coefficient: str
+    condition: str
+
+    def lever(self, conditions: RunConditions, force: float) -> float:
+        """Return what the slope is multiplied with at the start of a run.
+
+        Parameters
+        ----------
+        conditions
+            Of the run.
+        force
+            Centripetal force at the run's rate, g.
+        """
+        levers = {"temperature": conditions.warmth, "time": conditions.start, "force": force**2}
+        return levers[self.condition]
+
+
+@frozen
+class Turn:
+    """A turn of the platform, which it cannot feel, and with it of every accelerometer's axes.
+
+    The small attitude error psi (rad) starts at the tilt and obeys
+    d(psi)/dt = drift + D f/g + E |f|^2/g^2; a platform of compliance C leans by C f/g besides. It
+    then senses f - psi x f. Tilts are about the geographic axes of a run; all others belong to
+    gyros and frame and are about the platform's own axes x, y, z, which point east, north, up in
+    the level attitude.
+
+    Attributes
+    ----------
+    kind
+        ``tilt``, ``drift``, ``g_sensitivity``, ``g2_sensitivity`` or ``compliance``.
+    axis
+        The axis about which the attitude turns: 0 east (x), 1 north (y), 2 up (z).
+    force_axis
+        For g-sensitivity and compliance the axis of the force, else None.
+    """
+
+    kind: str
+    axis: int
+    force_axis: int | None = None
+
+
+@frozen
+class PathError:
+    """An error of the path: of the centrifuge's radius or axis, or of the recorded angle.
+
+    With the spindle's angle theta and the radius R, the platform is at the distance
+    R (1 + stretch R w^2) + sum of c cos n theta + s sin n theta from the axis, and the encoder
+    records theta + sum of c cos n theta + s sin n theta. An axis that is tilted by a about east and
+    b about north carries the platform R (a sin theta - b cos theta) above the level; the platform
+    itself stays level, and its own tilt is a `Turn`. The errors are those of the machine, the same
+    in every run.
+
+    Attributes
+    ----------
+    kind
+        ``stretch``, ``imbalance``, ``axis_tilt`` or ``encoder``.
+    harmonic, quadrature
+        n, and ``cos`` or ``sin``; 0 and empty for the stretch and the tilts.
+    about
+        For a tilt ``east`` or ``north``.
+    """
+
+    kind: str
+    harmonic: int = 0
+    quadrature: str = ""
+    about: str = ""
+
+
+@frozen
+class Displacement:
+    """Another place or direction of the instrument at a reading.
+
+    Attributes
+    ----------
+    of
+        ``radius``, ``droop``, ``misalignment`` or ``zero`` (of the dividing head).
+    about
+        For a misalignment the axis of the motion's frame about which it turns.
+    """
+
+    of: str
+    about: str = ""
+
+
+@frozen
+class Input:
+    """A quantity that the description states, and that enters the reference or its units.
+
+    Attributes
+    ----------
+    of
+        ``radius``, ``gravity``, ``latitude`` or ``timing_offset``.
+    """
+
+    of: str
+
+
+#: What a term can do.
+Effect = Product | Slope | Turn | PathError | Displacement | Input

@@ -1,0 +1,368 @@
+"""**The** table of terms: everything that counterspin knows may be wrong, in one place.
+
+Simulation, design matrices, planning, budgets, reports and documentation all read it; there is no
+other list of coefficients. A row says whose the term is, how large it may be and what it does.
+
+Accelerometer coefficients are in g-units (g, g/g, g/g^2, ...), g being the site's own gravity.
+Eq. 7 does not divide by the scale factor K_I; IEEE Std 1293 factors it out, so that the paper's
+K_II is K1 x K2 there, and likewise for the other terms. All else is in SI units.
+
+- `Term`: a row; `TABLE`: all rows by symbol; `term`: the row of any name, `is_term`
+- `TERMS`, `CONDITION_TERMS`: of each accelerometer, together `OWN_TERMS`
+- `PLATFORM_TERMS`, `MOTION_TERMS`: shown by records of all, together `SHARED_TERMS`
+- `READING_TERMS`: of the machine or under conditions, shown by readings; `shown_by_readings`,
+  `mounting_of`: of a symbol
+- `INPUTS`: what the description states
+- `symbol_of`: the symbol in an unknown's name
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any, Final, Generic, TypeVar
+
+from counterspin.frozen import frozen
+from counterspin.physics.effects import (
+    Displacement,
+    Effect,
+    Input,
+    PathError,
+    Product,
+    Slope,
+    Turn,
+)
+
+DEGREE_PER_HOUR: Final = math.radians(1.0) / 3600.0  #: rad/s
+ARCSEC: Final = math.pi / 648000.0  #: rad
+
+Does = TypeVar("Does", bound=Effect)
+Does_co = TypeVar("Does_co", bound=Effect, covariant=True)
+
+
+@frozen
+class Term(Generic[Does_co]):
+    """One row of the table: something that may differ from what is assumed.
+
+    Attributes
+    ----------
+    symbol
+        The paper's symbol for a coefficient, else a name of words with dots; used everywhere. Of
+        a mounting's own it has ``MOUNTING`` for the name.
+    effect
+        What it does to an output.
+    words
+        What it is called.
+    unit
+        g-units for coefficients of an accelerometer, else SI.
+    limit
+        The largest credible size. A standard uncertainty that is not below it says that the data
+        do not determine the term.
+    typical
+        Standard uncertainty to assume where nothing is known of it; docs/physics.md has the
+        sources.
+    scope
+        Who has a value of its own: each ``accelerometer``, each ``run``, each ``mounting``; or it
+        is one for all, of the ``platform``, the ``machine`` or the ``input``.
+    nominal
+        The value of a perfect system.
+    motions
+        The motions in which a reading shows it, where it is of the machine or a slope.
+    """
+
+    symbol: str
+    effect: Does_co
+    words: str
+    unit: str
+    limit: float
+    typical: float
+    scope: str
+    nominal: float = 0.0
+    motions: tuple[str, ...] = ()
+
+    @property
+    def per_run(self) -> bool:
+        """Whether every run has a value of its own (the tilt, set anew at each alignment)."""
+        return self.scope == "run"
+
+    @property
+    def per_mounting(self) -> bool:
+        """Whether every mounting has a value of its own."""
+        return self.scope == "mounting"
+
+    @property
+    def per_accelerometer(self) -> bool:
+        """Whether every accelerometer has a value of its own."""
+        return self.scope == "accelerometer"
+
+    @property
+    def family(self) -> str:
+        """The symbol without the quadrature of a harmonic."""
+        wave = self.effect.quadrature if isinstance(self.effect, PathError) else ""
+        return self.symbol.removesuffix(f".{wave}") if wave else self.symbol
+
+    @property
+    def words_of_family(self) -> str:
+        """What both quadratures of a harmonic are called together."""
+        return self.words.partition(" (")[0]
+
+
+_NAMES: Final = ("east", "north", "up")
+_TURNING: Final = ("arm", "counter-rotating")
+_EVERYWHERE: Final = (*_TURNING, "static")
+
+
+def _products() -> Iterator[Term[Product]]:
+    for symbol, factors, ieee, words, limit, typical in (
+        ("K_F", "", "K0", "bias", 0.1, 1e-4),
+        ("K_I", "I", "K1", "scale factor", 0.1, 1e-4),
+        ("K_II", "I I", "K2", "second-order coefficient", 1e-4, 1e-5),
+        ("K_III", "I I I", "K3", "third-order coefficient", 1e-4, 1e-6),
+        ("K_4", "I I I I", "K4", "fourth-order coefficient", 1e-5, 1e-9),
+        ("K_IP", "I P", "Kip", "cross-coupling of input and pendulous axes", 1e-4, 2e-6),
+        ("K_IO", "I O", "Kio", "cross-coupling of input and output axes", 1e-4, 2e-6),
+        ("K_PO", "P O", "Kpo", "cross-coupling of pendulous and output axes", 1e-4, 2e-6),
+        ("K_PP", "P P", "Kpp", "second-order pendulous-axis coefficient", 1e-4, 2e-6),
+        ("K_OO", "O O", "Koo", "second-order output-axis coefficient", 1e-4, 2e-6),
+        ("K_OQ", "I |I|", "Koq", "odd second-order coefficient", 1e-4, 1e-6),
+        ("delta_O", "P", "delta_o", "misalignment about the output axis", 1e-2, 5e-5),
+        ("delta_P", "O", "delta_p", "misalignment about the pendulous axis", 1e-2, 5e-5),
+    ):
+        product = Product(tuple(factors.split()), ieee, -1.0 if symbol == "delta_P" else 1.0)
+        degree = len(product.factors)
+        unit = "g" if degree == 0 else "g/g" if degree == 1 else f"g/g^{degree}"
+        yield Term(
+            symbol,
+            product,
+            words,
+            "rad" if symbol.startswith("delta") else unit,
+            limit,
+            typical,
+            "accelerometer",
+            1.0 if symbol == "K_I" else 0.0,
+        )
+
+
+def _slopes() -> Iterator[Term[Slope]]:
+    heating = "rise of K_F with the square of the centripetal force"
+    for symbol, condition, unit, words, limit, typical in (
+        ("K_F.temperature", "temperature", "g/K", "change of K_F with temperature", 1e-2, 5e-6),
+        ("K_I.temperature", "temperature", "g/g/K", "change of K_I with temperature", 1e-2, 1e-4),
+        (
+            "K_II.temperature",
+            "temperature",
+            "g/g^2/K",
+            "change of K_II with temperature",
+            1e-5,
+            1e-8,
+        ),
+        ("K_F.trend", "time", "g/s", "change of K_F with time", 1e-3, 1.7e-9),
+        ("K_F.heating", "force", "g/g^2", heating, 1e-4, 1e-7),
+    ):
+        motions = _TURNING if condition == "force" else _EVERYWHERE
+        slope = Slope(symbol.partition(".")[0], condition)
+        yield Term(symbol, slope, words, unit, limit, typical, "accelerometer", motions=motions)
+
+
+def _turns() -> Iterator[Term[Turn]]:
+    for axis, name in enumerate(_NAMES):
+        # Levelling is against gravity; the azimuth is found less well.
+        typical = (10.0 if name == "up" else 0.5) * ARCSEC
+        turn, words = Turn("tilt", axis), f"tilt about {name}"
+        yield Term(f"platform.tilt.{name}", turn, words, "rad", 1e-2, typical, "run")
+    # kind, unit, credible and typical size, words
+    rate = 10.0 * DEGREE_PER_HOUR, 0.01 * DEGREE_PER_HOUR
+    of_square = "sensitivity of the gyro about {} to the square of the force"
+    of_force = "g-sensitivity of the {} gyro to force along {}"
+    lean = "turn of the platform about {} by force along {}"
+    by_axis = ("drift", "rad/s", *rate, "gyro drift about {}")
+    by_square = (
+        "g2_sensitivity",
+        "rad/s/g^2",
+        DEGREE_PER_HOUR,
+        1e-4 * DEGREE_PER_HOUR,
+        of_square,
+    )
+    by_force = ("g_sensitivity", "rad/s/g", *rate, of_force)
+    by_lean = ("compliance", "rad/g", 1e-4, 0.1 * ARCSEC, lean)
+    for (kind, unit, limit, typical, words), crossed in (
+        (by_axis, False),
+        (by_force, True),
+        (by_square, False),
+        (by_lean, True),
+    ):
+        for i, name in enumerate(_NAMES):
+            for j in range(3) if crossed else (None,):
+                suffix = name if j is None else "xyz"[i] + "xyz"[j]
+                called = words.format(*([name] if j is None else suffix))
+                yield Term(
+                    f"platform.{kind}.{suffix}",
+                    Turn(kind, i, j),
+                    called,
+                    unit,
+                    limit,
+                    typical,
+                    "platform",
+                )
+
+
+def _path_errors() -> Iterator[Term[PathError]]:
+    yield Term(
+        "centrifuge.stretch",
+        PathError("stretch"),
+        "stretch of the arm",
+        "s^2/m",
+        1e-5,
+        4.6e-9,
+        "machine",
+        motions=_TURNING,
+    )
+    yield from _harmonics(
+        "centrifuge.imbalance", (1, 2), "m", 1e-6, "imbalance, radius varying {} a revolution"
+    )
+    for axis in ("east", "north"):
+        yield Term(
+            f"centrifuge.axis_tilt.{axis}",
+            PathError("axis_tilt", about=axis),
+            f"tilt of the spindle's axis about {axis}",
+            "rad",
+            1e-2,
+            10.0 * ARCSEC,
+            "machine",
+            motions=_TURNING,
+        )
+    eccentric = "error of an eccentric encoder, {} a revolution"
+    yield from _harmonics("encoder.harmonic", (1, 2, 3, 4), "rad", ARCSEC, eccentric)
+
+
+def _harmonics(
+    name: str, orders: tuple[int, ...], unit: str, typical: float, words: str
+) -> Iterator[Term[PathError]]:
+    kind = "encoder" if name.startswith("encoder") else "imbalance"
+    times = ("once", "twice", "three times", "four times")
+    for n in orders:
+        for quadrature, wave in (("cos", "cosine"), ("sin", "sine")):
+            yield Term(
+                f"{name}.{n}.{quadrature}",
+                PathError(kind, n, quadrature),
+                f"{words.format(times[n - 1])} ({wave})",
+                unit,
+                1e-3,
+                typical,
+                "machine",
+            )
+
+
+def _displacements() -> Iterator[Term[Displacement]]:
+    for symbol, words, unit, limit, typical, motions in (
+        ("centrifuge.radius.MOUNTING", "radius of a mounting", "m", 0.1, 1e-3, _TURNING),
+        ("centrifuge.droop", "droop of the arm", "rad s^2", 1e-3, 1e-8, ("arm",)),
+        *(
+            (
+                f"fixture.misalignment.MOUNTING.{axis}",
+                f"misalignment of a mounting about {axis}",
+                "rad",
+                1e-2,
+                5e-5,
+                _EVERYWHERE,
+            )
+            for axis in ("east", "north", "outward", "forward", "up")
+        ),
+        ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, ("static",)),
+    ):
+        scope = "mounting" if "MOUNTING" in symbol else "machine"
+        of = symbol.split(".")[1]
+        effect = Displacement(of, symbol.rpartition(".")[2] if of == "misalignment" else "")
+        yield Term(symbol, effect, words, unit, limit, typical, scope, motions=motions)
+
+
+def _inputs() -> Iterator[Term[Input]]:
+    for symbol, words, unit, limit, typical in (
+        # Measured with a length standard: 1e-7 to 4e-6 of the radius.
+        ("centrifuge.radius", "radius of the centrifuge", "m", 0.1, 1e-5),
+        # A gravity map, corrected for the height; an absolute gravimeter does better by 1000.
+        # On Earth it is between 9.76 and 9.84 m/s^2.
+        ("site.gravity", "gravity of the site", "m/s^2", 0.08, 1e-4),
+        # 30 m on the ground.
+        ("site.latitude", "latitude of the site", "rad", math.pi, 5e-6),
+        # One row of a record at 100 kHz.
+        ("records.timing_offset", "delay of the recorded angle", "s", 10.0, 1e-5),
+    ):
+        yield Term(symbol, Input(symbol.partition(".")[2]), words, unit, limit, typical, "input")
+
+
+def _by_symbol(rows: Iterator[Term[Does]]) -> Mapping[str, Term[Does]]:
+    return {row.symbol: row for row in rows}
+
+
+TERMS: Final = _by_symbol(_products())
+CONDITION_TERMS: Final = _by_symbol(_slopes())
+PLATFORM_TERMS: Final = _by_symbol(_turns())
+MOTION_TERMS: Final = _by_symbol(_path_errors())
+INPUTS: Final = _by_symbol(_inputs())
+
+OWN_TERMS: Final[Mapping[str, Term[Product | Slope]]] = {**TERMS, **CONDITION_TERMS}
+SHARED_TERMS: Final[Mapping[str, Term[Turn | PathError]]] = {**PLATFORM_TERMS, **MOTION_TERMS}
+
+#: Every row, by symbol.
+TABLE: Final[Mapping[str, Term[Effect]]] = {
+    **OWN_TERMS,
+    **SHARED_TERMS,
+    **_by_symbol(_displacements()),
+    **INPUTS,
+}
+
+#: What the machine does to a reading; a slope of a coefficient is shown by readings as well.
+READING_TERMS: Final = {symbol: row for symbol, row in TABLE.items() if row.motions}
+
+#: What files call the terms that everybody knows by a name.
+COMMON_NAMES: Final = {"bias": "K_F", "scale_factor": "K_I"}
+
+_MOUNTED: Final = [row for row in TABLE.values() if row.per_mounting]
+
+
+def _find(symbol: str) -> tuple[Term[Effect] | None, str]:
+    """Return the row that a symbol belongs to, if there is one, and the mounting that it names."""
+    if symbol in TABLE:
+        return TABLE[symbol], ""
+    for row in _MOUNTED:
+        before, _, after = row.symbol.partition("MOUNTING")
+        name = symbol.removeprefix(before).removesuffix(after)
+        if name and "." not in name and symbol == f"{before}{name}{after}":
+            return row, name
+    return None, ""
+
+
+def is_term(symbol: str) -> bool:
+    """Return whether the table has a row for a symbol."""
+    return _find(symbol)[0] is not None
+
+
+def mounting_of(symbol: str) -> str:
+    """Return the mounting that a symbol names; empty if it names none."""
+    return _find(symbol)[1]
+
+
+def shown_by_readings(symbol: str) -> bool:
+    """Return whether a symbol is of the machine or a slope, and so may show in readings."""
+    row, _ = _find(symbol)
+    return row is not None and bool(row.motions)
+
+
+def term(symbol: str) -> Term[Any]:
+    """Return the row of the table with this symbol; of a mounting's own, that of all mountings.
+
+    Raises
+    ------
+    ValueError
+        If there is no such term; the message lists those there are.
+    """
+    row, _ = _find(symbol)
+    if row is None:
+        raise ValueError(f"no term is called {symbol!r}; known: {', '.join(TABLE)}")
+    return row
+
+
+def symbol_of(name: str) -> str:
+    """Return the term in the name of an unknown: ``K_II`` of ``Qx.K_II``."""
+    return name if is_term(name) else name.partition(".")[2] or name
