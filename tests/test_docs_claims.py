@@ -72,6 +72,7 @@ NUMBERS = [
             ("study", "in memory: at most {} rows of all runs"),
         )
     ),
+    ("bulwark", "each of at most {} samples.", [resolved.MOST_SIMULATED_ROWS]),
     (
         "bulwark",
         "has at most {} records, one for each run and accelerometer, and a campaign {} readings.",

@@ -9,7 +9,12 @@ import pytest
 from campaigns import SMALL, changed, write
 
 from counterspin.campaign.description import read_campaign
-from counterspin.campaign.resolved import MOST_ROWS, paper_rows
+from counterspin.campaign.resolved import (
+    MOST_ROWS,
+    MOST_SIMULATED_ROWS,
+    paper_rows,
+    require_room,
+)
 from counterspin.campaign.simulation import simulate
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.planning.forecast import forecast
@@ -93,6 +98,17 @@ def test_runs_that_fit_alone_and_not_together(tmp_path):
     assert max(alone) < MOST_ROWS < sum(alone)
     with pytest.raises(CampaignError, match="of the"):
         forecast(campaign)
+
+
+def test_a_simulation_has_more_room_than_a_study(tmp_path):
+    """It writes one run after the other, and holds the samples of one alone."""
+    campaign = read_campaign(asked(tmp_path, "revolutions = 20", "revolutions = 20"))
+    longest = max(run.duration for run in campaign.runs)
+    fits, too_many = 0.99 * MOST_SIMULATED_ROWS / longest, 1.01 * MOST_SIMULATED_ROWS / longest
+    require_room(campaign, fits, "simulation")
+    for rate, purpose in ((too_many, "simulation"), (fits, "study")):
+        with pytest.raises(CampaignError, match=f"a {purpose} has room for"):
+            require_room(campaign, rate, purpose)
 
 
 def test_trials_that_nobody_can_keep(tmp_path):

@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 #: files has no such bound.
 MOST_ROWS: Final = 1_500_000
 
+#: Most rows of a simulated run; runs are made one after the other, and written.
+MOST_SIMULATED_ROWS: Final = 5_000_000
+
 #: Most readings of a campaign, and most records, one for each run and accelerometer, of which a
 #: forecast or a study is made.
 MOST_READINGS: Final = 10_000
@@ -554,13 +557,14 @@ def require_room(
     if purpose != "simulation" and records > MOST_RECORDS:
         words = f"runs: they have {records} records, and a {purpose} has room for {MOST_RECORDS}"
         raise CampaignError(str(campaign.path), [words])
+    most = MOST_SIMULATED_ROWS if purpose == "simulation" else MOST_ROWS
     advice = (
-        f"rows to compute, and a {purpose} has room for {MOST_ROWS:.0e}; choose fewer "
+        f"rows to compute, and a {purpose} has room for {most:.2g}; choose fewer "
         "revolutions, a shorter duration or a lower sampling rate"
     )
     if purpose == "simulation":
-        problems = [f"{w} makes {rows:.3g} {advice}" for rows, w in sizes if rows > MOST_ROWS]
-    elif total > MOST_ROWS:
+        problems = [f"{w} makes {rows:.3g} {advice}" for rows, w in sizes if rows > most]
+    elif total > most:
         rows, words = max(sizes)
         problems = [f"{words} makes {rows:.3g} of the {total:.3g} {advice}"]
     else:
