@@ -7,17 +7,14 @@ import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
 from contextlib import suppress
 
 import pytest
-from served import token_of
+from served import serving, token_of
 
 from counterspin.application import connections
 from counterspin.application.connections import Connection
-from counterspin.application.guard import Door
-from counterspin.application.server import listening, server_of
 
 HALF = b"GET /api/folder HTTP/1.1\r\nHost: 127.0"
 
@@ -69,14 +66,8 @@ def test_who_has_no_key_cannot_stop_it(tmp_path):
 @pytest.fixture
 def served(desk):
     """Return the door of a server that runs."""
-    with listening(0) as listener:
-        door = Door(listener.getsockname()[1])
-        server = server_of(desk, door)
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
-        thread.start()
+    with serving(desk) as door:
         yield door
-        server.should_exit = True
-        thread.join()
 
 
 def _ended(other):

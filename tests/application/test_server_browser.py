@@ -3,16 +3,14 @@
 import io
 import re
 import shutil
-import threading
 import time
 
 import pypdf
 import pytest
 from chromium import chromium, needs_chromium
-from served import InlineJobs, token_of
+from served import InlineJobs, serving, token_of
 
-from counterspin.application.guard import Door
-from counterspin.application.server import _leading, listening, server_of
+from counterspin.application.server import _leading
 from counterspin.planning.plan import write_example
 
 pytestmark = needs_chromium
@@ -29,14 +27,8 @@ def browser():
 @pytest.fixture
 def door_of_server(desk):
     """Return the door of a server that runs."""
-    with listening(0) as listener:
-        door = Door(listener.getsockname()[1])
-        server = server_of(desk, door)
-        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
-        thread.start()
+    with serving(desk) as door:
         yield door
-        server.should_exit = True
-        thread.join()
 
 
 class Window:

@@ -1,13 +1,17 @@
 """A folder as `counterspin serve` finds it: a campaign, its records and its results."""
 
+import threading
 import time
+from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import patch
 
 from campaigns import SMALL, write
 
+from counterspin.application.guard import Door
 from counterspin.application.jobs import Jobs
+from counterspin.application.server import listening, server_of
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.simulation import simulate
 
@@ -35,6 +39,19 @@ def write_folder(folder: Path, plan: Path) -> Path:
     simulate(write(plan, SHORT, "plan.toml"), folder / "three")
     calibrate(folder / "three").write(folder / "three" / "result.json")
     return folder
+
+
+@contextmanager
+def serving(desk):
+    """Run a server of a folder in a thread, and give its door."""
+    with listening(0) as listener:
+        door = Door(listener.getsockname()[1])
+        server = server_of(desk, door)
+        thread = threading.Thread(target=server.run, kwargs={"sockets": [listener]})
+        thread.start()
+        yield door
+        server.should_exit = True
+        thread.join()
 
 
 def token_of(door):
