@@ -47,6 +47,9 @@ displacement = {{ column = "north_m", unit = "m" }}
 [noise]
 displacement = "0.01 m"
 
+[model]
+assume = "all"
+
 {runs("slow", "middle", "fast")}
 [simulation]
 sampling_rate = "20 Hz"

@@ -26,6 +26,7 @@ scale_factor = "0.999 ± 5e-6 g/g"
 displacement = {{ column = "north_m", unit = "m" }}
 {NOISE}
 [model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II", "platform.tilt"]
 
 [model.priors]

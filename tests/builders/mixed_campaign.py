@@ -29,6 +29,7 @@ displacement = { column = "east_m", unit = "m" }
 displacement = "1e-3 m"
 """
 MODEL = """[model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II", "K_III", "delta_O", "platform.tilt"]
 [model.priors]
 "platform.tilt" = "0 ± 0.5 arcsec"

@@ -30,7 +30,7 @@ def calibrated(folder, tilt, prior, key="considered"):
         ("TILT", tilt),
         (
             "[noise]\n",
-            f'[model]\n{model} = {listed}\npriors = {{ "platform.tilt.north" = "{prior}" }}\n\n'
+            f'[model]\nassume = "all"\n{model} = {listed}\npriors = {{ "platform.tilt.north" = "{prior}" }}\n\n'
             "[noise]\n",
         ),
     )

@@ -69,7 +69,7 @@ def test_what_the_rest_lacks_then_is_due_to_what_was_left_out(plain, tmp_path, c
     text = (plain / "campaign.toml").read_text(encoding="utf-8")
     for name, warmth in (("slow", "20 degC"), ("fast", "23 degC")):
         text = text.replace(f'name = "{name}"', f'name = "{name}"\ntemperature = "{warmth}"')
-    text += '[model]\nterms = ["K_F", "K_I", "K_II", "K_F.temperature"]\n'
+    text += '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II", "K_F.temperature"]\n'
     (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
     assert main(["calibrate", str(tmp_path), "--without", "slow"]) == 2
     shown = " ".join(capsys.readouterr().err.split())

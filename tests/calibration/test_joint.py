@@ -34,6 +34,7 @@ displacement = {{ column = "north_m", unit = "m" }}
 [noise]
 displacement = "0.01 m"
 [model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II", "K_III"]
 {runs("run1", "run2", "run3", rates=("90 deg/s", "180 deg/s", "360 deg/s"))}
 [simulation]

@@ -118,6 +118,7 @@ def three_axes(observable, unit, noise):
 [noise]
 {observable} = "{noise}"
 [model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II"]
 [model.priors]
 "Qz.K_I" = "1.0007 ± 1e-7 g/g"

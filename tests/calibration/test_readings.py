@@ -57,7 +57,7 @@ def calibrated(folder, *parts):
 
 
 def model(*terms, more=""):
-    return f"[model]\nterms = {list(terms)}\n{more}".replace("'", '"')
+    return f"[model]\nassume = 'all'\nterms = {list(terms)}\n{more}".replace("'", '"')
 
 
 LEVEL_TERMS = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}

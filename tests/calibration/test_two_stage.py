@@ -33,7 +33,7 @@ MODEL = '[[runs]]\nname = "slow"'
 
 def modelled(model):
     """Return the replacement that puts a [model] before the runs."""
-    return (MODEL, f"[model]\n{model}\n\n{MODEL}")
+    return (MODEL, f'[model]\nassume = "all"\n{model}\n\n{MODEL}')
 
 
 def made(folder, *pairs, text=SMALL):

@@ -24,7 +24,7 @@ def with_conditions(text, keys=("temperature", "time"), runs=STATED):
 
 def model(terms="", considered="", priors=""):
     return (
-        f'[model]\nterms = ["K_F", "K_I", "K_II"{terms}]\nconsidered = [{considered}]\n'
+        f'[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"{terms}]\nconsidered = [{considered}]\n'
         f"[model.priors]\n{priors}\n"
     )
 

@@ -46,6 +46,7 @@ acceleration = "1e-6 g/Hz^0.5"
 timing = "estimate"
 
 [model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II", "K_III"]
 considered = []
 

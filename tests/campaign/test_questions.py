@@ -115,7 +115,7 @@ def test_own_velocity_does_nothing_to_a_recorded_force(tmp_path):
 
 def test_values_without_an_uncertainty(tmp_path):
     text = changed(SMALL, ('"1.002 g/g"\ndisp', '"1.002 g/g"\nbias = "0.005 g"\ndisp'))
-    priors = '[model]\nconsidered = ["platform.tilt.north"]\n[model.priors]\n'
+    priors = '[model]\nassume = "all"\nconsidered = ["platform.tilt.north"]\n[model.priors]\n'
     text = changed(text, ("[noise]\n", f'{priors}"platform.tilt.north" = "0 arcsec"\n[noise]\n'))
     assert asked(tmp_path, text) == [
         ("exact-prior", "Qx.K_F"),

@@ -30,6 +30,7 @@ radius = "1.0 m"
 time = { column = "t", unit = "s" }
 
 [model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II"]
 
 [readings]

@@ -90,15 +90,15 @@ SLIPS = {
         "none.csv: there is no such file",
     ),
     "a term that no reading shows": (
-        HEAD + '[model]\nterms = ["K_F", "centrifuge.droop"]\n' + RUN,
+        HEAD + '[model]\nassume = "all"\nterms = ["K_F", "centrifuge.droop"]\n' + RUN,
         'no reading shows "centrifuge.droop"',
     ),
     "a mounting that is not there": (
-        HEAD + ARM + '[model]\nterms = ["K_F", "centrifuge.radius.inn"]\n' + ON_ARM,
+        HEAD + ARM + '[model]\nassume = "all"\nterms = ["K_F", "centrifuge.radius.inn"]\n' + ON_ARM,
         'did you mean "centrifuge.radius.in"?',
     ),
     "considered without a prior": (
-        HEAD + '[model]\nterms = ["K_F"]\nconsidered = ["head.zero"]\n' + RUN,
+        HEAD + '[model]\nassume = "all"\nterms = ["K_F"]\nconsidered = ["head.zero"]\n' + RUN,
         '"head.zero" is considered, but there is no prior for it',
     ),
     "no temperature": (
@@ -154,7 +154,7 @@ def test_errors_of_the_path_count_beside_readings_at_rest(tmp_path):
     displacement = 'displacement = { column = "m", unit = "m" }\n'
     more = 'stretch = "0 ± 5e-9 s^2/m"\naxis_tilt = "0 ± 5 arcsec"\n'
     turntable = TURNTABLE.split('[[runs]]\nname = "in"', maxsplit=1)[0]
-    model = '[model]\nterms = ["K_F", "K_I", "K_II", "centrifuge.stretch"]\n'
+    model = '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II", "centrifuge.stretch"]\n'
     machine = read(tmp_path, HEAD + displacement + ARM + more + model + turntable + RUN).machine
     assert machine.terms == ("centrifuge.stretch",)
     assert machine.prior("centrifuge.stretch") == (0.0, 5e-9)

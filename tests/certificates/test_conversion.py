@@ -67,7 +67,7 @@ READINGS = ACCELEROMETER + "".join(
         on_arm("in", "9.9 rad/s", "12.5064 ± 2e-6 mA", pendulous="up"),
         on_arm("out", "9.9 rad/s", "-12.4977 ± 2e-6 mA", side="outward", pendulous="up"),
         on_arm("fast", "14 rad/s", "25.0109 ± 2e-6 mA", pendulous="up"),
-        '[model]\nterms = ["K_F", "K_I", "K_II"]\n',
+        '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"]\n',
     )
 )
 

@@ -17,6 +17,7 @@ latitude = "0 deg"
 input_axis = "up"
 pendulous_axis = "east"
 [model]
+assume = "all"
 terms = ["K_F", "K_I"]
 [[runs]]
 name = "up"

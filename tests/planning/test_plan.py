@@ -92,6 +92,7 @@ displacement = "0.01 m"
 specific_force = "1e-5 g"
 acceleration = "3e-6 g/Hz^0.5"
 [model]
+assume = "all"
 terms = ["K_F","K_I","K_II","K_III","platform.tilt","platform.drift"]
 considered = ["platform.g_sensitivity"]
 [model.priors]

@@ -70,7 +70,7 @@ def test_readings_have_the_second_uncertainty_too(plain, tmp_path):
         for symbol, omitted in left_out.items()
     ]
     model = (
-        f'[model]\nterms = ["K_F", "K_I", "K_II"]\nconsidered = {list(left_out)!r}\n[model.priors]'
+        f'[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"]\nconsidered = {list(left_out)!r}\n[model.priors]'
     ).replace("'", '"')
     text = READ.replace("MODEL", "\n".join([model, *priors]))
     full = calibrate(write(tmp_path, text))

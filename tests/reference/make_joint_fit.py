@@ -60,6 +60,7 @@ displacement = "1e-3 m"
 acceleration = "1e-6 g/Hz^0.5"
 
 [model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II", "K_III"]
 considered = ["K_PP"]
 

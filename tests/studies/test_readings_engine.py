@@ -50,6 +50,7 @@ def arm(u=" ± 2e-6 mA", rates=(3.1, 7.0, 10.0, 14.0)):
 
 NOISE = '[truth.noise]\nreading = "2e-6 mA"\n'
 AT_REST = """[model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II", "delta_O"]
 considered = ["head.zero", "K_PP"]
 [model.priors]
@@ -60,6 +61,7 @@ considered = ["head.zero", "K_PP"]
 "K_PP" = { normal = "0 ± 2 ug/g^2" }
 """
 ON_ARM = """[model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II"]
 considered = ["centrifuge.stretch", "fixture.misalignment.inward.forward"]
 [model.priors]
@@ -71,6 +73,7 @@ considered = ["centrifuge.stretch", "fixture.misalignment.inward.forward"]
 """
 ESTIMATED = ON_ARM.replace('K_II"]\nconsidered = [', 'K_II", ')
 BOTH = """[model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II", "delta_O", "centrifuge.radius"]
 [model.priors]
 "centrifuge.radius" = "0 ± 1e-4 m"
@@ -162,7 +165,7 @@ def test_records_of_readings_have_the_uncertainty_of_their_mean(tmp_path):
         'record = "rest.csv"\nduration = "100 s"\n'
         '[records]\ntime = { column = "t", unit = "s" }\n'
         '[simulation]\nsampling_rate = "20 Hz"\n'
-        '[model]\nterms = ["K_F"]\n[truth.noise]\nspecific_force = "1 mg"\n'
+        '[model]\nassume = "all"\nterms = ["K_F"]\n[truth.noise]\nspecific_force = "1 mg"\n'
     )
     text = HEAD.replace('K_II = "15 ug/g^2"\n', "").replace('K_I = "1.0005 g/g"\n', "")
     (tmp_path / "campaign.toml").write_text(text + record, encoding="utf-8")
@@ -173,7 +176,7 @@ def test_records_of_readings_have_the_uncertainty_of_their_mean(tmp_path):
 
 
 def test_the_radius_of_the_machine_may_vary(tmp_path):
-    vary = '[model]\nterms = ["K_I"]\n[study.vary]\n"centrifuge.radius" = { fixed = "1.001 m" }\n'
+    vary = '[model]\nassume = "all"\nterms = ["K_I"]\n[study.vary]\n"centrifuge.radius" = { fixed = "1.001 m" }\n'
     text = HEAD.replace('K_F = "2e-3 g"\n', "").replace('K_II = "15 ug/g^2"\n', "")
     (tmp_path / "campaign.toml").write_text(text + vary + arm(), encoding="utf-8")
     coefficient = study(tmp_path, trials=4).analyses["joint"].coefficients["A.K_I"]
@@ -182,7 +185,7 @@ def test_the_radius_of_the_machine_may_vary(tmp_path):
 
 
 def test_what_readings_do_not_determine_is_named(tmp_path):
-    text = '[model]\nterms = ["K_F", "K_I", "K_II", "delta_O"]\n'
+    text = '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II", "delta_O"]\n'
     (tmp_path / "campaign.toml").write_text(HEAD + text + tumble(), encoding="utf-8")
     analysis = study(tmp_path, trials=2).analyses["joint"]
     assert analysis.undetermined == ["A.K_II"]
@@ -216,7 +219,7 @@ SLIPS = {
 def test_each_slip_is_told(tmp_path, slip):
     more, message = SLIPS[slip]
     runs = arm("") if slip == "no noise" else arm()
-    model = '[model]\nterms = ["K_F", "K_I"]\n'
+    model = '[model]\nassume = "all"\nterms = ["K_F", "K_I"]\n'
     with pytest.raises(CampaignError) as caught:
         read_study(described(tmp_path, model, more, runs))
     assert any(message in line for line in caught.value.problems), caught.value.problems

@@ -14,6 +14,7 @@ from counterspin._version import __version__
 from counterspin.calibration.conformity import with_conformity
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.joint import joint
+from counterspin.calibration.model import assumed
 from counterspin.calibration.notebook.residuals import residuals_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import Method, TwoStageOptions, command_words
@@ -104,6 +105,7 @@ def calibration(
             radius=campaign.radius.value,
             u_radius=campaign.radius.u,
         ),
+        assumed=list(assumed(campaign)),
         details=dict(campaign.details),
         warnings=_remarks(campaign),
         provenance=Provenance(
@@ -130,6 +132,7 @@ def _jointly(campaign: Campaign, observed: Sequence[ObservedRun]) -> dict[str, A
         "platform": outcome.platform,
         "confounded": outcome.confounded,
         "correlation": outcome.correlation,
+        "rests_on": list(outcome.rests_on),
         "residuals": residuals_of(
             outcome.estimate.fit,
             {name: OBSERVABLES[a.observable] for name, a in campaign.accelerometers.items()},

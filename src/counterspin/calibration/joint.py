@@ -26,18 +26,18 @@ from counterspin.calibration.joint_parts import (
     confounded,
     confounded_platform,
     correlation,
+    knowledge,
     noise_lines,
     residual,
     whole_correlation,
 )
-from counterspin.calibration.joint_problem import model_of, noise_of, series_of
+from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.joint_traces import traces
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.kinds import Kinds, compare_kinds
-from counterspin.calibration.left_out import joint_omissions, with_typical
+from counterspin.calibration.model import SQUARES, model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.readings import (
-    SQUARES,
     AccelerometerReadings,
     in_output_units,
     only_at_rest,
@@ -52,7 +52,7 @@ from counterspin.calibration.result_parts import (
     ConfoundedTerms,
     Correlation,
     Finding,
-    OmittedTerm,
+    Knowledge,
 )
 from counterspin.campaign.resolved import Campaign
 from counterspin.frozen import frozen
@@ -73,6 +73,7 @@ class JointOutcome:
     outliers: Mapping[str, int]
     confounded: tuple[ConfoundedTerms, ...]
     correlation: Correlation | None
+    rests_on: tuple[Knowledge, ...]
     findings: tuple[Finding, ...]
     causes: tuple[Cause, ...]
     estimate: Estimate
@@ -101,8 +102,8 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
     estimated, read = estimate_campaign(campaign, observed, model)
     assessment = assess(
         estimated.fit.solution,
-        [unknown.name for unknown in model.unknowns],
-        nominal=[unknown.nominal for unknown in model.unknowns],
+        [unknown.name for unknown in model.asked],
+        nominal=[unknown.nominal for unknown in model.asked],
     )
     views = [
         AccelerometerView(
@@ -114,11 +115,10 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         )
         for name in campaign.accelerometers
     ]
-    omissions = joint_omissions(views)
     kinds = compare_kinds(views)
     shared = {
         unknown: coefficient(estimated, assessment, index)
-        for index, unknown in enumerate(model.unknowns)
+        for index, unknown in enumerate(model.asked)
         if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
     } | _rotations(estimated, assessment)
     shared |= radii(campaign, shared)
@@ -126,10 +126,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
     for record, mask in zip(estimated.series, estimated.outliers, strict=True):
         outliers[record.run] += int(record.count[mask].sum())
     longest = max((float(record.time[-1]) for record in estimated.series), default=0.0)
-    accelerometers = {
-        view.name: _accelerometer(view, observed, omissions[view.name], kinds[view.name])
-        for view in views
-    }
+    accelerometers = {view.name: _accelerometer(view, observed, kinds[view.name]) for view in views}
     runs = {
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
         for run in observed
@@ -146,6 +143,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         outliers=outliers,
         confounded=tuple(confounded_platform(assessment)),
         correlation=whole_correlation(estimated, assessment),
+        rests_on=tuple(knowledge(estimated, _stated_inputs(campaign))),
         findings=tuple(found),
         causes=causes_of(views, accelerometers),
         estimate=estimated,
@@ -176,10 +174,20 @@ def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coe
     return rotations
 
 
+def _stated_inputs(campaign: Campaign) -> dict[str, float]:
+    """Return each input as the description states it, SI."""
+    delay = campaign.timing_offset
+    return {
+        "centrifuge.radius": campaign.radius.value,
+        "site.gravity": campaign.gravity.value,
+        "site.latitude": campaign.latitude.value,
+        "records.timing_offset": 0.0 if delay is None else delay.value,
+    }
+
+
 def _accelerometer(
     view: AccelerometerView,
     observed: Sequence[ObservedRun],
-    omissions: dict[str, OmittedTerm],
     kinds: Kinds,
 ) -> AccelerometerResult:
     name, estimated = view.name, view.estimate
@@ -189,14 +197,11 @@ def _accelerometer(
     }
     return AccelerometerResult(
         # The campaign's order is the user's; the table of terms has its own.
-        coefficients=with_typical(
-            {
-                symbol: own[symbol]
-                for symbol in (*view.campaign.model.terms, *view.campaign.machine.terms)
-                if symbol in own
-            },
-            omissions,
-        ),
+        coefficients={
+            symbol: own[symbol]
+            for symbol in (*view.campaign.model.terms, *view.campaign.machine.terms)
+            if symbol in own
+        },
         correlation=correlation(view),
         confounded=confounded(view),
         residual=residual(kinds.judged),
@@ -208,7 +213,6 @@ def _accelerometer(
         },
         jackknife=jackknife(view),
         two_stage=compare(view, observed) if observed else None,
-        left_out=omissions,
         traces=traces(view, observed),
         readings=[line for part in view.readings for line in part.results()],
         kinds=kinds.results,

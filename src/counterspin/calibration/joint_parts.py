@@ -1,6 +1,7 @@
 """The parts of a joint result that are read off the solution: values, budgets, correlations.
 
 - `coefficient`, `budget_lines`, `confounded`, `residual`, `noise_lines`, `record_noise`
+- `knowledge`: what else was known
 - `correlation`: of one accelerometer and the platform; `whole_correlation`: of all together
 """
 
@@ -19,15 +20,17 @@ from counterspin.calibration.result_parts import (
     Coefficient,
     ConfoundedTerms,
     Correlation,
+    Knowledge,
     NoiseLine,
     Residual,
     countable,
 )
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment, Confounded
-from counterspin.inference.joint.budget import ENCODER, NOISE, UNSEEN, Line, budget
+from counterspin.inference.joint import encoder
+from counterspin.inference.joint.budget import NOISE, Kind, Line, budget, by_kind
 from counterspin.inference.joint.estimation import Estimate
-from counterspin.inference.joint.unknowns import ROTATION
+from counterspin.inference.joint.unknowns import ROTATION, Considered
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.variance_components import COMPONENTS, VarianceComponents
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of, term
@@ -54,23 +57,14 @@ def coefficient(estimate: Estimate, assessment: Assessment, index: int) -> Coeff
             unit=unit,
             estimated=False,
         )
-    noise, prior, considered = (
-        math.sqrt(max(0.0, float(part[index, index])))
-        for part in (
-            solution.covariance_noise,
-            solution.covariance_prior,
-            solution.covariance_considered,
-        )
-    )
-    if solution.covariance_unseen is not None:
-        noise = math.hypot(noise, math.sqrt(float(solution.covariance_unseen[index, index])))
+    noise, stated, unstated = by_kind(estimate.fit, index)
     dof = float(estimate.dof[index])
     return Coefficient(
         value=float(solution.estimate[index]) + unknown.nominal,
-        u=math.hypot(noise, prior, considered),
+        u=math.hypot(noise, stated, unstated),
         u_noise=noise,
-        u_prior=prior,
-        u_considered=considered,
+        u_stated=stated,
+        u_unstated=unstated,
         dof=countable(dof),
         unit=unit,
         estimated=True,
@@ -82,8 +76,9 @@ def budget_lines(estimate: Estimate, index: int, name: str) -> list[BudgetLine]:
     return [
         BudgetLine(
             source=_words(line, name),
+            kind=line.kind,
             u=line.u,
-            unit=_unit_of_line(estimate, line),
+            unit=_unit_of_line(line),
             sensitivity=line.sensitivity,
             contribution=line.contribution,
             share=line.share,
@@ -93,29 +88,55 @@ def budget_lines(estimate: Estimate, index: int, name: str) -> list[BudgetLine]:
 
 
 def _words(line: Line, name: str) -> str:
-    if line.kind == NOISE:
-        return f"noise of {line.source}"
-    if line.kind == UNSEEN:
+    if line.hidden:
         return f"noise of {line.source} that does not show"
-    return f"{line.source.removeprefix(name + '.')} ({line.kind})"
+    if line.kind == NOISE and line.u is None:
+        return f"noise of {line.source}"
+    return line.source.removeprefix(name + ".")
 
 
-def _unit_of_line(estimate: Estimate, line: Line) -> str:
-    if line.kind == NOISE:
-        return ""
-    if line.kind == UNSEEN:
+def _unit_of_line(line: Line) -> str:
+    if line.hidden:
         return WALK_UNIT
-    if line.kind == ENCODER:
-        return _ENCODER_UNITS.get(line.source.split(".")[-1], "rad/s")
-    return unit_of(_symbol(estimate, line.source))
+    if line.kind == NOISE:
+        part = line.source.split(".")[-1]
+        return "" if line.u is None else _ENCODER_UNITS.get(part, "rad/s")
+    return unit_of(symbol_of(line.source))
 
 
-def _symbol(estimate: Estimate, source: str) -> str:
-    model = estimate.fit.model
-    for other in (*model.unknowns, *model.considered):
-        if other.name == source:
-            return other.symbol
-    return source
+def knowledge(estimate: Estimate, stated_inputs: Mapping[str, float]) -> list[Knowledge]:
+    """Return what an estimate rests on beside its data, in the order of the fit.
+
+    Parameters
+    ----------
+    estimate
+        The estimate.
+    stated_inputs
+        The value of each input as the description states it, SI.
+    """
+    model, solution = estimate.fit.model, estimate.fit.solution
+    rows = []
+    for place, other in enumerate((*model.unknowns, *model.considered)):
+        if other.asked or other.symbol in encoder.SYMBOLS:
+            continue
+        base = stated_inputs.get(other.symbol, 0.0)
+        found = u_found = None
+        if place < len(model.unknowns):
+            found = base + other.nominal + float(solution.estimate[place])
+            u_found = float(solution.u[place])
+        kind: Kind = "unstated" if other.unstated else "stated"
+        rows.append(
+            Knowledge(
+                name=other.name,
+                kind="held" if isinstance(other, Considered) else kind,
+                unit=unit_of(other.symbol),
+                value=base + other.prior[0],
+                u=other.prior[1],
+                found=found,
+                u_found=u_found,
+            )
+        )
+    return rows
 
 
 def correlation(view: AccelerometerView) -> Correlation | None:

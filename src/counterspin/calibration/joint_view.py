@@ -58,11 +58,11 @@ class AccelerometerView:
 
     @cached_property
     def places(self) -> dict[str, int]:
-        """Its unknowns: symbol -> place among those of the fit."""
+        """What is asked of it: symbol -> place among the unknowns of the fit."""
         return {
             unknown.symbol: index
             for index, unknown in enumerate(self.fit.model.unknowns)
-            if unknown.owner == self.name
+            if unknown.owner == self.name and unknown.asked
         }
 
     @property

@@ -20,7 +20,8 @@ from counterspin.calibration.findings import (
 )
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.readings import SQUARES, AccelerometerReadings, residual_of
+from counterspin.calibration.model import SQUARES
+from counterspin.calibration.readings import AccelerometerReadings, residual_of
 from counterspin.calibration.result_parts import Coefficient, Finding, KindOfTest, Shift
 from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
@@ -151,7 +152,8 @@ def _kind(view: AccelerometerView, kind: str, count: int, compared: OfOneKind) -
 def _determined(view: AccelerometerView, solution: Solution) -> dict[str, bool]:
     """Return which of an accelerometer's own terms a solution determines."""
     unknowns = view.fit.model.unknowns
-    determined = assess(solution, [unknown.name for unknown in unknowns]).determined
+    asked = [unknown.name for unknown in view.fit.model.asked]
+    determined = assess(solution, asked).determined
     return {symbol: determined[unknowns[place].name] for symbol, place in view.places.items()}
 
 

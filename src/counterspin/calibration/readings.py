@@ -2,10 +2,8 @@
 
 - `with_readings`, `with_groups`: an estimate from records, if there are any, with the readings
   beside them
-- `machine_of`: the machine's terms as unknowns and considered terms
 - `only_at_rest`: whether gravity is the only force
 - `block_name`: what readings that have one noise are called in a budget
-- `SQUARES`: terms that 1 g cannot tell from K_II
 - `AccelerometerReadings`: what was read of one accelerometer, and how it fits
 """
 
@@ -36,14 +34,10 @@ from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.inference.distributions import chi_square_tail, student_cdf
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.fit import JointFit
-from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
+from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.readings import Position, Readings, ReadingsFit, judge, solve_readings
-from counterspin.physics.terms import TERMS, term
 from counterspin.records.mean import mean_of_record
-
-#: Terms that no position at 1 g tells from K_II and K_F: the squares' sum is that of gravity.
-SQUARES: Final = ("K_PP", "K_OO")
 
 #: Up to so many positions that are off may each be a mistake. More, and more than this share of
 #: all, point to the model.
@@ -58,39 +52,10 @@ _WORDS: Final = {
 }
 
 
-def machine_of(campaign: Campaign) -> tuple[list[Unknown], list[Considered]]:
-    """Return what a campaign with readings estimates and considers beside the usual terms."""
-    machine = campaign.machine
-    unknowns = [
-        Unknown(owner, symbol, machine.prior(symbol), term(symbol).limit)
-        for symbol in machine.terms
-        for owner in _owners(campaign, symbol)
-    ]
-    considered = [
-        Considered(owner, symbol, machine.prior(symbol), term(symbol).limit)
-        for symbol in machine.considered
-        for owner in _owners(campaign, symbol)
-    ]
-    if only_at_rest(campaign) and "K_II" in campaign.model.terms:
-        # What nobody asks for counts all the same: K_II is no more than K_II - K_PP or K_II - K_OO.
-        named = {*campaign.model.terms, *campaign.model.considered}
-        unknowns += [
-            Unknown(name, symbol, (0.0, TERMS[symbol].limit), TERMS[symbol].limit, asked=False)
-            for name, accelerometer in campaign.accelerometers.items()
-            for symbol in SQUARES
-            if symbol not in named and symbol not in accelerometer.priors
-        ]
-    return unknowns, considered
-
-
 def only_at_rest(campaign: Campaign) -> bool:
     """Return whether readings at rest are all that a campaign has."""
     motions = {reading.motion for reading in campaign.readings}
     return motions == {"static"} and not campaign.runs
-
-
-def _owners(campaign: Campaign, symbol: str) -> list[str]:
-    return list(campaign.accelerometers) if term(symbol).per_accelerometer else [""]
 
 
 @frozen

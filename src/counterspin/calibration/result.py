@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence, Sized
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import numpy as np
-from pydantic import PrivateAttr
+from pydantic import Field, PrivateAttr, model_validator
 
 from counterspin.calibration.notebook.labelled import Covariance
 from counterspin.calibration.notebook.si_estimate import StatedGravity
@@ -27,15 +27,17 @@ from counterspin.calibration.result_parts import (
     Correlation,
     Finding,
     Inputs,
+    Knowledge,
     Provenance,
     RunResult,
     State,
     Trace,
 )
+from counterspin.calibration.schema_1 import upgraded
 from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import CounterspinError
 from counterspin.physics.observation import ORDERS
-from counterspin.physics.terms import SHARED_TERMS, TERMS
+from counterspin.physics.terms import TERMS
 from counterspin.reports.shown import ShownResult, on_axes
 
 if TYPE_CHECKING:
@@ -62,7 +64,11 @@ class Result(ShownResult):
     `state` is the worst of the accelerometers' and of the campaign's own; `findings` are those of
     all of them. `accepted_misfit` is the reason for which a contradicted result is used all the
     same. `correlation` is that of everything determined, accelerometers and platform together.
+    `rests_on` is what else is known of terms and inputs, stated or not; `assumed` are those that
+    are taken as perfect.
     """
+
+    schema_version: Annotated[int, Field(alias="schema")] = 2
 
     method: str
     model: str
@@ -76,11 +82,21 @@ class Result(ShownResult):
     correlation: Correlation | None = None
     runs: dict[str, RunResult]
     inputs: Inputs
+    rests_on: list[Knowledge] = []
+    assumed: list[str] = []
     details: dict[str, str] = {}
     warnings: list[str] = []
     provenance: Provenance
 
     _residuals: tuple[RunResiduals, ...] = PrivateAttr(default=())
+
+    @model_validator(mode="before")
+    @classmethod
+    def _of_schema_1(cls, document: Any) -> Any:
+        """Read what earlier versions have written."""
+        if isinstance(document, dict) and document.get("schema") == 1:
+            return upgraded(document)
+        return document
 
     def model_post_init(self, context: Any, /) -> None:  # noqa: ARG002 -- pydantic's signature
         """Tell each coefficient the gravity in whose units it is."""
@@ -332,7 +348,7 @@ def _to_gravity(result: Result, accelerometer: AccelerometerResult, symbol: str)
         # b2 of a coefficient of degree n goes with g^(1-n).
         return (len(TERMS[symbol].effect.factors) - 1) * c.value / result.inputs.gravity
     for line in accelerometer.budget.get(symbol, ()):
-        if line.source == "site.gravity (input)" and line.sensitivity is not None:
+        if line.source == "site.gravity" and line.sensitivity is not None:
             return line.sensitivity
     return 0.0
 
@@ -367,9 +383,6 @@ def _faults_of(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
 def _model_faults(name: str, accelerometer: AccelerometerResult) -> Iterator[str]:
     if accelerometer.observable not in (None, *ORDERS):
         yield f"the observable of {name} is {accelerometer.observable!r}"
-    for symbol, omitted in accelerometer.left_out.items():
-        if omitted.typical is None and symbol not in (*TERMS, *SHARED_TERMS):
-            yield f"{symbol!r}, left out of the model of {name}, is no term, and has no size"
     residual = accelerometer.residual
     if min(residual.chi2 or 0.0, residual.dof, residual.rms) < 0.0:
         yield f"a size of the residuals of {name} is negative"

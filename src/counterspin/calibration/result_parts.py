@@ -24,6 +24,7 @@ from counterspin.calibration.notebook.labelled import Labelled
 from counterspin.calibration.notebook.latex import latex_number, latex_unit
 from counterspin.calibration.notebook.si_estimate import SiEstimate, StatedGravity, si_estimate
 from counterspin.inference.conformity import expanded_uncertainty
+from counterspin.inference.joint.budget import Kind
 from counterspin.reports.numbers import NOT_DETERMINED, field_unit, format_compact
 from counterspin.results import ResultPart
 
@@ -46,11 +47,9 @@ class Coefficient(ResultPart):
     value, u
         Estimate and combined standard uncertainty; None if the data do not determine the
         coefficient and nothing is known beforehand. If not `estimated`, the prior.
-    u_noise, u_prior, u_considered
-        Parts of `u` from the records' noise, from priors of estimated terms, and from considered
-        terms and uncertain inputs; u^2 is the sum of their squares.
-    u_typical
-        `u` with what the model leaves out, and inputs stated as exact, at typical sizes.
+    u_noise, u_stated, u_unstated
+        Parts of `u` from noise, from what the description states with an uncertainty, and from what
+        it does not state, taken at typical sizes; u^2 is the sum of their squares.
     dof
         Effective degrees of freedom of `u`; None is infinite. Intervals use Student's t.
     unit
@@ -62,9 +61,8 @@ class Coefficient(ResultPart):
     value: float | None
     u: float | None
     u_noise: float | None = None
-    u_prior: float | None = None
-    u_considered: float | None = None
-    u_typical: float | None = None
+    u_stated: float | None = None
+    u_unstated: float | None = None
     dof: float | None = None
     unit: str
     estimated: bool
@@ -203,11 +201,39 @@ class BudgetLine(ResultPart):
     """
 
     source: str
+    kind: Kind
     u: float | None
     unit: str
     sensitivity: float | None
     contribution: float
     share: float
+
+
+class Knowledge(ResultPart):
+    """What a result rests on beside its data: a term or an input that nobody asked for.
+
+    Attributes
+    ----------
+    name
+        Such as ``Qx.K_OO``, ``run1.platform.tilt.north`` or ``centrifuge.radius``.
+    kind
+        Whether it is stated, unstated or held.
+    unit
+        SI, or g-units.
+    value, u
+        Before the data: as the description states it, or nominal and typical. Of an input, what is
+        stated.
+    found, u_found
+        After them, in the same fit; None where it was held.
+    """
+
+    name: str
+    kind: Kind
+    unit: str
+    value: float
+    u: float
+    found: float | None = None
+    u_found: float | None = None
 
 
 class NoiseLine(ResultPart):
@@ -240,27 +266,6 @@ class Comparison(ResultPart):
     difference: float
     u_difference: float
     z: float
-
-
-class OmittedTerm(ResultPart):
-    """A term that the model leaves out, or an input that is stated as exact.
-
-    Attributes
-    ----------
-    sensitivity
-        What one unit of it would move K_II by, g/g^2; None where the model has no K_II.
-    unit
-        Its own.
-    typical
-        Standard uncertainty that is assumed of it.
-    moves
-        By coefficient: what one unit of it would move that by.
-    """
-
-    sensitivity: float | None
-    unit: str
-    typical: float | None = None
-    moves: dict[str, float] = {}
 
 
 class Conformity(ResultPart):
@@ -493,7 +498,6 @@ class AccelerometerResult(ResultPart):
     second_unknown: dict[str, Coefficient] = {}
     jackknife: list[Jackknife] = []
     two_stage: Comparison | None = None
-    left_out: dict[str, OmittedTerm] = {}
     conformity: dict[str, Conformity] = {}
     traces: dict[str, Trace] = {}
     readings: list[ReadingResult] = []

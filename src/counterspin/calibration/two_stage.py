@@ -13,7 +13,6 @@ from dataclasses import replace
 import numpy as np
 
 from counterspin.calibration.joint_parts import record_noise
-from counterspin.calibration.left_out import two_stage_omissions, with_typical
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result import described
@@ -94,10 +93,7 @@ def two_stage(
     ignored = unmodelled(campaign, accelerometer)
     runs, second = _both_stages(observed, accelerometer, request, ignored, components)
     unknowns = _unknowns(campaign, second, request)
-    exact = options.model == "exact"
-    omissions = two_stage_omissions(campaign, second, request) if exact else {}
-    estimates = _coefficients(campaign, accelerometer, second, unknowns)
-    coefficients = with_typical(estimates, omissions)
+    coefficients = _coefficients(campaign, accelerometer, second, unknowns)
     parabolas = [run.parabola for run in runs]
     result = AccelerometerResult(
         coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
@@ -106,7 +102,6 @@ def two_stage(
         confounded=confounded(second, unknowns),
         residual=_residual(parabolas, components),
         noise=_noise_lines(parabolas, request, components),
-        left_out=omissions,
         findings=findings(campaign, accelerometer.name, runs, second, coefficients, options.model),
         **described(accelerometer, coefficients),
     )
@@ -202,8 +197,8 @@ def _unknowns(
             value=value,
             u=u,
             u_noise=float(second.u_noise[index]),
-            u_prior=prior,
-            u_considered=math.hypot(considered, *request.from_inputs(symbol, value)),
+            u_stated=math.hypot(prior, considered, *request.from_inputs(symbol, value)),
+            u_unstated=0.0,
             dof=countable(dof),
             unit="1" if ratio else _unit(symbol),
             estimated=u < limit and not (math.isfinite(known) and u * u > 0.9 * known**2),

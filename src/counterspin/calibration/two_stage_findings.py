@@ -21,7 +21,7 @@ from counterspin.calibration.findings import (
     not_determined,
 )
 from counterspin.calibration.joint_parts import unit_of
-from counterspin.calibration.joint_problem import exact_terms, left_out_of
+from counterspin.calibration.model import assumed_of
 from counterspin.calibration.result_parts import (
     Coefficient,
     ConfoundedTerms,
@@ -49,9 +49,7 @@ def asked_only(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, .
 
 def unmodelled(campaign: Campaign, accelerometer: Accelerometer) -> tuple[str, ...]:
     """Return the terms that nothing is known of beforehand, asked for or not."""
-    exact = exact_terms(campaign, accelerometer.name)
-    everything = left_out_of(campaign, accelerometer.name)
-    others = [other.symbol for other in everything if other.symbol not in exact]
+    others = [other.symbol for other in assumed_of(campaign, accelerometer.name)]
     return tuple(dict.fromkeys([*asked_only(campaign, accelerometer), *others]))
 
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from counterspin.calibration.joint_problem import model_of, noise_of, series_of
+from counterspin.calibration.joint_problem import noise_of, series_of
+from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.quantity import Quantity

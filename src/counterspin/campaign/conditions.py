@@ -56,7 +56,7 @@ def check_conditions(
         if row.effect.condition == "force" and symbol in model.terms:
             problems.add(
                 ("model", "terms"),
-                f'"{symbol}" cannot be told from K_II; put it into model.considered, with a prior',
+                f'"{symbol}" cannot be told from K_II; state what is known of it in [model.priors]',
             )
     used = [row for s, row in CONDITION_TERMS.items() if s in {*model.terms, *model.considered}]
     used += [row for s, row in CONDITION_TERMS.items() if s in set(also)]

@@ -102,28 +102,27 @@ def resolve_machine(
         if name in CONDITION_TERMS and CONDITION_TERMS[name].effect.condition == "force":
             problems.add(
                 ("model", "terms", index),
-                f'"{name}" cannot be told from K_II; put it into model.considered, with a prior',
+                f'"{name}" cannot be told from K_II; state what is known of it in [model.priors]',
             )
-    considered = _expanded(settings.considered, "considered", known, problems)
+    key, names = settings.held
+    held = _expanded(names, key, known, problems)
     priors = _of_centrifuge(centrifuge, known) | _given(
         settings.priors, known, centrifuge, problems
     )
-    for index, symbol in enumerate(considered):
+    for index, symbol in enumerate(held):
         if symbol not in priors:
             problems.add(
-                ("model", "considered", index),
-                f'"{symbol}" is considered, but there is no prior for it; add it to [model.priors]',
+                ("model", key, index),
+                f'"{symbol}" is held, but there is no prior for it; add it to [model.priors]',
             )
-    used = {*terms, *considered}
-    considered += tuple(s for s, prior in priors.items() if s not in used and _counts(s, prior))
     left = settings.model_copy(
         update={
             "terms": _own_terms(settings, readings, recorded),
-            "considered": [name for name in settings.considered if not _is_machine(name)],
+            key: [name for name in names if not _is_machine(name)],
             "priors": {k: v for k, v in flat_keys(settings.priors).items() if not _is_machine(k)},
         }
     )
-    return left, MachineModel(terms, considered, priors)
+    return left, MachineModel(terms, held, priors)
 
 
 def _own_terms(
@@ -195,11 +194,6 @@ def _given(
             if prior is not None:
                 priors[symbol] = less_nominal(symbol, prior, centrifuge)
     return priors
-
-
-def _counts(symbol: str, prior: Quantity) -> bool:
-    # A radius of a mounting that is no term of its own is the machine's, an input of its own.
-    return prior.u > 0.0 and not symbol.startswith("centrifuge.radius.")
 
 
 def less_nominal(symbol: str, prior: Quantity, centrifuge: CentrifugeSettings | None) -> Quantity:

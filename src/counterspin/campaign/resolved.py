@@ -188,23 +188,31 @@ class StatedNoise:
         return self.flicker != 0.0 or self.bias_walk != 0.0
 
 
+#: In ``assume``: whatever is not stated.
+EVERYTHING: Final = "all"
+
+
 @frozen
 class ErrorModel:
-    """Which terms are estimated and which are carried in the uncertainty.
+    """Which terms are asked for, which are held, and which are taken as perfect.
+
+    Everything else that acts is an unknown beside what is asked for.
 
     Attributes
     ----------
     terms
-        Symbols to estimate; bare names are resolved to the components that act.
+        Symbols asked for; bare names are resolved to the components that act.
     considered
-        Symbols that are not estimated but whose prior enters the uncertainty.
+        Symbols that are held: known but not adjusted, their prior's u is carried.
     priors
         Symbol of a shared term -> prior, SI (tilt: one of each run). Those of accelerometer terms
         are in `Accelerometer.priors`.
     limits
         Every symbol of the term tables -> its largest credible size, in the table's unit.
     typical
-        Likewise -> the standard uncertainty to assume of a term that the model leaves out.
+        Likewise -> the standard uncertainty to assume where none is stated.
+    assume
+        What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
     """
 
     terms: tuple[str, ...]
@@ -212,6 +220,15 @@ class ErrorModel:
     priors: Mapping[str, Quantity]
     limits: Mapping[str, float]
     typical: Mapping[str, float]
+    assume: tuple[str, ...] = ()
+
+    def assumes(self, symbol: str) -> bool:
+        """Return whether a term, or an input, is taken as perfect where nothing is stated."""
+        names = (name.removesuffix("*").removesuffix(".") for name in self.assume)
+        return any(
+            name in ("", EVERYTHING) or symbol == name or symbol.startswith(f"{name}.")
+            for name in names
+        )
 
 
 @frozen

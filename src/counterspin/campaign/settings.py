@@ -435,10 +435,17 @@ class ModelSettings(SettingsSection):
     """[model]; names and values are resolved in `terms`."""
 
     terms: list[Text] | None = None
+    assume: list[Text] | Text = []
+    hold: list[Text] = []
     considered: list[Text] = []
     priors: dict[str, Any] = {}
     limits: dict[str, Any] = {}
     typical: dict[str, Any] = {}
+
+    @property
+    def held(self) -> tuple[str, list[str]]:
+        """The key that names what is known but not adjusted, new or old, and the names."""
+        return ("considered", self.considered) if self.considered else ("hold", self.hold)
 
 
 class RippleSettings(SettingsSection):

@@ -22,12 +22,12 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.campaign.checking import Path, Problems, did_you_mean
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.campaign.resolved import ErrorModel
+from counterspin.campaign.resolved import EVERYTHING, ErrorModel
 from counterspin.campaign.settings import ModelSettings, exact
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import PathError, Turn
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TERMS, Term, term
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TABLE, TERMS, Term, is_term, term
 
 #: The model of a campaign without [model] terms: the paper's.
 DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
@@ -176,24 +176,46 @@ def resolve_model(
         return tuple(symbols)
 
     terms = expand(DEFAULT_TERMS if settings.terms is None else settings.terms, "terms")
-    considered = expand(settings.considered, "considered")
-    for symbol in considered:
+    key, names = settings.held
+    if settings.hold and settings.considered:
+        problems.add(("model", "considered"), "is the old name of hold; keep hold alone")
+    held = expand(names, key)
+    for symbol in held:
         if symbol in terms:
-            problems.add(("model", "considered"), f'"{symbol}" is in model.terms too; keep one')
+            problems.add(("model", key), f'"{symbol}" is in model.terms too; keep one')
     if not any(symbol in TERMS for symbol in terms):
         problems.add(("model", "terms"), "names no accelerometer term to estimate")
-    used = {*terms, *considered}
-    platform, accelerometers = _resolve_priors(settings.priors, given, used, problems, gravity)
-    _require_priors(considered, platform, accelerometers, problems)
+    platform, accelerometers = _resolve_priors(settings.priors, given, problems, gravity)
+    _require_priors(key, held, platform, accelerometers, problems)
     limits = _resolve_sizes("limits", settings.limits, problems, gravity)
     typical = _resolve_sizes("typical", settings.typical, problems, gravity)
-    return ErrorModel(terms, considered, platform, limits, typical), accelerometers
+    assume = _assumed(settings.assume, problems)
+    model = ErrorModel(terms, held, platform, limits, typical, assume)
+    for place, name in enumerate(assume):
+        if name in held:
+            problems.add(("model", "assume", place), f'"{name}" is in model.{key} too; keep one')
+    return model, accelerometers
+
+
+def _assumed(names: Sequence[str] | str, problems: Problems) -> tuple[str, ...]:
+    """Return what is taken as perfect; each name stands for a term or for a family of them."""
+    assume = (names,) if isinstance(names, str) else tuple(names)
+    families = {".".join(s.split(".")[:n]) for s in TABLE for n in range(1, s.count(".") + 2)}
+    for place, name in enumerate(assume):
+        bare = name.removesuffix("*").removesuffix(".")
+        if bare not in ("", EVERYTHING) and bare not in families and not is_term(bare):
+            known = [EVERYTHING, *TABLE, *families]
+            path: Path = (
+                ("model", "assume", place) if not isinstance(names, str) else ("model", "assume")
+            )
+            problems.add(path, f'no term is called "{name}"' + did_you_mean(bare, known))
+    return assume
 
 
 def with_errors_of_the_path(
     model: ErrorModel, priors: Mapping[str, Quantity], problems: Problems
 ) -> ErrorModel:
-    """Return a model with what [centrifuge] says of the path, considered if it is not estimated.
+    """Return a model with what [centrifuge] says of the path.
 
     Parameters
     ----------
@@ -207,10 +229,7 @@ def with_errors_of_the_path(
     for symbol, prior in priors.items():
         if symbol in model.priors:
             problems.add(("model", "priors", symbol), "is given in [centrifuge] too; keep one")
-        considered = model.considered
-        if symbol not in (*model.terms, *considered):
-            considered = (*considered, symbol)
-        model = replace(model, considered=considered, priors={**model.priors, symbol: prior})
+        model = replace(model, priors={**model.priors, symbol: prior})
     return model
 
 
@@ -259,7 +278,6 @@ def _widest_first(names: Iterable[str]) -> list[str]:
 def _resolve_priors(
     raw: Mapping[str, Any],
     given: Mapping[str, Mapping[str, Quantity]],
-    used: set[str],
     problems: Problems,
     gravity: float | None,
 ) -> tuple[dict[str, Quantity], dict[str, dict[str, Quantity]]]:
@@ -286,12 +304,10 @@ def _resolve_priors(
         prior = problems.attempt(path, parse, flat[key], unit, gravity=gravity)
         if prior is not None:
             problems.attempt(path, about_nominal, min(symbols), prior)
-        if not symbols & used:
-            problems.add(path, "is not used; add the term to model.terms or model.considered")
         if prior is None:
             continue
         if symbols <= set(SHARED_TERMS):
-            platform |= dict.fromkeys(sorted(symbols & used), prior)
+            platform |= dict.fromkeys(sorted(symbols), prior)
         for name in owners:
             if last in given[name]:
                 problems.add(
@@ -319,12 +335,13 @@ def about_nominal(symbol: str, prior: Quantity) -> Quantity:
 
 
 def _require_priors(
-    considered: Iterable[str],
+    key: str,
+    held: Iterable[str],
     platform: Mapping[str, Quantity],
     accelerometers: Mapping[str, Mapping[str, Quantity]],
     problems: Problems,
 ) -> None:
-    for symbol in considered:
+    for symbol in held:
         lacking = (
             [name for name, priors in accelerometers.items() if symbol not in priors]
             if symbol in OWN_TERMS
@@ -334,8 +351,8 @@ def _require_priors(
         )
         if lacking:
             problems.add(
-                ("model", "considered"),
-                f'"{symbol}" is considered, but there is no prior for {", ".join(lacking)}; '
+                ("model", key),
+                f'"{symbol}" is held, but there is no prior for {", ".join(lacking)}; '
                 f'add "{symbol}" = "VALUE ± U {term(symbol).unit}" to [model.priors]',
             )
 
@@ -345,15 +362,12 @@ def _resolve_sizes(
 ) -> dict[str, float]:
     """Return every term's largest credible size (``limits``) or its ``typical`` one."""
     attribute = {"limits": "limit", "typical": "typical"}[kind]
-    sizes = {
-        symbol: float(getattr(row, attribute))
-        for symbol, row in {**OWN_TERMS, **SHARED_TERMS}.items()
-    }
+    sizes = {symbol: float(getattr(row, attribute)) for symbol, row in TABLE.items()}
     flat = flat_keys(raw)
     for key in _widest_first(flat):
         path = ("model", kind, key)
         symbols = [row.symbol for row in BARE_NAMES.get(key, ())] or [key]
-        if symbols[0] not in sizes:
+        if not is_term(symbols[0]):
             _unknown(key, path, problems)
             continue
         size = problems.attempt(path, exact, flat[key], term(symbols[0]).unit, gravity)

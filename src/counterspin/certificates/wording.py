@@ -42,9 +42,6 @@ from counterspin.reports.numbers import (
 #: ``(a ± b) x 1e4``: value, uncertainty, power.
 _TIMES_POWER: Final = re.compile(r"\((\S+) ± (\S+)\) (x 1e-?\d+)")
 
-#: How a budget names what a prior contributes.
-_PRIOR: Final = " (prior)"
-
 _METHODS: Final = {
     "joint": "Joint weighted least squares",
     "two-stage": "Two-stage fit with the exact observation model",
@@ -107,9 +104,10 @@ def uncertainty_statement() -> str:
         "multiplied by the coverage factor k stated beside it, evaluated by the GUM (JCGM 100). "
         "k is that of Student's t-distribution for the effective degrees of freedom "
         "(Welch-Satterthwaite), or of the normal distribution where these are infinite, for a "
-        f"coverage probability of {format_share(COVERAGE)}. Effects that the model does not have "
-        "are in neither U nor probabilities of conforming; those that could matter are named under "
-        f'"{RESTS_ON}". In the XML, numbers have all digits of the computation; '
+        f"coverage probability of {format_share(COVERAGE)}. What the campaign does not state is in "
+        "U and in probabilities of conforming at the typical size of its kind; what is taken as "
+        f'perfect is in neither, and is named under "{RESTS_ON}". In the XML, numbers have all '
+        "digits of the computation; "
         "significantDigit is the power of ten of the last digit that the uncertainty supports. "
         "The ellipsoidal region is the set of all d with d' V^-1 d <= k^2 about the estimates, V "
         "being the covariance matrix of the standard uncertainties, for the same probability of "
@@ -191,10 +189,10 @@ def known_beforehand(name: str, result: Result, settings: CertificateSettings) -
         Of the laboratory's file; what its `customer_data` names is marked.
     """
     lines = {
-        line.source.removesuffix(_PRIOR): line
+        line.source: line
         for lines in result.accelerometers[name].budget.values()
         for line in lines
-        if line.source.endswith(_PRIOR)
+        if line.kind in ("stated", "held")
     }
     supplied = {word for entry in settings.customer_data for word in re.findall(r"[\w.]+", entry)}
     said = []

@@ -73,30 +73,30 @@ def _model(result: Result) -> Iterator[tuple[str, str]]:
         yield f"terms of {name}", ", ".join(accelerometer.coefficients)
         for symbol, known in accelerometer.known.items():
             yield f"{name}.{symbol}, known", _quantity(known.value, known.u, known.unit)
-        considered, priors = _assumed(result, name)
-        yield f"considered of {name}", ", ".join(considered) or _NOTHING
+        held, priors = _known(result, name)
+        yield f"held of {name}", ", ".join(held) or _NOTHING
         for source, text in priors.items():
             yield f"{name}: {source}", text
         for part, line in accelerometer.noise.items():
             size = _quantity(line.value, 0.0, line.unit)
             yield f"noise of {name}, {part}", "estimated" if line.estimated else size
+    yield "assumed", ", ".join(result.assumed) or _NOTHING
     yield "terms of the platform", ", ".join(result.platform) or _NOTHING
     own = dict.fromkeys(symbol for run in result.runs.values() for symbol in run.terms)
     yield "terms of runs", ", ".join(own) or _NOTHING
     yield "runs", ", ".join(result.runs)
 
 
-def _assumed(result: Result, name: str) -> tuple[list[str], Mapping[str, str]]:
-    """Return what is considered, and the size of what is known beforehand of the unknowns."""
-    considered, priors = dict[str, None](), dict[str, str]()
+def _known(result: Result, name: str) -> tuple[list[str], Mapping[str, str]]:
+    """Return what is held, and the size of what is known beforehand of the unknowns."""
+    held, priors = dict[str, None](), dict[str, str]()
     for lines in result.accelerometers[name].budget.values():
         for line in lines:
-            source, _, kind = line.source.rpartition(" (")
-            if kind == "considered)":
-                considered[source] = None
-            elif kind == "prior)" and line.u is not None:
-                priors[f"u of the prior of {source}"] = _quantity(line.u, 0.0, line.unit)
-    return sorted(considered), priors
+            if line.kind == "held":
+                held[line.source] = None
+            elif line.kind != "noise" and line.u is not None:
+                priors[f"u of the prior of {line.source}"] = _quantity(line.u, 0.0, line.unit)
+    return sorted(held), priors
 
 
 def _quantity(value: float | None, u: float | None, unit: str) -> str:

@@ -92,11 +92,11 @@ def _of_common_records(
     better, other = (first, second) if relation.better != 1 else (second, first)
     size = len(first.symbols)
     if not (first.complete and second.complete):
-        # Nothing says what moves which: all that is considered is taken to move both alike.
-        rest = [np.diag(e.covariance) - e.considered**2 for e in (first, second)]
+        # Nothing says what moves which: all that is held is taken to move both alike.
+        rest = [np.diag(e.covariance) - e.held**2 for e in (first, second)]
         if relation.alike:
             rest = [np.zeros(size), np.zeros(size)]
-        difference = np.abs(rest[0] - rest[1]) + (first.considered - second.considered) ** 2
+        difference = np.abs(rest[0] - rest[1]) + (first.held - second.held) ** 2
         return np.diag(difference), []
     in_both, apart = list[tuple[SharedSource, SharedSource]](), list[Array]()
     shared = []

@@ -1,25 +1,22 @@
 """What a result says of one accelerometer, with its uncertainty taken apart by source.
 
 - `Estimates`: values, their covariance, and what each source contributes to it
-- `SharedSource`: a prior, a considered term or an input
+- `SharedSource`: something known, stated or not
 - `estimates_of`: from a result; `g_units_ratio`: what another gravity makes of a number
 """
 
 from __future__ import annotations
 
-import re
+import math
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import Coefficient
 from counterspin.frozen import frozen
 from counterspin.physics.terms import TERMS
-
-#: How a line of a budget names its source and what kind it is.
-_LINE: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encoder)\)")
 
 
 @frozen(eq=False)
@@ -29,7 +26,7 @@ class SharedSource:
     Attributes
     ----------
     estimated
-        Whether it is the prior of an estimated term; else it is considered.
+        Whether it was weighed with the data; else it was held.
     stated
         Its value, where the result says it, and its standard uncertainty.
     moves
@@ -63,12 +60,12 @@ class Estimates:
     covariance
         All of it, shape (p, p).
     sources
-        By name: priors, considered terms, inputs and recorded rotations.
+        By name: what is stated, what is not, what is held, and recorded rotations.
     complete
-        Whether the sources and correlations are known; else what is considered is only known as a
-        sum, in `considered`, and the covariance may be without its correlations.
-    considered
-        Root of the sum of squares of all that is considered, shape (p,).
+        Whether the sources and correlations are known; else what is held is only known as a sum,
+        in `held`, and the covariance may be without its correlations.
+    held
+        Root of the sum of squares of all that is held, shape (p,).
     """
 
     symbols: tuple[str, ...]
@@ -76,12 +73,12 @@ class Estimates:
     covariance: Array
     sources: dict[str, SharedSource]
     complete: bool
-    considered: Array
+    held: Array
 
     def part(self, *, estimated: bool) -> Array:
-        """Return what priors of estimated terms, or all that is considered, contribute."""
+        """Return what was weighed with the data, or all that is held, contributes."""
         if not self.complete and not estimated:
-            return np.diag(self.considered**2)
+            return np.diag(self.held**2)
         moves = [s.moves for s in self.sources.values() if s.estimated is estimated]
         return squares(moves, len(self.symbols))
 
@@ -140,8 +137,15 @@ def estimates_of(
         covariance=np.outer(factor * u, factor * u) * correlation,
         sources=sources,
         complete=known and all(accelerometer.budget.get(symbol) for symbol in symbols),
-        considered=factor * np.array([c.u_considered or 0.0 for c in own]),
+        held=factor * np.array([_held(result, c) for c in own]),
     )
+
+
+def _held(result: Result, coefficient: Coefficient) -> float:
+    """Return what may have been held: in two stages all that is known, else nothing."""
+    if result.method != "two-stage":
+        return 0.0
+    return math.hypot(coefficient.u_stated or 0.0, coefficient.u_unstated or 0.0)
 
 
 def _scaled(source: SharedSource, factor: Array) -> SharedSource:
@@ -153,16 +157,15 @@ def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, Sha
     sources: dict[str, SharedSource] = {}
     for place, symbol in enumerate(symbols):
         for line in accelerometer.budget.get(symbol, ()):
-            match = _LINE.fullmatch(line.source)
-            if match is None or line.u is None or line.sensitivity is None:
+            if line.u is None or line.sensitivity is None:
                 continue
-            source = sources.get(match["name"])
+            source = sources.get(line.source)
             if source is None:
-                source = sources[match["name"]] = SharedSource(
-                    estimated=match["kind"] == "prior",
-                    stated=(_value(result, name, match["name"]), line.u),
+                source = sources[line.source] = SharedSource(
+                    estimated=line.kind != "held",
+                    stated=(_value(result, name, line.source), line.u),
                     moves=np.zeros(len(symbols)),
-                    of_run=any(match["name"].startswith(f"{run}.") for run in result.runs),
+                    of_run=any(line.source.startswith(f"{run}.") for run in result.runs),
                 )
             source.moves[place] = line.sensitivity * line.u
     return sources

@@ -276,7 +276,7 @@ def _covariance(accelerometer: AccelerometerResult, terms: Mapping[str, Coeffici
                 covariance[i, j] = r * u[i] * u[j]
         for line in accelerometer.budget.get(symbol, []):
             # An estimate and the prior that moved it: sensitivity x u^2.
-            source = line.source.removesuffix(" (prior)").removesuffix(" (considered)")
+            source = line.source
             if source in terms and source not in estimated and line.sensitivity is not None:
                 j = symbols.index(source)
                 covariance[i, j] = covariance[j, i] = line.sensitivity * u[j] ** 2

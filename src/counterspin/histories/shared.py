@@ -14,7 +14,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.frozen import frozen
-from counterspin.physics.terms import TERMS
+from counterspin.physics.terms import is_term, term
 
 #: How a budget names what is common: an input of the campaign -> where the result states it.
 _INPUTS: Final = {
@@ -22,8 +22,6 @@ _INPUTS: Final = {
     "site.latitude": ("latitude", "u_latitude"),
     "centrifuge.radius": ("radius", "u_radius"),
 }
-
-_KINDS: Final = ("prior", "considered", "input")
 
 #: Correlations below this change nothing that is printed.
 _NEGLIGIBLE_CORRELATION: Final = 0.01
@@ -57,9 +55,10 @@ class InCommon:
 def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, str], float]:
     """Return what each source does that another result may have in common.
 
-    Two results share an input if both state the same value and uncertainty of it, and a prior or a
-    considered term of the accelerometer if both state the same uncertainty: it is then taken to be
-    the same measurement, or the same lack of one. What belongs to a run is not shared.
+    Two results share an input if both have the same value and uncertainty of it, and a term of the
+    accelerometer, the platform or the machine if both have the same uncertainty, stated or not: it
+    is then taken to be the same measurement, or the same lack of one. What belongs to a run is not
+    shared.
 
     Parameters
     ----------
@@ -80,13 +79,13 @@ def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, st
     if sum(line.contribution**2 for line in lines) > _MAX_BUDGET_SUM * u**2:
         return found  # a budget of another uncertainty
     for line in lines:
-        source, _, kind = line.source.removesuffix(")").rpartition(" (")
-        if kind not in _KINDS or line.u is None or line.sensitivity is None:
+        source = line.source
+        if line.kind == "noise" or line.u is None or line.sensitivity is None:
             continue
         if source in _INPUTS:
             stated = [getattr(result.inputs, key) for key in _INPUTS[source]]
             identity = f"{stated[0]!r} ± {stated[1]!r}"
-        elif source in TERMS:
+        elif is_term(source) and not term(source).per_run:
             identity = repr(line.u)
         else:
             continue

@@ -247,8 +247,7 @@ def solve_readings(
     readings
         At least one group.
     model
-        What is estimated, considered and uncertain. Of the uncertain inputs radius, gravity and
-        latitude count here.
+        What is estimated and considered. Of the inputs radius, gravity and latitude count here.
     beside
         Blocks of records, of the same model.
 
@@ -270,7 +269,7 @@ def solve_readings(
     # What is considered is in the residuals too. Noise and the point of the derivatives are found
     # beside it, as if it were estimated with its prior: else it would be taken for noise, and what
     # looks like it would leave its prior so far that derivatives there are not the machine's.
-    relaxed = bool(model.considered or model.inputs)
+    relaxed = bool(model.considered)
     for _ in range(_ROUNDS):
         parts = [_Part.of(group, model, point) for group in readings]
         # The columns hold while only the noise is another.
@@ -364,7 +363,7 @@ def blocks_at(readings: Sequence[Readings], model: Unknowns, estimate: Array) ->
     readings
         Their values do not matter.
     model
-        What is estimated, considered and uncertain.
+        What is estimated and considered.
     estimate
         Where the derivatives are taken: the unknowns less nominal, shape (p,).
     """
@@ -440,17 +439,16 @@ class _Part:
         for index, symbol in own.items():
             if symbol in machine:
                 columns[:, index] = slope_of(symbol, _STEP * everything[index].limit)
-        fixed = [*columns[:, len(model.unknowns) :].T]
-        for name in model.inputs or ():
-            if name not in _INPUT_STEPS:
-                fixed.append(np.zeros(group.size))
-                continue
-            step = _INPUT_STEPS[name]
-            ahead, behind = (_with_input(group, name, s, machine) for s in (step, -step))
-            fixed.append(slope(ahead.products(machine), behind.products(machine), step))
-            if name == "site.gravity":
-                fixed[-1] += group.in_si * np.sum(products * effective, axis=1) / group.site.gravity
         perfect = np.sum(products * effective, axis=1) - columns @ at
+        # Derivatives by inputs are taken at what is stated of them, and not at the estimate.
+        for index, symbol in own.items():
+            if symbol in _INPUT_STEPS:
+                step = _INPUT_STEPS[symbol]
+                ahead, behind = (_with_input(group, symbol, s, machine) for s in (step, -step))
+                columns[:, index] = slope(ahead.products(machine), behind.products(machine), step)
+            if symbol == "site.gravity":
+                turned = group.in_si * np.sum(products * effective, axis=1)
+                columns[:, index] += turned / group.site.gravity
         head = np.zeros(group.size)
         if group.u_head.any():
             turn = np.full(group.size, _HEAD_STEP)
@@ -459,7 +457,7 @@ class _Part:
             head = np.abs(slope(more, less, _HEAD_STEP)) * group.u_head
         return cls(
             columns[:, : len(model.unknowns)],
-            np.column_stack(fixed or [np.empty((group.size, 0))]),
+            columns[:, len(model.unknowns) :],
             group.value - perfect,
             group.u,
             group.repeats,
@@ -486,9 +484,7 @@ class _Part:
     def left(self, solution: Solution, model: Unknowns) -> Array:
         """Return the residuals, the considered terms at their assumed values."""
         means = np.array([term.prior_mean for term in model.considered])
-        left: Array = (
-            self.target - self.design @ solution.estimate - self.fixed[:, : means.size] @ means
-        )
+        left: Array = self.target - self.design @ solution.estimate - self.fixed @ means
         return left
 
     def squares(self, solution: Solution, model: Unknowns) -> float:
@@ -542,9 +538,8 @@ class _Part:
 
 
 def _spread(model: Unknowns) -> Array:
-    """Return the standard uncertainties of all that is considered, inputs last."""
-    known = [*(term.prior[1] for term in model.considered), *(model.inputs or {}).values()]
-    return np.array(known, dtype=np.float64)
+    """Return the standard uncertainties of all that is considered."""
+    return np.array(model.considered_sizes, dtype=np.float64)
 
 
 def _with_input(group: Readings, name: str, by: float, machine: Mapping[str, float]) -> Readings:

@@ -14,8 +14,8 @@ from pathlib import Path
 
 from counterspin.calibration.joint import estimate_campaign
 from counterspin.calibration.joint_parts import coefficient, unit_of
-from counterspin.calibration.joint_problem import model_of
 from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.checking import Problems
 from counterspin.campaign.resolved import Campaign

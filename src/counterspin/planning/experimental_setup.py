@@ -86,9 +86,8 @@ class Setup:
 
     @cached_property
     def considered(self) -> tuple[int, ...]:
-        """Places of the considered terms and inputs that all runs share."""
+        """Places of the considered terms that all runs share."""
         owners = [other.owner for other in self.model.considered]
-        owners += [""] * len(self.model.inputs or {})
         return tuple(i for i, owner in enumerate(owners) if owner not in self.attitudes)
 
     def own(self, attitude: str) -> tuple[tuple[int, ...], tuple[int, ...]]:
@@ -102,5 +101,4 @@ class Setup:
     @property
     def considered_sizes(self) -> Array:
         """Standard uncertainties of all considered columns, in the model's order."""
-        inputs = self.model.inputs or {}
-        return np.array([*(c.prior[1] for c in self.model.considered), *inputs.values()])
+        return np.array(self.model.considered_sizes)

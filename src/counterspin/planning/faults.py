@@ -17,8 +17,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.joint_problem import left_out_of
-from counterspin.campaign.machine import symbols_shown
+from counterspin.calibration.model import assumed_of, typical_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
@@ -67,31 +66,21 @@ class Fault:
 
 
 def faults_of(campaign: Campaign, name: str) -> list[Fault]:
-    """Return what may be wrong for an accelerometer: what its model leaves out."""
+    """Return what may be wrong for an accelerometer unseen: what is assumed to be perfect."""
     by_symbol: dict[str, list[Considered]] = {}
-    for left_out in left_out_of(campaign, name):
-        by_symbol.setdefault(term(left_out.symbol).family, []).append(left_out)
-    terms = [
+    for other in assumed_of(campaign, name):
+        by_symbol.setdefault(term(other.symbol).family, []).append(other)
+    return [
         Fault(
             symbol,
             term(parts[0].symbol).words_of_family,
-            campaign.model.typical[parts[0].symbol],
+            typical_of(campaign, name, parts[0].symbol),
             term(parts[0].symbol).unit,
             tuple(_of_term(part, campaign) for part in parts),
             random=term(parts[0].symbol).per_run,
         )
         for symbol, parts in by_symbol.items()
     ]
-    own = tuple(reading for reading in campaign.readings if reading.accelerometer == name)
-    known = {*campaign.machine.terms, *campaign.machine.considered, *by_symbol}
-    for symbol in symbols_shown(own):
-        if symbol not in known:
-            row = term(symbol)
-            owner = name if row.per_accelerometer else ""
-            shown = Considered(owner, symbol, (0.0, 0.0), row.limit)
-            parts = (Part(lambda _: None, shown),)
-            terms.append(Fault(symbol, row.words, row.typical, row.unit, parts))
-    return terms
 
 
 def of_path(symbol: str) -> Fault:

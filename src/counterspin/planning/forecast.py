@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.joint_problem import model_of
+from counterspin.calibration.model import model_of
 from counterspin.calibration.readings import block_name
 from counterspin.campaign.conditions import conditions_of
 from counterspin.campaign.description import read_campaign
@@ -61,7 +61,7 @@ class Forecast:
     @cached_property
     def assessment(self) -> Assessment:
         """What the records will determine, and what not."""
-        unknowns = self.fit.model.unknowns
+        unknowns = self.fit.model.asked
         return assess(
             self.fit.solution,
             [unknown.name for unknown in unknowns],
@@ -253,7 +253,8 @@ def expected_values(campaign: Campaign, unknowns: tuple[Unknown, ...] | list[Unk
             of_run = platform.get(unknown.owner) or next(iter(platform.values()))
             known = of_run.get(unknown.symbol)
         if known is None:
-            known = unknown.prior[0] if math.isfinite(unknown.prior[1]) else unknown.nominal
+            values.append(unknown.prior_mean)
+            continue
         values.append(known - unknown.nominal)
     return np.array(values)
 
@@ -279,11 +280,14 @@ def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = Tr
         Hz.
     considering
         Whether considered terms stay considered; False: they are estimated with their priors,
-        uncertain inputs left out, which is a bound for any estimator.
+        which is a bound for any estimator.
     """
     model = model_of(campaign)
     if not considering:
-        estimated = tuple(Unknown(c.owner, c.symbol, c.prior, c.limit) for c in model.considered)
+        estimated = tuple(
+            Unknown(c.owner, c.symbol, c.prior, c.limit, False, c.unstated)
+            for c in model.considered
+        )
         model = Unknowns(model.unknowns + estimated)
     timing = float(_noise(campaign).get("timing", 0.0))
     noise = noise_of_records(campaign)

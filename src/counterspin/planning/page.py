@@ -30,8 +30,6 @@ _LINES: Final = 6  #: of a budget
 #: Deviations above which a fit that estimates a fault nearly always finds it (5 % each way).
 _DETECTION_DEVIATIONS: Final = 4.0
 
-#: u with what is left out stands beside the answer where it is this many times u or more.
-_NOTED_GROWTH: Final = 1.05
 
 #: How limits are changed that are no sizes.
 _CHANGES: Final = {"senses": "both senses instead", "fewest_rates": "one fewer"}
@@ -67,7 +65,7 @@ def _answer(result: PlanResult) -> Iterator[Block]:
             if owner in result.accelerometers
             else result.platform[name]
         )
-        parts.append(f"u({_spoken(name)}) = {_u(predicted)}{_with_left_out(predicted)}")
+        parts.append(f"u({_spoken(name)}) = {_u(predicted)}")
     amounts = [
         f"{count} {word}{'s' * (count > 1)}"
         for count, word in ((len(result.runs), "run"), (len(result.readings), "reading"))
@@ -175,16 +173,13 @@ def _accelerometer(
     rows, quiet = [], set()
     shown = dict(accelerometer.coefficients) | result.platform
     for index, (symbol, predicted) in enumerate(shown.items()):
-        rows.append(
-            (symbol, _u(predicted), _typical(predicted), _known(predicted), _from(predicted))
-        )
+        rows.append((symbol, _u(predicted), _known(predicted), _from(predicted)))
         if not predicted.estimated:
             quiet.add(index)
     yield Table(
         (
             Column("Coefficient"),
             Column("u"),
-            Column("u typical"),
             Column("Known before to"),
             Column("From", wraps=True),
         ),
@@ -287,8 +282,8 @@ def _faults(name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
             ),
         )
         yield Paragraph(
-            "Take what is known of them into model.considered, or into model.terms where the "
-            "records would find it, and plan again."
+            "State what is known of them in [model.priors], or take them out of model.assume, and "
+            "plan again."
         )
     else:
         yield Paragraph("Nothing outside the model moves K_II by more than its u unnoticed.")
@@ -408,21 +403,6 @@ def _u(predicted: Predicted) -> str:
     return f"{format_number(predicted.u * factor, 3)} {unit}"
 
 
-def _typical(predicted: Predicted) -> str:
-    if predicted.u_typical is None:
-        return "-"
-    return _in_field_unit(predicted.u_typical, predicted.unit)
-
-
-def _with_left_out(predicted: Predicted) -> str:
-    """Say what u is with all that the model leaves out, where that is more."""
-    if predicted.u is None or predicted.u_typical is None:
-        return ""
-    if predicted.u_typical < _NOTED_GROWTH * predicted.u:
-        return ""
-    return f" ({_typical(predicted)} with what the model leaves out at typical sizes)"
-
-
 def _known(predicted: Predicted) -> str:
     if predicted.prior is None:
         return "-"
@@ -433,8 +413,8 @@ def _known(predicted: Predicted) -> str:
 def _from(predicted: Predicted) -> str:
     parts = {
         "noise": predicted.u_noise,
-        "priors": predicted.u_prior,
-        "considered": predicted.u_considered,
+        "stated": predicted.u_stated,
+        "unstated": predicted.u_unstated,
     }
     squares = {key: part**2 for key, part in parts.items() if part}
     total = sum(squares.values())

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from counterspin.calibration.joint_parts import unit_of
-from counterspin.calibration.joint_problem import model_of
+from counterspin.calibration.model import model_of
 from counterspin.campaign.checking import Problems, did_you_mean
 from counterspin.campaign.description import resolve_campaign
 from counterspin.campaign.memory.documents import plain

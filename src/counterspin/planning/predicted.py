@@ -14,9 +14,7 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import budget_lines, coefficient
-from counterspin.calibration.left_out import omissions_of, with_typical
-from counterspin.calibration.result_parts import ConfoundedTerms, OmittedTerm
-from counterspin.campaign.reading_groups import groups_of
+from counterspin.calibration.result_parts import ConfoundedTerms
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.physics.station import FRAMES
@@ -38,27 +36,16 @@ _DETECTION_PROBABILITY: Final = 0.95
 
 def accelerometers_of(prediction: Forecast) -> dict[str, PlannedAccelerometer]:
     """Return what a campaign will tell of each accelerometer."""
-    campaign, unknowns = prediction.campaign, prediction.fit.model.unknowns
+    asked = prediction.fit.model.asked
     places = {
-        name: {u.symbol: i for i, u in enumerate(unknowns) if u.owner == name and u.symbol in TERMS}
-        for name in campaign.accelerometers
+        name: {u.symbol: i for i, u in enumerate(asked) if u.owner == name and u.symbol in TERMS}
+        for name in prediction.campaign.accelerometers
     }
-    readings = groups_of(campaign, campaign.readings)
-    left_out = omissions_of(campaign, prediction.fit, places, readings)
-    return {
-        name: _accelerometer(prediction, name, own, left_out[name]) for name, own in places.items()
-    }
+    return {name: _accelerometer(prediction, name, own) for name, own in places.items()}
 
 
-def _accelerometer(
-    prediction: Forecast,
-    name: str,
-    own: Mapping[str, int],
-    left_out: Mapping[str, OmittedTerm],
-) -> PlannedAccelerometer:
-    coefficients = {
-        symbol: _predicted(prediction, index, (symbol, left_out)) for symbol, index in own.items()
-    }
+def _accelerometer(prediction: Forecast, name: str, own: Mapping[str, int]) -> PlannedAccelerometer:
+    coefficients = {symbol: _predicted(prediction, index) for symbol, index in own.items()}
     campaign = prediction.campaign
     others = [f"{other}." for other in campaign.accelerometers if other != name]
     determined = "K_II" in coefficients and coefficients["K_II"].estimated
@@ -121,28 +108,20 @@ def platform_of(prediction: Forecast) -> dict[str, Predicted]:
     """Return what a campaign will tell of the platform's terms that all runs share."""
     return {
         unknown.symbol: _predicted(prediction, index)
-        for index, unknown in enumerate(prediction.fit.model.unknowns)
+        for index, unknown in enumerate(prediction.fit.model.asked)
         if not unknown.owner
     }
 
 
-def _predicted(
-    prediction: Forecast,
-    index: int,
-    left_out: tuple[str, Mapping[str, OmittedTerm]] | None = None,
-) -> Predicted:
-    """Return an unknown's uncertainty; of a coefficient also with what the model leaves out."""
+def _predicted(prediction: Forecast, index: int) -> Predicted:
+    """Return an unknown's uncertainty."""
     shown = coefficient(prediction.estimate, prediction.assessment, index)
-    if left_out is not None:
-        symbol, omissions = left_out
-        shown = with_typical({symbol: shown}, omissions)[symbol]
     prior = prediction.fit.model.unknowns[index].prior[1]
     return Predicted(
         u=shown.u if shown.estimated else None,
-        u_typical=shown.u_typical if shown.estimated else None,
         u_noise=shown.u_noise,
-        u_prior=shown.u_prior,
-        u_considered=shown.u_considered,
+        u_stated=shown.u_stated,
+        u_unstated=shown.u_unstated,
         prior=prior if math.isfinite(prior) else None,
         unit=shown.unit,
         estimated=shown.estimated,

@@ -50,7 +50,7 @@ def requirements_of(
     str, list of Requirement
         At what value of the coefficient, in words; the requirements.
     """
-    campaign, model = prediction.campaign, prediction.fit.model
+    campaign, model = prediction.campaign, prediction.fit.model.without_inputs()
     place = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[place]
     expected = expected_values(campaign, model.unknowns)
@@ -64,8 +64,8 @@ def requirements_of(
         for run in campaign.runs
         for symbol in ROTATION
     )
-    inputs = dict.fromkeys((*INPUTS, TIMING), 1.0)
-    watched = Unknowns(model.unknowns, rotation, inputs)
+    inputs = tuple(Considered("", symbol, (0.0, 1.0), 1.0) for symbol in (*INPUTS, TIMING))
+    watched = Unknowns(model.unknowns, (*rotation, *inputs))
     factors, noise = scale_factors(campaign), prediction.fit.noise
     # One after the other: the columns of all of them together would take much memory.
     blocks = [
@@ -79,14 +79,13 @@ def requirements_of(
     allowed = _TOLERABLE_PART_OF_U * prediction.u[name]
     row = solution.sensitivity_considered[place]
     of_run = row[: len(rotation)].reshape(len(campaign.runs), len(ROTATION))
-    of_input = dict(zip(inputs, row[len(rotation) :], strict=True))
+    of_input = dict(zip((*INPUTS, TIMING), row[len(rotation) :], strict=True))
     rates = np.array([run.rate for run in campaign.runs])
-    radius = next(key for key in inputs if key.endswith("radius"))
     faults = [of_path(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]
     machine = watch(prediction, faults)
     eccentricity, imbalance = (machine.sensitivity(fault, place) for fault in range(2))
     lines = [
-        ("radius known to", of_input[radius], "m"),
+        ("radius known to", of_input["centrifuge.radius"], "m"),
         (
             "rate stable, where the recorded angle does not show it: drift",
             _norm(of_run[:, 2]),

@@ -47,16 +47,12 @@ class PlannedReading(ResultPart):
 
 
 class Predicted(ResultPart):
-    """The uncertainty that a coefficient will have, and where from; None: not determined.
-
-    `u_typical` is u with what the model leaves out, and what is stated as exact, at typical sizes.
-    """
+    """The uncertainty that a coefficient will have, and where from; None: not determined."""
 
     u: float | None
-    u_typical: float | None = None
     u_noise: float | None = None
-    u_prior: float | None = None
-    u_considered: float | None = None
+    u_stated: float | None = None
+    u_unstated: float | None = None
     prior: float | None = None
     unit: str
     estimated: bool

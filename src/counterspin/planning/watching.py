@@ -117,17 +117,15 @@ def _watched(prediction: Forecast, faults: Sequence[Fault]) -> Watched:
     parts = [(index, part) for index, fault in enumerate(faults) for part in fault.parts]
     before, count = len(model.considered), len(parts)
     names = [part.term for _, part in parts]
-    watched = Unknowns(model.unknowns, (*model.considered, *names), model.inputs)
+    watched = Unknowns(model.unknowns, (*model.considered, *names))
     blocks = []
     for record in prediction.fit.prepared:
         shown = [(before + i, part.columns(record.series)) for i, (_, part) in enumerate(parts)]
         seen = [(place, column) for place, column in shown if column is not None]
-        # The uncertain inputs' columns come after those of the faults.
-        places = (i if i < before else i + count for i in record.considered)
         prepared = replace(
             record,
             fixed=np.column_stack([record.fixed, *(column for _, column in seen)]),
-            considered=(*places, *(place for place, _ in seen)),
+            considered=(*record.considered, *(place for place, _ in seen)),
         )
         # One after the other: the columns of all of them together would take much memory.
         blocks += blocks_of([prepared], watched, prediction.fit.noise)

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from counterspin.calibration.joint_problem import model_of, noise_of
+from counterspin.calibration.joint_problem import noise_of
+from counterspin.calibration.model import model_of
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen

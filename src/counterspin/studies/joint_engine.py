@@ -110,7 +110,7 @@ class JointEngine:
         assessment = assess(solution, [u.name for u in model.unknowns])
         rows = [i for i in request.reported if assessment.determined[model.unknowns[i].name]]
         lost = tuple(model.unknowns[i].name for i in request.reported if i not in rows)
-        c = len(model.considered_names)
+        c = len(model.considered)
         moved = -solution.sensitivity_considered[:, c:][rows]
         values, vectors = np.linalg.eigh(solution.covariance_noise[np.ix_(rows, rows)])
         covariance = (
@@ -217,7 +217,7 @@ def _block(
     block = reduce_block(rows[:, m : m + p], np.zeros(rows.shape[0]), rows[:, :m], rows[:, m + p :])
     factor = np.zeros((block.factor.shape[0], len(model.unknowns)))
     factor[:, list(prepared.unknowns)] = block.factor
-    c = len(model.considered_names)
+    c = len(model.considered)
     fixed = np.zeros((block.factor.shape[0], c + true.shape[1]))
     places = [*prepared.considered, *range(c, c + true.shape[1])]
     fixed[:, places] = block.considered

@@ -28,6 +28,7 @@ TUMBLE = (
     HEAD
     + """
 [model]
+assume = "all"
 terms = ["K_F", "K_I", "delta_O"]
 [[stations]]
 positions = 24
@@ -47,6 +48,7 @@ ARM = (
 [centrifuge]
 radius = "1.0 m"
 [model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II", "K_III"]
 [[stations]]
 name = "in"
@@ -300,6 +302,7 @@ displacement = { column = "m", unit = "m" }
 [noise]
 displacement = "1e-3 m"
 [model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II"]
 [[runs]]
 name = "turntable"

@@ -22,8 +22,9 @@ from counterspin.calibration.diagnosis.words import Described, Explanation
 from counterspin.calibration.findings import CONTRADICTION_SIGMAS, from_numbers
 from counterspin.calibration.joint_checks import jackknife, residual_findings
 from counterspin.calibration.joint_parts import noise_lines, residual
-from counterspin.calibration.joint_problem import exact_inputs, left_out_of, noise_of
+from counterspin.calibration.joint_problem import noise_of
 from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.model import assumed_inputs, assumed_of
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
 from counterspin.frozen import frozen
 from counterspin.inference.diagnostics import (
@@ -33,7 +34,13 @@ from counterspin.inference.diagnostics import (
 )
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.joint import mistakes
-from counterspin.inference.joint.alternatives import Alternative, Scores, of_priors, scores
+from counterspin.inference.joint.alternatives import (
+    Alternative,
+    Scores,
+    of_priors,
+    of_unstated,
+    scores,
+)
 from counterspin.inference.joint.estimation import (
     Estimate,
     NoiseRequest,
@@ -244,10 +251,11 @@ def _wave(power: np.ndarray, rows: int, rate: float, interval: float, scale: flo
 def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alternative]:
     campaign, fit = views[0].campaign, now.fit
     angle = campaign.angle is not None
-    yield from mistakes.of_inputs(fit, list(exact_inputs(campaign)))
+    yield from of_unstated(fit)
+    yield from mistakes.of_inputs(fit, assumed_inputs(campaign))
     yield from mistakes.of_records(fit, angle_recorded=angle)
     yield from mistakes.of_coriolis(fit, own_velocity=campaign.own_velocity)
-    terms = dict.fromkeys(other for view in views for other in left_out_of(campaign, view.name))
+    terms = dict.fromkeys(other for view in views for other in assumed_of(campaign, view.name))
     yield from mistakes.of_terms(fit, list(terms))
     yield from mistakes.jumps(fit, _STEPS)
 

@@ -56,7 +56,7 @@ def frame(result: Result, library: str = "polars") -> Any:
     polars.DataFrame or pandas.DataFrame
         A row for each coefficient: ``owner`` (accelerometer, run or empty: the campaign),
         ``term``, ``value``, ``u``, ``unit``, ``low`` and ``high`` (of the 95 % interval),
-        ``u_typical``, ``dof``, ``estimated``. What is not determined is null.
+        ``u_unstated``, ``dof``, ``estimated``. What is not determined is null.
 
     Raises
     ------
@@ -69,21 +69,21 @@ def frame(result: Result, library: str = "polars") -> Any:
         name: []
         for name in (
             *("owner", "term", "value", "u", "unit"),
-            *("low", "high", "u_typical", "dof", "estimated"),
+            *("low", "high", "u_unstated", "dof", "estimated"),
         )
     }
     for owner, symbol, c in rows(result):
         unit, factor = field_unit(c.unit)
         known = c.estimated and c.value is not None and c.u is not None
         low, high = c.interval() if known else (None, None)
-        numbers = (c.value, c.u, low, high, c.u_typical)
+        numbers = (c.value, c.u, low, high, c.u_unstated)
         value, u, low, high, typical = (
             None if number is None else number * factor for number in numbers
         )
         row = (owner, symbol, value, u, unit, low, high, typical, c.dof, c.estimated)
         for column, cell in zip(columns.values(), row, strict=True):
             column.append(cell)
-    return frame_of(columns, ("value", "u", "low", "high", "u_typical", "dof"), library)
+    return frame_of(columns, ("value", "u", "low", "high", "u_unstated", "dof"), library)
 
 
 def frame_of(columns: Mapping[str, list[Any]], numeric: Sequence[str], library: str) -> Any:

@@ -3,7 +3,7 @@
 - `accelerometer_blocks`: coefficients, what cannot be told apart, fit, noise, checks
 - `budget_blocks`: where the uncertainty of its coefficients comes from
 - `coefficient_table`, `in_field_units`: coefficients of any kind
-- `rests_on`: what cannot be told apart, and what the model leaves out; `not_apart`: the former
+- `rests_on`: what cannot be told apart, and what decides u; `not_apart`: the former
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from typing import Final
 
 from counterspin.calibration.findings import methods_agree
 from counterspin.calibration.pages.kinds import kind_blocks
-from counterspin.calibration.pages.left_out import left_out_blocks, left_out_sentence
 from counterspin.calibration.pages.motions import table_of_tests
+from counterspin.calibration.pages.uncertainty import dominance
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     BudgetLine,
@@ -75,7 +75,6 @@ def accelerometer_blocks(
     if accelerometer.jackknife and "K_II" in accelerometer.coefficients:
         yield from _jackknife(accelerometer.jackknife, accelerometer.coefficients["K_II"])
     if details:
-        yield from left_out_blocks(accelerometer)
         yield from _correlations(accelerometer)
 
 
@@ -122,14 +121,8 @@ def in_field_units(coefficient: Coefficient) -> tuple[float | None, float | None
 
 def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
     """Return one row for each coefficient; the first column is its symbol, the second its words."""
-    with_typical = any(c.u_typical is not None for c in coefficients.values())
     rows = [
-        (
-            *_names(symbol),
-            *_cells(coefficient),
-            *([_typical(coefficient)] if with_typical else []),
-            _origin(coefficient),
-        )
+        (*_names(symbol), *_cells(coefficient), _origin(coefficient))
         for symbol, coefficient in coefficients.items()
     ]
     return Table(
@@ -139,7 +132,6 @@ def coefficient_table(coefficients: dict[str, Coefficient]) -> Table:
             Column("Value", "right"),
             Column("u (k = 1)"),
             Column("Unit"),
-            *([Column("u typical")] if with_typical else []),
             Column("u comes from", wraps=True),
         ),
         rows=tuple(rows),
@@ -169,16 +161,6 @@ def _cells(coefficient: Coefficient) -> tuple[str, str, str]:
     return both.value, f"± {both.u}", f"1e{both.exponent} {unit}" if both.exponent else unit
 
 
-def _typical(coefficient: Coefficient) -> str:
-    """Return the second uncertainty in the unit of the row, its power of ten included."""
-    value, u, _ = in_field_units(coefficient)
-    if coefficient.u_typical is None or value is None or u is None:
-        return ""
-    both = round_to_uncertainty(value, u) if u > 0.0 else None
-    scale = 10.0 ** -(both.exponent if both else 0) * field_unit(coefficient.unit)[1]
-    return f"± {format_uncertainty(coefficient.u_typical * scale)}"
-
-
 def _origin(coefficient: Coefficient) -> str:
     if coefficient.value is None:
         return NOT_DETERMINED
@@ -186,8 +168,8 @@ def _origin(coefficient: Coefficient) -> str:
         return "prior alone"
     parts = {
         "noise": coefficient.u_noise,
-        "priors": coefficient.u_prior,
-        "considered": coefficient.u_considered,
+        "stated": coefficient.u_stated,
+        "unstated": coefficient.u_unstated,
     }
     total = sum(u * u for u in parts.values() if u is not None)
     if total == 0.0:
@@ -218,9 +200,9 @@ def _confounded(confounded: ConfoundedTerms) -> str:
 
 
 def rests_on(accelerometer: AccelerometerResult) -> Iterator[str]:
-    """Yield, in sentences, what the records cannot tell apart and what the model leaves out."""
+    """Yield, in sentences, what the records cannot tell apart and what decides u."""
     yield from map(_confounded, accelerometer.confounded)
-    if sentence := left_out_sentence(accelerometer):
+    if sentence := dominance(accelerometer):
         yield sentence
 
 
@@ -333,10 +315,11 @@ def budget_blocks(name: str, accelerometer: AccelerometerResult) -> Iterator[Blo
         yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
         total = math.sqrt(sum(line.contribution**2 for line in lines))
         rows = [_budget_row(line, factor) for line in lines]
-        rows.append(("combined", "", "", format_uncertainty(total * factor), ""))
+        rows.append(("combined", "", "", "", format_uncertainty(total * factor), ""))
         yield Table(
             columns=(
                 Column("Source", wraps=True),
+                Column("Kind"),
                 Column("Its u", "right"),
                 Column(f"Sensitivity, {unit} per unit", "right", wraps=True),
                 Column(f"Contribution, {unit}", "right", wraps=True),
@@ -350,6 +333,7 @@ def _budget_row(line: BudgetLine, factor: float) -> tuple[str, ...]:
     unit, source = field_unit(line.unit)
     return (
         line.source,
+        line.kind,
         "" if line.u is None else f"{format_number(line.u * source, 2)} {unit}",
         "" if line.sensitivity is None else format_number(line.sensitivity * factor / source),
         format_uncertainty(line.contribution * factor),

@@ -93,12 +93,12 @@ def _method(result: Result) -> str:
         return (
             f"{beside.capitalize()}{'all' if beside else 'All'} readings of all kinds of test in "
             "one weighted least-squares fit, with what was known beforehand as further "
-            "observations; what is considered and not estimated enters u by its sensitivity."
+            "observations; what is held and not estimated enters u by its sensitivity."
         )
     return (
         "All samples of all runs and accelerometers in one weighted least-squares fit, with what "
-        "was known beforehand as further observations; what is considered and not estimated "
-        "enters u by its sensitivity. Each run has a start offset and a start velocity of its own."
+        "was known beforehand as further observations; what is held and not estimated enters u by "
+        "its sensitivity. Each run has a start offset and a start velocity of its own."
     )
 
 

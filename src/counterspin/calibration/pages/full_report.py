@@ -21,6 +21,7 @@ from counterspin.calibration.pages.pictures import (
     ripple_plot,
 )
 from counterspin.calibration.pages.sections import answer_blocks, platform_blocks, run_blocks
+from counterspin.calibration.pages.uncertainty import knowledge_blocks
 from counterspin.calibration.pages.verdict import verdict_blocks
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult
@@ -44,6 +45,7 @@ def document(result: Result) -> list[Block]:
         *conformity_blocks(result),
         *_chapters(result),
         *platform_blocks(result),
+        *knowledge_blocks(result),
         *run_blocks(result.runs, details=True),
         *_drawn(ripple_plot(result.runs)),
         *model_blocks(result),

@@ -18,6 +18,7 @@ from counterspin.calibration.pages.accelerometer import (
     in_field_units,
 )
 from counterspin.calibration.pages.conformity import conformity_blocks
+from counterspin.calibration.pages.uncertainty import assumption, dominance, knowledge_blocks
 from counterspin.calibration.pages.verdict import misfit_blocks, verdict_blocks
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient, RunResult, State
@@ -32,7 +33,6 @@ from counterspin.reports.numbers import (
     format_estimate,
     format_interval,
     format_number,
-    format_uncertainty,
 )
 
 #: Titles of what a fit is judged by; other keys are their own.
@@ -68,6 +68,8 @@ def sections(result: Result, *, budget: bool = False, details: bool = False) -> 
         if budget:
             blocks += budget_blocks(name, accelerometer)
     blocks += platform_blocks(result)
+    if budget:
+        blocks += knowledge_blocks(result)
     blocks += run_blocks(result.runs, details=details)
     if details:
         blocks += _details(result)
@@ -104,6 +106,10 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
         if (coefficient := accelerometer.coefficients.get("K_II")) is not None:
             state = accelerometer.state
             yield _answer_line(f"K_II of {name}", coefficient, in_g=in_g, state=state)
+            if sentence := dominance(accelerometer):
+                yield Paragraph(sentence)
+    if sentence := assumption(result):
+        yield Paragraph(sentence)
     for warning in result.warnings:
         yield Paragraph(f"Warning: {warning}", "warning")
     known = (f"{key.replace('_', ' ')} {text}" for key, text in result.details.items())
@@ -139,9 +145,6 @@ def _answer_line(
         interval = format_interval(value, u, half, unit if in_g else "")
         dof = f", {format_count(coefficient.dof)} dof" if coefficient.dof is not None else ""
         text += f"   (95 %: {interval}{dof})"
-    if coefficient.u_typical is not None:
-        typical = format_uncertainty(coefficient.u_typical * field_unit(coefficient.unit)[1])
-        text += f"; ± {typical} {unit} with what the model leaves out at typical sizes"
     return Paragraph(text, "reserved" if state == "reservations" else "answer")
 
 

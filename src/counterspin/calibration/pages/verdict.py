@@ -11,7 +11,6 @@ from collections.abc import Iterator
 from typing import Final
 
 from counterspin.calibration.findings import supports
-from counterspin.calibration.pages.left_out import left_out_sentence
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
 from counterspin.reports.blocks import Block, Paragraph
@@ -35,9 +34,6 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
     """
     assert accelerometer.state is not None
     opening = f"{name} {_OPENINGS[accelerometer.state]}"
-    left_out = left_out_sentence(accelerometer)
-    if left_out and accelerometer.state == "good":
-        opening += " if what its model leaves out is nothing"
     speaks_for = "; ".join(supports(accelerometer))
     if accelerometer.findings:
         sentences = [f"{opening}: {finding_text(accelerometer.findings[0])}"]
@@ -49,7 +45,7 @@ def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
             sentences.append(f"In its favour: {speaks_for}.")
     else:
         sentences = [f"{opening}: {speaks_for}." if speaks_for else f"{opening}."]
-    return " ".join([*sentences, left_out] if left_out else sentences)
+    return " ".join(sentences)
 
 
 def finding_text(finding: Finding) -> str:

@@ -17,7 +17,6 @@ from counterspin.campaign.memory.making import give_records, resolved_in_memory
 from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import OBSERVABLES, DocumentSettings
-from counterspin.campaign.terms import DEFAULT_TERMS
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.errors import CampaignError
 from counterspin.physics.terms import COMMON_NAMES, TERMS
@@ -29,6 +28,8 @@ SHORT: Final[Mapping[str, KeyPath]] = {
     "latitude": ("site", "latitude"),
     "radius": ("centrifuge", "radius"),
     "terms": ("model", "terms"),
+    "assume": ("model", "assume"),
+    "hold": ("model", "hold"),
     "considered": ("model", "considered"),
     "priors": ("model", "priors"),
     "seed": ("simulation", "seed"),
@@ -97,8 +98,6 @@ def _set(document: dict[str, Any], path: KeyPath, value: Any, problems: Problems
     for part in reversed(path):
         patch = {part: patch}
     merged = patched(document, patch)
-    if path in (("model", "terms"), ("model", "considered")):
-        _drop_unused_priors(merged)
     document.clear()
     document.update(merged)
 
@@ -126,22 +125,6 @@ def _forget_priors(document: dict[str, Any], priors: Mapping[str, Any]) -> None:
             **document["model"],
             "priors": flat_keys(document["model"]["priors"]),
         }
-
-
-def _drop_unused_priors(document: dict[str, Any]) -> None:
-    """Take away the priors of terms that are no longer in the model, which refuses them."""
-    model = document["model"]
-    used = [*model.get("terms", DEFAULT_TERMS), *model.get("considered", ())]
-    if "priors" not in model or not all(isinstance(name, str) for name in used):
-        return
-    owners = tuple(f"{name}." for name in document["accelerometers"])
-    kept = {}
-    for key, prior in flat_keys(model["priors"]).items():
-        symbol = key.partition(".")[2] if key.startswith(owners) else key
-        # A bare name stands for components, and a component may have a bare name's prior.
-        if any(f"{symbol}.".startswith(f"{n}.") or f"{n}.".startswith(f"{symbol}.") for n in used):
-            kept[key] = prior
-    document["model"] = {**model, "priors": kept}
 
 
 # Some of the accelerometers and of the runs

@@ -10,7 +10,7 @@ a fit with the parameter would give.
 For a prior the column is its own row, so that its parameter is the distance of the prior from what
 everything else says, and the test is that of the prior's misfit (Baarda's w-test).
 
-- `Alternative`: one of them; `of_priors`: those of a fit's own priors
+- `Alternative`: one of them; `of_priors`, `of_unstated`: those of a fit's own priors
 - `Scores`, `scores`: all of them held against a fit; `Beside`, `beside_fit`: their columns and
   its residuals, for other tests
 """
@@ -18,7 +18,7 @@ everything else says, and the test is that of the prior's misfit (Baarda's w-tes
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 
 import numpy as np
@@ -28,10 +28,12 @@ from counterspin.frozen import frozen
 from counterspin.inference.blocks import Block
 from counterspin.inference.diagnostics import LEAST_PART_LEFT
 from counterspin.inference.distributions import student_cdf
+from counterspin.inference.joint import encoder
 from counterspin.inference.joint.fit import JointFit, solve_blocks
 from counterspin.inference.joint.relaxed import widened
+from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import Solution
-from counterspin.physics.terms import SHARED_TERMS, TERMS
+from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
 
 
 @frozen
@@ -107,27 +109,53 @@ class Scores:
 def of_priors(fit: JointFit) -> tuple[Alternative, ...]:
     """Return the alternatives that a relaxed fit has in itself: one prior is wrong, or several.
 
-    One for each unknown of which something is known beforehand; one for each term that several
-    runs have anew, and one for all its components: they are off alike if one mistake made them so.
+    One for each unknown of which something is stated; one for each term that several runs have
+    anew, and one for all its components: they are off alike if one mistake made them so.
 
     Parameters
     ----------
     fit
         Of `counterspin.inference.joint.relaxed.relax`.
     """
-    known = [
+    known = [(place, unknown) for place, unknown in _known(fit) if not unknown.unstated]
+    single = [Alternative("prior", *_named(u), priors={k: 1.0}, limit=_reach(u)) for k, u in known]
+    return (*single, *_together(fit, known, "priors"))
+
+
+def of_unstated(fit: JointFit) -> tuple[Alternative, ...]:
+    """Return likewise the alternatives that something unstated is far from its typical size."""
+    known = [(place, unknown) for place, unknown in _known(fit) if unknown.unstated]
+    return tuple(
+        Alternative(
+            "input" if u.symbol in INPUTS else "term", *_named(u), priors={k: 1.0}, limit=_reach(u)
+        )
+        for k, u in known
+    )
+
+
+def _known(fit: JointFit) -> list[tuple[int, Unknown]]:
+    """Return places and unknowns of which something is known beforehand, but for encoders'."""
+    return [
         (place, unknown)
         for place, unknown in enumerate(fit.model.unknowns)
-        if math.isfinite(unknown.prior[1])
-        and unknown.asked
-        and not unknown.symbol.startswith("encoder.")
+        if math.isfinite(unknown.prior[1]) and unknown.symbol not in encoder.SYMBOLS
     ]
-    single = [
-        Alternative("prior", u.owner, u.symbol, priors={k: 1.0}, limit=u.limit + abs(u.prior_mean))
-        if u.symbol in TERMS or u.symbol in SHARED_TERMS
-        else Alternative("prior", u.owner, u.symbol, priors={k: 1.0})
-        for k, u in known
-    ]
+
+
+def _named(unknown: Unknown) -> tuple[str, str]:
+    return unknown.owner, unknown.symbol
+
+
+def _reach(unknown: Unknown) -> float:
+    """Return how far from its prior an unknown may credibly be."""
+    own = unknown.symbol in TERMS or unknown.symbol in SHARED_TERMS
+    return unknown.limit + abs(unknown.prior_mean) if own else math.inf
+
+
+def _together(
+    fit: JointFit, known: Sequence[tuple[int, Unknown]], kind: str
+) -> Iterator[Alternative]:
+    """Yield one alternative for each term, and each family of terms, that several runs have."""
     runs = {part.run for part in fit.prepared}
     together: dict[str, dict[int, float]] = {}
     for place, unknown in known:
@@ -135,13 +163,12 @@ def of_priors(fit: JointFit) -> tuple[Alternative, ...]:
             whole, _, _ = unknown.symbol.rpartition(".")
             for name in (unknown.symbol, whole) if whole else (unknown.symbol,):
                 together.setdefault(name, {})[place] = 1.0
-    several: list[Alternative] = []
+    said: list[Mapping[int, float]] = []
     for symbol, places in together.items():
-        same = [other for other in several if other.priors == places]
-        if len(places) > 1 and not same:
+        if len(places) > 1 and places not in said:
+            said.append(places)
             limit = min(fit.model.unknowns[place].limit for place in places)
-            several.append(Alternative("priors", "", symbol, priors=places, limit=limit))
-    return (*single, *several)
+            yield Alternative(kind, "", symbol, priors=places, limit=limit)
 
 
 def scores(fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: bool) -> Scores:

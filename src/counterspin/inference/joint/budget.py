@@ -1,15 +1,16 @@
 """The uncertainty budget: where the uncertainty of a coefficient comes from, line by line.
 
-- `budget`: one line for the records' noise of each accelerometer, one for noise that they do not
-  show, one for each prior, each considered term, each uncertain input and each part of a run's
-  recorded rotation; the squares of the contributions add up to u^2
+- `budget`: one line for the noise of each accelerometer, one for noise that its records do not
+  show, one for each prior, each held term and each part of a run's recorded rotation; the squares
+  of the contributions add up to u^2
+- `Line`: one of them; `by_kind`: the same sums by kind alone
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Final
+from typing import Final, Literal
 
 import numpy as np
 
@@ -23,9 +24,13 @@ from counterspin.inference.least_squares import Combination
 #: Lines below this share of u^2 say nothing.
 _NEGLIGIBLE: Final = 1e-12
 
-NOISE: Final = "noise"  #: kind of a line that stands for the records
-UNSEEN: Final = "unseen"  #: kind of a line that stands for noise that the records do not show
-ENCODER: Final = "encoder"  #: kind of a line that stands for a run's recorded angle
+#: Kinds: what was measured, what the description states, what it does not state and is taken at its
+#: typical size, and what is known but not adjusted.
+Kind = Literal["noise", "stated", "unstated", "held"]
+NOISE: Final = "noise"
+STATED: Final = "stated"
+UNSTATED: Final = "unstated"
+HELD: Final = "held"
 
 
 @frozen
@@ -35,10 +40,10 @@ class Line:
     Attributes
     ----------
     source
-        Name of the unknown, considered term or input; for noise the accelerometer's; for the
-        encoder the run's and ``angle``, ``rate``, ``drift`` or ``ripple1`` ...
+        Name of the unknown or held term; for noise the accelerometer's; for the encoder the run's
+        and ``angle``, ``rate``, ``drift`` or ``ripple1`` ...
     kind
-        ``noise``, ``unseen``, ``prior``, ``considered``, ``input`` or ``encoder``.
+        `NOISE` (an encoder's too), `STATED`, `UNSTATED` or `HELD`.
     u
         Standard uncertainty of the source, in its own unit; None for noise.
     sensitivity
@@ -48,14 +53,20 @@ class Line:
         |sensitivity| x u, in the coefficient's unit.
     share
         Part of u^2.
+    hidden
+        Of noise: whether it does not show in the records. `u` is its level, (m/s^2)/Hz^0.5.
+    unstated
+        Whether u is a typical size that the description does not state; of a held term, too.
     """
 
     source: str
-    kind: str
+    kind: Kind
     u: float | None
     sensitivity: float | None
     contribution: float
     share: float
+    hidden: bool = False
+    unstated: bool = False
 
 
 def budget(fit: JointFit, index: int) -> tuple[Line, ...]:
@@ -78,21 +89,18 @@ def budget(fit: JointFit, index: int) -> tuple[Line, ...]:
     ]
     for name, (level, covariance) in fit.unseen.items():
         size = math.sqrt(float(covariance[index, index]))
-        lines.append(Line(name, UNSEEN, level, size / level if level else 0.0, size, 0.0))
+        slope = size / level if level else 0.0
+        lines.append(Line(name, NOISE, level, slope, size, 0.0, hidden=True))
     for j, unknown in enumerate(model.unknowns):
         if math.isfinite(unknown.prior[1]) and unknown.symbol not in encoder.SYMBOLS:
+            kind: Kind = UNSTATED if unknown.unstated else STATED
             sensitivity = float(solution.sensitivity_prior[index, j])
-            lines.append(
-                Line(unknown.name, "prior", unknown.prior[1], sensitivity, abs(parts.prior[j]), 0.0)
-            )
-    inputs = model.inputs or {}
-    encoded = {other.name for other in model.considered if other.symbol in encoder.SYMBOLS}
-    for k, (name, u) in enumerate(zip(model.considered_names, model.considered_sizes, strict=True)):
-        if name in encoded:
-            continue
-        kind = "input" if name in inputs else "considered"
-        sensitivity = float(solution.sensitivity_considered[index, k])
-        lines.append(Line(name, kind, u, sensitivity, abs(float(parts.considered[k])), 0.0))
+            size = abs(float(parts.prior[j]))
+            lines.append(_of(unknown, kind, sensitivity, size))
+    for k, held in enumerate(model.considered):
+        if held.symbol not in encoder.SYMBOLS:
+            sensitivity = float(solution.sensitivity_considered[index, k])
+            lines.append(_of(held, HELD, sensitivity, abs(float(parts.considered[k]))))
     lines += _encoder_lines(fit, parts)
     total = sum(line.contribution**2 for line in lines)
     if total == 0.0:
@@ -102,12 +110,18 @@ def budget(fit: JointFit, index: int) -> tuple[Line, ...]:
     return tuple(sorted(kept, key=lambda line: -line.contribution))
 
 
+def _of(unknown: Unknown, kind: Kind, sensitivity: float, size: float) -> Line:
+    return Line(
+        unknown.name, kind, unknown.prior[1], sensitivity, size, 0.0, unstated=unknown.unstated
+    )
+
+
 def _encoder_lines(fit: JointFit, parts: Combination) -> list[Line]:
     """Join the terms of each part of each run's rotation, estimated or considered."""
     signed: dict[tuple[str, str], list[float]] = {}
     terms: list[tuple[Unknown, float]] = [
         *zip(fit.model.unknowns, parts.prior, strict=True),
-        *zip(fit.model.considered, parts.considered, strict=False),
+        *zip(fit.model.considered, parts.considered, strict=True),
     ]
     for other, contribution in terms:
         if other.symbol in encoder.SYMBOLS:
@@ -120,7 +134,7 @@ def _encoder_lines(fit: JointFit, parts: Combination) -> list[Line]:
         u = error.u[part] if error else 0.0
         size = math.hypot(*contributions) if len(contributions) > 1 else contributions[0]
         sensitivity = size / u if u else 0.0
-        lines.append(Line(f"{run}.{part}", ENCODER, u, sensitivity, abs(size), 0.0))
+        lines.append(Line(f"{run}.{part}", NOISE, u, sensitivity, abs(size), 0.0))
     return lines
 
 
@@ -134,3 +148,30 @@ def _noise_by_accelerometer(fit: JointFit, rows: Array) -> dict[str, float]:
         squares[name] = squares.get(name, 0.0) + float(np.sum(rows[start:end] ** 2))
         start = end
     return {name: math.sqrt(square) for name, square in squares.items()}
+
+
+def by_kind(fit: JointFit, index: int) -> tuple[float, float, float]:
+    """Return u of an unknown from noise, from what is stated and from what is not.
+
+    Parameters
+    ----------
+    fit, index
+        As for `budget`.
+    """
+    solution, model = fit.solution, fit.model
+    squares: dict[str, float] = {
+        NOISE: float(solution.covariance_noise[index, index]),
+        STATED: 0.0,
+        UNSTATED: 0.0,
+    }
+    if solution.covariance_unseen is not None:
+        squares[NOISE] += float(solution.covariance_unseen[index, index])
+    sensitivity = (solution.sensitivity_prior[index], solution.sensitivity_considered[index])
+    for unknowns, slopes in zip((model.unknowns, model.considered), sensitivity, strict=True):
+        for unknown, slope in zip(unknowns, slopes.tolist(), strict=True):
+            if slope != 0.0 and math.isfinite(unknown.prior[1]):
+                encoded = unknown.symbol in encoder.SYMBOLS
+                kind = NOISE if encoded else UNSTATED if unknown.unstated else STATED
+                squares[kind] += (slope * unknown.prior[1]) ** 2
+    of_noise, of_stated, of_unstated = (math.sqrt(max(s, 0.0)) for s in squares.values())
+    return of_noise, of_stated, of_unstated

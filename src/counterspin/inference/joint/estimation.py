@@ -24,7 +24,7 @@ from counterspin.inference.joint.outliers import outlying
 from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.rotation import find_rotation
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
+from counterspin.inference.joint.unknowns import ROTATION, Unknowns
 from counterspin.inference.noise import variance_components
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import lengthened
@@ -135,7 +135,7 @@ def estimate(
     ConvergenceError
         If the outliers or the rotation do not settle.
     """
-    plain = replace(model, inputs=None)
+    plain = model.without_inputs()
     rough = {name: NoiseModel(1.0, 0.0) for name in requests}
     series = tuple(series)
     if any(unknown.symbol in ROTATION for unknown in model.unknowns):
@@ -158,10 +158,13 @@ def estimate(
         fit = solve_joint(prepared, whole, noise)
     scale_factors = _scale_factors(series, plain, fit)
     moved = any(abs(scale_factors[a] - before[a]) > _SCALE_TOLERANCE for a in before)
-    if model.inputs or moved:
-        whole = replace(whole, inputs=model.inputs)
+    if model.has_inputs or moved:
+        whole = Unknowns(
+            (*model.unknowns, *whole.unknowns[len(plain.unknowns) :]),
+            (*model.considered, *whole.considered[len(plain.considered) :]),
+        )
         prepared = fit.prepared_for(whole, scale_factors)
-        if model.inputs:
+        if model.has_inputs:
             noise, components = _noise(prepared, whole, requests)
         fit = solve_joint(prepared, whole, noise)
     if reject and whole is not plain:
@@ -331,8 +334,7 @@ def _components(
     prepared: Sequence[Prepared], model: Unknowns, request: NoiseRequest
 ) -> VarianceComponents:
     # What is considered is unknown here, or what it does to the records would be taken for noise.
-    inputs = [Unknown("", name, (0.0, u), 1.0) for name, u in (model.inputs or {}).items()]
-    every, p = (*model.unknowns, *model.considered, *inputs), len(model.unknowns)
+    every, p = (*model.unknowns, *model.considered), len(model.unknowns)
     places = [(*part.unknowns, *(p + place for place in part.considered)) for part in prepared]
     used = sorted({index for own in places for index in own})
     plain = [

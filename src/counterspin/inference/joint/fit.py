@@ -130,13 +130,13 @@ class JointFit:
 
     @cached_property
     def relaxed(self) -> Solution:
-        """The solution with considered terms and inputs estimated too, each held by its prior.
+        """The solution with considered terms estimated too, each held by its prior.
 
         Its unknowns are those of the model, then the considered ones. It is what the records and
         everything known beforehand say together, and so what they are compared with: a considered
         term that is not what was assumed is no lack of fit as long as its uncertainty allows it.
         """
-        if not self.model.considered_names:
+        if not self.model.considered:
             return self.solution
         return solve_relaxed([*self.blocks, *self.beside.values()], self.model)
 
@@ -243,7 +243,7 @@ def _block(prepared: Prepared, model: Unknowns, noise: NoiseModel) -> Block:
     block = reduce_block(rows[:, m : m + p], rows[:, -1], rows[:, :m], rows[:, m + p : -1])
     factor = np.zeros((block.factor.shape[0], len(model.unknowns)))
     factor[:, list(prepared.unknowns)] = block.factor
-    fixed = np.zeros((block.factor.shape[0], len(model.considered_names)))
+    fixed = np.zeros((block.factor.shape[0], len(model.considered)))
     fixed[:, list(prepared.considered)] = block.considered
     return replace(block, factor=factor, considered=fixed)
 
@@ -270,12 +270,11 @@ def relaxed_block(block: Block) -> Block:
 
 
 def solve_relaxed(blocks: Sequence[Block], model: Unknowns) -> Solution:
-    """Solve blocks with considered terms and inputs estimated too, as `JointFit.relaxed`."""
-    unknowns, inputs = (*model.unknowns, *model.considered), model.inputs or {}
+    """Solve blocks with considered terms estimated too, as `JointFit.relaxed`."""
+    unknowns = (*model.unknowns, *model.considered)
     return least_squares.solve(
         [relaxed_block(block) for block in blocks],
-        prior_mean=[*(u.prior_mean for u in unknowns), *(0.0 for _ in inputs)],
-        prior_sd=[*(u.prior[1] for u in unknowns), *inputs.values()],
-        # Inputs have a prior, and so no need of a limit.
-        limits=[*(u.limit for u in unknowns), *(1.0 for _ in inputs)],
+        prior_mean=[unknown.prior_mean for unknown in unknowns],
+        prior_sd=[unknown.prior[1] for unknown in unknowns],
+        limits=[unknown.limit for unknown in unknowns],
     )

@@ -107,8 +107,8 @@ def _surprise(own: Sequence[Block], others: Sequence[Block], model: Unknowns) ->
     rows = np.vstack([block.factor for block in blocks])
     target = np.concatenate([block.target for block in blocks])
     terms = (*model.unknowns, *model.considered)
-    credible = np.array([*(term.spread for term in terms), *(model.inputs or {}).values()])
-    limits = np.array([*(term.limit for term in terms), *(model.inputs or {}).values()])
+    credible = np.array([term.spread for term in terms])
+    limits = np.array([term.limit for term in terms])
     seen, sizes, _ = np.linalg.svd(rows * np.minimum(credible, limits), full_matrices=False)
     seen = seen[:, sizes > _BLIND_PART]
     # Only what the kind says of the unknowns; its own scatter has tests of its own.

@@ -18,7 +18,7 @@ from counterspin.inference.joint import encoder
 from counterspin.inference.joint.inputs import input_column, rotation_column
 from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Unknowns
-from counterspin.physics.terms import SHARED_TERMS, TERMS
+from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
 
 
 @frozen
@@ -83,15 +83,13 @@ class Prepared:
         """
         columns = [*self.design.T, *self.fixed.T]
         terms = [before.unknowns[i].symbol for i in self.unknowns]
-        terms += [
-            before.considered[i].symbol for i in self.considered if i < len(before.considered)
-        ]
+        terms += [before.considered[i].symbol for i in self.considered]
         ratio = scale_factor / self.scale_factor
         shown = {
             symbol: ratio * column if symbol in SHARED_TERMS else column
-            for symbol, column in zip(terms, columns, strict=False)
-            # What the encoder leaves open depends on the estimate.
-            if symbol not in encoder.SYMBOLS
+            for symbol, column in zip(terms, columns, strict=True)
+            # What the encoder leaves open, and what an input does, depend on the estimate.
+            if symbol not in encoder.SYMBOLS and symbol not in INPUTS
         }
         return _prepare(self.series, after, scale_factor, estimate, shown)
 
@@ -137,7 +135,9 @@ def _prepare(
     ignored = [model.considered[i].symbol for i in considered]
     turned = [symbol for symbol in (*symbols, *ignored) if symbol in ROTATION]
     encoded = [symbol for symbol in (*symbols, *ignored) if symbol in encoder.SYMBOLS]
-    terms = [symbol for symbol in (*symbols, *ignored) if symbol not in (*turned, *encoded)]
+    inputs = [symbol for symbol in (*symbols, *ignored) if symbol in INPUTS]
+    apart = {*turned, *encoded, *inputs}
+    terms = [symbol for symbol in (*symbols, *ignored) if symbol not in apart]
     new = [symbol for symbol in terms if symbol not in shown]
     table = dict(shown)
     table |= dict(zip(new, series.columns(new, scale_factor).T, strict=True))
@@ -145,18 +145,17 @@ def _prepare(
     known = {s: v for s, v in zip(symbols, estimate[list(unknowns)], strict=True) if s in terms}
     own = {"K_I": scale_factor - 1.0} | {s: v for s, v in known.items() if s in TERMS}
     table |= dict(zip(encoded, encoder.columns(series, encoded, own).T, strict=True))
-    n = series.time.size
-    design = np.column_stack([table[s] for s in symbols] or [np.empty((n, 0))])
-    fixed = [table[symbol] for symbol in ignored]
-    first_input = len(model.considered)
-    for name in model.inputs or ():
-        fixed.append(input_column(series, name, scale_factor, known, table))
-    inputs = tuple(range(first_input, first_input + len(model.inputs or ())))
+    shown_terms = {s: table[s] for s in known}
+    table |= {s: input_column(series, s, scale_factor, known, shown_terms) for s in inputs}
     return Prepared(
         series,
         scale_factor,
         unknowns,
-        design,
-        considered + inputs,
-        np.column_stack(fixed or [np.empty((n, 0))]),
+        _stacked(series, [table[symbol] for symbol in symbols]),
+        considered,
+        _stacked(series, [table[symbol] for symbol in ignored]),
     )
+
+
+def _stacked(series: Series, columns: Sequence[Array]) -> Array:
+    return np.column_stack(columns or [np.empty((series.time.size, 0))])

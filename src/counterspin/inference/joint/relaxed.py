@@ -4,7 +4,7 @@ What a model assumes can only be held to the records where it may give way. Henc
 what is considered is estimated, its prior being one more observation; and one that has further
 columns, such as those of a mistake that somebody may have made.
 
-- `relax`: considered terms and uncertain inputs as unknowns with priors
+- `relax`: considered terms as unknowns with priors
 - `extended`: further columns as unknowns without priors; `widened`: only put beside the others
 """
 
@@ -31,15 +31,14 @@ def relax(fit: JointFit) -> JointFit:
     the records do not show is left out.
     """
     model = fit.model
-    if not model.considered_names:
+    if not model.considered:
         return replace(fit, unseen={})
     p = len(model.unknowns)
     considered = [
-        Unknown(other.owner, other.symbol, other.prior, other.limit) for other in model.considered
+        Unknown(other.owner, other.symbol, other.prior, other.limit, other.asked, other.unstated)
+        for other in model.considered
     ]
-    # An input has a prior, and so no need of a limit.
-    inputs = [Unknown("", name, (0.0, u), 1.0) for name, u in (model.inputs or {}).items()]
-    whole = Unknowns((*model.unknowns, *considered, *inputs))
+    whole = Unknowns((*model.unknowns, *considered))
     prepared = tuple(
         replace(
             part,

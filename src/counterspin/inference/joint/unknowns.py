@@ -1,19 +1,18 @@
-"""What a joint fit estimates, what it considers, and which inputs are uncertain.
+"""What a joint fit estimates, asked for or not, and what it holds.
 
-- `Unknown`, `Considered`: terms of the accelerometers, of the platform, of a run's rotation
+- `Unknown`, `Considered`: terms of the accelerometers, of the platform, of a run's rotation, inputs
 - `Unknowns`: all of them
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import Final
 
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
 from counterspin.inference.least_squares import REGULARISATION
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TERMS, shown_by_readings
+from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, TERMS, shown_by_readings
 
 #: Rotation of a run as unknowns, where no angle is recorded: rad, rad/s, 1/s.
 ROTATION: Final = ("spindle.start_angle", "spindle.rate", "spindle.drift")
@@ -30,11 +29,15 @@ class Unknown:
     symbol
         A term of the table, one of `ROTATION` or of `counterspin.inference.joint.encoder.SYMBOLS`.
     prior
-        (value, standard uncertainty) of the coefficient; infinite: nothing known.
+        (value, standard uncertainty) of the coefficient; infinite: nothing known. Of an input,
+        its deviation from what the description states.
     limit
         Largest credible size.
     asked
-        Whether anybody wants to know it; else it is there because others cannot be told from it.
+        Whether anybody wants to know it; else it is there because others depend on it.
+    unstated
+        Whether the description does not state the prior's uncertainty, which then is the typical
+        one of the table of terms.
     """
 
     owner: str
@@ -42,6 +45,7 @@ class Unknown:
     prior: tuple[float, float]
     limit: float
     asked: bool = True
+    unstated: bool = False
 
     @property
     def nominal(self) -> float:
@@ -67,6 +71,8 @@ class Unknown:
         """Return whether the unknown can show in a series."""
         if self.symbol in OWN_TERMS:
             return self.owner == series.accelerometer
+        if self.symbol in INPUTS:
+            return True
         if self.symbol not in SHARED_TERMS and shown_by_readings(self.symbol):
             return False
         return self.owner in ("", series.run)
@@ -74,37 +80,51 @@ class Unknown:
 
 @frozen
 class Considered(Unknown):
-    """A term that is not estimated: its prior's value is taken, its uncertainty carried."""
+    """A term that is held: its prior's value is taken, its uncertainty carried (Schmidt)."""
 
 
 @frozen
 class Unknowns:
-    """What is estimated, what is considered, and which inputs are uncertain.
+    """What is estimated and what is held.
 
     Attributes
     ----------
     unknowns, considered
-        In the order of the solution's rows and considered columns.
-    inputs
-        Input (a key of `inputs.INPUTS`, or `inputs.TIMING`) -> standard uncertainty, SI;
-        considered too.
+        In the order of the solution's rows and considered columns; unknowns that are asked for
+        come first.
     """
 
     unknowns: tuple[Unknown, ...]
     considered: tuple[Considered, ...] = ()
-    inputs: Mapping[str, float] | None = None
+
+    @property
+    def asked(self) -> tuple[Unknown, ...]:
+        """What is asked for: the first of the unknowns."""
+        return tuple(unknown for unknown in self.unknowns if unknown.asked)
+
+    @property
+    def has_inputs(self) -> bool:
+        """Whether an input is among the unknowns or among what is held."""
+        return any(other.symbol in INPUTS for other in (*self.unknowns, *self.considered))
+
+    def without_inputs(self) -> Unknowns:
+        """Return the model with every input as the description states it."""
+        return Unknowns(
+            tuple(unknown for unknown in self.unknowns if unknown.symbol not in INPUTS),
+            tuple(other for other in self.considered if other.symbol not in INPUTS),
+        )
 
     @property
     def considered_names(self) -> tuple[str, ...]:
         """Names of the solution's considered columns."""
-        return (*(c.name for c in self.considered), *(self.inputs or ()))
+        return tuple(other.name for other in self.considered)
 
     @property
     def considered_means(self) -> list[float]:
         """Assumed values of the solution's considered columns, less nominal."""
-        return [*(c.prior_mean for c in self.considered), *(0.0 for _ in self.inputs or ())]
+        return [other.prior_mean for other in self.considered]
 
     @property
     def considered_sizes(self) -> list[float]:
         """Standard uncertainties of the solution's considered columns."""
-        return [*(c.prior[1] for c in self.considered), *(self.inputs or {}).values()]
+        return [other.prior[1] for other in self.considered]

@@ -16,7 +16,7 @@ import numpy as np
 from counterspin._version import __version__
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import unit_of
-from counterspin.calibration.joint_problem import model_of
+from counterspin.calibration.model import model_of
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.questions import questions
 from counterspin.campaign.reading_groups import groups_of
@@ -124,7 +124,7 @@ def _problem(described: ReadingPlan) -> tuple[Possibilities, Criterion]:
     names = [reading.name for reading in described.possible]
     groups = groups_of(campaign, [r for r in campaign.readings if r.name in names])
     accelerometers = list(campaign.accelerometers)
-    p, q = len(model.unknowns), len(model.considered_names)
+    p, q = len(model.unknowns), len(model.considered)
     taken, taken_fixed = _taken(described, model, expected)
     design = np.zeros((len(names), len(accelerometers), p))
     fixed = np.zeros((len(names), len(accelerometers), q))
@@ -154,7 +154,7 @@ def _problem(described: ReadingPlan) -> tuple[Possibilities, Criterion]:
 def _taken(described: ReadingPlan, model: Unknowns, expected: Array) -> tuple[Array, Array]:
     """Return the rows of what the campaign has already, of unknowns and of what is considered."""
     if not described.taken:
-        return np.zeros((0, len(model.unknowns))), np.zeros((0, len(model.considered_names)))
+        return np.zeros((0, len(model.unknowns))), np.zeros((0, len(model.considered)))
     there = forecast(
         described.campaign_as_it_is(),
         sampling_rate=described.sampling_rate,

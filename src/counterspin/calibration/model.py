@@ -1,0 +1,218 @@
+"""From [model] to unknowns: what is asked for, what is held, and everything else that acts.
+
+Whatever acts on records and readings is an unknown of the one fit, with the prior that the
+description states, else with the typical size of the table of terms; only what is assumed to be
+perfect is left out.
+
+- `model_of`: the unknowns and what is held
+- `assumed`, `assumed_of`: what is taken as perfect, of a campaign and of one accelerometer
+- `limit_of`, `typical_of`: credible and typical size of a term of somebody
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+from counterspin.campaign.conditions import conditions_of, origin_of
+from counterspin.campaign.machine import symbols_shown
+from counterspin.campaign.quantity import Quantity
+from counterspin.campaign.resolved import EVERYTHING, Campaign
+from counterspin.campaign.terms import acts
+from counterspin.inference.joint.inputs import TIMING
+from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
+from counterspin.inference.least_squares import NO_PRIOR
+from counterspin.physics.effects import Product, Slope
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, Term, term
+
+#: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
+_ROTATION_LIMITS: Final = (math.pi, 1.0, 1e-2)
+
+#: At 1 g their sum with K_II is that of the squares of the specific forces, a constant.
+SQUARES: Final = ("K_PP", "K_OO")
+
+
+def model_of(campaign: Campaign) -> Unknowns:
+    """Return what a campaign asks for, what it holds, and everything else that acts."""
+    asked: list[Unknown] = []
+    others: list[Unknown] = []
+    held: list[Considered] = []
+    wanted = (*campaign.model.terms, *campaign.machine.terms)
+    kept = (*campaign.model.considered, *campaign.machine.considered)
+    for owner, symbol in _acting(campaign):
+        known = _stated(campaign, owner, symbol)
+        prior, unstated = _prior(campaign, owner, symbol, known)
+        limit = limit_of(campaign, owner, symbol)
+        if symbol in wanted:
+            prior, unstated = (prior, unstated) if known else (NO_PRIOR, False)
+            asked.append(Unknown(owner, symbol, prior, limit, unstated=unstated))
+        elif symbol in kept:
+            held.append(Considered(owner, symbol, prior, limit, asked=False, unstated=unstated))
+        elif known or prior[1] > 0.0:
+            others.append(Unknown(owner, symbol, prior, limit, asked=False, unstated=unstated))
+    if campaign.angle is None:
+        asked += [
+            Unknown(run.name, symbol, NO_PRIOR, limit)
+            for run in campaign.runs
+            for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
+        ]
+    for symbol, known in _inputs(campaign).items():
+        # Of an input the unknown is its deviation from what is stated.
+        (_, u), unstated = _prior(campaign, "", symbol, known)
+        if u > 0.0:
+            limit = limit_of(campaign, "", symbol)
+            others.append(Unknown("", symbol, (0.0, u), limit, asked=False, unstated=unstated))
+    return Unknowns((*asked, *others, *_squares(campaign, others)), tuple(held))
+
+
+def limit_of(campaign: Campaign, owner: str, symbol: str) -> float:
+    """Return the largest credible size of a term of somebody."""
+    return _size(campaign.model.limits, owner, symbol)
+
+
+def typical_of(campaign: Campaign, owner: str, symbol: str) -> float:
+    """Return the standard uncertainty to take of a term of somebody where none is stated."""
+    return _size(campaign.model.typical, owner, symbol)
+
+
+def assumed_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
+    """Return the terms that could reach an accelerometer and that are assumed to be perfect.
+
+    Each is taken as a held term without uncertainty; a tilt is one term for each run.
+    """
+    model = model_of(campaign)
+    there = {
+        (other.owner, other.symbol): other.prior[1]
+        for other in (*model.unknowns, *model.considered)
+    }
+    return tuple(
+        Considered(owner, symbol, (term(symbol).nominal, 0.0), limit_of(campaign, owner, symbol))
+        for owner, symbol in _acting(campaign, name)
+        if there.get((owner, symbol), 0.0) == 0.0
+    )
+
+
+def assumed(campaign: Campaign) -> tuple[str, ...]:
+    """Return the symbols of all terms and inputs that act and are assumed to be perfect."""
+    if not campaign.model.assume:
+        return ()
+    terms = (
+        other.symbol for name in campaign.accelerometers for other in assumed_of(campaign, name)
+    )
+    inputs = (symbol for symbol in assumed_inputs(campaign))
+    return tuple(dict.fromkeys([*terms, *inputs]))
+
+
+def assumed_inputs(campaign: Campaign) -> list[str]:
+    """Return the inputs that are taken as exact."""
+    return [
+        symbol
+        for symbol, known in _inputs(campaign).items()
+        if known.u == 0.0 and campaign.model.assumes(symbol)
+    ]
+
+
+def _size(sizes: Mapping[str, float], owner: str, symbol: str) -> float:
+    del owner
+    return sizes[symbol] if symbol in sizes else sizes[term(symbol).symbol]
+
+
+def _prior(
+    campaign: Campaign, owner: str, symbol: str, known: Quantity | None
+) -> tuple[tuple[float, float], bool]:
+    """Return value and standard uncertainty, and whether the uncertainty is a typical size."""
+    if known is not None and known.u > 0.0:
+        return (known.value, known.u), False
+    value = term(symbol).nominal if known is None else known.value
+    if campaign.model.assumes(symbol):
+        return (value, 0.0), False
+    return (value, typical_of(campaign, owner, symbol)), True
+
+
+def _stated(campaign: Campaign, owner: str, symbol: str) -> Quantity | None:
+    """Return what the description says of a term of somebody."""
+    if owner in campaign.accelerometers and symbol in campaign.accelerometers[owner].priors:
+        return campaign.accelerometers[owner].priors[symbol]
+    return campaign.model.priors.get(symbol) or campaign.machine.priors.get(symbol)
+
+
+def _inputs(campaign: Campaign) -> dict[str, Quantity]:
+    """Return the inputs that act, as they are stated."""
+    inputs = {"site.gravity": campaign.gravity, "site.latitude": campaign.latitude}
+    if campaign.runs or any(reading.rate for reading in campaign.readings):
+        inputs["centrifuge.radius"] = campaign.radius
+    if campaign.runs and campaign.angle is not None:
+        inputs[TIMING] = campaign.timing_offset or Quantity(0.0, 0.0, "s")
+    return inputs
+
+
+def _acting(campaign: Campaign, only: str = "") -> list[tuple[str, str]]:
+    """Return owner and symbol of all terms that act, of one accelerometer or of all of them."""
+    names = [only] if only else list(campaign.accelerometers)
+    own = [
+        (name, symbol)
+        for name in names
+        for symbol, row in OWN_TERMS.items()
+        if symbol in campaign.model.terms or _acts(campaign, row)
+    ]
+    readings = tuple(r for r in campaign.readings if r.accelerometer in names)
+    read = [("", s) for s in symbols_shown(readings) if s not in OWN_TERMS]
+    known = {*campaign.machine.terms, *campaign.machine.considered}
+    # Of a mounting whose radius is no term of its own, that of the centrifuge is known.
+    read = [(o, s) for o, s in read if s in known or not s.startswith("centrifuge.radius.")]
+    return list(dict.fromkeys([*own, *_of_platform(campaign, names), *read]))
+
+
+def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
+    """Return whether what a coefficient changes with has changed."""
+    if isinstance(row.effect, Product):
+        return True
+    if row.effect.condition == "force":
+        return bool(campaign.runs) or any(reading.rate for reading in campaign.readings)
+    origin = origin_of(campaign)
+    if row.effect.condition == "time":
+        times = {reading.time for reading in campaign.readings} - {None}
+        return bool(campaign.runs) or any(time != origin.time for time in times)
+    warm = {reading.temperature for reading in campaign.readings} - {None}
+    of_runs = (run.warmth for run in conditions_of(campaign).values())
+    return any(of_runs) or any(temperature != origin.temperature for temperature in warm)
+
+
+def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield owner and symbol of the terms that records of these accelerometers show."""
+    mountings = [campaign.accelerometers[name].mounting for name in names]
+    attitudes = {run.attitude.tobytes(): run.attitude for run in campaign.runs}
+    wanted = {*campaign.model.terms, *campaign.model.considered}
+    for symbol, row in SHARED_TERMS.items():
+        if campaign.angle is None and symbol.startswith("encoder."):
+            continue
+        acting = {
+            key
+            for key, attitude in attitudes.items()
+            if any(acts(row, mounting, attitude) for mounting in mountings)
+        }
+        reached = [
+            run for run in campaign.runs if symbol in wanted or run.attitude.tobytes() in acting
+        ]
+        for run in reached if row.per_run else reached[:1]:
+            yield (run.name if row.per_run else ""), symbol
+
+
+def _squares(campaign: Campaign, others: Sequence[Unknown]) -> Iterator[Unknown]:
+    """Yield the squares that 1 g cannot tell from K_II, where all is assumed to be perfect.
+
+    What nobody asks for counts all the same: K_II is no more than K_II - K_PP or K_II - K_OO.
+    """
+    motions = {reading.motion for reading in campaign.readings}
+    if motions != {"static"} or campaign.runs or "K_II" not in campaign.model.terms:
+        return
+    if EVERYTHING not in campaign.model.assume:
+        return
+    known = {*campaign.model.terms, *campaign.model.considered}
+    there = {(other.owner, other.symbol) for other in others}
+    for name in campaign.accelerometers:
+        for symbol in SQUARES:
+            if symbol not in known and (name, symbol) not in there:
+                limit = limit_of(campaign, name, symbol)
+                yield Unknown(name, symbol, (0.0, limit), limit, asked=False, unstated=True)

@@ -1,0 +1,136 @@
+"""The one uncertainty in words: what dominates it, what would reduce it, what it rests on.
+
+- `dominance`: one sentence on what decides the u of a coefficient
+- `assumption`: one sentence on what is taken as perfect
+- `knowledge_blocks`: the table of what a result rests on beside its data
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from typing import Final
+
+from counterspin.calibration.result import Result
+from counterspin.calibration.result_parts import AccelerometerResult, BudgetLine, Knowledge
+from counterspin.physics.terms import is_term, symbol_of, term
+from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
+from counterspin.reports.numbers import (
+    field_unit,
+    format_estimate,
+    format_number,
+    format_share,
+    format_uncertainty,
+)
+
+#: Unstated sources that make up more than this part of u^2 decide it.
+_MOST: Final = 0.5
+
+#: How much better than its typical size something is taken to be known once it is stated.
+_KNOWN_BETTER: Final = 0.1
+
+#: Sources below this part of any u^2 are not in the table.
+_LEAST_SHARE: Final = 1e-3
+
+#: So many names of what is assumed are listed.
+_MOST_NAMES: Final = 8
+
+
+def dominance(accelerometer: AccelerometerResult, symbol: str = "K_II") -> str:
+    """Return what decides the u of a coefficient, where unstated sources do; else empty.
+
+    Parameters
+    ----------
+    accelerometer
+        The result.
+    symbol
+        The coefficient.
+    """
+    coefficient = accelerometer.coefficients.get(symbol)
+    lines = accelerometer.budget.get(symbol, [])
+    unstated = [line for line in lines if line.kind == "unstated"]
+    if coefficient is None or not coefficient.u or not unstated:
+        return ""
+    if sum(line.share for line in unstated) < _MOST:
+        return ""
+    largest = max(unstated, key=lambda line: line.share)
+    unit, factor = field_unit(coefficient.unit)
+    square = coefficient.u**2 - largest.contribution**2 * (1.0 - _KNOWN_BETTER**2)
+    left = format_uncertainty(math.sqrt(max(square, 0.0)) * factor)
+    size, known = _size(largest, 1.0), _size(largest, _KNOWN_BETTER)
+    return (
+        f"{format_share(largest.share)} of u({symbol})^2 is {largest.source}, which nothing states "
+        f"(typical {size}): stated or measured to {known}, it would leave u = {left} {unit}."
+    )
+
+
+def _size(line: BudgetLine, part: float) -> str:
+    unit, factor = field_unit(line.unit)
+    return f"{format_number((line.u or 0.0) * factor * part, 2)} {unit}".strip()
+
+
+def assumption(result: Result) -> str:
+    """Return what is taken as perfect, in a sentence; empty if nothing is."""
+    names = result.assumed
+    if not names:
+        return ""
+    shown = ", ".join(names[:_MOST_NAMES])
+    more = len(names) - _MOST_NAMES
+    listed = f"{shown} and {more} more" if more > 0 else shown
+    return f"Taken as perfect, and so no part of u: {listed}."
+
+
+def knowledge_blocks(result: Result) -> Iterator[Block]:
+    """Yield what a result rests on beside its data, as far as it counts in any budget."""
+    shares = _shares(result)
+    rows = [row for row in result.rests_on if shares.get(row.name, 0.0) >= _LEAST_SHARE]
+    if not rows and not result.assumed:
+        return
+    yield Heading("What u rests on")
+    if rows:
+        rows.sort(key=lambda row: -shares[row.name])
+        yield Paragraph(
+            "Known beside the data, and weighed with them: as the description states it, or, "
+            "where it states nothing, at the typical size of the table of terms. The share is the "
+            "largest that each has in the u^2 of any coefficient.",
+            "quiet",
+        )
+        yield Table(
+            (
+                Column("Term or input", wraps=True),
+                Column("Meaning", wraps=True),
+                Column("Known"),
+                Column("Before", "right"),
+                Column("With the data", "right"),
+                Column("Largest share of u^2", "right"),
+            ),
+            tuple(_row(row, shares[row.name]) for row in rows),
+        )
+    if sentence := assumption(result):
+        yield Paragraph(sentence)
+
+
+def _shares(result: Result) -> dict[str, float]:
+    """Return by name of a source the largest share that it has in the u^2 of any coefficient."""
+    shares: dict[str, float] = {}
+    for name, accelerometer in result.accelerometers.items():
+        for line in (line for lines in accelerometer.budget.values() for line in lines):
+            for source in (line.source, f"{name}.{line.source}"):
+                shares[source] = max(shares.get(source, 0.0), line.share)
+    return shares
+
+
+def _row(row: Knowledge, share: float) -> tuple[str, ...]:
+    unit, factor = field_unit(row.unit)
+    symbol = symbol_of(row.name)
+    after = "held"
+    if row.found is not None and row.u_found is not None:
+        after = format_estimate(row.found * factor, row.u_found * factor, unit)
+    return (
+        row.name,
+        term(symbol).words if is_term(symbol) else "",
+        row.kind,
+        format_estimate(row.value * factor, row.u * factor, unit),
+        after,
+        format_share(share),
+    )
