@@ -163,9 +163,9 @@ def with_encoder(
         for symbol, value, norm in zip(_symbols(error), values, norms.tolist(), strict=True):
             # What a harmonic left out is thought to be counts like its uncertainty.
             if norm > _ESTIMATED_NORM_SQUARED:
-                unknowns.append(Unknown(run, symbol, (value, 1.0), _LIMIT_SDS))
+                unknowns.append(Unknown(run, symbol, (value, 1.0), _LIMIT_SDS, asked=False))
             elif norm * (1.0 + value**2) > _CONSIDERED_NORM_SQUARED:
-                considered.append(Considered(run, symbol, (value, 1.0), _LIMIT_SDS))
+                considered.append(Considered(run, symbol, (value, 1.0), _LIMIT_SDS, asked=False))
     if not unknowns and not considered:
         return model
     return replace(

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -19,12 +19,13 @@ from counterspin.arrays import SIGMA_OF_MAD, Array, semidefinite_root
 from counterspin.errors import ConvergenceError
 from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
+from counterspin.inference.joint.condensed import condense
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.outliers import outlying
-from counterspin.inference.joint.prepared import Prepared, prepare_columns
+from counterspin.inference.joint.prepared import Prepared, prepare_columns, prepared_for
 from counterspin.inference.joint.rotation import find_rotation
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import ROTATION, Unknowns
+from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.inference.noise import variance_components
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.unseen_noise import lengthened
@@ -95,6 +96,8 @@ class Estimate:
         For each series, which of its rows were left out, bool.
     series
         The data with these rows, about the rotation that was found where none was recorded.
+    core
+        The same fit with what nobody asks for condensed; None where there was nothing to condense.
     """
 
     fit: JointFit
@@ -102,6 +105,7 @@ class Estimate:
     dof: Array
     outliers: tuple[Rows, ...] = ()
     series: tuple[Series, ...] = ()
+    core: JointFit | None = None
 
 
 def estimate(
@@ -138,44 +142,49 @@ def estimate(
     plain = model.without_inputs()
     rough = {name: NoiseModel(1.0, 0.0) for name in requests}
     series = tuple(series)
+    before = _scale_factors(series, plain, None)
     if any(unknown.symbol in ROTATION for unknown in model.unknowns):
-        series = find_rotation(series, plain, _scale_factors(series, plain, None), rough)
-    prepared = prepare_columns(series, plain, _scale_factors(series, plain, None))
+        series = find_rotation(series, plain, before, rough)
+    prepared = prepare_columns(series, plain, before)
     outliers = [np.zeros(record.time.size, dtype=bool) for record in series]
-    fit = solve_joint(prepared, plain, rough)
+    white = {name: _floor(request) for name, request in requests.items()}
+    # Until the end, what nobody asks for is in as few columns as tell the same.
+    fit = solve_joint(*condense(prepared, plain, white), rough)
     if reject:
         fit = _reject(fit, series, requests, outliers)
-    prepared = fit.prepared
-    noise, components = _noise(prepared, plain, requests)
+        prepared = _kept(prepared, outliers)
+    noise, components = _noise(fit.prepared, fit.model, requests)
     fit = fit.with_noise(noise)
-    kept = [part.series for part in prepared]
-    before = _scale_factors(series, plain, None)
-    whole = encoder.with_encoder(plain, kept, noise)
+    whole = encoder.with_encoder(plain, [part.series for part in prepared], noise)
     if whole is not plain:
         # What the encoder has not shown is in the residuals until then.
-        prepared = fit.prepared_for(whole, before)
-        noise, components = _noise(prepared, whole, requests)
-        fit = solve_joint(prepared, whole, noise)
+        prepared = prepared_for(prepared, plain, whole, before, _known(fit))
+        fit = solve_joint(*condense(prepared, whole, _white(noise)), noise)
+        noise, components = _noise(fit.prepared, fit.model, requests)
+        fit = fit.with_noise(noise)
     scale_factors = _scale_factors(series, plain, fit)
     moved = any(abs(scale_factors[a] - before[a]) > _SCALE_TOLERANCE for a in before)
     if model.has_inputs or moved:
+        first = whole
         whole = Unknowns(
-            (*model.unknowns, *whole.unknowns[len(plain.unknowns) :]),
-            (*model.considered, *whole.considered[len(plain.considered) :]),
+            (*model.unknowns, *first.unknowns[len(plain.unknowns) :]),
+            (*model.considered, *first.considered[len(plain.considered) :]),
         )
-        prepared = fit.prepared_for(whole, scale_factors)
+        prepared = prepared_for(prepared, first, whole, scale_factors, _known(fit))
+        fit = solve_joint(*condense(prepared, whole, _white(noise)), noise)
         if model.has_inputs:
-            noise, components = _noise(prepared, whole, requests)
-        fit = solve_joint(prepared, whole, noise)
+            noise, components = _noise(fit.prepared, fit.model, requests)
+            fit = fit.with_noise(noise)
     if reject and whole is not plain:
         # What stands out of a wave that only this model has; and what only the wave made stand out.
-        clean = _reject(_with_all(fit, series, requests, outliers), series, requests, outliers)
+        clean = _with_all(fit, prepared, series, whole, requests, outliers)
+        clean = _reject(clean, series, requests, outliers)
         if clean is not fit:
-            noise, components = _noise(clean.prepared, whole, requests)
+            everything = prepare_columns(series, whole, scale_factors, _values(whole, fit))
+            prepared = _kept(everything, outliers)
+            noise, components = _noise(clean.prepared, clean.model, requests)
             fit = clean.with_noise(noise)
-    dof = _effective_dof(fit, components)
-    fit, dof = _with_unseen(fit, components, dof)
-    return Estimate(fit, components, dof, tuple(outliers), series)
+    return _finished(prepared, whole, fit, components, outliers=tuple(outliers), series=series)
 
 
 def estimate_again(
@@ -192,10 +201,66 @@ def estimate_again(
     requests
         As for `estimate`.
     """
-    noise, components = _noise(fit.prepared, fit.model, requests)
-    fit = fit.with_noise(noise)
-    fit, dof = _with_unseen(fit, components, _effective_dof(fit, components))
-    return replace(before, fit=fit, components=components, dof=dof)
+    core = solve_joint(*condense(fit.prepared, fit.model, _white(fit.noise)), fit.noise)
+    noise, components = _noise(core.prepared, core.model, requests)
+    again = _finished(fit.prepared, fit.model, core.with_noise(noise), components)
+    return replace(again, outliers=before.outliers, series=before.series)
+
+
+def _finished(
+    prepared: Sequence[Prepared],
+    model: Unknowns,
+    core: JointFit,
+    components: Mapping[str, VarianceComponents],
+    **more: Any,
+) -> Estimate:
+    """Return the estimate of all unknowns with the noise of a condensed fit to the same rows."""
+    fit = solve_joint(prepared, model, core.noise)
+    core, dof = _with_unseen(core, components, _effective_dof(core, components))
+    p, asked = len(model.unknowns), len(model.asked)
+    every = np.full(p, math.inf)
+    every[:asked] = dof[:asked]
+
+    def embedded(covariance: Array) -> Array:
+        whole = np.zeros((p, p))
+        whole[:asked, :asked] = covariance[:asked, :asked]
+        return whole
+
+    added = core.solution.covariance_unseen
+    if added is not None:
+        solution = replace(fit.solution, covariance_unseen=embedded(added))
+        unseen = {name: (level, embedded(one)) for name, (level, one) in core.unseen.items()}
+        fit = replace(fit, solution=solution, unseen=unseen)
+    return Estimate(fit, components, every, core=core, **more)
+
+
+def _floor(request: NoiseRequest) -> float | None:
+    """Return the least white noise of a sample, as far as it is given."""
+    white = math.hypot(request.white or 0.0, request.quantisation / math.sqrt(12.0))
+    return white or None
+
+
+def _white(noise: Mapping[str, NoiseModel]) -> dict[str, float | None]:
+    return {name: math.sqrt(one.sample_variance) or None for name, one in noise.items()}
+
+
+def _known(fit: JointFit) -> dict[Unknown, float]:
+    """Return what a fit says of its unknowns, less nominal."""
+    return dict(zip(fit.model.unknowns, fit.solution.estimate.tolist(), strict=True))
+
+
+def _values(model: Unknowns, fit: JointFit) -> Array:
+    """Return what a fit says of a model's unknowns, less nominal; 0 where it has others."""
+    known = _known(fit)
+    return np.array([known.get(unknown, 0.0) for unknown in model.unknowns])
+
+
+def _kept(prepared: Sequence[Prepared], outliers: Sequence[Rows]) -> tuple[Prepared, ...]:
+    """Return columns without the rows that were left out."""
+    return tuple(
+        part.without(mask) if mask.any() else part
+        for part, mask in zip(prepared, outliers, strict=True)
+    )
 
 
 def unseen_covariance(fit: JointFit, components: Mapping[str, VarianceComponents]) -> Array:
@@ -283,24 +348,28 @@ def _standing_out(
 
 def _with_all(
     fit: JointFit,
+    prepared: Sequence[Prepared],
     series: Sequence[Series],
+    model: Unknowns,
     requests: Mapping[str, NoiseRequest],
     outliers: list[Rows],
 ) -> JointFit:
     """Take back what no longer stands out, where many were left out; changes `outliers`."""
     if not any(mask.mean() > _MANY for mask in outliers):
         return fit
-    factors = {part.accelerometer: part.scale_factor for part in fit.prepared}
-    everything = prepare_columns(series, fit.model, factors, fit.solution.estimate)
+    factors = {part.accelerometer: part.scale_factor for part in prepared}
+    whole = prepare_columns(series, model, factors, _values(model, fit))
+    everything, condensed = condense(whole, model, _white(fit.noise))
+    kept = _kept(everything, outliers)
+    again = solve_joint(kept, condensed, fit.noise)
     none = [np.zeros(record.time.size, dtype=bool) for record in series]
     # The same estimate, held against all rows.
-    standing = _standing_out(replace(fit, prepared=everything), series, requests, none)
+    standing = _standing_out(replace(again, prepared=everything), series, requests, none)
     if not any((mask & ~new).any() for mask, new in zip(outliers, standing, strict=True)):
         return fit
     for mask, new in zip(outliers, standing, strict=True):
         mask[:] = new
-    kept = tuple(part.without(new) for part, new in zip(everything, standing, strict=True))
-    return solve_joint(kept, fit.model, fit.noise)
+    return solve_joint(_kept(everything, standing), condensed, fit.noise)
 
 
 def _jittered(residuals: Array, white: float, jitter: float, variance: Array) -> Array:

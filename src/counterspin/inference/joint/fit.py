@@ -108,26 +108,6 @@ class JointFit:
         kept += self.beside.values()
         return solve_blocks(kept, self.model) if kept else None
 
-    def prepared_for(
-        self, model: Unknowns, scale_factors: Mapping[str, float]
-    ) -> tuple[Prepared, ...]:
-        """Return the columns for another model or for other scale factors.
-
-        Only what is new is computed. Derivatives that depend on the unknowns are taken at this
-        fit's estimate; unknowns that it does not have count as nominal.
-
-        Parameters
-        ----------
-        model, scale_factors
-            As for `counterspin.inference.joint.prepared.prepare_columns`.
-        """
-        known = dict(zip(self.model.unknowns, self.solution.estimate.tolist(), strict=True))
-        values = np.array([known.get(unknown, 0.0) for unknown in model.unknowns])
-        return tuple(
-            prepared.again(self.model, model, scale_factors[prepared.accelerometer], values)
-            for prepared in self.prepared
-        )
-
     @cached_property
     def relaxed(self) -> Solution:
         """The solution with considered terms estimated too, each held by its prior.

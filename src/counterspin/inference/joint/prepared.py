@@ -1,7 +1,7 @@
 """The columns of each record, computed once and then weighted with any noise.
 
 - `Prepared`: a record and its columns
-- `prepare_columns`: the columns of every record of a problem
+- `prepare_columns`: the columns of every record of a problem; `prepared_for`: those of another one
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
 from counterspin.inference.joint.inputs import input_column, rotation_column
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import ROTATION, Unknowns
+from counterspin.inference.joint.unknowns import ROTATION, Unknown, Unknowns
 from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
 
 
@@ -121,6 +121,31 @@ def prepare_columns(
     )
 
 
+def prepared_for(
+    prepared: Sequence[Prepared],
+    before: Unknowns,
+    after: Unknowns,
+    scale_factors: Mapping[str, float],
+    known: Mapping[Unknown, float],
+) -> tuple[Prepared, ...]:
+    """Return the columns for another model or for other scale factors; only new are computed.
+
+    Parameters
+    ----------
+    prepared, before
+        Columns, and the model that they belong to.
+    after, scale_factors
+        As for `prepare_columns`.
+    known
+        What is known of the unknowns, less nominal, at which derivatives are taken; what is not
+        there counts as nominal.
+    """
+    values = np.array([known.get(unknown, 0.0) for unknown in after.unknowns])
+    return tuple(
+        part.again(before, after, scale_factors[part.accelerometer], values) for part in prepared
+    )
+
+
 def _prepare(
     series: Series,
     model: Unknowns,
@@ -142,7 +167,10 @@ def _prepare(
     table = dict(shown)
     table |= dict(zip(new, series.columns(new, scale_factor).T, strict=True))
     table |= {s: rotation_column(series, s) for s in turned if s not in shown}
-    known = {s: v for s, v in zip(symbols, estimate[list(unknowns)], strict=True) if s in terms}
+    # What nobody asks for is small, and its part in what an input does is of second order.
+    asked = {model.unknowns[i].symbol for i in unknowns if model.unknowns[i].asked}
+    values = zip(symbols, estimate[list(unknowns)].tolist(), strict=True)
+    known = {s: v for s, v in values if s in terms and s in asked}
     own = {"K_I": scale_factor - 1.0} | {s: v for s, v in known.items() if s in TERMS}
     table |= dict(zip(encoded, encoder.columns(series, encoded, own).T, strict=True))
     shown_terms = {s: table[s] for s in known}

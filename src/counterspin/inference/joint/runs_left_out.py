@@ -67,7 +67,8 @@ def leave_out(estimated: Estimate, runs: Sequence[str], index: int, owner: str) 
     """
     if not runs:
         return []
-    fit = estimated.fit
+    # What nobody asks for need not be apart for this.
+    fit = estimated.core or estimated.fit
     whole = fit.solution
     without = [_solution_without(fit, run) for run in runs]
     variance = _variances(fit, runs, index)

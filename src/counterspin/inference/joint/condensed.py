@@ -1,0 +1,108 @@
+"""What nobody asks for, in as few columns as the records can tell from nothing.
+
+Beside a few coefficients that are asked for a fit has dozens of unknowns that only have a prior:
+inputs, and terms at their typical sizes. In units of its prior's standard uncertainty each is a
+normal deviate, and so is every orthogonal combination of them. In the directions of the columns'
+singular vectors most of them do nothing that the noise would not hide a thousand times: what is
+left is a dozen columns, which serve wherever a fit is repeated for other rows or another noise.
+What is asked for has the same estimate and covariance, but for that.
+
+- `condense`: a prepared problem with these columns in place of the others
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from counterspin.arrays import SIGMA_OF_MAD, Array, in_parts, triangle_of
+from counterspin.inference.joint.prepared import Prepared
+from counterspin.inference.joint.unknowns import Unknown, Unknowns
+
+#: Columns are left out whose effect, all rows together, is below this part of the noise of one row.
+_LEAST_EFFECT: Final = 0.02
+
+#: Largest credible size of a condensed unknown, in standard deviations.
+_LIMIT: Final = 1e3
+
+
+def condense(
+    prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, float | None]
+) -> tuple[tuple[Prepared, ...], Unknowns]:
+    """Return columns and model with what nobody asks for condensed; places of the asked stay.
+
+    Parameters
+    ----------
+    prepared, model
+        The problem; what is asked for comes first.
+    noise
+        Accelerometer -> white noise of a sample, in its record's unit; None where it is not known.
+    """
+    p = len(model.asked)
+    others = model.unknowns[p:]
+    spread = np.array([other.prior[1] for other in others])
+    if not others or not np.isfinite(spread).all():
+        return tuple(prepared), model
+    mean = np.array([other.prior_mean for other in others])
+    floors = {part.accelerometer: noise.get(part.accelerometer) or math.inf for part in prepared}
+    for part in prepared:
+        if not noise.get(part.accelerometer):
+            floors[part.accelerometer] = min(floors[part.accelerometer], _level(part))
+    weighted: list[Array] = []
+    shown: list[Array] = []
+    for part in prepared:
+        columns = _columns(part, p, len(others))
+        weight = np.sqrt(part.series.count) / floors[part.accelerometer]
+        shown.append(columns)
+        weighted.append(triangle_of(in_parts(columns * spread * weight[:, None])))
+    if not all(np.isfinite(rows).all() for rows in weighted):
+        return tuple(prepared), model
+    _, sizes, directions = np.linalg.svd(triangle_of(np.vstack(weighted)))
+    kept = directions[: int(np.sum(sizes > _LEAST_EFFECT))]
+    few = [Unknown("", f"condensed.{k}", (0.0, 1.0), _LIMIT, asked=False) for k in range(len(kept))]
+    condensed = replace(model, unknowns=(*model.asked, *few))
+    return tuple(
+        _condensed(part, columns, p, mean, kept.T * spread[:, None])
+        for part, columns in zip(prepared, shown, strict=True)
+    ), condensed
+
+
+def _columns(part: Prepared, p: int, count: int) -> Array:
+    """Return the columns of all unknowns from the p-th on, zero where a record has none, (n, q)."""
+    columns = np.zeros((part.series.time.size, count))
+    for place, unknown in enumerate(part.unknowns):
+        if unknown >= p:
+            columns[:, unknown - p] = part.design[:, place]
+    return columns
+
+
+def _condensed(part: Prepared, columns: Array, p: int, mean: Array, directions: Array) -> Prepared:
+    asked = [place for place, unknown in enumerate(part.unknowns) if unknown < p]
+    few = range(p, p + directions.shape[1])
+    return replace(
+        part,
+        series=replace(part.series, error=part.series.error - columns @ mean),
+        unknowns=(*(part.unknowns[place] for place in asked), *few),
+        design=np.hstack([part.design[:, asked], columns @ directions]),
+    )
+
+
+def _level(part: Prepared) -> float:
+    """Return the white noise of a record's samples, from what changes from row to row.
+
+    Third differences of what no column explains: slow noise does not show in them.
+    """
+    series = part.series
+    own = np.column_stack([series.polynomials(max(series.order, 1)), part.design])
+    scale = np.linalg.norm(own, axis=0)
+    own = own / np.where(scale > 0.0, scale, 1.0)
+    triangle = triangle_of(in_parts(np.column_stack([own, series.error])))
+    left = series.error - own @ np.linalg.lstsq(triangle[:, :-1], triangle[:, -1], rcond=None)[0]
+    rough = np.diff(left * np.sqrt(series.count), 3)
+    if rough.size == 0:
+        return 0.0
+    return SIGMA_OF_MAD * float(np.median(np.abs(rough))) / math.sqrt(20.0)
