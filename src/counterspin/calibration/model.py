@@ -62,7 +62,10 @@ def model_of(campaign: Campaign) -> Unknowns:
         (_, u), unstated = _prior(campaign, "", symbol, known)
         if u > 0.0:
             limit = limit_of(campaign, "", symbol)
-            others.append(Unknown("", symbol, (0.0, u), limit, asked=False, unstated=unstated))
+            if symbol in kept:
+                held.append(Considered("", symbol, (0.0, u), limit, False, unstated))
+            else:
+                others.append(Unknown("", symbol, (0.0, u), limit, False, unstated))
     return Unknowns((*asked, *others, *_squares(campaign, others)), tuple(held))
 
 

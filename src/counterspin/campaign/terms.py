@@ -27,7 +27,16 @@ from counterspin.campaign.settings import ModelSettings, exact
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import PathError, Turn
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TABLE, TERMS, Term, is_term, term
+from counterspin.physics.terms import (
+    INPUTS,
+    OWN_TERMS,
+    SHARED_TERMS,
+    TABLE,
+    TERMS,
+    Term,
+    is_term,
+    term,
+)
 
 #: The model of a campaign without [model] terms: the paper's.
 DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
@@ -247,7 +256,7 @@ def _expand(
     attitudes: Sequence[Array],
     problems: Problems,
 ) -> tuple[str, ...]:
-    if name in OWN_TERMS or name in SHARED_TERMS:
+    if name in OWN_TERMS or name in SHARED_TERMS or (name in INPUTS and path[1] != "terms"):
         return (name,)
     if name not in BARE_NAMES:
         _unknown(name, path, problems)
@@ -341,7 +350,7 @@ def _require_priors(
     accelerometers: Mapping[str, Mapping[str, Quantity]],
     problems: Problems,
 ) -> None:
-    for symbol in held:
+    for symbol in (symbol for symbol in held if symbol not in INPUTS):
         lacking = (
             [name for name, priors in accelerometers.items() if symbol not in priors]
             if symbol in OWN_TERMS
