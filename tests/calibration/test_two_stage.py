@@ -28,12 +28,12 @@ PRIORS = (
     'scale_factor = "1.002 g/g"',
     'bias = "0.005 ± 2e-6 g"\nscale_factor = "1.002 ± 5e-6 g/g"',
 )
-MODEL = '[[runs]]\nname = "slow"'
+MODEL = '[model]\nassume = "all"\n'
 
 
 def modelled(model):
-    """Return the replacement that puts a [model] before the runs."""
-    return (MODEL, f'[model]\nassume = "all"\n{model}\n\n{MODEL}')
+    """Return the replacement that puts more into [model]."""
+    return (MODEL, f"{MODEL}{model}\n")
 
 
 def made(folder, *pairs, text=SMALL):

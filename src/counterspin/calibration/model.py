@@ -66,7 +66,7 @@ def model_of(campaign: Campaign) -> Unknowns:
                 held.append(Considered("", symbol, (0.0, u), limit, False, unstated))
             else:
                 others.append(Unknown("", symbol, (0.0, u), limit, False, unstated))
-    return Unknowns((*asked, *others, *_squares(campaign, others)), tuple(held))
+    return Unknowns((*asked, *_squares(campaign, others), *others), tuple(held))
 
 
 def limit_of(campaign: Campaign, owner: str, symbol: str) -> float:
@@ -205,7 +205,7 @@ def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str
 def _squares(campaign: Campaign, others: Sequence[Unknown]) -> Iterator[Unknown]:
     """Yield the squares that 1 g cannot tell from K_II, where all is assumed to be perfect.
 
-    What nobody asks for counts all the same: K_II is no more than K_II - K_PP or K_II - K_OO.
+    They count as if they were asked for: K_II is no more than K_II - K_PP or K_II - K_OO.
     """
     motions = {reading.motion for reading in campaign.readings}
     if motions != {"static"} or campaign.runs or "K_II" not in campaign.model.terms:
@@ -218,4 +218,4 @@ def _squares(campaign: Campaign, others: Sequence[Unknown]) -> Iterator[Unknown]
         for symbol in SQUARES:
             if symbol not in known and (name, symbol) not in there:
                 limit = limit_of(campaign, name, symbol)
-                yield Unknown(name, symbol, (0.0, limit), limit, asked=False, unstated=True)
+                yield Unknown(name, symbol, (0.0, limit), limit, unstated=True)

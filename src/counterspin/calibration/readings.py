@@ -255,7 +255,7 @@ def with_groups(
             strict=True,
         )
     )
-    return replace(estimated, fit=joint, dof=dof), parts
+    return replace(estimated, fit=joint, dof=dof, core=None), parts
 
 
 def _require_enough(campaign: Campaign, model: Unknowns) -> None:

@@ -33,7 +33,7 @@ def upgraded(document: Mapping[str, Any]) -> dict[str, Any]:
             assumed |= dict.fromkeys(left_out if isinstance(left_out, dict) else ())
             if isinstance(own.get("budget"), dict):
                 own["budget"] = {s: _lines(lines) for s, lines in own["budget"].items()}
-    return {**new, "assumed": list(assumed)}
+    return {**new, "schema": 2, "assumed": list(assumed)}
 
 
 def _of_coefficients(value: Any) -> Any:

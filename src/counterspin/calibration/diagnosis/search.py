@@ -120,7 +120,7 @@ def causes_of(
     campaign, estimated = views[0].campaign, views[0].estimate
     read = [part for view in views for part in view.readings]
     given = not estimated.components and all(math.isinf(part.dof) for part in read)
-    now = replace(estimated, fit=relax(estimated.fit))
+    now = replace(estimated, fit=relax(estimated.fit), core=None)
     priors = of_priors(now.fit)
     if campaign.readings:
         # What may be wrong with readings has no columns beside them; what is known beforehand has.
@@ -425,7 +425,8 @@ def _put_right(
 
 def _again(now: Estimate, fit: JointFit, requests: Mapping[str, NoiseRequest]) -> Estimate:
     if not now.components:
-        return replace(now, fit=fit, dof=np.full(len(fit.model.unknowns), math.inf))
+        dof = np.full(len(fit.model.unknowns), math.inf)
+        return replace(now, fit=fit, dof=dof, core=None)
     return estimate_again(now, fit, requests)
 
 

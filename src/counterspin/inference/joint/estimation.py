@@ -217,13 +217,16 @@ def _finished(
     """Return the estimate of all unknowns with the noise of a condensed fit to the same rows."""
     fit = solve_joint(prepared, model, core.noise)
     core, dof = _with_unseen(core, components, _effective_dof(core, components))
-    p, asked = len(model.unknowns), len(model.asked)
-    every = np.full(p, math.inf)
-    every[:asked] = dof[:asked]
+    # In the condensed fit what is asked for comes first; one that has nothing condensed is whole.
+    places = [place for place, unknown in enumerate(model.unknowns) if unknown.asked]
+    if core.model.unknowns == model.unknowns:
+        places = list(range(len(model.unknowns)))
+    every = np.full(len(model.unknowns), math.inf)
+    every[places] = dof[: len(places)]
 
     def embedded(covariance: Array) -> Array:
-        whole = np.zeros((p, p))
-        whole[:asked, :asked] = covariance[:asked, :asked]
+        whole = np.zeros((every.size, every.size))
+        whole[np.ix_(places, places)] = covariance[: len(places), : len(places)]
         return whole
 
     added = core.solution.covariance_unseen
@@ -284,10 +287,12 @@ def _scale_factors(
 ) -> dict[str, float]:
     """Return K_I of each accelerometer: estimated, or known beforehand, or 1."""
     factors = {record.accelerometer: 1.0 for record in series}
-    for index, unknown in enumerate(model.unknowns):
+    found = {} if fit is None else {other: k for k, other in enumerate(fit.model.unknowns)}
+    for unknown in model.unknowns:
         if unknown.symbol == "K_I":
-            if fit is not None and fit.solution.u[index] < unknown.limit:
-                factors[unknown.owner] = 1.0 + float(fit.solution.estimate[index])
+            place = found.get(unknown)
+            if fit is not None and place is not None and fit.solution.u[place] < unknown.limit:
+                factors[unknown.owner] = 1.0 + float(fit.solution.estimate[place])
             elif math.isfinite(unknown.prior[1]):
                 factors[unknown.owner] = unknown.prior[0]
     factors |= {c.owner: c.prior[0] for c in model.considered if c.symbol == "K_I"}
