@@ -8,6 +8,7 @@ left is a dozen columns, which serve wherever a fit is repeated for other rows o
 What is asked for has the same estimate and covariance, but for that.
 
 - `condense`: a prepared problem with these columns in place of the others
+- `white_level`: about what the white noise of a record is
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ def condense(
     floors = {part.accelerometer: noise.get(part.accelerometer) or math.inf for part in prepared}
     for part in prepared:
         if not noise.get(part.accelerometer):
-            floors[part.accelerometer] = min(floors[part.accelerometer], _level(part))
+            floors[part.accelerometer] = min(floors[part.accelerometer], white_level(part))
     weighted: list[Array] = []
     shown: list[Array] = []
     for part in prepared:
@@ -95,7 +96,7 @@ def _condensed(
     )
 
 
-def _level(part: Prepared) -> float:
+def white_level(part: Prepared) -> float:
     """Return the white noise of a record's samples, from what changes from row to row.
 
     Third differences of what no column explains: slow noise does not show in them.
