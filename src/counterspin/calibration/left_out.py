@@ -31,7 +31,6 @@ from counterspin.frozen import frozen
 from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.omitted_terms import sensitivities
 from counterspin.inference.readings import Readings
-from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage
 from counterspin.physics.terms import TERMS, term
 
@@ -106,9 +105,7 @@ def omissions_of(
     return omissions
 
 
-def two_stage_omissions(
-    campaign: Campaign, second: SecondStage, request: TwoStageRequest
-) -> dict[str, OmittedTerm]:
+def two_stage_omissions(campaign: Campaign, second: SecondStage) -> dict[str, OmittedTerm]:
     """Return what the things that are not known would move the second stage's estimates by.
 
     Parameters
@@ -116,27 +113,26 @@ def two_stage_omissions(
     campaign
         The description.
     second
-        The second stage; it ignores these terms.
-    request
-        What was asked of it.
+        The second stage; it holds them as exact.
     """
-    omissions = {
-        symbol: _omitted(campaign, symbol, second.symbols, second.shift(symbol))
-        for symbol in second.ignored
-    } | {
-        symbol: _omitted(campaign, symbol, second.symbols, effects)
-        for symbol, effects in second.exact_shifts().items()
+    model, solution = second.fit.model, second.fit.solution
+    by_symbol: dict[str, list[Array]] = {}
+    # What is held at a value is off by the whole of its error.
+    moved = [*-solution.sensitivity_considered.T, *-solution.sensitivity_prior.T]
+    symbols = [*(c.symbol for c in model.considered), *(model.inputs or ()), *second.symbols]
+    sizes = [*solution.considered_sd, *solution.prior_sd]
+    for symbol, u, effects in zip(symbols, sizes, moved, strict=True):
+        if u == 0.0:
+            by_symbol.setdefault(symbol, []).append(effects)
+    return {
+        symbol: _omitted(
+            campaign,
+            symbol,
+            second.symbols,
+            effects[0] if len(effects) == 1 else np.linalg.norm(effects, axis=0),
+        )
+        for symbol, effects in by_symbol.items()
     }
-    for place, symbol in enumerate(("centrifuge.radius", "site.gravity")):
-        if symbol not in exact_inputs(campaign):
-            continue
-        size = (campaign.radius, campaign.gravity)[place].value
-        effects = [
-            request.from_relative(name, second.estimate(name)[0])[place] / size
-            for name in second.symbols
-        ]
-        omissions[symbol] = _omitted(campaign, symbol, second.symbols, np.array(effects))
-    return omissions
 
 
 def _omitted(

@@ -13,13 +13,13 @@ from collections.abc import Mapping, Sequence
 from counterspin.calibration.joint_problem import model_of, noise_of, series_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.noise.variance_components import VarianceComponents
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.strobes import strobe_angle
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
 
 
 def request_of(
@@ -57,12 +57,17 @@ def request_of(
         )
     for run in campaign.runs:
         strobe_angle(accelerometer.mounting.turned(run.attitude).input_axis)
-    model = campaign.model
-    known: dict[str, Quantity] = dict(accelerometer.priors)
-    known |= {s: q for s, q in model.priors.items() if s in (*model.terms, *model.considered)}
+    model = model_of(campaign)
+    priors = {
+        other.symbol: other.prior
+        for other in (*model.unknowns, *model.considered)
+        if math.isfinite(other.prior[1])
+        and (other.owner == accelerometer.name or other.symbol in SHARED_TERMS)
+        and other.symbol in (*OWN_TERMS, *SHARED_TERMS)
+    }
     request = TwoStageRequest(
         model=options.model,
-        priors={symbol: (quantity.value, quantity.u) for symbol, quantity in known.items()},
+        priors=priors,
         fit_bias=options.fit_bias,
         nominal_angle=campaign.angle is None,
         ripple=options.ripple,
