@@ -47,15 +47,11 @@ from counterspin.inference.identifiability import assess
 from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.variance_components import VarianceComponents
+from counterspin.inference.two_stage.curvatures import strobed, two_stage_model
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE
-from counterspin.inference.two_stage.second_stage import (
-    SecondStage,
-    resolve,
-    strobed,
-    two_stage_model,
-)
+from counterspin.inference.two_stage.second_stage import SecondStage, resolve
 from counterspin.physics.terms import OWN_TERMS
 
 

@@ -65,9 +65,10 @@ def sums_of_alike(
         alike = second.alike(symbol, unstated(view.campaign, view.name, second))
         if not alike:
             continue
+        c = coefficients[symbol]
         value, u = second.estimate(symbol)
-        if coefficients[symbol].estimated:
-            value, u = coefficients[symbol].value, coefficients[symbol].u or u
+        if c.estimated and c.value is not None and c.u is not None:
+            value, u = c.value, c.u
         weights = {symbol: 1.0, **alike}
         sizes = [_largest_size(other) for other in weights]
         sets.append(
