@@ -118,16 +118,6 @@ class TwoStageRequest:
         sigma = None if self.sigma is None else math.hypot(self.sigma, passing * self.timing)
         return first_stage(strobes, sigma, self.random_walk or 0.0)
 
-    def from_inputs(self, symbol: str, value: float) -> tuple[float, float]:
-        """Return what uncertain radius and gravity add to the uncertainty of an estimate.
-
-        A unit of a coefficient of degree n has a b2 in proportion to R^n g^(1-n).
-        """
-        if symbol not in TERMS:
-            return (0.0, 0.0)
-        degree = len(TERMS[symbol].effect.factors)
-        return (-degree * value * self.u_radius, (degree - 1) * value * self.u_gravity)
-
     def inputs(self, motion: Trajectory) -> dict[str, float]:
         """Return the uncertain inputs, with the standard uncertainty of each in SI units."""
         sizes = {
