@@ -162,6 +162,31 @@ def test_tilt_is_considered_run_by_run(tmp_path):
     assert "platform.tilt.north" not in outcome.result.left_out
 
 
+@pytest.mark.parametrize("options", [{}, {"weighted": False}, {"model": "as-printed"}])
+def test_budget_holds_every_source_of_u(tmp_path, options):
+    tilt = modelled(
+        'considered = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }'
+    )
+    radius = ('"2.5 m"', '"2.5 ± 2.5e-3 m"')
+    found = qx(result_of(tmp_path, PRIORS, tilt, radius, **options))
+    estimated = {symbol for symbol, c in found.coefficients.items() if c.estimated}
+    assert "K_II" in estimated
+    for symbol in estimated:
+        c, lines = found.coefficients[symbol], found.budget[symbol]
+        assert math.hypot(*(line.contribution for line in lines)) == pytest.approx(c.u, rel=1e-9)
+        noise = next(line for line in lines if line.source == "noise of Qx")
+        assert noise.contribution == pytest.approx(c.u_noise, rel=1e-9)
+    sources = {line.source: line for line in found.budget["K_II"]}
+    c = found.coefficients["K_II"]
+    assert sources["centrifuge.radius (input)"].contribution == pytest.approx(
+        2e-3 * abs(c.value), rel=1e-4
+    )
+    if not options:
+        psi = [sources[f"{run}.platform.tilt.north (considered)"] for run in ("slow", "fast")]
+        assert {line.unit for line in psi} == {"rad"}
+        assert sources["K_F (prior)"].contribution == pytest.approx(c.u_prior, rel=1e-9)
+
+
 def test_given_noise_is_all_of_it(tmp_path):
     noise = 'displacement = "0.01 m"\nquantisation = "0.02 m"\nacceleration = "1e-6 g/Hz^0.5"'
     found = qx(result_of(tmp_path, ('[noise]\ndisplacement = "0.01 m"', f"[noise]\n{noise}")))

@@ -143,18 +143,8 @@ def two_stage_view(
 ) -> tuple[AccelerometerView, SecondStage]:
     """Return what the method estimates, as a joint fit of one accelerometer, and its stages.
 
-    Parameters
-    ----------
-    campaign, observed, accelerometer, options, found
-        As of `two_stage`.
-    whole
-        Whether everything that the model says nothing of is held too, as exactly nothing, for what
-        it would do. The estimates are the same without it.
-
-    Raises
-    ------
-    NotIdentifiableError, RecordError
-        As `two_stage`.
+    Arguments and errors as of `two_stage`. If `whole`, all that the model says nothing of is held
+    too, as exactly nothing, for what it would do; the estimates are the same without it.
     """
     name, components = accelerometer.name, found.get(accelerometer.name)
     request = request_of(campaign, accelerometer, options, components)

@@ -51,15 +51,7 @@ def unstated(campaign: Campaign, name: str, second: SecondStage) -> tuple[str, .
 def sums_of_alike(
     view: AccelerometerView, second: SecondStage, coefficients: Mapping[str, Coefficient]
 ) -> list[ConfoundedTerms]:
-    """Return what the estimates really are of: sums with terms that act exactly alike.
-
-    Parameters
-    ----------
-    view, second
-        Of `counterspin.calibration.two_stage.two_stage_view`.
-    coefficients
-        As the result shows them.
-    """
+    """Return what the estimates really are of: sums with terms that act exactly alike."""
     sets = []
     for symbol in second.symbols:
         alike = second.alike(symbol, unstated(view.campaign, view.name, second))
@@ -98,17 +90,7 @@ def findings(
     coefficients: Mapping[str, Coefficient],
     model: str,
 ) -> list[Finding]:
-    """Return what speaks against the result of one accelerometer.
-
-    Parameters
-    ----------
-    view, second
-        Of `counterspin.calibration.two_stage.two_stage_view`.
-    coefficients
-        As the result shows them.
-    model
-        ``exact`` or ``as-printed``.
-    """
+    """Return what speaks against the coefficients of one accelerometer by one of the models."""
     gathered, name = [], view.name
     if model == "as-printed":
         text = (

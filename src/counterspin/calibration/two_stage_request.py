@@ -30,20 +30,9 @@ def request_of(
 ) -> TwoStageRequest:
     """Return what a campaign asks of the two-stage method for one accelerometer.
 
-    Parameters
-    ----------
-    campaign, accelerometer
-        The description and one of its accelerometers.
-    options
-        How the method is applied.
-    components
-        Noise that was found, where the campaign states none.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the accelerometer's record is not a displacement along a horizontal axis, or its bias
-        wanders.
+    `components` is noise that was found, where the campaign states none. It raises
+    NotIdentifiableError if the record is not a displacement along a horizontal axis, or the bias
+    wanders.
     """
     if accelerometer.observable != "displacement":
         raise NotIdentifiableError(
@@ -62,8 +51,7 @@ def request_of(
         other.symbol: other.prior
         for other in (*model.unknowns, *model.considered)
         if math.isfinite(other.prior[1])
-        and (other.owner == accelerometer.name or other.symbol in SHARED_TERMS)
-        and other.symbol in (*OWN_TERMS, *SHARED_TERMS)
+        and other.symbol in (OWN_TERMS if other.owner == accelerometer.name else SHARED_TERMS)
     }
     request = TwoStageRequest(
         model=options.model,

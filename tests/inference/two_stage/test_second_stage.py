@@ -293,6 +293,15 @@ def test_effective_degrees_of_freedom_follow_welch_and_satterthwaite():
         parts = [(g * run.parabola.u_b2) ** 2 for g, run in zip(row, runs, strict=True)]
         assert dof == pytest.approx(sum(parts) ** 2 / sum(p**2 / 97 for p in parts), rel=1e-9)
     assert np.isinf(second_stage(ideal()).dof).all()
+    # What is known exactly has no noise, and what is no noise loses no degrees of freedom.
+    exact = second_stage(runs, priors={"K_II": (2e-5, 0.0)})
+    assert np.isinf(exact.dof[0])
+    assert np.isfinite(exact.dof[1])
+    unsure = second_stage(runs, priors={"platform.tilt.north": (0.0, 1e-6)})
+    index, solution = 1, unsure.fit.solution
+    noise = solution.covariance_noise[index, index]
+    ratio = (solution.covariance[index, index] / noise) ** 2
+    assert unsure.dof[index] == pytest.approx(found.dof[index] * ratio, rel=1e-9)
 
 
 def test_misfit_is_in_standard_uncertainties_of_each_run():

@@ -5,7 +5,7 @@ it to one number, the curvature b2 of a parabola through its strobes, which is l
 coefficients as every sample is: what a coefficient does to b2 is the same functional of the
 coefficient's column.
 
-- `strobed`, `at`: a record at its strobes
+- `strobed`: a record at its strobes
 - `two_stage_model`, `held`: what is estimated, and what is held
 - `exact_columns`, `printed_columns`: the columns at the strobes, as they are and as Eq. 26 has them
 - `curvature_row`: the row
@@ -47,18 +47,15 @@ def strobed(series: Series) -> tuple[Series, strobing.Strobes]:
 
     found, changing = at_strobes(series.error), series.by_latitude
     by_latitude = None if changing is None else at_strobes(changing).error
-    return replace(at(series, found), by_latitude=by_latitude), found
-
-
-def at(series: Series, strobes: strobing.Strobes) -> Series:
-    """Return a record as it is at these strobes."""
-    return replace(
+    record = replace(
         series,
-        time=strobes.time,
-        spread=np.zeros_like(strobes.time),
-        count=strobes.noise_factor**-2.0,
-        error=strobes.error,
+        time=found.time,
+        spread=np.zeros_like(found.time),
+        count=found.noise_factor**-2.0,
+        error=found.error,
+        by_latitude=by_latitude,
     )
+    return record, found
 
 
 def held(
@@ -85,17 +82,7 @@ def held(
 def two_stage_model(
     model: Unknowns, request: TwoStageRequest, series: Sequence[Series]
 ) -> Unknowns:
-    """Return a joint model as the two-stage method has it: what it does not estimate is held.
-
-    Parameters
-    ----------
-    model
-        Of the joint fit.
-    request
-        What is estimated, with its priors.
-    series
-        Of one accelerometer in each run.
-    """
+    """Return a joint model as one accelerometer's two stages have it: the rest is held."""
     limits = {other.symbol: other.limit for other in model.unknowns}
     owner = series[0].accelerometer
     estimated = tuple(

@@ -21,15 +21,7 @@ def with_found_noise(second: SecondStage, components: VarianceComponents) -> Sec
 
     The covariance is linear in the white variance and in N^2, the gains being what they are. So
     the degrees of freedom are Satterthwaite's, and a random walk that the records do not show but
-    allow adds its share, as in the joint fit
-    (`counterspin.inference.noise.unseen_noise`).
-
-    Parameters
-    ----------
-    second
-        Resolved with this noise.
-    components
-        Of the accelerometer's records.
+    allow adds its share, as in the joint fit (`counterspin.inference.noise.unseen_noise`).
     """
     by_white, by_walk = np.transpose([_by_noise(parabola) for parabola in second.parabolas])
     if second.parabolas[0].sigma_from_residuals:

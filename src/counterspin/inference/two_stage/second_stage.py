@@ -39,7 +39,6 @@ from counterspin.inference.joint.unknowns import Considered, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.two_stage.curvatures import (
     LEAST_SIGMA,
-    at,
     curvature_row,
     exact_columns,
     printed_columns,
@@ -50,6 +49,7 @@ from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageReque
 from counterspin.physics import observation
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Trajectory
+from counterspin.physics.spindle import TURN
 from counterspin.physics.terms import term
 
 #: Rates closer than this (relative) do not help to tell unknowns apart.
@@ -208,28 +208,9 @@ def resolve(
     model: Unknowns,
     request: TwoStageRequest,
 ) -> SecondStage:
-    """Resolve the curvatures of several runs of one accelerometer.
+    """Resolve the curvatures of one accelerometer's runs, at their strobes.
 
-    Parameters
-    ----------
-    series
-        Of `counterspin.inference.two_stage.curvatures.strobed`.
-    parabolas
-        Their first stages.
-    model
-        Of `counterspin.inference.two_stage.curvatures.two_stage_model`.
-    request
-        Equations and weights.
-
-    Returns
-    -------
-    SecondStage
-
-    Raises
-    ------
-    NotIdentifiableError
-        If there are fewer different rates than unknowns; both senses of one rate count once
-        where no unknown changes its sign with the sense.
+    The model is `curvatures.two_stage_model`'s; errors are those of `second_stage`.
     """
     _check_rates(series, model, {DRIFT, RIPPLE} if request.ripple == "amplitude" else {DRIFT})
     noise = {series[0].accelerometer: NoiseModel(parabolas[0].sigma, request.random_walk or 0.0)}
@@ -291,28 +272,25 @@ def second_stage(
     Raises
     ------
     NotIdentifiableError
-        As `resolve`.
+        If there are fewer different rates than unknowns; both senses of one rate count once
+        where no unknown changes its sign with the sense.
     """
     request = request or TwoStageRequest()
     names = [run.name for run in runs]
     names = [n if names.count(n) == 1 else f"{n} ({i + 1})" for i, n in enumerate(names)]
-    nothing = np.empty(0)
     series = [
-        at(
-            Series(
-                accelerometer="",
-                run=name,
-                trajectory=run.trajectory,
-                mounting=mounting,
-                observable="displacement",
-                attitude=run.attitude,
-                time=nothing,
-                spread=nothing,
-                count=nothing,
-                spacing=2.0 * math.pi / abs(run.trajectory.spindle.rate),
-                error=nothing,
-            ),
-            run.parabola.strobes,
+        Series(
+            accelerometer="",
+            run=name,
+            trajectory=run.trajectory,
+            mounting=mounting,
+            observable="displacement",
+            attitude=run.attitude,
+            time=run.parabola.strobes.time,
+            spread=np.zeros_like(run.parabola.strobes.time),
+            count=run.parabola.strobes.noise_factor**-2.0,
+            spacing=TURN / abs(run.trajectory.spindle.rate),
+            error=run.parabola.strobes.error,
         )
         for name, run in zip(names, runs, strict=True)
     ]
@@ -368,5 +346,6 @@ def _effective_dof(fit: JointFit, parabolas: Sequence[Parabola]) -> Array:
         return np.full(len(fit.model.unknowns), math.inf)
     parts = _contributions(fit) ** 2
     dof = np.array([parabola.dof for parabola in parabolas])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.asarray(fit.solution.u**4 / np.sum(parts**2 / dof, axis=1))
+    inverse = np.sum(parts**2 / dof, axis=1)
+    known = inverse == 0.0  # exactly, beforehand
+    return np.where(known, np.inf, fit.solution.u**4 / np.where(known, 1.0, inverse))
