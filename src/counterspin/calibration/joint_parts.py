@@ -33,9 +33,10 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import ROTATION, Considered
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.variance_components import COMPONENTS, VarianceComponents
+from counterspin.inference.two_stage.request import RIPPLE
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of, term
 
-_UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True))
+_UNITS: Final = dict(zip((*ROTATION, RIPPLE), ("rad", "rad/s", "1/s", "rad/s"), strict=True))
 WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of a random-walk coefficient
 _ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}  # a ripple: rad/s
 

@@ -6,6 +6,7 @@ perfect is left out.
 
 - `model_of`: the unknowns and what is held
 - `assumed`, `assumed_of`: what is taken as perfect, of a campaign and of one accelerometer
+- `prior_of`: value and u of a term, stated or typical
 - `limit_of`, `typical_of`: credible and typical size of a term of somebody
 """
 
@@ -42,7 +43,7 @@ def model_of(campaign: Campaign) -> Unknowns:
     kept = (*campaign.model.considered, *campaign.machine.considered)
     for owner, symbol in _acting(campaign):
         known = _stated(campaign, owner, symbol)
-        prior, unstated = _prior(campaign, owner, symbol, known)
+        prior, unstated = prior_of(campaign, owner, symbol, known)
         limit = limit_of(campaign, owner, symbol)
         if symbol in wanted:
             prior, unstated = (prior, unstated) if known else (NO_PRIOR, False)
@@ -59,7 +60,7 @@ def model_of(campaign: Campaign) -> Unknowns:
         ]
     for symbol, known in _inputs(campaign).items():
         # Of an input the unknown is its deviation from what is stated.
-        (_, u), unstated = _prior(campaign, "", symbol, known)
+        (_, u), unstated = prior_of(campaign, "", symbol, known)
         if u > 0.0:
             limit = limit_of(campaign, "", symbol)
             if symbol in kept:
@@ -121,7 +122,7 @@ def _size(sizes: Mapping[str, float], owner: str, symbol: str) -> float:
     return sizes[symbol] if symbol in sizes else sizes[term(symbol).symbol]
 
 
-def _prior(
+def prior_of(
     campaign: Campaign, owner: str, symbol: str, known: Quantity | None
 ) -> tuple[tuple[float, float], bool]:
     """Return value and standard uncertainty, and whether the uncertainty is a typical size."""

@@ -19,6 +19,7 @@ from counterspin.physics.motion import Trajectory
 
 #: Uncertain inputs: how each changes the trajectory, and the relative step of its derivative.
 _STEP: Final = 1e-5
+_INPUT_STEP: Final = 1e-6
 INPUTS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
     "centrifuge.radius": lambda motion, step: replace(motion, radius=motion.radius + step),
     "site.gravity": lambda motion, step: replace(
@@ -100,7 +101,7 @@ def input_column(
         "site.gravity": series.trajectory.site.gravity,
         "site.latitude": 1.0,
     }[name]
-    step = _STEP * size
+    step = _INPUT_STEP * size
     moved = INPUTS[name](series.trajectory, step)
     after = series.columns(symbols, scale_factor, moved) @ errors
     change: Array = (series.reference(moved) + after - base - before) / step
