@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from counterspin.calibration.attitude_findings import large_tilts, shared_findings
+from counterspin.calibration.credible import incredible, incredible_shared
 from counterspin.calibration.diagnosis.causes import Cause
 from counterspin.calibration.diagnosis.search import causes_of
 from counterspin.calibration.findings import not_determined
@@ -121,6 +122,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         for index, unknown in enumerate(model.unknowns)
         if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
     } | _rotations(estimated, assessment)
+    beyond = list(incredible_shared(campaign, shared))
     shared |= radii(campaign, shared)
     outliers: dict[str, int] = {run.run.name: 0 for run in observed}
     for record, mask in zip(estimated.series, estimated.outliers, strict=True):
@@ -137,6 +139,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
     found = [
         *shared_findings(shared, longest),
         *large_tilts(campaign, runs, accelerometers),
+        *beyond,
     ]
     return JointOutcome(
         accelerometers=accelerometers,
@@ -220,6 +223,7 @@ def _accelerometer(
             *hidden_walk(view),
             *unseen_ripple(view),
             *_undetermined(view, own),
+            *incredible(view.campaign, name, own),
         ],
         **described(view.accelerometer, own),
     )

@@ -85,18 +85,19 @@ def model_of(campaign: Campaign) -> Unknowns:
         for symbol in OWN_TERMS:
             prior = _pair(accelerometer.priors.get(symbol))
             if symbol in model.terms:
-                unknowns.append(Unknown(name, symbol, prior, model.limits[symbol]))
+                unknowns.append(Unknown(name, symbol, prior, campaign.limit_of(symbol, name)))
             elif prior is not NO_PRIOR:
-                considered.append(Considered(name, symbol, prior, model.limits[symbol]))
+                limit = campaign.limit_of(symbol, name)
+                considered.append(Considered(name, symbol, prior, limit))
     platform = [s for s in (*model.terms, *model.considered) if s not in OWN_TERMS]
     for symbol in platform:
         prior = _pair(model.priors.get(symbol))
         owners = [run.name for run in campaign.runs] if term(symbol).per_run else [""]
         for owner in owners:
             if symbol in model.terms:
-                unknowns.append(Unknown(owner, symbol, prior, model.limits[symbol]))
+                unknowns.append(Unknown(owner, symbol, prior, campaign.limit_of(symbol)))
             else:
-                considered.append(Considered(owner, symbol, prior, model.limits[symbol]))
+                considered.append(Considered(owner, symbol, prior, campaign.limit_of(symbol)))
     if campaign.angle is None:
         unknowns += [
             Unknown(run.name, symbol, NO_PRIOR, limit)
@@ -122,7 +123,7 @@ def left_out_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
     known = {*model.terms, *model.considered, *machine.terms, *machine.considered}
     known = {*known, *accelerometer.priors} - exact_terms(campaign, name)
     terms = [
-        Considered(name, row.symbol, (row.nominal, 0.0), model.limits[row.symbol])
+        Considered(name, row.symbol, (row.nominal, 0.0), campaign.limit_of(row.symbol, name))
         for row in OWN_TERMS.values()
         if row.symbol not in known and _acts(campaign, row)
     ]
@@ -134,7 +135,7 @@ def left_out_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
         reached = [run for run in campaign.runs if run.attitude.tobytes() in reaching]
         if row.symbol not in known and reached:
             owners = [run.name for run in reached] if row.per_run else [""]
-            limit = model.limits[row.symbol]
+            limit = campaign.limit_of(row.symbol)
             terms += [Considered(owner, row.symbol, (0.0, 0.0), limit) for owner in owners]
     return tuple(terms)
 
@@ -154,7 +155,7 @@ def left_out_of_machine(campaign: Campaign, name: str) -> tuple[Considered, ...]
             continue
         row = term(symbol)
         owner = name if row.per_accelerometer else ""
-        terms.append(Considered(owner, symbol, (0.0, 0.0), row.limit))
+        terms.append(Considered(owner, symbol, (0.0, 0.0), campaign.limit_of(symbol, name)))
     return tuple(terms)
 
 

@@ -96,7 +96,7 @@ def omissions_of(
             by_symbol[symbol] = [moved[rows, column]]
         omissions[name] = {
             symbol: _omitted(
-                campaign,
+                campaign.typical_of(symbol, name),
                 symbol,
                 own,
                 effects[0] if len(effects) == 1 else np.linalg.norm(effects, axis=0),
@@ -107,51 +107,47 @@ def omissions_of(
 
 
 def two_stage_omissions(
-    campaign: Campaign, second: SecondStage, request: TwoStageRequest
+    campaign: Campaign, name: str, second: SecondStage, request: TwoStageRequest
 ) -> dict[str, OmittedTerm]:
     """Return what the things that are not known would move the second stage's estimates by.
 
     Parameters
     ----------
-    campaign
-        The description.
+    campaign, name
+        The description and one of its accelerometers.
     second
         The second stage; it ignores these terms.
     request
         What was asked of it.
     """
-    omissions = {
-        symbol: _omitted(campaign, symbol, second.symbols, second.shift(symbol))
-        for symbol in second.ignored
-    } | {
-        symbol: _omitted(campaign, symbol, second.symbols, effects)
-        for symbol, effects in second.exact_shifts().items()
-    }
+    shifts = {symbol: second.shift(symbol) for symbol in second.ignored} | second.exact_shifts()
     for place, symbol in enumerate(("centrifuge.radius", "site.gravity")):
         if symbol not in exact_inputs(campaign):
             continue
         size = (campaign.radius, campaign.gravity)[place].value
         effects = [
-            request.from_relative(name, second.estimate(name)[0])[place] / size
-            for name in second.symbols
+            request.from_relative(own, second.estimate(own)[0])[place] / size
+            for own in second.symbols
         ]
-        omissions[symbol] = _omitted(campaign, symbol, second.symbols, np.array(effects))
-    return omissions
+        shifts[symbol] = np.array(effects)
+    return {
+        symbol: _omitted(campaign.typical_of(symbol, name), symbol, second.symbols, effects)
+        for symbol, effects in shifts.items()
+    }
 
 
 def _omitted(
-    campaign: Campaign, symbol: str, coefficients: Sequence[str] | Mapping[str, int], effects: Array
+    typical: float, symbol: str, coefficients: Sequence[str] | Mapping[str, int], effects: Array
 ) -> OmittedTerm:
     moves = {
         name: float(effect)
         for name, effect in zip(coefficients, effects, strict=True)
         if name in TERMS
     }
-    row = term(symbol)
     return OmittedTerm(
         sensitivity=moves.get("K_II"),
-        unit=row.unit,
-        typical=campaign.model.typical.get(symbol, row.typical),
+        unit=term(symbol).unit,
+        typical=typical,
         moves=moves,
     )
 

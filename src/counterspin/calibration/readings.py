@@ -39,7 +39,7 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.readings import Position, Readings, ReadingsFit, judge, solve_readings
-from counterspin.physics.terms import TERMS, term
+from counterspin.physics.terms import term
 from counterspin.records.mean import mean_of_record
 
 #: Terms that no position at 1 g tells from K_II and K_F: the squares' sum is that of gravity.
@@ -62,12 +62,12 @@ def machine_of(campaign: Campaign) -> tuple[list[Unknown], list[Considered]]:
     """Return what a campaign with readings estimates and considers beside the usual terms."""
     machine = campaign.machine
     unknowns = [
-        Unknown(owner, symbol, machine.prior(symbol), term(symbol).limit)
+        Unknown(owner, symbol, machine.prior(symbol), campaign.limit_of(symbol, owner))
         for symbol in machine.terms
         for owner in _owners(campaign, symbol)
     ]
     considered = [
-        Considered(owner, symbol, machine.prior(symbol), term(symbol).limit)
+        Considered(owner, symbol, machine.prior(symbol), campaign.limit_of(symbol, owner))
         for symbol in machine.considered
         for owner in _owners(campaign, symbol)
     ]
@@ -75,10 +75,11 @@ def machine_of(campaign: Campaign) -> tuple[list[Unknown], list[Considered]]:
         # What nobody asks for counts all the same: K_II is no more than K_II - K_PP or K_II - K_OO.
         named = {*campaign.model.terms, *campaign.model.considered}
         unknowns += [
-            Unknown(name, symbol, (0.0, TERMS[symbol].limit), TERMS[symbol].limit, asked=False)
+            Unknown(name, symbol, (0.0, limit), limit, asked=False)
             for name, accelerometer in campaign.accelerometers.items()
             for symbol in SQUARES
             if symbol not in named and symbol not in accelerometer.priors
+            for limit in [campaign.limit_of(symbol, name)]
         ]
     return unknowns, considered
 

@@ -43,7 +43,7 @@ from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.found_noise import with_found_noise
 from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
-from counterspin.physics.terms import OWN_TERMS, term
+from counterspin.physics.terms import OWN_TERMS, is_term, term
 
 
 @frozen
@@ -93,9 +93,9 @@ def two_stage(
     request = request_of(campaign, accelerometer, options, components)
     ignored = unmodelled(campaign, accelerometer)
     runs, second = _both_stages(observed, accelerometer, request, ignored, components)
-    unknowns = _unknowns(campaign, second, request)
+    unknowns = _unknowns(second, request)
     exact = options.model == "exact"
-    omissions = two_stage_omissions(campaign, second, request) if exact else {}
+    omissions = two_stage_omissions(campaign, accelerometer.name, second, request) if exact else {}
     estimates = _coefficients(campaign, accelerometer, second, unknowns)
     coefficients = with_typical(estimates, omissions)
     parabolas = [run.parabola for run in runs]
@@ -157,7 +157,7 @@ def k_ii(
     request = request_of(campaign, accelerometer, options, components)
     ignored = asked_only(campaign, accelerometer)
     _, second = _both_stages(observed, accelerometer, request, ignored, components)
-    unknowns = _unknowns(campaign, second, request)
+    unknowns = _unknowns(second, request)
     return _coefficients(campaign, accelerometer, second, unknowns)["K_II"], second
 
 
@@ -182,9 +182,7 @@ def _strobed(
     return StrobedRun(run.run.name, run.trajectory, parabola, run.run.attitude)
 
 
-def _unknowns(
-    campaign: Campaign, second: SecondStage, request: TwoStageRequest
-) -> dict[str, Coefficient]:
+def _unknowns(second: SecondStage, request: TwoStageRequest) -> dict[str, Coefficient]:
     """Return the estimates of the second stage, determined or not."""
     estimates = {}
     solution = second.solution
@@ -195,7 +193,7 @@ def _unknowns(
             math.sqrt(float(part[index, index]))
             for part in (solution.covariance_prior, solution.covariance_considered)
         )
-        limit = campaign.model.limits.get(symbol, math.inf)
+        limit = second.request.limit_of(symbol) if is_term(symbol) else math.inf
         known = float(solution.prior_sd[index])
         ratio = symbol == RIPPLE and request.ripple == "ratio"
         estimates[symbol] = Coefficient(

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.calibration.credible import incredible
 from counterspin.calibration.diagnosis.words import conflict
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,
@@ -32,7 +33,6 @@ from counterspin.inference.diagnostics import agreement_of, normal_equivalent
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess, write_combination
 from counterspin.inference.two_stage.held_priors import HeldPrior, held_priors
-from counterspin.inference.two_stage.request import credible_limit
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
 from counterspin.physics.terms import OWN_TERMS, TERMS, term
 from counterspin.reports.numbers import field_unit, format_number
@@ -80,7 +80,7 @@ def confounded(second: SecondStage, estimates: Mapping[str, Coefficient]) -> lis
         if alike := second.alike(symbol):
             u = estimates[symbol].u or 0.0
             weights = {symbol: 1.0, **alike}
-            sizes = [_largest_size(other) for other in weights]
+            sizes = [_largest_size(other, second) for other in weights]
             sets.append(
                 ConfoundedTerms(
                     terms=[symbol, *alike],
@@ -97,9 +97,9 @@ def confounded(second: SecondStage, estimates: Mapping[str, Coefficient]) -> lis
     return sets
 
 
-def _largest_size(symbol: str) -> float:
+def _largest_size(symbol: str, second: SecondStage) -> float:
     """Return how large a term may credibly be, what it is ideally included."""
-    return credible_limit(symbol) + (TERMS[symbol].nominal if symbol in TERMS else 0.0)
+    return second.request.limit_of(symbol) + (TERMS[symbol].nominal if symbol in TERMS else 0.0)
 
 
 def findings(
@@ -142,6 +142,7 @@ def findings(
         gathered += [wrong[0].model_copy(update={"explains": misfit}), *wrong[1:]] if wrong else []
         misfit = [] if wrong else misfit
     gathered += misfit
+    gathered += incredible(campaign, name, coefficients)
     unseen = second.solution.covariance_unseen
     if unseen is not None:
         gathered += hidden_noise(name, float(unseen[0, 0] / second.solution.u[0] ** 2))
@@ -170,7 +171,7 @@ def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding
     for symbol in second.ignored:
         if symbol in alike or (symbol not in TERMS and symbol not in campaign.model.terms):
             continue
-        typical = campaign.model.typical[symbol]
+        typical = campaign.typical_of(symbol, name)
         shift = abs(float(second.shift(symbol)[0])) * typical
         if shift > u:
             (unit, factor), (moved, to_moved) = map(field_unit, (term(symbol).unit, "g/g^2"))
@@ -222,7 +223,7 @@ def _misfit(name: str, runs: Sequence[StrobedRun], second: SecondStage) -> list[
     solution = second.solution
     dof = len(runs) - int(np.sum(np.isinf(solution.prior_sd)))
     # Without weights the sum of squares is not distributed like chi-square.
-    if dof < 1 or not second.weighted or solution.chi2 <= 0.0:
+    if dof < 1 or not second.request.weighted or solution.chi2 <= 0.0:
         return []
     probability = chi_square_tail(dof, solution.chi2)
     if probability > _SMALLEST_P:

@@ -20,6 +20,7 @@ from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.noise.variance_components import VarianceComponents
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.strobes import strobe_angle
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
 
 
 def request_of(
@@ -73,6 +74,7 @@ def request_of(
         timing=_number(campaign, "timing") or 0.0,
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
+        limits={s: campaign.limit_of(s, accelerometer.name) for s in (*OWN_TERMS, *SHARED_TERMS)},
     )
     return request if components is None else request.with_noise(components.noise)
 

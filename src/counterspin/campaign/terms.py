@@ -27,7 +27,8 @@ from counterspin.campaign.settings import ModelSettings, exact
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import PathError, Turn
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TERMS, Term, term
+from counterspin.physics.grades import DEFAULT_GRADE, GRADES
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TERMS, Term, is_term, term
 
 #: The model of a campaign without [model] terms: the paper's.
 DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
@@ -139,6 +140,7 @@ def resolve_model(
     mountings: Mapping[str, Mounting],
     attitudes: Sequence[Array],
     given: Mapping[str, Mapping[str, Quantity]],
+    grades: Mapping[str, str],
     *,
     problems: Problems,
     gravity: float | None,
@@ -155,6 +157,8 @@ def resolve_model(
         Of all runs, each of shape (3, 3).
     given
         Accelerometer -> term symbol -> prior from the accelerometer's own table.
+    grades
+        Accelerometer -> grade.
     problems
         Where mistakes are noted.
     gravity
@@ -183,7 +187,9 @@ def resolve_model(
     if not any(symbol in TERMS for symbol in terms):
         problems.add(("model", "terms"), "names no accelerometer term to estimate")
     used = {*terms, *considered}
-    platform, accelerometers = _resolve_priors(settings.priors, given, used, problems, gravity)
+    platform, accelerometers = _resolve_priors(
+        settings.priors, given, used, problems, gravity, grades
+    )
     _require_priors(considered, platform, accelerometers, problems)
     limits = _resolve_sizes("limits", settings.limits, problems, gravity)
     typical = _resolve_sizes("typical", settings.typical, problems, gravity)
@@ -262,6 +268,7 @@ def _resolve_priors(
     used: set[str],
     problems: Problems,
     gravity: float | None,
+    grades: Mapping[str, str],
 ) -> tuple[dict[str, Quantity], dict[str, dict[str, Quantity]]]:
     """Return platform priors, and each accelerometer's; a narrower name overrides a wider."""
     platform: dict[str, Quantity] = {}
@@ -285,7 +292,9 @@ def _resolve_priors(
         unit = term(min(symbols)).unit
         prior = problems.attempt(path, parse, flat[key], unit, gravity=gravity)
         if prior is not None:
-            problems.attempt(path, about_nominal, min(symbols), prior)
+            of_owners = (grades.get(name, DEFAULT_GRADE) for name in owners)
+            worst = max(of_owners, key=GRADES.index, default=DEFAULT_GRADE)
+            problems.attempt(path, about_nominal, min(symbols), prior, worst)
         if not symbols & used:
             problems.add(path, "is not used; add the term to model.terms or model.considered")
         if prior is None:
@@ -301,7 +310,7 @@ def _resolve_priors(
     return platform, merged
 
 
-def about_nominal(symbol: str, prior: Quantity) -> Quantity:
+def about_nominal(symbol: str, prior: Quantity, grade: str = DEFAULT_GRADE) -> Quantity:
     """Return a prior that is credible: a scale factor is given as its value, about 1.
 
     Raises
@@ -310,7 +319,7 @@ def about_nominal(symbol: str, prior: Quantity) -> Quantity:
         If the prior of a term with a nominal value is further from it than the term may be.
     """
     row = term(symbol)
-    if row.nominal and abs(prior.value - row.nominal) > row.limit:
+    if row.nominal and abs(prior.value - row.nominal) > row.sizes(grade).limit:
         raise ValueError(
             f"{prior.value:.6g} {row.unit} is too far from {row.nominal:g}, the nominal {symbol}; "
             f"an error of 1000 ppm is written {1.001 * row.nominal:g} {row.unit}"
@@ -343,17 +352,13 @@ def _require_priors(
 def _resolve_sizes(
     kind: str, raw: Mapping[str, Any], problems: Problems, gravity: float | None
 ) -> dict[str, float]:
-    """Return every term's largest credible size (``limits``) or its ``typical`` one."""
-    attribute = {"limits": "limit", "typical": "typical"}[kind]
-    sizes = {
-        symbol: float(getattr(row, attribute))
-        for symbol, row in {**OWN_TERMS, **SHARED_TERMS}.items()
-    }
+    """Return the largest credible sizes (``limits``) or ``typical`` ones that are stated."""
+    sizes: dict[str, float] = {}
     flat = flat_keys(raw)
     for key in _widest_first(flat):
         path = ("model", kind, key)
         symbols = [row.symbol for row in BARE_NAMES.get(key, ())] or [key]
-        if symbols[0] not in sizes:
+        if not is_term(symbols[0]):
             _unknown(key, path, problems)
             continue
         size = problems.attempt(path, exact, flat[key], term(symbols[0]).unit, gravity)

@@ -1,13 +1,15 @@
 """How large the terms of an accelerometer are, by its grade, and where that comes from.
 
-A credible size is an order of magnitude, several times what data sheets allow: beyond it is a
-mistake, not an instrument. A typical size is the standard uncertainty of a term of which nothing is
-stated; its source says which figure of which document it rests on, or that there is none.
+A credible size is an order of magnitude, several times what data sheets allow if they name it:
+beyond it is a mistake, not an instrument. A typical size is the standard uncertainty of a term of
+which nothing is stated; its source says which figure of which document it rests on, or that there
+is none.
 
 Documents:
 
 - the paper: Table 1 of the one that the package is about
-- EU dual-use list: Annex I of Regulation (EU) 2021/821, accelerometers, entry 7A001.a
+- dual-use list: accelerometers that are controlled by entry 7A001.a of the EU's and the Swiss (GKV)
+  list of dual-use goods, here by the latter
 - MS1010: Safran Colibrys, MS1000 data sheet, 2016-12-30, the ±10 g model, typical values
 - ADXL350, ADXL313: Analog Devices, data sheets, Table 1
 - HASI: calibration of the servo accelerometer of Huygens, ``HASI_ACC_CALIBRATION_DATA.TXT`` in
@@ -71,19 +73,18 @@ _ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
             0.1,
             1e-4,
             "one nautical mile an hour, which defines navigation grade: a bias of 1e-4 g levels "
-            "the platform wrong by 1e-4 rad, 0.34 nautical miles; EU dual-use list, 7A001.a.1: "
+            "the platform wrong by 1e-4 rad, 0.34 nautical miles; dual-use list, 7A001.a.1: "
             "better than 130 µg over one year",
         ),
         (0.3, 1.2e-3, "MS1010: long-term bias repeatability 1.2 mg"),
         (1.0, 5e-2, "ADXL350: 0 g output ±50 mg, typical, of X and Y"),
     ),
     "K_I": (
-        (0.1, 1e-4, "EU dual-use list, 7A001.a.1: scale factor better than 130 ppm over one year"),
+        (0.1, 1e-4, "dual-use list, 7A001.a.1: scale factor better than 130 ppm over one year"),
         (
             0.2,
             1.2e-3,
-            "EU dual-use list, 7A001.a.2, above 15 g: scale factor better than 1250 ppm over one "
-            "year",
+            "dual-use list, 7A001.a.2, above 15 g: scale factor better than 1250 ppm over one year",
         ),
         (0.5, 4e-2, "ADXL350: 512 LSB/g ± 7.5 %, taken as limits of a rectangular distribution"),
     ),

@@ -75,7 +75,7 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
         Fault(
             symbol,
             term(parts[0].symbol).words_of_family,
-            campaign.model.typical[parts[0].symbol],
+            campaign.typical_of(parts[0].symbol, name),
             term(parts[0].symbol).unit,
             tuple(_of_term(part, campaign) for part in parts),
             random=term(parts[0].symbol).per_run,
@@ -88,9 +88,10 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
         if symbol not in known:
             row = term(symbol)
             owner = name if row.per_accelerometer else ""
-            shown = Considered(owner, symbol, (0.0, 0.0), row.limit)
+            shown = Considered(owner, symbol, (0.0, 0.0), campaign.limit_of(symbol, name))
+            typical = campaign.typical_of(symbol, name)
             parts = (Part(lambda _: None, shown),)
-            terms.append(Fault(symbol, row.words, row.typical, row.unit, parts))
+            terms.append(Fault(symbol, row.words, typical, row.unit, parts))
     return terms
 
 

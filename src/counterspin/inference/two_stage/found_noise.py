@@ -14,7 +14,6 @@ from counterspin.arrays import Array
 from counterspin.inference.noise.unseen_noise import lengthened
 from counterspin.inference.noise.variance_components import VarianceComponents, effective_dof
 from counterspin.inference.two_stage.first_stage import Parabola, walk_covariance
-from counterspin.inference.two_stage.request import credible_limit
 from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
 
 
@@ -45,7 +44,7 @@ def with_found_noise(
     noise, total = np.diag(solution.covariance_noise), np.diag(solution.covariance)
     gradient = second.gain**2 @ np.column_stack([by_white, by_walk])
     inverse = 1.0 / second.dof + 1.0 / effective_dof(noise, gradient, components.covariance)
-    limits = np.array([credible_limit(symbol) for symbol in second.symbols])
+    limits = np.array([second.request.limit_of(symbol) for symbol in second.symbols])
     known = (solution.u > 0.0) & (solution.u < limits) & (gradient[:, 1] > 0.0)
     if components.unseen is None or not known.any():
         return replace(second, dof=_reciprocal(inverse))

@@ -31,7 +31,7 @@ from counterspin.inference import least_squares
 from counterspin.inference.blocks import reduce_block
 from counterspin.inference.identifiability import NEAR_COLLINEAR, TWIN_AGREEMENT
 from counterspin.inference.two_stage.first_stage import Parabola
-from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest, credible_limit
+from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
 from counterspin.physics import as_printed, observation
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.motion import Trajectory
@@ -99,8 +99,8 @@ class SecondStage:
     ignored
         Term -> d(b2)/d(coefficient), shape (runs,), of terms that are neither estimated nor
         considered. Ripple makes a parabola of K_III, for example.
-    weighted
-        Whether the runs were weighted by 1/sigma(b2)^2.
+    request
+        What was asked.
     """
 
     symbols: tuple[str, ...]
@@ -115,7 +115,7 @@ class SecondStage:
     near_collinear: tuple[tuple[str, str, float], ...]
     misfit: Array
     ignored: Mapping[str, Array]
-    weighted: bool
+    request: TwoStageRequest
 
     def estimate(self, symbol: str) -> tuple[float, float]:
         """Return value and combined standard uncertainty of an unknown."""
@@ -195,7 +195,7 @@ class SecondStage:
             whitened = effect / self.sigma
             size = float(np.linalg.norm(whitened))
             along = float(column @ whitened)
-            seen = size * term(other).limit > _SMALLEST_VISIBLE
+            seen = size * self.request.limit_of(other) > _SMALLEST_VISIBLE
             if seen and abs(along) > TWIN_AGREEMENT * size * float(np.linalg.norm(column)):
                 alike[other] = along / float(column @ column)
         return alike
@@ -269,7 +269,7 @@ def second_stage(
         prior_sd=[sd for _, sd in unknowns.values()],
         considered_mean=means,
         considered_sd=spreads,
-        limits=[credible_limit(symbol) for symbol in symbols],
+        limits=[request.limit_of(symbol) for symbol in symbols],
     )
     gain = _gain(design / whitening[:, None], unknowns) / whitening
     if not request.weighted:
@@ -290,7 +290,7 @@ def second_stage(
         near_collinear=_near_collinear(symbols, design / whitening[:, None]),
         misfit=(b2 - predicted) / sigma,
         ignored={symbol: shown[symbol] for symbol in ignored},
-        weighted=request.weighted,
+        request=request,
     )
 
 
