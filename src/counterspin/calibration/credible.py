@@ -10,7 +10,6 @@ is, three of its standard uncertainties allowed.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping
 from typing import Final
 
@@ -18,10 +17,15 @@ from counterspin.calibration.result_parts import Coefficient, Finding
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.terms import OWN_TERMS, is_term, term
-from counterspin.reports.numbers import field_unit, format_number
+from counterspin.reports.numbers import format_number
 
 #: An estimate may be beyond its largest credible size by so many of its standard uncertainties.
 _ALLOWED: Final = 3.0
+
+#: A scale factor is off by a unit that it is this near to, of its size; 9.8 is not 10.
+_ALIKE: Final = 0.01
+
+_GRAVITY: Final = 9.80665  #: m/s^2
 
 #: Powers of ten that a unit may be off by.
 _POWERS: Final = (-9, -6, -4, -3, -2, -1, 1, 2, 3, 4, 6, 9)
@@ -101,13 +105,12 @@ def _finding(
     beyond = abs(c.value - row.nominal) - limit
     if beyond <= _ALLOWED * c.u:
         return None
-    unit, factor = field_unit(c.unit)
     about = f" about {row.nominal:g}" if row.nominal else ""
     likely = _of_scale(c.value, limit) if symbol == "K_I" else _likely(symbol)
     grade = f" state its grade in accelerometers.{owner}, or" if owner else ""
     text = (
-        f"{symbol} = {format_number(c.value * factor, 5)} {unit} is not credible: beyond "
-        f"{format_number(limit * factor)} {unit}{about}. The records cannot show why; likely is "
+        f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible: beyond "
+        f"{format_number(limit)} {c.unit}{about}. The records cannot show why; likely is "
         f"{likely}. If it is true,{grade} raise {symbol} in [model.limits]."
     )
     return Finding(
@@ -125,15 +128,15 @@ def _likely(symbol: str) -> str:
 
 def _of_scale(value: float, limit: float) -> str:
     """Return what makes a scale factor what it is: a sign, a unit, a column."""
-    if abs(value) <= limit:
-        return "another column, or another accelerometer, than is stated"
     factors = {10.0**power: f"a unit off by a power of ten, 1e{power}" for power in _POWERS}
-    gravity = 9.80665
-    factors |= dict.fromkeys((gravity, 1.0 / gravity), "a unit, m/s^2 against g") | {1.0: ""}
-    near = min(factors, key=lambda factor: abs(math.log(abs(value) / factor)))
+    factors |= dict.fromkeys((_GRAVITY, 1.0 / _GRAVITY), "a unit, m/s^2 against g")
+    near = min([1.0, *factors], key=lambda factor: abs(abs(value) / factor - 1.0))
+    explained = abs(abs(value) / near - 1.0) <= _ALIKE
     causes = []
-    if value < 0.0:
+    if value < -limit or (value < 0.0 and explained):
         causes.append("the sign of the output, or the sense of the input axis")
-    if abs(abs(value) / near - 1.0) <= limit and near != 1.0:
+    if explained and near in factors:
         causes.append(factors[near])
+    elif abs(value) <= limit:
+        causes.append("another column, or another accelerometer, than is stated")
     return ", and ".join(causes) or "the sensitivity and its unit, or the range of the readout"
