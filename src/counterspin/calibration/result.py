@@ -62,6 +62,7 @@ class Result(ShownResult):
     `state` is the worst of the accelerometers' and of the campaign's own; `findings` are those of
     all of them. `accepted_misfit` is the reason for which a contradicted result is used all the
     same. `correlation` is that of everything determined, accelerometers and platform together.
+    `assumed` are the terms that were taken as perfect.
     """
 
     method: str
@@ -78,6 +79,7 @@ class Result(ShownResult):
     inputs: Inputs
     details: dict[str, str] = {}
     warnings: list[str] = []
+    assumed: list[str] = []
     provenance: Provenance
 
     _residuals: tuple[RunResiduals, ...] = PrivateAttr(default=())
