@@ -15,7 +15,6 @@
 - `findings`: what speaks against a result, and its state
 - `attitude_findings`: whether drift and tilts are small enough for the theory
 - `diagnosis`: the cause of a misfit
-- `credible`: estimates that no instrument has
 - `left_out`: what the model leaves out, at typical sizes
 - `readings`: single values beside records, or alone
 - `kinds`: each kind of test (at rest, arm, double turntable) beside the others

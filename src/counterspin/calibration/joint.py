@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from counterspin.calibration.attitude_findings import large_tilts, shared_findings
-from counterspin.calibration.credible import incredible, incredible_shared
 from counterspin.calibration.diagnosis.causes import Cause
+from counterspin.calibration.diagnosis.credible import incredible, incredible_shared
 from counterspin.calibration.diagnosis.search import causes_of
 from counterspin.calibration.findings import not_determined
 from counterspin.calibration.joint_checks import (

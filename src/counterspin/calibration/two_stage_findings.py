@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.credible import incredible
+from counterspin.calibration.diagnosis.credible import incredible
 from counterspin.calibration.diagnosis.words import conflict
 from counterspin.calibration.findings import (
     CONTRADICTION_SIGMAS,

@@ -18,10 +18,11 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.diagnosis.causes import ACCOUNTABLE, Cause
+from counterspin.calibration.diagnosis.credible import incredible
 from counterspin.calibration.diagnosis.words import Described, Explanation
 from counterspin.calibration.findings import CONTRADICTION_SIGMAS, from_numbers
 from counterspin.calibration.joint_checks import jackknife, residual_findings
-from counterspin.calibration.joint_parts import noise_lines, residual
+from counterspin.calibration.joint_parts import coefficient, noise_lines, residual
 from counterspin.calibration.joint_problem import exact_inputs, left_out_of, noise_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import AccelerometerResult, Finding
@@ -486,6 +487,12 @@ def _seen_again(view: AccelerometerView, after: Estimate) -> AccelerometerView:
 def _checked(view: AccelerometerView) -> Iterator[Finding]:
     yield from residual_findings(view)
     yield from _numbers(view, None)
+    own = {
+        symbol: coefficient(view.estimate, view.assessment, place)
+        for symbol, place in view.places.items()
+    }
+    for finding in incredible(view.campaign, view.name, own):
+        yield from (finding, *finding.explains)
 
 
 def _numbers(view: AccelerometerView, result: AccelerometerResult | None) -> Iterator[Finding]:

@@ -7,7 +7,7 @@ from reading_campaigns import simulated, tumble
 from reading_descriptions import ACCELEROMETER, at_rest, place
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.credible import incredible
+from counterspin.calibration.diagnosis.credible import incredible
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
