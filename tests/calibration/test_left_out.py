@@ -100,6 +100,18 @@ def test_a_campaign_s_own_sizes_count(records, tmp_path):
     assert one.coefficients["K_II"].u_typical < 0.3 * other.coefficients["K_II"].u_typical
 
 
+@pytest.mark.parametrize("method", ["joint", "two-stage"])
+def test_sizes_go_by_the_grade_of_the_accelerometer(records, tmp_path, method):
+    text = changed(SMALL, ('input_axis = "north"', 'input_axis = "north"\ngrade = "tactical"'))
+    result = again(records, tmp_path, text, method)
+    for name, grade in (("Qx", "navigation"), ("Qy", "tactical")):
+        left_out = result.accelerometers[name].left_out
+        for symbol in ("K_OO", "delta_O", "platform.tilt.up"):
+            if symbol in left_out:
+                assert left_out[symbol].typical == term(symbol).sizes(grade).typical
+        assert "K_OO" in left_out
+
+
 def test_inputs_that_state_an_uncertainty_are_not_left_out(records, tmp_path):
     text = changed(SMALL, EXACT_INPUTS[0])
     found = again(records, tmp_path, text, "joint").accelerometers["Qx"]
