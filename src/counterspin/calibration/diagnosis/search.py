@@ -490,6 +490,7 @@ def _checked(view: AccelerometerView) -> Iterator[Finding]:
     own = {
         symbol: coefficient(view.estimate, view.assessment, place)
         for symbol, place in view.places.items()
+        if f"{view.name}.{symbol}" in view.assessment.determined  # not what was considered before
     }
     for finding in incredible(view.campaign, view.name, own):
         yield from (finding, *finding.explains)
