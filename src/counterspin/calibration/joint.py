@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 
 from counterspin.calibration.attitude_findings import large_tilts, shared_findings
 from counterspin.calibration.diagnosis.causes import Cause
+from counterspin.calibration.diagnosis.credible import incredible, incredible_shared
 from counterspin.calibration.diagnosis.search import causes_of
 from counterspin.calibration.findings import not_determined
 from counterspin.calibration.joint_checks import (
@@ -121,6 +122,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         for index, unknown in enumerate(model.asked)
         if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
     } | _rotations(estimated, assessment)
+    beyond = list(incredible_shared(campaign, shared))
     shared |= radii(campaign, shared)
     outliers: dict[str, int] = {run.run.name: 0 for run in observed}
     for record, mask in zip(estimated.series, estimated.outliers, strict=True):
@@ -134,6 +136,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
     found = [
         *shared_findings(shared, longest),
         *large_tilts(campaign, runs, accelerometers),
+        *beyond,
     ]
     return JointOutcome(
         accelerometers=accelerometers,
@@ -224,6 +227,7 @@ def _accelerometer(
             *hidden_walk(view),
             *unseen_ripple(view),
             *_undetermined(view, own),
+            *incredible(view.campaign, name, own),
         ],
         **described(view.accelerometer, own),
     )

@@ -7,13 +7,12 @@ perfect is left out.
 - `model_of`: the unknowns and what is held
 - `assumed`, `assumed_of`: what is taken as perfect, of a campaign and of one accelerometer
 - `prior_of`: value and u of a term, stated or typical
-- `limit_of`, `typical_of`: credible and typical size of a term of somebody
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from counterspin.campaign.conditions import conditions_of, origin_of
@@ -44,7 +43,7 @@ def model_of(campaign: Campaign) -> Unknowns:
     for owner, symbol in _acting(campaign):
         known = _stated(campaign, owner, symbol)
         prior, unstated = prior_of(campaign, owner, symbol, known)
-        limit = limit_of(campaign, owner, symbol)
+        limit = campaign.limit_of(symbol, owner)
         if symbol in wanted:
             prior, unstated = (prior, unstated) if known else (NO_PRIOR, False)
             asked.append(Unknown(owner, symbol, prior, limit, unstated=unstated))
@@ -62,22 +61,12 @@ def model_of(campaign: Campaign) -> Unknowns:
         # Of an input the unknown is its deviation from what is stated.
         (_, u), unstated = prior_of(campaign, "", symbol, known)
         if u > 0.0:
-            limit = limit_of(campaign, "", symbol)
+            limit = campaign.limit_of(symbol)
             if symbol in kept:
                 held.append(Considered("", symbol, (0.0, u), limit, False, unstated))
             else:
                 others.append(Unknown("", symbol, (0.0, u), limit, False, unstated))
     return Unknowns((*asked, *_squares(campaign, others), *others), tuple(held))
-
-
-def limit_of(campaign: Campaign, owner: str, symbol: str) -> float:
-    """Return the largest credible size of a term of somebody."""
-    return _size(campaign.model.limits, owner, symbol)
-
-
-def typical_of(campaign: Campaign, owner: str, symbol: str) -> float:
-    """Return the standard uncertainty to take of a term of somebody where none is stated."""
-    return _size(campaign.model.typical, owner, symbol)
 
 
 def assumed_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
@@ -91,7 +80,7 @@ def assumed_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
         for other in (*model.unknowns, *model.considered)
     }
     return tuple(
-        Considered(owner, symbol, (term(symbol).nominal, 0.0), limit_of(campaign, owner, symbol))
+        Considered(owner, symbol, (term(symbol).nominal, 0.0), campaign.limit_of(symbol, owner))
         for owner, symbol in _acting(campaign, name)
         if there.get((owner, symbol), 0.0) == 0.0
     )
@@ -117,11 +106,6 @@ def assumed_inputs(campaign: Campaign) -> list[str]:
     ]
 
 
-def _size(sizes: Mapping[str, float], owner: str, symbol: str) -> float:
-    del owner
-    return sizes[symbol] if symbol in sizes else sizes[term(symbol).symbol]
-
-
 def prior_of(
     campaign: Campaign, owner: str, symbol: str, known: Quantity | None
 ) -> tuple[tuple[float, float], bool]:
@@ -131,7 +115,7 @@ def prior_of(
     value = term(symbol).nominal if known is None else known.value
     if campaign.model.assumes(symbol):
         return (value, 0.0), False
-    return (value, typical_of(campaign, owner, symbol)), True
+    return (value, campaign.typical_of(symbol, owner)), True
 
 
 def _stated(campaign: Campaign, owner: str, symbol: str) -> Quantity | None:
@@ -218,5 +202,5 @@ def _squares(campaign: Campaign, others: Sequence[Unknown]) -> Iterator[Unknown]
     for name in campaign.accelerometers:
         for symbol in SQUARES:
             if symbol not in known and (name, symbol) not in there:
-                limit = limit_of(campaign, name, symbol)
+                limit = campaign.limit_of(symbol, name)
                 yield Unknown(name, symbol, (0.0, limit), limit, unstated=True)

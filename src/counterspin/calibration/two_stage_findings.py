@@ -20,7 +20,6 @@ from counterspin.calibration.findings import (
     not_determined,
 )
 from counterspin.calibration.joint_view import AccelerometerView
-from counterspin.calibration.model import typical_of
 from counterspin.calibration.result_parts import Coefficient, ConfoundedTerms, Finding
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.diagnostics import agreement_of, normal_equivalent
@@ -28,9 +27,8 @@ from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import write_combination
 from counterspin.inference.joint.alternatives import of_priors, scores
 from counterspin.inference.joint.relaxed import relax
-from counterspin.inference.two_stage.request import credible_limit
 from counterspin.inference.two_stage.second_stage import SecondStage
-from counterspin.physics.terms import INPUTS, TERMS, term
+from counterspin.physics.terms import INPUTS, term
 from counterspin.reports.numbers import field_unit, format_number
 
 #: Below this probability a misfit is no accident.
@@ -67,7 +65,9 @@ def sums_of_alike(
         if c.estimated and c.value is not None and c.u is not None:
             value, u = c.value, c.u
         weights = {symbol: 1.0, **alike}
-        sizes = [_largest_size(other) for other in weights]
+        model = second.fit.model
+        every = {o.symbol: o for o in (*model.considered, *model.unknowns)}
+        sizes = [every[other].limit + every[other].nominal for other in weights]
         sets.append(
             ConfoundedTerms(
                 terms=list(weights),
@@ -82,11 +82,6 @@ def sums_of_alike(
             )
         )
     return sets
-
-
-def _largest_size(symbol: str) -> float:
-    """Return how large a term may credibly be, what it is ideally included."""
-    return credible_limit(symbol) + (TERMS[symbol].nominal if symbol in TERMS else 0.0)
 
 
 def findings(
@@ -141,7 +136,7 @@ def _unknown(campaign: Campaign, name: str, second: SecondStage) -> list[Finding
     for symbol in held:
         if symbol in alike or symbol not in perfect or symbol not in campaign.model.terms:
             continue
-        typical = typical_of(campaign, name, symbol)
+        typical = campaign.typical_of(symbol, name)
         shift = abs(float(second.shift(symbol)[0])) * typical
         if shift > u:
             (unit, factor), (moved, to_moved) = map(field_unit, (term(symbol).unit, "g/g^2"))

@@ -67,6 +67,7 @@ def request_of(
         timing=_number(campaign, "timing") or 0.0,
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
+        limits={s: campaign.limit_of(s, accelerometer.name) for s in (*OWN_TERMS, *SHARED_TERMS)},
     )
     return request if components is None else request.with_noise(components.noise)
 

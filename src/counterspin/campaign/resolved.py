@@ -25,8 +25,10 @@ from counterspin.campaign.specification import Specifications
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.grades import DEFAULT_GRADE, Size
 from counterspin.physics.motion import Site
 from counterspin.physics.spindle import Spindle
+from counterspin.physics.terms import term
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnKind, ColumnSpec
@@ -142,6 +144,8 @@ class Accelerometer:
         What its readings are in; None: g or m/s^2.
     force
         The column of specific force in records on an arm or at rest; None if there are none.
+    grade
+        One of `counterspin.physics.grades.GRADES`: how large its terms may be.
     """
 
     name: str
@@ -152,6 +156,7 @@ class Accelerometer:
     serial_number: str | None = None
     output: Output | None = None
     force: Channel | None = None
+    grade: str = DEFAULT_GRADE
 
 
 @frozen
@@ -207,10 +212,10 @@ class ErrorModel:
     priors
         Symbol of a shared term -> prior, SI (tilt: one of each run). Those of accelerometer terms
         are in `Accelerometer.priors`.
-    limits
-        Every symbol of the term tables -> its largest credible size, in the table's unit.
-    typical
-        Likewise -> the standard uncertainty to assume where none is stated.
+    limits, typical
+        Symbol -> largest credible size, and standard uncertainty to assume where none is stated,
+        in the table's unit: where the campaign states them. `Campaign.limit_of` and
+        `Campaign.typical_of` know all.
     assume
         What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
     """
@@ -421,6 +426,26 @@ class Campaign:
     dialect: Dialect = TO_BE_FOUND
     skipped: tuple[str, ...] = ()
     source: Source | None = field(default=None, init=False, repr=False, compare=False)
+
+    def limit_of(self, symbol: str, owner: str = "") -> float:
+        """Return the largest credible size of a term: as stated, or by the owner's grade.
+
+        Parameters
+        ----------
+        symbol
+            Of the table of terms.
+        owner
+            The accelerometer, for a term of its own; else it is no matter.
+        """
+        return self.model.limits.get(symbol) or self._size(symbol, owner).limit
+
+    def typical_of(self, symbol: str, owner: str = "") -> float:
+        """Return the standard uncertainty to assume of a term; parameters as of `limit_of`."""
+        return self.model.typical.get(symbol) or self._size(symbol, owner).typical
+
+    def _size(self, symbol: str, owner: str) -> Size:
+        accelerometer = self.accelerometers.get(owner)
+        return term(symbol).sizes(DEFAULT_GRADE if accelerometer is None else accelerometer.grade)
 
     def recording_of(self, run: Run) -> Recording:
         """Return how the record of a run is read."""

@@ -392,6 +392,7 @@ class OutputSettings(SettingsSection):
 
 class _AccelerometerKeys(AxesSettings):
     serial_number: Text | None = None
+    grade: Literal["navigation", "tactical", "consumer"] = "navigation"
     output: OutputSettings | None = None
     sensitivity_prior: Text | None = None
     bias: Annotated[Quantity, _uncertain("g")] | None = None

@@ -19,7 +19,7 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.least_squares import REGULARISATION
-from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest, credible_limit
+from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
 from counterspin.physics import as_printed
 from counterspin.physics.terms import TERMS, Term, term
 from counterspin.studies.draws import Draws, of_run
@@ -153,7 +153,7 @@ class TwoStageEngine:
         fixed = {symbol: self._column(symbol, assumed) for symbol in considered}
         mean = np.array([m for m, _ in unknowns.values()])
         sd = np.array([s for _, s in unknowns.values()])
-        limits = [credible_limit(symbol) for symbol in unknowns]
+        limits = [request.limit_of(symbol) for symbol in unknowns]
         held = np.where(np.isinf(sd), REGULARISATION * np.array(limits), sd)
         inverse = _inverse(_information(design, weight, held))
         gain = sum(inverse[:, q, None] * design[q] for q in range(len(mean))) * weight

@@ -3,4 +3,5 @@
 - `search`: the likely causes of a misfit, each tried on the records
 - `causes`: one finding for each cause, the others below it
 - `words`: what is said of a cause
+- `credible`: estimates that no instrument has, whatever the fit
 """

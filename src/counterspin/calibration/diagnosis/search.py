@@ -18,10 +18,11 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.diagnosis.causes import ACCOUNTABLE, Cause
+from counterspin.calibration.diagnosis.credible import incredible
 from counterspin.calibration.diagnosis.words import Described, Explanation
 from counterspin.calibration.findings import CONTRADICTION_SIGMAS, from_numbers
 from counterspin.calibration.joint_checks import jackknife, residual_findings
-from counterspin.calibration.joint_parts import noise_lines, residual
+from counterspin.calibration.joint_parts import coefficient, noise_lines, residual
 from counterspin.calibration.joint_problem import noise_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import assumed_inputs, assumed_of
@@ -495,6 +496,13 @@ def _seen_again(view: AccelerometerView, after: Estimate) -> AccelerometerView:
 def _checked(view: AccelerometerView) -> Iterator[Finding]:
     yield from residual_findings(view)
     yield from _numbers(view, None)
+    own = {
+        symbol: coefficient(view.estimate, view.assessment, place)
+        for symbol, place in view.places.items()
+        if f"{view.name}.{symbol}" in view.assessment.determined  # not what was considered before
+    }
+    for finding in incredible(view.campaign, view.name, own):
+        yield from (finding, *finding.explains)
 
 
 def _numbers(view: AccelerometerView, result: AccelerometerResult | None) -> Iterator[Finding]:

@@ -29,7 +29,7 @@ from counterspin.inference.joint.series import Series
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.two_stage import strobes as strobing
 from counterspin.inference.two_stage.first_stage import Parabola
-from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest, credible_limit
+from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
 from counterspin.physics import as_printed
 from counterspin.physics.terms import TERMS
 
@@ -92,7 +92,7 @@ def two_stage_model(
             owner if symbol in TERMS else "",
             symbol,
             prior,
-            known[symbol].limit if symbol in known else credible_limit(symbol),
+            known[symbol].limit if symbol in known else request.limit_of(symbol),
             unstated=symbol in known and known[symbol].unstated,
         )
         for symbol, prior in request.unknowns.items()

@@ -63,6 +63,8 @@ class TwoStageRequest:
         Standard deviation of a time stamp, s.
     u_radius, u_gravity
         Relative standard uncertainties of radius and gravity.
+    limits
+        Term -> largest credible size, where it is not the table's.
     """
 
     model: Literal["exact", "as-printed"] = "exact"
@@ -77,6 +79,7 @@ class TwoStageRequest:
     timing: float = 0.0
     u_radius: float = 0.0
     u_gravity: float = 0.0
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def scale_factor(self) -> float:
@@ -126,7 +129,8 @@ class TwoStageRequest:
         }
         return {name: u for name, u in sizes.items() if u > 0.0}
 
-
-def credible_limit(symbol: str) -> float:
-    """Return the largest credible size of an unknown of the two-stage method."""
-    return _SPINDLE_LIMIT if symbol.startswith("spindle.") else term(symbol).limit
+    def limit_of(self, symbol: str) -> float:
+        """Return the largest credible size of an unknown of the two-stage method."""
+        if symbol.startswith("spindle."):
+            return _SPINDLE_LIMIT
+        return self.limits.get(symbol) or term(symbol).limit

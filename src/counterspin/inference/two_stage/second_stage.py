@@ -182,9 +182,11 @@ class SecondStage:
         column = rows[:, self.symbols.index(symbol)]
         alike = {}
         for other in others:
-            effect = held[:, self._places(other)].sum(axis=1)
+            places = self._places(other)
+            effect = held[:, places].sum(axis=1)
             size, along = float(np.linalg.norm(effect)), float(column @ effect)
-            seen = size * term(other).limit > _SMALLEST_VISIBLE
+            limit = max((self.fit.model.considered[k].limit for k in places), default=0.0)
+            seen = size * limit > _SMALLEST_VISIBLE
             if seen and abs(along) > TWIN_AGREEMENT * size * float(np.linalg.norm(column)):
                 alike[other] = along / float(column @ column)
         return alike
