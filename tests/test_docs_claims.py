@@ -20,7 +20,7 @@ from counterspin.calibration import (
     result_parts,
     two_stage_findings,
 )
-from counterspin.calibration.diagnosis import search
+from counterspin.calibration.diagnosis import record_counts, search
 from counterspin.campaign import conditions, resolved
 from counterspin.certificates import build
 from counterspin.comparisons import rerun
@@ -140,7 +140,7 @@ NUMBERS = [
         [ALARMS, diagnostics.AGREEMENT],
     ),
     ("result", "two-stage K_II differs by more than {} standard", [diagnostics.AGREEMENT]),
-    ("result", "more than {} % of a run were outliers", [100 * assembly.OUTLIER_SHARE]),
+    ("result", "more than {} % of a run were outliers", [100 * record_counts.OUTLIER_SHARE]),
     ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_PART]),
     ("result", "is infinite, or more than {}", [result_parts._INFINITE_DOF]),
     (

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from counterspin.calibration import two_stage
+from counterspin.calibration.diagnosis.reading_findings import readings_fit
 from counterspin.calibration.findings import (
     equivalent_deviations,
     hidden_noise,
@@ -22,7 +23,6 @@ from counterspin.calibration.joint_parts import residual
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.readings import readings_fit
 from counterspin.calibration.result_parts import Comparison, Finding, Jackknife, countable
 from counterspin.calibration.two_stage_request import walk_is_stated
 from counterspin.errors import NotIdentifiableError, RecordError
