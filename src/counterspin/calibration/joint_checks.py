@@ -71,7 +71,7 @@ def _jackknife(run: str, without: RunLeftOut | None, u: float) -> Jackknife:
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
     """Return what the tests of an accelerometer's residuals found: one finding for all records."""
-    findings = readings_fit(view.name, view.readings)
+    findings = readings_fit(view)
     if not view.has_records:
         return findings
     tests = view.diagnostics

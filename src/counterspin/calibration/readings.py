@@ -155,19 +155,25 @@ class AccelerometerReadings:
         Analysis, 3rd ed., section 2.1.
         """
         own = self.residuals / self.sigma
+        # Each repeat at one setting has the noise alone, each reading the head's part as well,
+        # which is known: of what the residuals should be, only the noise's share is to be found.
         again = float(np.sum(self.readings.repeats - 1.0))
         scatter = float(np.sum(self.readings.scatter)) / self.noise**2
-        squares = self.squares + scatter
+        share = float(np.mean(self.noise**2 / self.readings.repeats / self.sigma**2))
+        apart = within = 0.0
         for position in self.positions:
             places = list(position.places)
-            again += len(places) - 1.0
-            scatter += float(np.sum((own[places] - own[places].mean()) ** 2))
-        left = self.dof - again
-        if math.isinf(self.dof) or again < 1.0 or left < 0.5 or scatter <= 0.0:
+            apart += len(places) - 1.0
+            within += float(np.sum((own[places] - own[places].mean()) ** 2))
+        left = self.dof - again - apart
+        if math.isinf(self.dof) or again + apart < 1.0 or left < 0.5 or scatter + within <= 0.0:
             return None
         from scipy.special import fdtrc
 
-        return float(fdtrc(left, again, max(squares - scatter, 0.0) / left / (scatter / again)))
+        weight = again / share**2 + apart
+        expected = ((1.0 - share) + share * scatter / again) * again / share**2 if again else 0.0
+        expected = (expected + within) / weight
+        return float(fdtrc(left, weight, max(self.squares - within, 0.0) / left / expected))
 
     def results(self) -> list[ReadingResult]:
         """Return each reading as a result shows it."""
@@ -280,8 +286,17 @@ def with_groups(
         fit = solve_readings(groups, estimated.fit.model, estimated.fit.blocks)
     before = estimated.fit.solution
     solution = replace(fit.solution, covariance_unseen=before.covariance_unseen)
-    named = dict(zip(map(block_name, groups), fit.blocks, strict=True))
-    joint = replace(estimated.fit, solution=solution, beside=named)
+    names = [block_name(group) for group in groups]
+    rows = (
+        np.column_stack([part.design, part.fixed, part.target]) / part.sigma[:, None]
+        for part in fit.linear
+    )
+    joint = replace(
+        estimated.fit,
+        solution=solution,
+        beside=dict(zip(names, fit.blocks, strict=True)),
+        beside_rows=dict(zip(names, rows, strict=True)),
+    )
     dof = _effective_dof(estimated.dof, fit, len(beside))
     parts = tuple(
         AccelerometerReadings(*part)
