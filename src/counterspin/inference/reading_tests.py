@@ -2,11 +2,11 @@
 
 Each is one further column beside the fit (`counterspin.inference.joint.alternatives`): a wave of
 the dividing head's angle, a term of the accelerometer, a drift, a warm-up, the sense of approach.
-Where the noise is estimated from the same residuals it is an F test of the column (Draper and Smith,
-Applied Regression Analysis, 3rd ed., section 6.1), with the degrees of freedom that are left.
+Where the noise is estimated from the same residuals it is an F test of the column (Draper and
+Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that is left.
 
 - `candidates`: the columns of one group; `head_angle`: the angle that their waves are of
-- `tested`, `Followed`: all of them held against a fit, and what is alike
+- `most_followed`, `Followed`: all of them held against a fit, and what is alike
 """
 
 from __future__ import annotations
@@ -211,11 +211,12 @@ def _of_approach(readings: Readings) -> Iterator[_Column]:
     for k, step in enumerate(steps.tolist(), start=1):
         last = math.copysign(1.0, step) if abs(step) > 1e-9 else last
         sense[k] = last
+    sense[0] = sense[1]
     if (sense > 0.0).any() and (sense < 0.0).any():
         yield HYSTERESIS, "sense of approach", sense
 
 
-def tested(
+def most_followed(
     fit: JointFit, groups: Sequence[Group], alternatives: Sequence[Sequence[Alternative]]
 ) -> list[Followed]:
     """Return of each group the column that its residuals follow most, with those like it.

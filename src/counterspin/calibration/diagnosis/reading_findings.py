@@ -34,7 +34,7 @@ from counterspin.inference.reading_tests import (
     Followed,
     Group,
     candidates,
-    tested,
+    most_followed,
 )
 from counterspin.reports.numbers import format_number
 
@@ -106,7 +106,7 @@ def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
         tuple(candidates(group, {unknown.symbol for unknown in own}, known)) for group in groups
     ]
     places = list(judged)
-    for one in tested(fit, groups, columns):
+    for one in most_followed(fit, groups, columns):
         yield places[one.group], one
 
 

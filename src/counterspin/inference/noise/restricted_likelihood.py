@@ -21,7 +21,6 @@ from counterspin.frozen import frozen
 from counterspin.inference.noise.model import Differences, solve_banded_factor
 from counterspin.inference.noise.wander import Levels, LowRank
 
-
 #: Rows less what the unknowns follow of them, below which rounding is all that is left.
 _LEAST_FREEDOM: Final = 1e-9
 
