@@ -120,9 +120,14 @@ class AccelerometerReadings:
     linear: Any = None
     means: Mapping[str, RecordMean] = field(default_factory=dict)
 
-    def relaxed(self) -> AccelerometerReadings:
-        """Return the same for a fit in which all that is considered is estimated."""
-        return replace(self, linear=self.linear.relaxed())
+    def relaxed(self, count: int) -> AccelerometerReadings:
+        """Return the same for a fit of so many unknowns, what is considered among them.
+
+        Those after the considered ones are of records, and do not show in readings.
+        """
+        linear = self.linear.relaxed()
+        added = np.zeros((self.readings.size, count - linear.design.shape[1]))
+        return replace(self, linear=replace(linear, design=np.hstack([linear.design, added])))
 
     def under(self, solution: Solution, model: Unknowns) -> AccelerometerReadings:
         """Return how the same readings fit another solution that has followed them."""
