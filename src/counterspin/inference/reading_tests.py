@@ -171,8 +171,8 @@ def _waves(readings: Readings) -> Iterator[_Column]:
     angle, there = head_angle(readings)
     for n in range(1, _HARMONICS + 1) if there.any() else ():
         turns = f"{n} phi" if n > 1 else "phi"
-        yield WAVE, f"cos {turns}", there * np.cos(n * angle)
-        yield WAVE, f"sin {turns}", there * np.sin(n * angle)
+        yield WAVE, f"cos {turns}", there.astype(float) * np.cos(n * angle)
+        yield WAVE, f"sin {turns}", there.astype(float) * np.sin(n * angle)
 
 
 def _terms(
