@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from counterspin.calibration.attitude_findings import large_tilts, shared_findings
 from counterspin.calibration.diagnosis.causes import Cause
 from counterspin.calibration.diagnosis.credible import incredible, incredible_shared
+from counterspin.calibration.diagnosis.reading_findings import outliers_of_means, outlying_readings
 from counterspin.calibration.diagnosis.search import causes_of
 from counterspin.calibration.findings import not_determined
 from counterspin.calibration.joint_checks import (
@@ -42,7 +43,6 @@ from counterspin.calibration.readings import (
     AccelerometerReadings,
     in_output_units,
     only_at_rest,
-    outlying_readings,
     radii,
     with_readings,
 )
@@ -224,6 +224,7 @@ def _accelerometer(
             *kinds.findings,
             *residual_findings(kinds.judged),
             *outlying_readings(name, kinds.judged.readings),
+            *outliers_of_means(name, view.readings),
             *hidden_walk(view),
             *unseen_ripple(view),
             *_undetermined(view, own),

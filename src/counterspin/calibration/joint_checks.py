@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
+from counterspin.calibration.diagnosis.reading_findings import readings_fit
 from counterspin.calibration.findings import (
     equivalent_deviations,
     hidden_noise,
@@ -21,7 +22,6 @@ from counterspin.calibration.joint_parts import coefficient, residual
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.readings import readings_fit
 from counterspin.calibration.result_parts import Comparison, Finding, Jackknife, countable
 from counterspin.calibration.two_stage import two_stage_view
 from counterspin.calibration.two_stage_request import walk_is_stated
@@ -72,7 +72,7 @@ def _jackknife(run: str, without: RunLeftOut | None, u: float) -> Jackknife:
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
     """Return what the tests of an accelerometer's residuals found: one finding for all records."""
-    findings = readings_fit(view.name, view.readings)
+    findings = readings_fit(view)
     if not view.has_records:
         return findings
     tests = view.diagnostics
