@@ -6,6 +6,7 @@ perfect is left out.
 
 - `model_of`: the unknowns and what is held
 - `assumed`, `assumed_of`: what is taken as perfect, of a campaign and of one accelerometer
+- `inputs_of`: radius, gravity, latitude, clocks, as they are stated
 - `prior_of`: value and u of a term, stated or typical
 """
 
@@ -16,11 +17,12 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from counterspin.campaign.conditions import conditions_of, origin_of
+from counterspin.campaign.error_model import EVERYTHING
 from counterspin.campaign.machine import symbols_shown
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.resolved import EVERYTHING, Campaign
+from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.terms import acts
-from counterspin.inference.joint.inputs import TIMING
+from counterspin.inference.joint.inputs import CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.physics.effects import Product, Slope
@@ -57,7 +59,7 @@ def model_of(campaign: Campaign) -> Unknowns:
             for run in campaign.runs
             for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
         ]
-    for symbol, known in _inputs(campaign).items():
+    for symbol, known in inputs_of(campaign).items():
         # Of an input the unknown is its deviation from what is stated.
         (_, u), unstated = prior_of(campaign, "", symbol, known)
         if u > 0.0:
@@ -101,7 +103,7 @@ def assumed_inputs(campaign: Campaign) -> list[str]:
     """Return the inputs that are taken as exact."""
     return [
         symbol
-        for symbol, known in _inputs(campaign).items()
+        for symbol, known in inputs_of(campaign).items()
         if known.u == 0.0 and campaign.model.assumes(symbol)
     ]
 
@@ -125,11 +127,13 @@ def _stated(campaign: Campaign, owner: str, symbol: str) -> Quantity | None:
     return campaign.model.priors.get(symbol) or campaign.machine.priors.get(symbol)
 
 
-def _inputs(campaign: Campaign) -> dict[str, Quantity]:
-    """Return the inputs that act, as they are stated."""
+def inputs_of(campaign: Campaign) -> dict[str, Quantity]:
+    """Return the inputs that act, as they are stated; without u where none is."""
     inputs = {"site.gravity": campaign.gravity, "site.latitude": campaign.latitude}
     if campaign.runs or any(reading.rate for reading in campaign.readings):
         inputs["centrifuge.radius"] = campaign.radius
+    if campaign.runs:
+        inputs[CLOCK] = campaign.clock or Quantity(0.0, 0.0, "1")
     if campaign.runs and campaign.angle is not None:
         inputs[TIMING] = campaign.timing_offset or Quantity(0.0, 0.0, "s")
     return inputs

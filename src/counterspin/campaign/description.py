@@ -265,6 +265,7 @@ class _DescriptionReader:
             dialect=recording.dialect,
             skipped=skipped_runs(self.all_runs),
             timing_offset=records.timing_offset if records else None,
+            clock=records.clock if records else None,
             own_velocity=records is not None and records.reference == "own velocity",
             accelerometers=accelerometers,
             noise=noise,

@@ -3,7 +3,7 @@
 Accelerometer coefficients are in g-units; everything else is SI, angles in rad. `Quantity`
 carries a standard uncertainty; a plain number is exact.
 
-- `Campaign`: all of it; `Channel`, `Accelerometer`, `StatedNoise`, `ErrorModel`, `Run`: its parts
+- `Campaign`: all of it; `Channel`, `Accelerometer`, `StatedNoise`, `Run`: its parts
 - `sample_count`: rows of a record of known length; `paper_rows`, `require_room`: one that is made
   from a description alone, and how much of that there may be
 - `Simulation`, `SimulatedTruth`, `RunTruth`: what `counterspin simulate` makes the records from
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from counterspin.arrays import Array
+from counterspin.campaign.error_model import ErrorModel
 from counterspin.campaign.machine import MachineModel
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Output, Reading
@@ -193,49 +194,6 @@ class StatedNoise:
         return self.flicker != 0.0 or self.bias_walk != 0.0
 
 
-#: In ``assume``: whatever is not stated.
-EVERYTHING: Final = "all"
-
-
-@frozen
-class ErrorModel:
-    """Which terms are asked for, which are held, and which are taken as perfect.
-
-    Everything else that acts is an unknown beside what is asked for.
-
-    Attributes
-    ----------
-    terms
-        Symbols asked for; bare names are resolved to the components that act.
-    considered
-        Symbols that are held: known but not adjusted, their prior's u is carried.
-    priors
-        Symbol of a shared term -> prior, SI (tilt: one of each run). Those of accelerometer terms
-        are in `Accelerometer.priors`.
-    limits, typical
-        Symbol -> largest credible size, and standard uncertainty to assume where none is stated,
-        in the table's unit: where the campaign states them. `Campaign.limit_of` and
-        `Campaign.typical_of` know all.
-    assume
-        What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
-    """
-
-    terms: tuple[str, ...]
-    considered: tuple[str, ...]
-    priors: Mapping[str, Quantity]
-    limits: Mapping[str, float]
-    typical: Mapping[str, float]
-    assume: tuple[str, ...] = ()
-
-    def assumes(self, symbol: str) -> bool:
-        """Return whether a term, or an input, is taken as perfect where nothing is stated."""
-        names = (name.removesuffix("*").removesuffix(".") for name in self.assume)
-        return any(
-            name in ("", EVERYTHING) or symbol == name or symbol.startswith(f"{name}.")
-            for name in names
-        )
-
-
 @frozen
 class RunTruth:
     """True spindle motion and platform errors of one simulated run.
@@ -369,6 +327,8 @@ class Campaign:
         Column of the spindle's angle, in rad; None: the nominal rate is taken.
     timing_offset
         How much later than its displacement the angle of a row was sampled, s; None: not stated.
+    clock
+        By how much of itself the recorder's clock runs fast; None: not stated.
     own_velocity
         Whether the navigation computer takes its own velocity for the Coriolis acceleration, and
         not the platform's.
@@ -422,6 +382,7 @@ class Campaign:
     tables: tuple[Path, ...] = ()
     table_checksums: Mapping[Path, str] = field(default_factory=dict)
     frames: Mapping[Path, MemoryTable] = field(default_factory=dict, repr=False)
+    clock: Quantity | None = None
     own_velocity: bool = False
     dialect: Dialect = TO_BE_FOUND
     skipped: tuple[str, ...] = ()

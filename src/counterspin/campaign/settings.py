@@ -30,7 +30,7 @@ from pydantic import (
 )
 
 from counterspin.campaign.attitude import attitude_rows, read_direction
-from counterspin.campaign.quantity import Quantity, parse
+from counterspin.campaign.quantity import BARE, Quantity, parse
 from counterspin.physics.terms import CONDITION_TERMS, SHARED_TERMS, TERMS
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
@@ -88,6 +88,16 @@ def _parsed_noise(unit: str, text: object, info: ValidationInfo) -> float | str:
 
 def _uncertain(unit: str) -> PlainValidator:
     return PlainValidator(partial(_parsed, unit))
+
+
+def _part(text: object, info: ValidationInfo) -> Quantity:
+    """Return a part of something; a number alone needs no unit."""
+    try:
+        return _parsed("1", text, info)
+    except ValueError:
+        return (
+            _parsed("1", f"{text} 1", info) if isinstance(text, str) else _parsed("1", text, info)
+        )
 
 
 def read_exactly(unit: str) -> PlainValidator:
@@ -354,6 +364,7 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
 
     group: Text | None = None
     timing_offset: Annotated[Quantity, _uncertain("s")] | None = None
+    clock: Annotated[Quantity, PlainValidator(_part)] | None = None
     reference: Literal["platform", "own velocity"] = "platform"
 
 

@@ -21,8 +21,8 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.error_model import EVERYTHING, ErrorModel
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.campaign.resolved import EVERYTHING, ErrorModel
 from counterspin.campaign.settings import ModelSettings, exact
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.physics.accelerometer import Mounting

@@ -321,6 +321,7 @@ def _inputs() -> Iterator[Term[Input]]:
             1e-5,
             "one row at 100 kHz",
         ),
+        ("records.clock", "error of the recorder's clock", "1", 1e-2, 2e-5, "a free quartz"),
     ):
         effect = Input(symbol.partition(".")[2])
         yield Term(symbol, effect, words, unit, limit, typical, source, "input")

@@ -6,21 +6,25 @@ is, three of its standard uncertainties allowed.
 
 - `incredible`: the finding on the coefficients of one accelerometer
 - `incredible_shared`: those on what platform and machine have
+- `beyond_typical`: those on what nothing states
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
-from counterspin.calibration.result_parts import Coefficient, Finding
+from counterspin.calibration.result_parts import Coefficient, Finding, Knowledge
 from counterspin.campaign.resolved import Campaign
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.physics.terms import OWN_TERMS, is_term, term
-from counterspin.reports.numbers import format_number
+from counterspin.reports.numbers import field_unit, format_estimate, format_number
 
 #: An estimate may be beyond its largest credible size by so many of its standard uncertainties.
 _ALLOWED: Final = 3.0
+
+#: What is unstated may be so many times its typical size.
+_TYPICAL_SIZES: Final = 4.0
 
 #: A scale factor is off by a unit that it is this near to, of its size; 9.8 is not 10.
 _ALIKE: Final = 0.01
@@ -93,6 +97,31 @@ def incredible_shared(
             finding = _finding(campaign, "", unknown.symbol, unknown.name, c)
             if finding is not None:
                 yield finding
+
+
+def beyond_typical(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
+    """Yield a finding for each thing unstated that comes out far from nothing.
+
+    Parameters
+    ----------
+    rests_on
+        What is known beside the data, with what the fit makes of it.
+    """
+    for row in rests_on:
+        if row.kind != "unstated" or row.found is None or row.u_found is None:
+            continue
+        times = abs(row.found - row.value) / row.u
+        if times <= _TYPICAL_SIZES:
+            continue
+        unit, factor = field_unit(row.unit)
+        found = format_estimate(row.found * factor, row.u_found * factor, unit)
+        size = f"{format_number(row.u * factor, 2)} {unit}"
+        text = (
+            f"{row.name}, which nothing states, comes out at {found}: {format_number(times, 2)} "
+            f"times the typical size, {size}. State what is known of it in [model.priors], or "
+            "look for a mistake that has the same effect."
+        )
+        yield Finding(code="beyond-typical", subject=row.name, text=text, size=times)
 
 
 def _finding(

@@ -129,7 +129,7 @@ def causes_of(
         not priors or _least(scores(now.fit, priors, noise_given=given)) > _SUSPICION_P
     ):
         return ()
-    others = tuple(_others(views, now)) if now.fit.prepared else ()
+    others = tuple(_others(views, now)) if now.fit.prepared else of_unstated(now.fit)
     return _causes(views, now, priors, others, given) if priors or others else ()
 
 
