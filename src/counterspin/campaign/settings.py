@@ -431,11 +431,15 @@ class NoiseSettings(SettingsSection):
     timing: Annotated[float | str, _noise_size("s")] = 0.0
 
 
+def _several(value: Any) -> Any:
+    return [value] if isinstance(value, str) else value
+
+
 class ModelSettings(SettingsSection):
     """[model]; names and values are resolved in `terms`."""
 
     terms: list[Text] | None = None
-    assume: list[Text] | Text = []
+    assume: Annotated[list[Text], BeforeValidator(_several)] = []
     hold: list[Text] = []
     considered: list[Text] = []
     priors: dict[str, Any] = {}
