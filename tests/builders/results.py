@@ -52,6 +52,7 @@ def result(**changes):
             "K_II": [
                 {
                     "source": "noise of Qx",
+                    "kind": "noise",
                     "u": None,
                     "unit": "",
                     "sensitivity": None,
@@ -59,7 +60,8 @@ def result(**changes):
                     "share": 0.64,
                 },
                 {
-                    "source": "K_I (prior)",
+                    "source": "K_I",
+                    "kind": "stated",
                     "u": 5e-6,
                     "unit": "g/g",
                     "sensitivity": -1.2e-4,

@@ -401,9 +401,10 @@ def test_results_repeat_what_the_campaign_knows_beforehand(tmp_path):
 
 
 def test_errors_that_cancel_are_seen_to_cancel():
-    """K_F was estimated with K_PP considered, both seen as one: K_F + K_PP is what is known."""
+    """K_F was estimated with K_PP held, both seen as one: K_F + K_PP is what is known."""
     line = BudgetLine(
-        source="K_PP (considered)",
+        source="K_PP",
+        kind="held",
         u=2e-6,
         unit="g/g^2",
         sensitivity=-1.0,

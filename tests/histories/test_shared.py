@@ -50,11 +50,12 @@ def test_what_two_share_cancels_in_their_difference():
     assert en_score(first, second) == pytest.approx(1.0 / (1.959964 * math.sqrt(50.0)))
 
 
-def line(source, u, sensitivity, total=1e-9):
+def line(source, u, sensitivity, total=1e-9, kind="stated"):
     part = abs(sensitivity * u)
     share = (part / total) ** 2
     return {
         "source": source,
+        "kind": kind,
         "u": u,
         "unit": "",
         "sensitivity": sensitivity,
@@ -64,9 +65,9 @@ def line(source, u, sensitivity, total=1e-9):
 
 
 LINES = [
-    line("centrifuge.radius (input)", 1e-5, -6e-5),
-    line("K_I (prior)", 5e-6, 4e-5),
-    line("slow.platform.tilt.north (prior)", 1e-6, 1e-4),
+    line("centrifuge.radius", 1e-5, -6e-5),
+    line("K_I", 5e-6, 4e-5),
+    line("slow.platform.tilt.north", 1e-6, 1e-4),
 ]
 
 

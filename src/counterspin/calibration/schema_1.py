@@ -13,7 +13,9 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 _LINE: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encoder)\)")
-_KINDS: Final = {"prior": "stated", "considered": "held", "input": "stated", "encoder": "noise"}
+
+#: What was considered, inputs among it, was not adjusted by the data.
+_KINDS: Final = {"prior": "stated", "considered": "held", "input": "held", "encoder": "noise"}
 
 
 def upgraded(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -33,7 +35,7 @@ def upgraded(document: Mapping[str, Any]) -> dict[str, Any]:
             assumed |= dict.fromkeys(left_out if isinstance(left_out, dict) else ())
             if isinstance(own.get("budget"), dict):
                 own["budget"] = {s: _lines(lines) for s, lines in own["budget"].items()}
-    return {**new, "assumed": list(assumed)}
+    return {**new, "schema": 2, "assumed": list(assumed)}
 
 
 def _of_coefficients(value: Any) -> Any:

@@ -42,9 +42,15 @@ class SharedSource:
 
     def is_as(self, other: SharedSource) -> bool:
         """Return whether another is stated alike, as far as the results say it."""
-        (value, u), (its_value, its_u) = self.stated, other.stated
-        known = value is not None and its_value is not None
-        return bool(np.isclose(u, its_u, rtol=1e-9, atol=0.0)) and (not known or value == its_value)
+        return self.is_as_sure_as(other) and not self.is_another(other)
+
+    def is_as_sure_as(self, other: SharedSource) -> bool:
+        """Return whether another has the same standard uncertainty."""
+        return bool(np.isclose(self.stated[1], other.stated[1], rtol=1e-9, atol=0.0))
+
+    def is_another(self, other: SharedSource) -> bool:
+        """Return whether another is stated with another value, and so was measured anew."""
+        return None not in (self.stated[0], other.stated[0]) and self.stated[0] != other.stated[0]
 
 
 @frozen(eq=False)
@@ -162,7 +168,8 @@ def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, Sha
             source = sources.get(line.source)
             if source is None:
                 source = sources[line.source] = SharedSource(
-                    estimated=line.kind != "held",
+                    # What the encoder leaves open of a rotation is the same in every fit.
+                    estimated=line.kind in ("stated", "unstated"),
                     stated=(_value(result, name, line.source), line.u),
                     moves=np.zeros(len(symbols)),
                     of_run=any(line.source.startswith(f"{run}.") for run in result.runs),
@@ -183,5 +190,8 @@ def _value(result: Result, name: str, source: str) -> float | None:
         return stated[source]
     if source in accelerometer.known:
         return accelerometer.known[source].value
+    for known in result.rests_on:
+        if known.name in (source, f"{name}.{source}"):
+            return known.value
     coefficient = accelerometer.coefficients.get(source)
     return None if coefficient is None or coefficient.estimated else coefficient.value
