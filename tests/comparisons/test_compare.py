@@ -11,6 +11,7 @@ import frames
 import numpy as np
 import pytest
 import results as by_hand
+from scipy.stats import binom
 from scipy.stats import chi2 as chi2_distribution
 
 import counterspin as cs
@@ -19,6 +20,7 @@ from counterspin.comparisons import result as comparison_result
 from counterspin.comparisons.page import comparison_blocks
 from counterspin.comparisons.result import Compared
 from counterspin.errors import CampaignError
+from counterspin.physics.terms import term
 from counterspin.reports.blocks import Paragraph, Table
 
 TERMS = ["K_F", "K_I", "K_II"]
@@ -159,6 +161,62 @@ def test_what_is_known_beforehand_is_counted_once():
     assert found.u_difference == pytest.approx(math.sqrt(2.0 * (1e-18 - 0.36e-18)), rel=1e-12)
     agreement = cs.compare(first, second).agreements[0]
     assert (agreement.records, agreement.shared) == ("independent", ["K_I"])
+
+
+#: All that acts on readings at rest but K_OO.
+PERFECT = (
+    "K_F K_I K_II K_III K_4 K_IP K_IO K_PO K_PP K_OQ delta_O delta_P head.zero site.*"
+).split()
+
+
+def tumble(k_oo, roll, generator, noise):
+    """Return a result of twelve positions; `roll` is from the pendulous axis to the turn's plane."""
+    runs = []
+    for place, angle in enumerate(2.0 * np.pi * (np.arange(12) + 0.3) / 12):
+        # The vertical and the axis of the turn in the instrument's axes: input, pendulous, output.
+        side = math.sin(angle)
+        up = np.array([math.cos(angle), side * math.cos(roll), side * math.sin(roll)])
+        east = np.array([0.0, -math.sin(roll), math.cos(roll)])
+        rows = np.column_stack([east, np.cross(up, east), up])
+        f = 1e-3 + up[0] + 1e-5 * up[0] ** 2 + k_oo * up[2] ** 2
+        f += noise * generator.standard_normal()
+        axes = {"input": rows[0].tolist(), "pendulous": rows[1].tolist()}
+        run = {"name": f"p{place}", "motion": "static", "axes": axes}
+        runs.append({**run, "reading": f"{float(f)!r} ± {noise!r} g"})
+    return cs.calibrate(
+        cs.make_campaign(
+            {
+                "schema": 1,
+                "site": {"gravity": "9.81 m/s^2", "latitude": "52 deg"},
+                "accelerometers": {"A": {"input_axis": "up", "pendulous_axis": "east"}},
+                "model": {"terms": ["K_F", "K_I", "K_II"], "assume": PERFECT},
+                "runs": runs,
+            }
+        )
+    )
+
+
+def test_what_nobody_states_of_an_instrument_is_counted_once():
+    """True K_OO is drawn once for each instrument, of which there are two results."""
+    instruments, noise = 16, 2e-7
+    generator = np.random.default_rng(11)
+    z = []
+    for _ in range(instruments):
+        k_oo = term("K_OO").typical * generator.standard_normal()
+        first, second = (
+            tumble(k_oo, math.radians(roll), generator, noise) for roll in (75.0, 60.0)
+        )
+        compared = cs.compare(first, second)
+        (agreement,) = compared.agreements
+        assert (agreement.records, agreement.shared) == ("independent", ["K_OO"])
+        z.append(k_ii(compared).z)
+        # Counted twice, it would be most of u.
+        apart = math.hypot(*(r.coefficient("A.K_II").u for r in (first, second)))
+        assert k_ii(compared).u_difference < 0.5 * apart
+    low, high = chi2_distribution.interval(1.0 - 1e-4, instruments)
+    assert low < np.sum(np.square(z)) < high
+    least, _ = binom.interval(1.0 - 1e-4, instruments, 0.95)
+    assert np.count_nonzero(np.abs(z) < 1.96) >= least
 
 
 def test_what_is_stated_otherwise_is_independent():

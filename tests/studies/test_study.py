@@ -293,9 +293,9 @@ def engine(varying):
     return prepare(read_study(varying), 3)
 
 
-def test_heating_that_is_considered_is_covered(tmp_path):
+def test_heating_that_is_held_is_covered(tmp_path):
     """Its spread is in u of both methods, by whole records and by sufficient statistics."""
-    text = SHORT.replace('considered = ["K_IP"]', 'considered = ["K_IP", "K_F.heating"]')
+    text = SHORT.replace('hold = ["K_IP"]', 'hold = ["K_IP", "K_F.heating"]')
     text = text.replace("[[runs]]", '[model.priors]\n"K_F.heating" = "0 ± 2e-6 g/g^2"\n[[runs]]', 1)
     varying = '\n[study.vary]\n"Qx.K_F.heating" = { normal = "0 ± 2e-6 g/g^2" }\n'
     result = study(write(tmp_path / "heated", text + varying), trials=100)

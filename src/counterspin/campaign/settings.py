@@ -431,7 +431,8 @@ class NoiseSettings(SettingsSection):
     timing: Annotated[float | str, _noise_size("s")] = 0.0
 
 
-def _several(value: Any) -> Any:
+def several(value: Any) -> Any:
+    """Return a text by itself as a list of one."""
     return [value] if isinstance(value, str) else value
 
 
@@ -439,7 +440,7 @@ class ModelSettings(SettingsSection):
     """[model]; names and values are resolved in `terms`."""
 
     terms: list[Text] | None = None
-    assume: Annotated[list[Text], BeforeValidator(_several)] = []
+    assume: Annotated[list[Text], BeforeValidator(several)] = []
     hold: list[Text] = []
     considered: list[Text] = []
     priors: dict[str, Any] = {}

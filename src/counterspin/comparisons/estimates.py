@@ -16,7 +16,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.frozen import frozen
-from counterspin.physics.terms import TERMS
+from counterspin.physics.terms import TERMS, mounting_of
 
 
 @frozen(eq=False)
@@ -32,7 +32,7 @@ class SharedSource:
     moves
         Signed: what its standard uncertainty moves each estimate by, shape (p,).
     of_run
-        Whether it belongs to one run, as its tilt does.
+        Whether it belongs to one run or mounting, as a tilt or a misalignment does.
     """
 
     estimated: bool
@@ -172,7 +172,8 @@ def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, Sha
                     estimated=line.kind in ("stated", "unstated"),
                     stated=(_value(result, name, line.source), line.u),
                     moves=np.zeros(len(symbols)),
-                    of_run=any(line.source.startswith(f"{run}.") for run in result.runs),
+                    of_run=bool(mounting_of(line.source))
+                    or any(line.source.startswith(f"{run}.") for run in result.runs),
                 )
             source.moves[place] = line.sensitivity * line.u
     return sources

@@ -57,8 +57,8 @@ def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, st
 
     Two results share an input if both have the same value and uncertainty of it, and a term of the
     accelerometer, the platform or the machine if both have the same uncertainty, stated or not: it
-    is then taken to be the same measurement, or the same lack of one. What belongs to a run is not
-    shared.
+    is then taken to be the same measurement, or the same lack of one. What belongs to a run or
+    to a mounting is not shared.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, st
             continue
         if source in _INPUTS:
             identity = f"{getattr(result.inputs, _INPUTS[source])!r} ± {line.u!r}"
-        elif is_term(source) and not term(source).per_run:
+        elif is_term(source) and not (term(source).per_run or term(source).per_mounting):
             identity = repr(line.u)
         else:
             continue

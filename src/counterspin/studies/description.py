@@ -17,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.options import TwoStageOptions
@@ -29,13 +29,12 @@ from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.reading_truth import unfit_readings
 from counterspin.campaign.resolved import Campaign, require_room
-from counterspin.campaign.settings import SettingsSection, Text, exact
+from counterspin.campaign.settings import SettingsSection, Text, exact, several
 from counterspin.campaign.terms import BARE_NAMES, rows_of
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
     DESCRIPTION_NAME,
     description_file,
-    flat_keys,
     load_document,
 )
 from counterspin.campaign.truth import unfit
@@ -79,6 +78,8 @@ class AnalysisSettings(SettingsSection):
     fit_bias: bool = True
     sigma: Literal["given", "residuals"] = "given"
     terms: list[Text] | None = None
+    assume: Annotated[list[Text], BeforeValidator(several)] | None = None
+    hold: list[Text] | None = None
     considered: list[Text] | None = None
 
 
@@ -102,7 +103,7 @@ class AnalysisDescription:
     two_stage
         How the two-stage method is applied; None: the joint fit.
     campaign
-        The campaign with the terms that this analysis estimates and considers.
+        The campaign with the terms that this analysis asks for, assumes and holds.
     """
 
     name: str
@@ -374,26 +375,12 @@ def _analysis(
 
 
 def _with_terms(document: Mapping[str, Any], settings: AnalysisSettings) -> dict[str, Any]:
-    """Return the campaign's document with the terms of one analysis, and no idle priors."""
-    if settings.terms is None and settings.considered is None:
-        return dict(document)
+    """Return the campaign's document with the terms of one analysis."""
     model = dict(document.get("model", {}))
-    if settings.terms is not None:
-        model["terms"] = settings.terms
-        model["considered"] = settings.considered or []
-    elif settings.considered is not None:
-        model["considered"] = settings.considered
-    used = [*model.get("terms", []), *model.get("considered", [])]
-    priors = flat_keys(model.get("priors", {}))
-    model["priors"] = {key: text for key, text in priors.items() if _is_used(key, used)}
-    return {**document, "model": model}
-
-
-def _is_used(prior: str, used: list[str]) -> bool:
-    last = prior.rpartition(".")[2]
-    return any(
-        name in (prior, last, prior.partition(".")[2])
-        or prior.startswith(f"{name}.")
-        or (name.startswith(f"{prior}.") and name not in OWN_TERMS)
-        for name in used
-    )
+    if not (settings.terms is settings.hold is settings.considered is None):
+        # What was held is so no longer: it may be among the terms.
+        model = {k: v for k, v in model.items() if k not in ("hold", "considered")}
+    for key in ("terms", "assume", "hold", "considered"):
+        if (names := getattr(settings, key)) is not None:
+            model[key] = names
+    return {**document, "model": model} if model else dict(document)
