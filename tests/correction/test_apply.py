@@ -112,7 +112,7 @@ def test_example_of_the_page_gives_back_the_truth(tmp_path, monkeypatch, capsys)
         assert cli.main(words) == 0, line
     report = capsys.readouterr().out
     assert "4 rows of Qx, from -1.0005 to 9.5213 g" in report
-    assert "applied as estimated: K_F" in report
+    assert "applied as estimated: K_II, K_III; as known beforehand: K_F, K_I" in report
     found = cs.read_result(tmp_path / "result.json").accelerometers["Qx"]
     assert found.axes == list(QX.axes)
     assert found.observable == "displacement"
