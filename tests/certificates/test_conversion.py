@@ -150,7 +150,13 @@ def test_covariance_follows(records):
 def test_degrees_of_freedom_are_those_of_what_remains():
     # Half of u^2 of K_F is that of g, and cancels: -K_F/g per m/s^2.
     u_gravity = 1e-6 * math.sqrt(0.5) / (0.005 / 9.8)
-    line = {"source": "site.gravity", "kind": "stated", "u": u_gravity, "unit": "m/s^2", "share": 0.5}
+    line = {
+        "source": "site.gravity",
+        "kind": "stated",
+        "u": u_gravity,
+        "unit": "m/s^2",
+        "share": 0.5,
+    }
     line |= {"sensitivity": -0.005 / 9.8, "contribution": 1e-6 * math.sqrt(0.5)}
     known = {"K_F": coefficient(0.005, 1e-6, "g", dof=100.0)}
     given = result(coefficients=known, budget={"K_F": [line]})

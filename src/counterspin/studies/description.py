@@ -13,13 +13,14 @@ It stands in ``campaign.toml`` beside [truth], or in a file of its own that name
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from counterspin.calibration.joint_parts import unit_of
+from counterspin.calibration.model import model_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
@@ -40,7 +41,7 @@ from counterspin.campaign.toml_file import (
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
+from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term
 from counterspin.studies.draws import OTHERS, RADIUS, Varying
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
@@ -209,9 +210,34 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
             analyses.append(analysis)
     if problems.lines:
         raise CampaignError(str(file), problems.lines)
+    varying += _unstated(campaign, varying)
     return StudyDescription(
         campaign, settings.trials, settings.seed, tuple(varying), tuple(analyses)
     )
+
+
+def _unstated(campaign: Campaign, varying: Sequence[Varying]) -> Iterator[Varying]:
+    """Yield what acts and nobody states, each about its prior with its typical size.
+
+    What [truth] gives a value has that one, and the inputs but the radius are what the description
+    says: records are simulated with them.
+    """
+    assert campaign.simulation is not None
+    truth = campaign.simulation.truth
+    there = {(quantity.owner, quantity.symbol) for quantity in varying}
+    there |= {(name, symbol) for name, own in truth.coefficients.items() for symbol in own}
+    there |= {("", symbol) for symbol in truth.machine}
+    there |= {("", symbol) for run in campaign.runs if run.truth for symbol in run.truth.shared}
+    there |= {("", symbol) for symbol in INPUTS if symbol != RADIUS}
+    model = model_of(campaign)
+    for other in (*model.unknowns, *model.considered):
+        owner = other.owner if other.symbol in OWN_TERMS else ""
+        if other.asked or not other.unstated or (owner, other.symbol) in there:
+            continue
+        there.add((owner, other.symbol))
+        value, u = other.prior
+        middle = value + campaign.radius.value if other.symbol == RADIUS else value
+        yield Varying(owner, other.symbol, "normal", middle, u, term(other.symbol).per_run)
 
 
 def _document(
