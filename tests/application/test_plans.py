@@ -10,7 +10,6 @@ from counterspin.application.plans import PLAN_KEYS
 from counterspin.planning.plan import plan, write_example
 from counterspin.planning.plan_sections import LimitsSettings
 
-
 #: In the example of a plan.
 PERFECT = ('# assume = ["K_PP"]', 'assume = "all"')
 

@@ -145,7 +145,7 @@ def test_held_terms_need_a_prior_for_every_accelerometer():
         (["K_F"], "K_F K_F.trend K_F.heating", "K_I K_II"),
         (
             ["platform.*"],
-            "platform.tilt.north platform.drift.up platform.g_sensitivity.zx platform.compliance.xy",
+            "platform.tilt.north platform.drift.up platform.g_sensitivity.zx",
             "K_OO centrifuge.stretch encoder.harmonic.1.cos",
         ),
         (

@@ -164,13 +164,14 @@ def test_what_is_known_beforehand_is_counted_once():
 
 
 #: All that acts on readings at rest but K_OO.
-PERFECT = (
-    "K_F K_I K_II K_III K_4 K_IP K_IO K_PO K_PP K_OQ delta_O delta_P head.zero site.*"
-).split()
+PERFECT = [
+    *(f"K_{name}" for name in ("F", "I", "II", "III", "4", "IP", "IO", "PO", "PP", "OQ")),
+    *("delta_O", "delta_P", "head.zero", "site.*"),
+]
 
 
 def tumble(k_oo, roll, generator, noise):
-    """Return a result of twelve positions; `roll` is from the pendulous axis to the turn's plane."""
+    """Return a result of twelve positions; `roll` is from the pendulous axis to the plane."""
     runs = []
     for place, angle in enumerate(2.0 * np.pi * (np.arange(12) + 0.3) / 12):
         # The vertical and the axis of the turn in the instrument's axes: input, pendulous, output.
