@@ -101,6 +101,23 @@ def test_a_run_left_out_is_as_the_fit_itself_has_it(one):
     assert abs(found.z) == pytest.approx(abs(left_out.z), rel=1e-3)
 
 
+def test_what_is_assumed_and_what_is_not_stated_is_told(one):
+    records, result, _, _ = one
+    but_k_oo = [name for name in result.assumed if name != "K_OO"]
+    part, tuned = (
+        cs.calibrate(records.change(assume=but_k_oo, **more))
+        for more in ({}, {"model.typical": {"K_OO": "1e-6 g/g^2"}})
+    )
+    compared = cs.compare(result, part, tuned)
+    told = {change.subject: change.values for change in compared.changes}
+    assert set(told) == {"assumed", "not stated", "campaign.toml"}
+    assert [text.split(", ") for text in told["assumed"]] == [result.assumed, but_k_oo, but_k_oo]
+    assert told["not stated"] == ["-", "K_OO ± 2 ug/g^2", "K_OO ± 1 ug/g^2"]
+    # The same records: what K_OO adds to u is what the two can differ by.
+    u = [r.coefficient("Qx.K_II").u for r in (result, part)]
+    assert k_ii(compared).u_difference == pytest.approx(math.sqrt(u[1] ** 2 - u[0] ** 2), rel=1e-3)
+
+
 def test_the_two_methods_are_as_the_joint_fit_has_them(one):
     records, joint, _, _ = one
     compared = cs.compare(joint, cs.calibrate(records, method="two-stage"))
