@@ -20,11 +20,11 @@ from counterspin.calibration import (
     result_parts,
     two_stage_findings,
 )
-from counterspin.calibration.diagnosis import search
+from counterspin.calibration.diagnosis import record_counts, search
 from counterspin.campaign import conditions, resolved
 from counterspin.certificates import build
 from counterspin.comparisons import rerun
-from counterspin.inference import conformity, diagnostics, identifiability
+from counterspin.inference import conformity, diagnostics, identifiability, reading_tests
 from counterspin.inference.distributions import normal_cdf
 from counterspin.inference.joint import encoder, mistakes, outliers
 from counterspin.inference.noise import unseen_noise, variance_components, wander
@@ -133,6 +133,10 @@ NUMBERS = [
         [200.0 * normal_cdf(-diagnostics.AGREEMENT)],
     ),
     ("diagnosis", "causes: {} % for priors, {} % for all else", [CAUSES, CAUSES]),
+    ("diagnosis", "as long as {} degrees of freedom are left", [reading_tests.FEWEST_FREEDOM]),
+    ("diagnosis", "sine of 1 to {} times the head's angle", [reading_tests._HARMONICS]),
+    ("diagnosis", "constant of {} and of {} of the series", [*reading_tests._WARM_UPS]),
+    ("diagnosis", "within {} of its chi-square, is named with it", [reading_tests._DECISIVE_CHI2]),
     ("result", "accelerometer is above {} ug/Hz^0.5", [1e6 * findings.LARGEST_WALK]),
     (
         "result",
@@ -140,7 +144,7 @@ NUMBERS = [
         [ALARMS, diagnostics.AGREEMENT],
     ),
     ("result", "two-stage K_II differs by more than {} standard", [diagnostics.AGREEMENT]),
-    ("result", "more than {} % of a run were outliers", [100 * assembly.OUTLIER_SHARE]),
+    ("result", "more than {} % of a run were outliers", [100 * record_counts.OUTLIER_SHARE]),
     ("result", "shorter than {} % of the run's", [100 * assembly.COMPLETE_PART]),
     ("result", "is infinite, or more than {}", [result_parts._INFINITE_DOF]),
     (

@@ -19,6 +19,7 @@ import counterspin as cs
 from counterspin import errors, workers
 from counterspin.application import guard
 from counterspin.calibration import assembly
+from counterspin.calibration.diagnosis import record_counts
 from counterspin.calibration.pages import pictures
 from counterspin.calibration.pages.full_report import identifier_of
 from counterspin.campaign import truth
@@ -144,7 +145,7 @@ ROWS = {
     "monitoring": [
         ("its rate is off by more than {} %", 100.0 * assembly.RATE_DIFFERENCE),
         ("shorter than {} of what is stated", assembly.COMPLETE_PART),
-        ("more than {} % of it are outliers", 100.0 * assembly.OUTLIER_SHARE),
+        ("more than {} % of it are outliers", 100.0 * record_counts.OUTLIER_SHARE),
         ("Before {} revolutions nothing", observing.FEWEST_REVOLUTIONS),
         (
             "{} bytes each: {} columns at {} rows a second take {} MB an hour",

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from counterspin.physics.accelerometer import QX, QY, QZ
+from counterspin.physics.grades import SIZES
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import columns, parabola
 from counterspin.physics.spindle import Spindle
@@ -17,8 +18,8 @@ from counterspin.physics.terms import (
     DEGREE_PER_HOUR,
     INPUTS,
     OWN_TERMS,
-    READING_TERMS,
     SHARED_TERMS,
+    TABLE,
     TERMS,
 )
 from counterspin.reproduction.plan import TABLE_1
@@ -78,8 +79,20 @@ def test_inputs_are_those_of_the_code():
     assert rows_between("inputs") == expected
 
 
-def test_every_typical_size_says_where_it_comes_from():
-    known = {**READING_TERMS, **OWN_TERMS, **SHARED_TERMS, **INPUTS}
+def test_sizes_by_grade_are_those_of_the_code():
+    stated = {}
+    for names, grade, limit, typical, source in rows_between("grades"):
+        for symbol in re.findall(r"`([\w.]+)`", names):
+            stated[symbol, grade] = (limit, typical, source)
+    assert stated == {
+        (symbol, grade): (f"{size.limit:g}", f"{size.typical:g}", size.source)
+        for symbol, sizes in SIZES.items()
+        for grade, size in sizes.items()
+    }
+
+
+def test_every_other_typical_size_says_where_it_comes_from():
+    known = {s: row for s, row in TABLE.items() if s not in OWN_TERMS}
     covered = []
     for names, size, source in rows_between("sources"):
         patterns = re.findall(r"`([\w.*]+)`", names)
@@ -87,7 +100,7 @@ def test_every_typical_size_says_where_it_comes_from():
         assert meant
         for symbol in meant:
             assert size == f"{known[symbol].typical:.4g} {known[symbol].unit}", symbol
-        assert source
+            assert source == known[symbol].source
         covered += meant
     assert sorted(covered) == sorted(known)
 
@@ -95,11 +108,11 @@ def test_every_typical_size_says_where_it_comes_from():
 def test_sizes_from_the_paper_are_parts_of_its_own():
     parts = {"half of it": 2, "a third of it": 3, "a quarter of it": 4}
     found = {}
-    for names, size, source in rows_between("sources"):
+    for names, _, _, size, source in rows_between("grades"):
         if told := re.search(r"Table 1(?: for \w+)? \(([\d.e-]+) g\S+\), ([a-z ]+ of it)", source):
             symbol = re.search(r"K_(?:III|II|IP)\b", names)[0]
             assert float(told[1]) == TABLE_1[symbol]
-            assert float(size.split()[0]) == pytest.approx(TABLE_1[symbol] / parts[told[2]])
+            assert float(size) == pytest.approx(TABLE_1[symbol] / parts[told[2]])
             found[symbol] = told[2]
     assert set(found) == {"K_II", "K_III", "K_IP"}
 

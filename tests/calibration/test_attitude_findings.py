@@ -20,8 +20,8 @@ QUIET = changed(
 )
 
 
-def calibrated(folder, tilt, prior, key="considered"):
-    model = {"considered": "considered", "estimated": "terms"}[key]
+def calibrated(folder, tilt, prior, key="held"):
+    model = {"held": "hold", "estimated": "terms"}[key]
     listed = '["platform.tilt.north"]'
     if key == "estimated":
         listed = '["K_F", "K_I", "K_II", "K_III", "platform.tilt.north"]'
@@ -29,9 +29,9 @@ def calibrated(folder, tilt, prior, key="considered"):
         QUIET,
         ("TILT", tilt),
         (
-            "[noise]\n",
-            f'[model]\nassume = "all"\n{model} = {listed}\npriors = {{ "platform.tilt.north" = "{prior}" }}\n\n'
-            "[noise]\n",
+            '[model]\nassume = "all"\n',
+            f'[model]\nassume = "all"\n{model} = {listed}\n'
+            f'priors = {{ "platform.tilt.north" = "{prior}" }}\n',
         ),
     )
     simulate(write(folder, text, "plan.toml"), folder / "records", overwrite=True)
@@ -42,7 +42,7 @@ def large(result):
     return {f.subject: f for f in result.findings if f.code == "large-tilt"}
 
 
-@pytest.mark.parametrize("key", ["considered", "estimated"])
+@pytest.mark.parametrize("key", ["held", "estimated"])
 def test_the_second_order_moves_what_the_finding_names(tmp_path, key):
     level = calibrated(tmp_path / "level", "0 arcsec", "0 ± 0.1 arcsec", key)
     tilted = calibrated(tmp_path / "tilted", "20 arcmin", "1200 ± 0.1 arcsec", key)

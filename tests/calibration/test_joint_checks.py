@@ -23,7 +23,7 @@ def view(fit: SimpleNamespace, campaign: SimpleNamespace | None = None) -> Accel
 
 def walking(share: float, name: str = "Qx") -> AccelerometerView:
     """A fit of which this share of u^2 of K_II is noise that the records do not show."""
-    unknown = SimpleNamespace(owner="Qx", symbol="K_II")
+    unknown = SimpleNamespace(owner="Qx", symbol="K_II", asked=True)
     fit = SimpleNamespace(
         model=SimpleNamespace(unknowns=[unknown]),
         solution=SimpleNamespace(u=np.array([2e-9])),
@@ -53,7 +53,7 @@ def seen(observable: str, angle: object | None) -> AccelerometerView:
         gravity=SimpleNamespace(value=9.8),
         runs=[SimpleNamespace(rate=rate) for rate in (np.pi, -2 * np.pi)],
     )
-    unknown = SimpleNamespace(owner="Qx", symbol="K_II")
+    unknown = SimpleNamespace(owner="Qx", symbol="K_II", asked=True)
     fit = SimpleNamespace(
         model=SimpleNamespace(unknowns=[unknown]), solution=SimpleNamespace(u=np.array([2e-9]))
     )

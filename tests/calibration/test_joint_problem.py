@@ -5,14 +5,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from campaigns import SMALL, changed, write
 
-from counterspin.calibration.joint_problem import series_of
+from counterspin.calibration.joint_problem import left_out_of, model_of, series_of
 from counterspin.calibration.observed import ObservedRun, Signal
+from counterspin.calibration.options import TwoStageOptions
+from counterspin.calibration.two_stage_request import request_of
+from counterspin.campaign.description import read_campaign
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import QX, Mounting
 from counterspin.physics.motion import Site, Trajectory
 from counterspin.physics.observation import LEVEL
 from counterspin.physics.spindle import Spindle
+from counterspin.physics.terms import OWN_TERMS, term
 
 RADIUS, RATE, TIMING = 2.5, -2.0, 1e-3
 
@@ -52,3 +57,17 @@ def test_noise_of_the_time_stamps_is_the_rms_slope_times_their_noise(observable,
     np.testing.assert_allclose(series.jitter_variance, variance, atol=1e-6 * series.jitter**2)
     white = series.whitener(NoiseModel(series.jitter)).apply(np.ones(400))
     np.testing.assert_allclose(white, (variance + series.jitter**2) ** -0.5, rtol=1e-5)
+
+
+def test_credible_sizes_of_unknowns_go_by_the_grade_of_their_accelerometer(tmp_path):
+    of_qy = ('input_axis = "north"', 'input_axis = "north"\ngrade = "consumer"')
+    campaign = read_campaign(write(tmp_path, changed(SMALL, of_qy)))
+    for name, grade in (("Qx", "navigation"), ("Qy", "consumer")):
+        asked = [u for u in model_of(campaign).unknowns if u.owner == name]
+        left_out = [c for c in left_out_of(campaign, name) if c.symbol in OWN_TERMS]
+        assert {u.symbol for u in asked} >= {"K_F", "K_II", "K_III"}
+        assert {c.symbol for c in left_out} >= {"K_OO", "delta_O"}
+        for one in (*asked, *left_out):
+            assert one.limit == term(one.symbol).sizes(grade).limit
+        request = request_of(campaign, campaign.accelerometers[name], TwoStageOptions(), None)
+        assert request.limit_of("K_II") == term("K_II").sizes(grade).limit

@@ -54,7 +54,7 @@ def test_leaving_a_kind_out_is_what_a_campaign_without_it_says(mixed, together):
         whole, other = a.coefficients[symbol], without[symbol]
         assert shift.shift == pytest.approx(other.value - whole.value, abs=1e-3 * whole.u)
         # Considered is the radius alone, and it moves both alike.
-        noise = [c.u**2 - c.u_considered**2 for c in (other, whole)]
+        noise = [c.u_noise**2 + c.u_stated**2 for c in (other, whole)]
         assert shift.u**2 == pytest.approx(noise[0] - noise[1], rel=2e-2)
 
 

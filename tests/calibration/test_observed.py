@@ -172,13 +172,23 @@ def test_an_uncertain_latitude_counts_in_what_is_put_back(own_velocity):
     folder, text = own_velocity
     latitudes = ("45.75 ± 0.05 deg", "45.8 ± 0.05 deg")
     here, there = (
-        calibrate(campaign_of(folder, changed(text, ('"45.75 deg"', f'"{latitude}"'))))
+        calibrate(
+            campaign_of(
+                folder,
+                changed(
+                    text,
+                    ('"45.75 deg"', f'"{latitude}"'),
+                    # Weighed, it would be found from the records.
+                    ('assume = "all"\n', 'assume = "all"\nhold = ["site.latitude"]\n'),
+                ),
+            )
+        )
         for latitude in latitudes
     )
     for name in ("Qx", "Qy"):
         before, after = (r.accelerometers[name].coefficients["K_F"] for r in (here, there))
         budget = here.accelerometers[name].budget["K_F"]
-        (line,) = (one for one in budget if one.source == "site.latitude (input)")
+        (line,) = (one for one in budget if one.source == "site.latitude")
         moved = line.sensitivity * math.radians(0.05)
         assert abs(moved) > 5e-9  # nothing without it
         assert after.value - before.value == pytest.approx(moved, rel=0.02)

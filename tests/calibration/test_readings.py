@@ -11,6 +11,7 @@ from reading_descriptions import ACCELEROMETER, at_rest, on_arm, place
 
 from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.options import TwoStageOptions
+from counterspin.calibration.pages.terminal import print_result
 from counterspin.calibration.result import Result
 from counterspin.cli import main
 from counterspin.errors import CampaignError, NotIdentifiableError, RecordError
@@ -20,6 +21,11 @@ from counterspin.records.mean import mean_of_record
 
 SIGMA = 2e-6
 HEAD = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER
+
+
+def write_record(path, time, current):
+    rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(time.tolist(), current.tolist(), strict=True))
+    path.write_text("t,mA\n" + rows.replace("nan", ""), encoding="utf-8")
 
 
 def tumble_runs(values, u=SIGMA):
@@ -109,7 +115,7 @@ def test_the_arm_tells_k_ii_and_the_machine_is_in_its_budget(tmp_path):
     assert k_ii.estimated
     assert abs(k_ii.value - TRUTH["K_II"]) < 4.0 * k_ii.u
     sources = {line.source for line in result.accelerometers["A"].budget["K_III"]}
-    assert "centrifuge.stretch (considered)" in sources
+    assert "centrifuge.stretch" in sources
 
 
 def test_tumble_and_arm_together_are_surer_than_each(tmp_path):
@@ -382,7 +388,7 @@ def test_few_readings_that_a_considered_term_moves_are_no_outliers(tmp_path):
     truth = {**LEVEL_TERMS, "delta_O": 5.4e-5}
     values = simulated(tumble(4), np.random.default_rng(3), SIGMA, truth=truth)
     result = calibrated(tmp_path, model("K_F", "K_I", more=CONSIDERED), tumble_runs(values, None))
-    assert result.findings == []
+    assert [f.code for f in result.findings] == ["unjudged-readings"]
     assert max(abs(r.z) for r in result.accelerometers["A"].readings) == pytest.approx(1.8, abs=0.1)
 
 
@@ -439,8 +445,7 @@ def test_records_on_the_arm_are_averaged(tmp_path):
     t = np.arange(0.0, 10.0, 0.05)
     for i, value in enumerate(values):
         current = 1.25 * (value + rng.normal(0.0, 1e-5, t.size))
-        rows = "".join(f"{a!r},{b!r}\n" for a, b in zip(t.tolist(), current.tolist(), strict=True))
-        (tmp_path / f"r{i}.csv").write_text("t,mA\n" + rows, encoding="utf-8")
+        write_record(tmp_path / f"r{i}.csv", t, current)
         given = f'reading = "{float(1.25 * value)!r}{spread(SIGMA)} mA"'
         assert given in runs
         runs = runs.replace(given, f'record = "r{i}.csv"', 1)
@@ -469,6 +474,55 @@ def test_records_on_the_arm_are_averaged(tmp_path):
     shutil.copy(tmp_path / "r0.csv", tmp_path / "r9.csv")
     with pytest.raises(RecordError, match=r"r9\.csv: holds the same samples as .*r0\.csv"):
         calibrate(tmp_path)
+
+
+def test_what_was_repaired_in_the_record_of_a_reading_is_counted_and_shown(tmp_path, capsys):
+    """One cell of 900, one repeated row, an empty cell, a gap; 6 % outliers in the next record."""
+    rng = np.random.default_rng(10)
+    values = simulated(tumble(), rng, 0.0, truth=LEVEL_TERMS)
+    runs = tumble_runs(values)
+    for i, value in enumerate(values[:2]):
+        t = np.arange(1000) * 0.05
+        t[600:] += 3.0
+        current = 1.25 * (value + rng.normal(0.0, 1e-5, t.size))
+        if i:
+            current[::16] = 900.0
+        else:
+            current[400] = 900.0
+            t, current = np.insert(t, 300, t[299]), np.insert(current, 300, current[299])
+            current[500] = np.nan
+        write_record(tmp_path / f"r{i}.csv", t, current)
+        given = f'reading = "{float(1.25 * value)!r}{spread(SIGMA)} mA"'
+        runs = runs.replace(given, f'record = "r{i}.csv"', 1)
+    column = 'specific_force = { column = "mA", unit = "mA" }\n'
+    records = '[records]\ntime = { column = "t", unit = "s" }\n'
+    text = HEAD + column + records + model(*LEVEL_TERMS) + runs
+    (tmp_path / "campaign.toml").write_text(text, encoding="utf-8")
+    result = calibrate(tmp_path)
+    for symbol, truth in LEVEL_TERMS.items():
+        c = result.accelerometers["A"].coefficients[symbol]
+        assert abs(c.value - truth) < 4.0 * c.u
+    first, second, third = result.accelerometers["A"].readings[:3]
+    assert first.samples == 998
+    assert first.counts == {
+        "rows": 1001,
+        "repeated": 1,
+        "empty": 1,
+        "outliers": 1,
+        "gaps": 1,
+        "block": 1,
+    }
+    assert "1 repeated rows were dropped." in first.notes
+    assert (second.counts["outliers"], third.samples, third.counts) == (63, None, {})
+    (many,) = [f for f in result.findings if f.code == "many-outliers"]
+    assert many.subject == "A.tumble 1"
+    assert "63 samples of 1000 were left out as outliers" in many.text
+    print_result(result, details=True)
+    page = " ".join(capsys.readouterr().out.split())
+    assert "tumble 0: 1 outliers in column 'mA' were left out." in page
+    assert "tumble 0: rows 1001, repeated 1, empty 1, outliers 1, gaps 1, block 1." in page
+    result.write(tmp_path / "result.json")
+    assert Result.read(tmp_path / "result.json").accelerometers == result.accelerometers
 
 
 def test_a_mounting_with_a_dot_is_refused(tmp_path):

@@ -15,7 +15,7 @@ from counterspin.calibration.calibrate import calibrate
 from counterspin.calibration.observed import observe
 from counterspin.calibration.options import command_words
 from counterspin.calibration.result import Result
-from counterspin.calibration.two_stage import TwoStageOptions, k_ii, two_stage
+from counterspin.calibration.two_stage import TwoStageOptions, two_stage, two_stage_view
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
@@ -28,12 +28,12 @@ PRIORS = (
     'scale_factor = "1.002 g/g"',
     'bias = "0.005 ± 2e-6 g"\nscale_factor = "1.002 ± 5e-6 g/g"',
 )
-MODEL = '[[runs]]\nname = "slow"'
+MODEL = '[model]\nassume = "all"\n'
 
 
 def modelled(model):
-    """Return the replacement that puts a [model] before the runs."""
-    return (MODEL, f'[model]\nassume = "all"\n{model}\n\n{MODEL}')
+    """Return the replacement that puts more into [model]."""
+    return (MODEL, f"{MODEL}{model}\n")
 
 
 def made(folder, *pairs, text=SMALL):
@@ -160,6 +160,31 @@ def test_tilt_is_considered_run_by_run(tmp_path):
     c = outcome.result.coefficients["K_II"]
     assert c.u_considered == pytest.approx(size * math.hypot(*gain), rel=1e-4)
     assert "platform.tilt.north" not in outcome.result.left_out
+
+
+@pytest.mark.parametrize("options", [{}, {"weighted": False}, {"model": "as-printed"}])
+def test_budget_holds_every_source_of_u(tmp_path, options):
+    tilt = modelled(
+        'considered = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }'
+    )
+    radius = ('"2.5 m"', '"2.5 ± 2.5e-3 m"')
+    found = qx(result_of(tmp_path, PRIORS, tilt, radius, **options))
+    estimated = {symbol for symbol, c in found.coefficients.items() if c.estimated}
+    assert "K_II" in estimated
+    for symbol in estimated:
+        c, lines = found.coefficients[symbol], found.budget[symbol]
+        assert math.hypot(*(line.contribution for line in lines)) == pytest.approx(c.u, rel=1e-9)
+        noise = next(line for line in lines if line.source == "noise of Qx")
+        assert noise.contribution == pytest.approx(c.u_noise, rel=1e-9)
+    sources = {line.source: line for line in found.budget["K_II"]}
+    c = found.coefficients["K_II"]
+    assert sources["centrifuge.radius (input)"].contribution == pytest.approx(
+        2e-3 * abs(c.value), rel=1e-4
+    )
+    if not options:
+        psi = [sources[f"{run}.platform.tilt.north (considered)"] for run in ("slow", "fast")]
+        assert {line.unit for line in psi} == {"rad"}
+        assert sources["K_F (prior)"].contribution == pytest.approx(c.u_prior, rel=1e-9)
 
 
 def test_given_noise_is_all_of_it(tmp_path):
@@ -316,16 +341,11 @@ def test_k_ii_alone_is_that_of_the_whole_result(tmp_path, asked):
     observed = list(observe(campaign))
     for accelerometer in campaign.accelerometers.values():
         whole = two_stage(campaign, observed, accelerometer, TwoStageOptions(), {})
-        found, second = k_ii(campaign, observed, accelerometer, TwoStageOptions(), {})
+        view, second = two_stage_view(campaign, observed, accelerometer, TwoStageOptions(), {})
         expected = whole.result.coefficients["K_II"]
-        assert found.estimated == expected.estimated
-        if expected.estimated:
-            assert (found.value, found.u) == pytest.approx((expected.value, expected.u), rel=1e-9)
-        else:
-            assert (found.value, found.u) == (None, None)
-        assert second.considered == whole.second.considered
-        assert second.solution.considered_sd == pytest.approx(whole.second.solution.considered_sd)
-        assert len(second.ignored) < len(whole.second.ignored)
+        assert view.assessment.determined[f"{accelerometer.name}.K_II"] == expected.estimated
+        assert second.estimate("K_II") == pytest.approx(whole.second.estimate("K_II"), rel=1e-9)
+        assert len(second.fit.model.considered) < len(whole.second.fit.model.considered)
 
 
 # --- what cannot be told apart --------------------------------------------------------------------

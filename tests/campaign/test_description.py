@@ -14,7 +14,7 @@ from counterspin.errors import CampaignError
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site
 from counterspin.physics.spindle import Ripple, Spindle
-from counterspin.physics.terms import TABLE
+from counterspin.physics.terms import TABLE, term
 
 BASE = (
     changed(
@@ -78,6 +78,36 @@ def edited(*changes):
     return text
 
 
+def test_sizes_go_by_the_grade_of_each_accelerometer(tmp_path):
+    text = edited(
+        ("K_III =", 'grade = "consumer"\nK_III ='),
+        ("[model.priors]", '[model.limits]\nK_OQ = "1 g/g^2"\n[model.priors]'),
+    )
+    campaign = read_campaign(write(tmp_path, text))
+    assert [a.grade for a in campaign.accelerometers.values()] == ["navigation", "consumer"]
+    for symbol in ("K_F", "K_II", "K_F.trend"):
+        for name, grade in (("Qx", "navigation"), ("Qy", "consumer")):
+            size = term(symbol).sizes(grade)
+            assert campaign.limit_of(symbol, name) == size.limit
+            assert campaign.typical_of(symbol, name) == size.typical
+    # What is stated holds for all of them, and what is shared has no grade.
+    assert campaign.limit_of("K_OQ", "Qx") == campaign.limit_of("K_OQ", "Qy") == 1.0
+    tilt = "platform.tilt.north"
+    assert campaign.typical_of(tilt, "Qy") == campaign.typical_of(tilt) == term(tilt).typical
+
+
+def test_a_prior_of_the_scale_factor_is_credible_for_the_grade(tmp_path):
+    far = ('scale_factor = "1.002 ± 5e-6 g/g"', 'scale_factor = "1.3 ± 0.1 g/g"')
+    (line,) = problems_of(tmp_path, edited(far))
+    assert "too far from 1" in line
+    consumer = ('bias = "0.005 ± 2e-6 g"', 'bias = "0.005 ± 2e-6 g"\ngrade = "consumer"')
+    assert read_campaign(write(tmp_path, edited(far, consumer))).accelerometers["Qx"].priors["K_I"]
+    shared = ("[model.priors]", '[model.priors]\nK_I = "1.3 ± 0.1 g/g"')
+    alone = (far[0], "")
+    assert "too far from 1" in "".join(problems_of(tmp_path, edited(shared, alone)))
+    read_campaign(write(tmp_path, edited(shared, alone, consumer)))
+
+
 def problems_of(folder, text):
     with pytest.raises(CampaignError) as caught:
         read_campaign(write(folder, text))
@@ -117,7 +147,9 @@ def test_resolves_everything_to_si(tmp_path):
     assert campaign.noise.timing == "estimate"
     assert campaign.noise.angle == 0.0
     assert campaign.model.terms == ("K_F", "K_I", "K_II", "K_III")
-    assert campaign.model.limits == {s: row.limit for s, row in TABLE.items()}
+    assert campaign.model.limits == {}
+    for symbol, row in TABLE.items():
+        assert (campaign.limit_of(symbol), campaign.typical_of(symbol)) == (row.limit, row.typical)
     one, two = campaign.runs
     assert (one.name, one.rate) == ("run1", pytest.approx(math.pi / 2, rel=1e-15))
     assert (two.record, two.rate) == (
@@ -265,6 +297,11 @@ EXACT_PATHS = [
         "model.limits.K_II: must be greater than zero",
     ),
     ("[model.priors]", '[model.limits]\nK = "1 g"', 'model.limits.K: no term is called "K"'),
+    (
+        "K_III =",
+        'grade = "strategic"\nK_III =',
+        "accelerometers.Qy.grade: 'strategic' is none of 'navigation', 'tactical' or 'consumer'",
+    ),
     ("0.25 rev/s", "0.25 Hz", "runs[0].rate: 'Hz' is ambiguous for an angular rate: write rev/s"),
     ("0.25 rev/s", "0 rev/s", "runs[0].rate: the centrifuge must turn; the rate is zero"),
     ("0.25 rev/s", "0.25 m", "runs[0].rate: 'm' is not a unit of angular rate"),

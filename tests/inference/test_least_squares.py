@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from counterspin.errors import NotIdentifiableError
-from counterspin.inference.blocks import reduce_block
+from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.least_squares import solve
 from counterspin.inference.plain_fit import fit
 
@@ -428,3 +428,21 @@ class TestFit:
             fit(self.X, self.Y, sigma=0.0)
         with pytest.raises(ValueError, match="one for each"):
             fit(self.X, self.Y, sigma=[1.0, 2.0])
+
+
+def test_rows_of_another_noise_move_the_uncertainty_and_not_the_estimate():
+    rng = np.random.default_rng(12)
+    a, y = rng.standard_normal((8, 2)), rng.standard_normal(8)
+    prior_sd, noise = np.array([0.5, np.inf]), rng.uniform(0.2, 3.0, 8)
+    rows = Block(a, y, a[:, :1], 0.0, 8, 0)
+    even = solve([rows], prior_sd=prior_sd, considered_sd=[0.1])
+    found = even.with_row_noise(noise)
+    inverse = np.linalg.inv(a.T @ a + np.diag([4.0, 0.0]))
+    gain = inverse @ a.T
+    np.testing.assert_array_equal(found.estimate, even.estimate)
+    np.testing.assert_allclose(found.covariance_noise, gain * noise**2 @ gain.T, rtol=1e-12)
+    np.testing.assert_array_equal(found.covariance_considered, even.covariance_considered)
+    parts = found.combine([1.0, 0.0])
+    np.testing.assert_allclose(parts.noise_rows, gain[0] * noise, rtol=1e-10, atol=1e-15)
+    np.testing.assert_allclose(parts.considered, even.combine([1.0, 0.0]).considered, rtol=1e-12)
+    assert parts.u == pytest.approx(found.u[0], rel=1e-12)

@@ -29,7 +29,11 @@ def test_campaign_is_the_paper_s(shown):
         assert ripple.amplitude / run.rate == pytest.approx(plan.RIPPLE_RATIO, rel=1e-12)
         assert ripple.phase == pytest.approx(plan.RIPPLE_PHASE, rel=1e-15)
         assert run.duration * run.rate / (2 * math.pi) == pytest.approx(plan.STROBES)
-    assert [run.parabola.strobes.time.size for run in shown.two_stage.runs] == [100, 100, 100]
+    assert [run.parabola.strobes.time.size for run in shown.two_stage.second.runs] == [
+        100,
+        100,
+        100,
+    ]
 
 
 def test_both_methods_find_the_truth_and_the_printed_equations_half_of_it(shown):
@@ -54,7 +58,9 @@ def test_figure_is_the_first_stage_less_the_bias(shown):
     assert upper.title.startswith("The paper's plan: Qx")
     half_bias = 0.5 * shown.two_stage.result.coefficients["K_F"].value * plan.GRAVITY
     curves, strobes = upper.series[::2], upper.series[1::2]
-    for run, curve, points, panel in zip(shown.two_stage.runs, curves, strobes, lower, strict=True):
+    for run, curve, points, panel in zip(
+        shown.two_stage.second.runs, curves, strobes, lower, strict=True
+    ):
         _, residuals = panel.series
         assert residuals.x == tuple(run.parabola.strobes.time)
         assert residuals.y == pytest.approx(1e3 * run.parabola.residuals)

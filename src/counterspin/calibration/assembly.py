@@ -12,6 +12,7 @@ from typing import Any, Final
 
 from counterspin._version import __version__
 from counterspin.calibration.conformity import with_conformity
+from counterspin.calibration.diagnosis.record_counts import counts_of, many_outliers, rejected_of
 from counterspin.calibration.findings import judge_result
 from counterspin.calibration.joint import joint
 from counterspin.calibration.model import assumed
@@ -35,9 +36,6 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.joint.unknowns import ROTATION
 from counterspin.results import environment
-
-#: More outliers than this part of a run's samples are worth a warning.
-OUTLIER_SHARE: Final = 0.05
 
 #: A record that lasts less than this part of what the campaign states is asked about.
 COMPLETE_PART: Final = 0.9
@@ -89,7 +87,11 @@ def calibration(
     estimated["findings"] += [
         *_asked_about(campaign),
         *_other_rates(observed),
-        *_many_outliers(estimated["runs"], len(campaign.accelerometers)),
+        *(
+            finding
+            for name, run in estimated["runs"].items()
+            for finding in many_outliers(name, run.counts, len(campaign.accelerometers))
+        ),
         *_odd_ends(observed),
     ]
     checksums, in_memory = inputs()
@@ -205,8 +207,7 @@ def run_result(
     # Where no angle was recorded the joint fit has found the rotation.
     rotation_terms = {symbol: own.pop(symbol) for symbol in ROTATION if symbol in own}
     _, rate, drift = (rotation_terms.get(symbol) for symbol in ROTATION)
-    outliers += sum(report.outliers.values())
-    empty = sum(report.empty.values())
+    counts = counts_of(report, outliers)
     ripples = [
         RippleResult(
             harmonic=ripple.harmonic,
@@ -227,34 +228,13 @@ def run_result(
         ripples=ripples,
         angle_rms=rotation.rms if rotation else None,
         samples=report.used,
-        rejected=report.repeated + empty + outliers,
-        counts={
-            "rows": report.rows,
-            "repeated": report.repeated,
-            "empty": empty,
-            "outliers": outliers,
-            "gaps": report.gap_count,
-            "block": report.block,
-        },
+        rejected=rejected_of(counts),
+        counts=counts,
         notes=report.notes(),
         parabolas=dict(parabolas or {}),
         terms=own,
         fit=dict(fit or {}),
     )
-
-
-def _many_outliers(runs: Mapping[str, RunResult], accelerometers: int) -> list[Finding]:
-    findings = []
-    for name, run in runs.items():
-        samples = run.counts["rows"] * accelerometers
-        share = run.counts["outliers"] / samples
-        if share > OUTLIER_SHARE:
-            text = (
-                f"{name}: {run.counts['outliers']} samples of {samples} were left out as outliers; "
-                "what remains is only as good as the reason for it. Look at the record."
-            )
-            findings.append(Finding(code="many-outliers", subject=name, text=text, size=share))
-    return findings
 
 
 def _other_rates(observed: Sequence[ObservedRun]) -> list[Finding]:

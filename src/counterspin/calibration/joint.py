@@ -10,6 +10,12 @@ from collections.abc import Mapping, Sequence
 
 from counterspin.calibration.attitude_findings import large_tilts, shared_findings
 from counterspin.calibration.diagnosis.causes import Cause
+from counterspin.calibration.diagnosis.credible import (
+    beyond_typical,
+    incredible,
+    incredible_shared,
+)
+from counterspin.calibration.diagnosis.reading_findings import outliers_of_means, outlying_readings
 from counterspin.calibration.diagnosis.search import causes_of
 from counterspin.calibration.findings import not_determined
 from counterspin.calibration.joint_checks import (
@@ -35,13 +41,12 @@ from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.joint_traces import traces
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.kinds import Kinds, compare_kinds
-from counterspin.calibration.model import SQUARES, model_of
+from counterspin.calibration.model import SQUARES, inputs_of, model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.readings import (
     AccelerometerReadings,
     in_output_units,
     only_at_rest,
-    outlying_readings,
     radii,
     with_readings,
 )
@@ -121,6 +126,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         for index, unknown in enumerate(model.asked)
         if unknown.symbol not in TERMS and unknown.owner not in campaign.accelerometers
     } | _rotations(estimated, assessment)
+    beyond = list(incredible_shared(campaign, shared))
     shared |= radii(campaign, shared)
     outliers: dict[str, int] = {run.run.name: 0 for run in observed}
     for record, mask in zip(estimated.series, estimated.outliers, strict=True):
@@ -131,9 +137,12 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         run.run.name: {u.symbol: c for u, c in shared.items() if u.owner == run.run.name}
         for run in observed
     }
+    rests_on = knowledge(estimated, inputs_of(campaign))
     found = [
         *shared_findings(shared, longest),
         *large_tilts(campaign, runs, accelerometers),
+        *beyond,
+        *beyond_typical(rests_on),
     ]
     return JointOutcome(
         accelerometers=accelerometers,
@@ -143,7 +152,7 @@ def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
         outliers=outliers,
         confounded=tuple(confounded_platform(assessment)),
         correlation=whole_correlation(estimated, assessment),
-        rests_on=tuple(knowledge(estimated, _stated_inputs(campaign))),
+        rests_on=tuple(rests_on),
         findings=tuple(found),
         causes=causes_of(views, accelerometers),
         estimate=estimated,
@@ -172,17 +181,6 @@ def _rotations(estimated: Estimate, assessment: Assessment) -> dict[Unknown, Coe
             base = getattr(spindles[unknown.owner], unknown.symbol.removeprefix("spindle."))
             rotations[unknown] = step.model_copy(update={"value": base + (step.value or 0.0)})
     return rotations
-
-
-def _stated_inputs(campaign: Campaign) -> dict[str, float]:
-    """Return each input as the description states it, SI."""
-    delay = campaign.timing_offset
-    return {
-        "centrifuge.radius": campaign.radius.value,
-        "site.gravity": campaign.gravity.value,
-        "site.latitude": campaign.latitude.value,
-        "records.timing_offset": 0.0 if delay is None else delay.value,
-    }
 
 
 def _accelerometer(
@@ -221,9 +219,11 @@ def _accelerometer(
             *kinds.findings,
             *residual_findings(kinds.judged),
             *outlying_readings(name, kinds.judged.readings),
+            *outliers_of_means(name, view.readings),
             *hidden_walk(view),
             *unseen_ripple(view),
             *_undetermined(view, own),
+            *incredible(view.campaign, name, own),
         ],
         **described(view.accelerometer, own),
     )

@@ -12,26 +12,27 @@ import math
 from collections.abc import Sequence
 from typing import Final
 
-from counterspin.calibration import two_stage
+from counterspin.calibration.diagnosis.reading_findings import readings_fit
 from counterspin.calibration.findings import (
     equivalent_deviations,
     hidden_noise,
     lack_of_fit,
 )
-from counterspin.calibration.joint_parts import residual
+from counterspin.calibration.joint_parts import coefficient, residual
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.calibration.readings import readings_fit
 from counterspin.calibration.result_parts import Comparison, Finding, Jackknife, countable
+from counterspin.calibration.two_stage import two_stage_view
 from counterspin.calibration.two_stage_request import walk_is_stated
 from counterspin.errors import NotIdentifiableError, RecordError
 from counterspin.inference.diagnostics import FALSE_ALARMS
 from counterspin.inference.joint import encoder
+from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.relaxed import relax
 from counterspin.inference.joint.runs_left_out import RunLeftOut, leave_out
 from counterspin.inference.joint.slow_parts import slow_parts
-from counterspin.physics.terms import OWN_TERMS, shown_by_readings
+from counterspin.physics.terms import INPUTS, OWN_TERMS, shown_by_readings
 from counterspin.reports.numbers import format_number
 
 #: Part of u(K_II) below which a shift's own uncertainty is rounding.
@@ -71,7 +72,7 @@ def _jackknife(run: str, without: RunLeftOut | None, u: float) -> Jackknife:
 
 def residual_findings(view: AccelerometerView) -> list[Finding]:
     """Return what the tests of an accelerometer's residuals found: one finding for all records."""
-    findings = readings_fit(view.name, view.readings)
+    findings = readings_fit(view)
     if not view.has_records:
         return findings
     tests = view.diagnostics
@@ -137,27 +138,25 @@ def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Compari
         return None
     components = {} if walk_is_stated(view.campaign) else view.estimate.components
     try:
-        other, stage = two_stage.k_ii(
+        beside, _ = two_stage_view(
             view.campaign, observed, view.accelerometer, TwoStageOptions(), components
         )
     except (NotIdentifiableError, RecordError):
         return None
+    place = beside.places["K_II"]
+    other = coefficient(beside.estimate, beside.assessment, place)
     if not other.estimated or other.value is None or other.u is None:
         return None
-    solution = view.fit.solution
+    solution, second = view.fit.solution, beside.fit.solution
     own = (solution.covariance_noise + solution.covariance_prior)[index, index]
-    second = stage.solution
-    theirs = (second.covariance_noise + second.covariance_prior)[0, 0]
-    # What the two-stage method considers and the joint one estimates is part of its own variance;
-    # what is considered moves each by its own sensitivity.
+    theirs = (second.covariance_noise + second.covariance_prior)[place, place]
+    # A term that only the two-stage method holds counts in its own variance; one that both hold
+    # moves each estimate by its own sensitivity.
     both = 0.0
-    considered = _considered(view, index)
-    for (run, symbol), effect, sd in zip(
-        stage.considered, second.sensitivity_considered[0], second.considered_sd, strict=True
-    ):
-        owner = view.name if symbol in OWN_TERMS else run
-        if (owner, symbol) in considered:
-            joint_effect, _ = considered.pop((owner, symbol))
+    considered = _considered(view.fit, index)
+    for name, (effect, sd) in _considered(beside.fit, place).items():
+        if name in considered:
+            joint_effect, _ = considered.pop(name)
             both += ((effect - joint_effect) * sd) ** 2
         else:
             theirs += (effect * sd) ** 2
@@ -175,22 +174,22 @@ def compare(view: AccelerometerView, observed: Sequence[ObservedRun]) -> Compari
     )
 
 
-def _considered(view: AccelerometerView, index: int) -> dict[tuple[str, str], tuple[float, float]]:
-    """Return the considered terms: (owner, symbol) -> sensitivity and standard uncertainty.
+def _considered(fit: JointFit, index: int) -> dict[str, tuple[float, float]]:
+    """Return the considered terms: name -> sensitivity of an unknown and standard uncertainty.
 
     Uncertain inputs and errors of the encoder are left out: they move both methods alike.
     """
-    solution = view.fit.solution
+    solution = fit.solution
     return {
-        (term.owner, term.symbol): (float(effect), float(sd))
-        for term, effect, sd in zip(
-            view.fit.model.considered,
+        other.name: (float(effect), float(sd))
+        for other, effect, sd in zip(
+            fit.model.considered,
             solution.sensitivity_considered[index],
             solution.considered_sd,
             strict=False,
         )
-        if term.symbol not in encoder.SYMBOLS
-        and (term.symbol in OWN_TERMS or not shown_by_readings(term.symbol))
+        if other.symbol not in (*encoder.SYMBOLS, *INPUTS)
+        and (other.symbol in OWN_TERMS or not shown_by_readings(other.symbol))
     }
 
 

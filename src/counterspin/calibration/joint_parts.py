@@ -25,6 +25,7 @@ from counterspin.calibration.result_parts import (
     Residual,
     countable,
 )
+from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.inference.identifiability import Assessment, Confounded
 from counterspin.inference.joint import encoder
@@ -33,9 +34,10 @@ from counterspin.inference.joint.estimation import Estimate
 from counterspin.inference.joint.unknowns import ROTATION, Considered
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.variance_components import COMPONENTS, VarianceComponents
+from counterspin.inference.two_stage.request import RIPPLE
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of, term
 
-_UNITS: Final = dict(zip(ROTATION, ("rad", "rad/s", "1/s"), strict=True))
+_UNITS: Final = dict(zip((*ROTATION, RIPPLE), ("rad", "rad/s", "1/s", "rad/s"), strict=True))
 WALK_UNIT: Final = "m/s^2/Hz^0.5"  #: of a random-walk coefficient
 _ENCODER_UNITS: Final = {"angle": "rad", "rate": "rad/s", "drift": "1/s"}  # a ripple: rad/s
 
@@ -104,7 +106,7 @@ def _unit_of_line(line: Line) -> str:
     return unit_of(symbol_of(line.source))
 
 
-def knowledge(estimate: Estimate, stated_inputs: Mapping[str, float]) -> list[Knowledge]:
+def knowledge(estimate: Estimate, stated_inputs: Mapping[str, Quantity]) -> list[Knowledge]:
     """Return what an estimate rests on beside its data, in the order of the fit.
 
     Parameters
@@ -112,14 +114,15 @@ def knowledge(estimate: Estimate, stated_inputs: Mapping[str, float]) -> list[Kn
     estimate
         The estimate.
     stated_inputs
-        The value of each input as the description states it, SI.
+        Each input as the description states it, SI.
     """
     model, solution = estimate.fit.model, estimate.fit.solution
     rows = []
     for place, other in enumerate((*model.unknowns, *model.considered)):
         if other.asked or other.symbol in encoder.SYMBOLS:
             continue
-        base = stated_inputs.get(other.symbol, 0.0)
+        stated = stated_inputs.get(other.symbol)
+        base = stated.value if stated else 0.0
         found = u_found = None
         if place < len(model.unknowns):
             found = base + other.nominal + float(solution.estimate[place])

@@ -6,21 +6,23 @@ perfect is left out.
 
 - `model_of`: the unknowns and what is held
 - `assumed`, `assumed_of`: what is taken as perfect, of a campaign and of one accelerometer
-- `limit_of`, `typical_of`: credible and typical size of a term of somebody
+- `inputs_of`: radius, gravity, latitude, clocks, as they are stated
+- `prior_of`: value and u of a term, stated or typical
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from counterspin.campaign.conditions import conditions_of, origin_of
+from counterspin.campaign.error_model import EVERYTHING
 from counterspin.campaign.machine import symbols_shown
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.resolved import EVERYTHING, Campaign
+from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.terms import acts
-from counterspin.inference.joint.inputs import TIMING
+from counterspin.inference.joint.inputs import CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
 from counterspin.physics.effects import Product, Slope
@@ -42,8 +44,8 @@ def model_of(campaign: Campaign) -> Unknowns:
     kept = (*campaign.model.considered, *campaign.machine.considered)
     for owner, symbol in _acting(campaign):
         known = _stated(campaign, owner, symbol)
-        prior, unstated = _prior(campaign, owner, symbol, known)
-        limit = limit_of(campaign, owner, symbol)
+        prior, unstated = prior_of(campaign, owner, symbol, known)
+        limit = campaign.limit_of(symbol, owner)
         if symbol in wanted:
             prior, unstated = (prior, unstated) if known else (NO_PRIOR, False)
             asked.append(Unknown(owner, symbol, prior, limit, unstated=unstated))
@@ -57,23 +59,16 @@ def model_of(campaign: Campaign) -> Unknowns:
             for run in campaign.runs
             for symbol, limit in zip(ROTATION, _ROTATION_LIMITS, strict=True)
         ]
-    for symbol, known in _inputs(campaign).items():
+    for symbol, known in inputs_of(campaign).items():
         # Of an input the unknown is its deviation from what is stated.
-        (_, u), unstated = _prior(campaign, "", symbol, known)
+        (_, u), unstated = prior_of(campaign, "", symbol, known)
         if u > 0.0:
-            limit = limit_of(campaign, "", symbol)
-            others.append(Unknown("", symbol, (0.0, u), limit, asked=False, unstated=unstated))
-    return Unknowns((*asked, *others, *_squares(campaign, others)), tuple(held))
-
-
-def limit_of(campaign: Campaign, owner: str, symbol: str) -> float:
-    """Return the largest credible size of a term of somebody."""
-    return _size(campaign.model.limits, owner, symbol)
-
-
-def typical_of(campaign: Campaign, owner: str, symbol: str) -> float:
-    """Return the standard uncertainty to take of a term of somebody where none is stated."""
-    return _size(campaign.model.typical, owner, symbol)
+            limit = campaign.limit_of(symbol)
+            if symbol in kept:
+                held.append(Considered("", symbol, (0.0, u), limit, False, unstated))
+            else:
+                others.append(Unknown("", symbol, (0.0, u), limit, False, unstated))
+    return Unknowns((*asked, *_squares(campaign, others), *others), tuple(held))
 
 
 def assumed_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
@@ -87,7 +82,7 @@ def assumed_of(campaign: Campaign, name: str) -> tuple[Considered, ...]:
         for other in (*model.unknowns, *model.considered)
     }
     return tuple(
-        Considered(owner, symbol, (term(symbol).nominal, 0.0), limit_of(campaign, owner, symbol))
+        Considered(owner, symbol, (term(symbol).nominal, 0.0), campaign.limit_of(symbol, owner))
         for owner, symbol in _acting(campaign, name)
         if there.get((owner, symbol), 0.0) == 0.0
     )
@@ -108,17 +103,12 @@ def assumed_inputs(campaign: Campaign) -> list[str]:
     """Return the inputs that are taken as exact."""
     return [
         symbol
-        for symbol, known in _inputs(campaign).items()
+        for symbol, known in inputs_of(campaign).items()
         if known.u == 0.0 and campaign.model.assumes(symbol)
     ]
 
 
-def _size(sizes: Mapping[str, float], owner: str, symbol: str) -> float:
-    del owner
-    return sizes[symbol] if symbol in sizes else sizes[term(symbol).symbol]
-
-
-def _prior(
+def prior_of(
     campaign: Campaign, owner: str, symbol: str, known: Quantity | None
 ) -> tuple[tuple[float, float], bool]:
     """Return value and standard uncertainty, and whether the uncertainty is a typical size."""
@@ -127,7 +117,7 @@ def _prior(
     value = term(symbol).nominal if known is None else known.value
     if campaign.model.assumes(symbol):
         return (value, 0.0), False
-    return (value, typical_of(campaign, owner, symbol)), True
+    return (value, campaign.typical_of(symbol, owner)), True
 
 
 def _stated(campaign: Campaign, owner: str, symbol: str) -> Quantity | None:
@@ -137,11 +127,13 @@ def _stated(campaign: Campaign, owner: str, symbol: str) -> Quantity | None:
     return campaign.model.priors.get(symbol) or campaign.machine.priors.get(symbol)
 
 
-def _inputs(campaign: Campaign) -> dict[str, Quantity]:
-    """Return the inputs that act, as they are stated."""
+def inputs_of(campaign: Campaign) -> dict[str, Quantity]:
+    """Return the inputs that act, as they are stated; without u where none is."""
     inputs = {"site.gravity": campaign.gravity, "site.latitude": campaign.latitude}
     if campaign.runs or any(reading.rate for reading in campaign.readings):
         inputs["centrifuge.radius"] = campaign.radius
+    if campaign.runs:
+        inputs[CLOCK] = campaign.clock or Quantity(0.0, 0.0, "1")
     if campaign.runs and campaign.angle is not None:
         inputs[TIMING] = campaign.timing_offset or Quantity(0.0, 0.0, "s")
     return inputs
@@ -202,7 +194,7 @@ def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str
 def _squares(campaign: Campaign, others: Sequence[Unknown]) -> Iterator[Unknown]:
     """Yield the squares that 1 g cannot tell from K_II, where all is assumed to be perfect.
 
-    What nobody asks for counts all the same: K_II is no more than K_II - K_PP or K_II - K_OO.
+    They count as if they were asked for: K_II is no more than K_II - K_PP or K_II - K_OO.
     """
     motions = {reading.motion for reading in campaign.readings}
     if motions != {"static"} or campaign.runs or "K_II" not in campaign.model.terms:
@@ -214,5 +206,5 @@ def _squares(campaign: Campaign, others: Sequence[Unknown]) -> Iterator[Unknown]
     for name in campaign.accelerometers:
         for symbol in SQUARES:
             if symbol not in known and (name, symbol) not in there:
-                limit = limit_of(campaign, name, symbol)
-                yield Unknown(name, symbol, (0.0, limit), limit, asked=False, unstated=True)
+                limit = campaign.limit_of(symbol, name)
+                yield Unknown(name, symbol, (0.0, limit), limit, unstated=True)

@@ -11,16 +11,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from typing import Any, Final
 
 import numpy as np
 
-from counterspin.calibration.findings import CONTRADICTION_SIGMAS, lack_of_fit
+from counterspin.calibration.diagnosis.record_counts import counts_of
 from counterspin.calibration.observed import recorded_twice
 from counterspin.calibration.result_parts import (
     Coefficient,
-    Finding,
     NoiseLine,
     ReadingResult,
     Residual,
@@ -37,12 +36,7 @@ from counterspin.inference.joint.fit import JointFit
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.least_squares import Solution
 from counterspin.inference.readings import Position, Readings, ReadingsFit, judge, solve_readings
-from counterspin.records.mean import mean_of_record
-
-#: Up to so many positions that are off may each be a mistake. More, and more than this share of
-#: all, point to the model.
-_MAX_LONE_POSITIONS: Final = 3
-_MAX_LONE_SHARE: Final = 0.25
+from counterspin.records.mean import RecordMean, mean_of_record
 
 #: Words for the motions.
 _WORDS: Final = {
@@ -74,6 +68,8 @@ class AccelerometerReadings:
         Readings less what the fit follows of them.
     positions, linear
         As of `ReadingsFit`.
+    means
+        What was found in the records whose means are readings, by the reading's name.
     """
 
     readings: Readings
@@ -87,10 +83,16 @@ class AccelerometerReadings:
     freedom: float
     positions: tuple[Position, ...] = ()
     linear: Any = None
+    means: Mapping[str, RecordMean] = field(default_factory=dict)
 
-    def relaxed(self) -> AccelerometerReadings:
-        """Return the same for a fit in which all that is considered is estimated."""
-        return replace(self, linear=self.linear.relaxed())
+    def relaxed(self, count: int) -> AccelerometerReadings:
+        """Return the same for a fit of so many unknowns, what is considered among them.
+
+        Those after the considered ones are of records, and do not show in readings.
+        """
+        linear = self.linear.relaxed()
+        added = np.zeros((self.readings.size, count - linear.design.shape[1]))
+        return replace(self, linear=replace(linear, design=np.hstack([linear.design, added])))
 
     def under(self, solution: Solution, model: Unknowns) -> AccelerometerReadings:
         """Return how the same readings fit another solution that has followed them."""
@@ -123,19 +125,25 @@ class AccelerometerReadings:
         Analysis, 3rd ed., section 2.1.
         """
         own = self.residuals / self.sigma
+        # Each repeat at one setting has the noise alone, each reading the head's part as well,
+        # which is known: of what the residuals should be, only the noise's share is to be found.
         again = float(np.sum(self.readings.repeats - 1.0))
         scatter = float(np.sum(self.readings.scatter)) / self.noise**2
-        squares = self.squares + scatter
+        share = float(np.mean(self.noise**2 / self.readings.repeats / self.sigma**2))
+        apart = within = 0.0
         for position in self.positions:
             places = list(position.places)
-            again += len(places) - 1.0
-            scatter += float(np.sum((own[places] - own[places].mean()) ** 2))
-        left = self.dof - again
-        if math.isinf(self.dof) or again < 1.0 or left < 0.5 or scatter <= 0.0:
+            apart += len(places) - 1.0
+            within += float(np.sum((own[places] - own[places].mean()) ** 2))
+        left = self.dof - again - apart
+        if math.isinf(self.dof) or again + apart < 1.0 or left < 0.5 or scatter + within <= 0.0:
             return None
         from scipy.special import fdtrc
 
-        return float(fdtrc(left, again, max(squares - scatter, 0.0) / left / (scatter / again)))
+        weight = again / share**2 + apart
+        expected = ((1.0 - share) + share * scatter / again) * again / share**2 if again else 0.0
+        expected = (expected + within) / weight
+        return float(fdtrc(left, weight, max(self.squares - within, 0.0) / left / expected))
 
     def results(self) -> list[ReadingResult]:
         """Return each reading as a result shows it."""
@@ -151,6 +159,7 @@ class AccelerometerReadings:
                 u=float(self.sigma[i]),
                 residual=float(self.residuals[i]),
                 z=float(self.standardised[i]) if math.isfinite(self.standardised[i]) else None,
+                **_found_in(self.means.get(name)),
             )
             for i, (name, station) in enumerate(
                 zip(self.readings.names, self.readings.stations, strict=True)
@@ -216,8 +225,20 @@ def with_readings(
     _require_values(campaign)
     if estimated is None:
         _require_enough(campaign, model)
-    groups = groups_of(campaign, list(_averaged(campaign)))
-    return with_groups(estimated, model, groups)
+    taken = list(_averaged(campaign))
+    estimated, parts = with_groups(estimated, model, groups_of(campaign, [one for one, _ in taken]))
+    means = {(one.accelerometer, one.name): mean for one, mean in taken if mean is not None}
+    return estimated, tuple(
+        replace(
+            part,
+            means={
+                name: mean
+                for (own, name), mean in means.items()
+                if own == part.readings.accelerometer and name in part.readings.names
+            },
+        )
+        for part in parts
+    )
 
 
 def with_groups(
@@ -235,8 +256,17 @@ def with_groups(
         fit = solve_readings(groups, estimated.fit.model, estimated.fit.blocks)
     before = estimated.fit.solution
     solution = replace(fit.solution, covariance_unseen=before.covariance_unseen)
-    named = dict(zip(map(block_name, groups), fit.blocks, strict=True))
-    joint = replace(estimated.fit, solution=solution, beside=named)
+    names = [block_name(group) for group in groups]
+    rows = (
+        np.column_stack([part.design, part.fixed, part.target]) / part.sigma[:, None]
+        for part in fit.linear
+    )
+    joint = replace(
+        estimated.fit,
+        solution=solution,
+        beside=dict(zip(names, fit.blocks, strict=True)),
+        beside_rows=dict(zip(names, rows, strict=True)),
+    )
     dof = _effective_dof(estimated.dof, fit, len(beside))
     parts = tuple(
         AccelerometerReadings(*part)
@@ -255,7 +285,7 @@ def with_groups(
             strict=True,
         )
     )
-    return replace(estimated, fit=joint, dof=dof), parts
+    return replace(estimated, fit=joint, dof=dof, core=None), parts
 
 
 def _require_enough(campaign: Campaign, model: Unknowns) -> None:
@@ -308,7 +338,15 @@ def _require_values(campaign: Campaign) -> None:
         )
 
 
-def _averaged(campaign: Campaign) -> Iterator[Reading]:
+def _found_in(mean: RecordMean | None) -> dict[str, Any]:
+    """Return what a result states of the record that a reading is the mean of."""
+    if mean is None:
+        return {}
+    report = mean.report
+    return {"samples": mean.samples, "counts": counts_of(report), "notes": report.notes()}
+
+
+def _averaged(campaign: Campaign) -> Iterator[tuple[Reading, RecordMean | None]]:
     """Yield the readings with their values: that of a record is its mean over whole revolutions.
 
     Raises
@@ -320,7 +358,7 @@ def _averaged(campaign: Campaign) -> Iterator[Reading]:
     first_with: dict[bytes, Reading] = {}
     for reading in campaign.readings:
         if reading.record is None:
-            yield reading
+            yield reading, None
             continue
         channel = campaign.accelerometers[reading.accelerometer].force
         assert channel is not None
@@ -333,7 +371,7 @@ def _averaged(campaign: Campaign) -> Iterator[Reading]:
             raise recorded_twice(campaign, earlier, reading)
         # In g, or by a sensitivity, it was turned into m/s^2 with the gravity assumed; here back.
         in_si = channel.unit == "m/s^2"
-        yield replace(reading, value=mean.value / g, u=mean.u / g, in_si=in_si)
+        yield replace(reading, value=mean.value / g, u=mean.u / g, in_si=in_si), mean
 
 
 def block_name(group: Readings) -> str:
@@ -371,60 +409,6 @@ def readings_noise(parts: Sequence[AccelerometerReadings]) -> dict[str, NoiseLin
         )
         for part in parts
     }
-
-
-def readings_fit(name: str, parts: Sequence[AccelerometerReadings]) -> list[Finding]:
-    """Return a finding for each motion whose residuals are not noise.
-
-    Noise that was stated is what they are compared with; noise that was estimated shows a misfit
-    where positions were read more than once.
-    """
-    findings = []
-    for part in parts:
-        stated = math.isinf(part.dof)
-        residual = residual_of([part])
-        p = residual.lack_of_fit_p if stated else part.misfit_of_positions
-        if p is None or p >= SIGNIFICANCE:
-            continue
-        said = (
-            f"The residuals of the {part.words} are not the noise that was stated"
-            if stated
-            else f"Positions of the {part.words} are further off the model than repeats of one "
-            "position are from each other"
-        )
-        findings.append(lack_of_fit(name, [f"{said} (p = {p:.2g})."], residual))
-    return findings
-
-
-def outlying_readings(name: str, parts: Sequence[AccelerometerReadings]) -> list[Finding]:
-    """Return a finding for each position that stands out, or one where many of a motion do."""
-    findings = []
-    for part in parts:
-        far_off = part.outlying()
-        if len(far_off) <= max(_MAX_LONE_POSITIONS, _MAX_LONE_SHARE * part.readings.size):
-            findings += [_outlying(part, name, *one) for one in far_off]
-            continue
-        worst = max(far_off, key=lambda one: abs(one[2]))
-        finding = _outlying(part, name, *worst)
-        text = (
-            f"{len(far_off)} of {part.readings.size} {part.words} are off the model: so many "
-            f"point to the model and not to single readings. {finding.text}"
-        )
-        findings.append(finding.model_copy(update={"text": text}))
-    return findings
-
-
-def _outlying(
-    part: AccelerometerReadings, name: str, reading: str, residual: float, z: float
-) -> Finding:
-    return Finding(
-        code="outlying-reading",
-        subject=f"{name}.{reading}",
-        text=f'The position "{reading}" reads {residual * 1e6:+.3g} ug off the model, '
-        f"{abs(z):.1f} of its standard deviations: look at it, or at what the model lacks.",
-        size=abs(z),
-        contradicts=abs(z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
-    )
 
 
 def radii(campaign: Campaign, shared: Mapping[Unknown, Coefficient]) -> dict[Unknown, Coefficient]:

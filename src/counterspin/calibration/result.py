@@ -352,8 +352,9 @@ def described(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str,
 def _to_gravity(result: Result, accelerometer: AccelerometerResult, symbol: str) -> float:
     """Return what a coefficient moves by per m/s^2 of the g assumed."""
     c = accelerometer.coefficients[symbol]
-    if result.method == "two-stage" and symbol in TERMS and c.value is not None:
-        # b2 of a coefficient of degree n goes with g^(1-n).
+    earlier = result.method == "two-stage" and not accelerometer.budget
+    if earlier and symbol in TERMS and c.value is not None:
+        # Without a budget: b2 of a coefficient of degree n goes with g^(1-n).
         return (len(TERMS[symbol].effect.factors) - 1) * c.value / result.inputs.gravity
     for line in accelerometer.budget.get(symbol, ()):
         if line.source == "site.gravity" and line.sensitivity is not None:

@@ -400,8 +400,8 @@ class Trace(ResultPart):
 class ReadingResult(ResultPart):
     """One reading: value, standard uncertainty and residual in g; `z` is None where it fits wholly.
 
-    `rate` in rad/s; `z` is the residual over its own standard deviation. The axes are in the frame
-    of the motion: east, north, up, or outward, forward, up on an arm.
+    `rate` in rad/s; `z` over the residual's own standard deviation. Axes: east, north, up; outward,
+    forward, up on an arm. `samples` used, `counts`, `notes` of a record's mean: as of `RunResult`.
     """
 
     name: str
@@ -414,6 +414,9 @@ class ReadingResult(ResultPart):
     u: float
     residual: float
     z: float | None
+    samples: int | None = None
+    counts: dict[str, int] = {}
+    notes: list[str] = []
 
 
 class Shift(ResultPart):

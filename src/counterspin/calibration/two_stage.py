@@ -1,7 +1,7 @@
 """The two-stage method: from observed runs to the paper's result for each accelerometer.
 
 - `two_stage`, `TwoStageOutcome`: all of it
-- `k_ii`: its K_II alone
+- `two_stage_view`: what it estimates, as a joint fit of one accelerometer
 """
 
 from __future__ import annotations
@@ -9,40 +9,50 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
-from counterspin.calibration.joint_parts import record_noise
+from counterspin.calibration.joint_parts import (
+    budget_lines,
+    coefficient,
+    confounded,
+    correlation,
+    record_noise,
+    unit_of,
+)
+from counterspin.calibration.joint_problem import series_of
+from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.model import assumed_of, model_of, prior_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.result import described
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     Coefficient,
-    Correlation,
     NoiseLine,
     ParabolaResult,
     Residual,
-    countable,
 )
-from counterspin.calibration.two_stage_findings import (
-    asked_only,
-    confounded,
-    findings,
-    unmodelled,
-)
+from counterspin.calibration.two_stage_findings import findings, nothing_known, sums_of_alike
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.distributions import chi_square_tail
+from counterspin.inference.identifiability import assess
+from counterspin.inference.joint.estimation import Estimate
+from counterspin.inference.joint.unknowns import ROTATION, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.inference.noise.variance_components import VarianceComponents
-from counterspin.inference.two_stage import strobes as strobing
+from counterspin.inference.two_stage.curvatures import strobed, two_stage_model
 from counterspin.inference.two_stage.first_stage import Parabola
 from counterspin.inference.two_stage.found_noise import with_found_noise
-from counterspin.inference.two_stage.request import DRIFT, RIPPLE, TwoStageRequest
-from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun, second_stage
-from counterspin.physics.terms import OWN_TERMS, term
+from counterspin.inference.two_stage.request import DRIFT, RIPPLE
+from counterspin.inference.two_stage.second_stage import SecondStage, resolve
+from counterspin.physics.terms import OWN_TERMS
+
+#: What the second stage estimates of an accelerometer.
+_ESTIMATED: Final = ("K_II", "K_F")
 
 
 @frozen
@@ -51,7 +61,6 @@ class TwoStageOutcome:
 
     result: AccelerometerResult
     parabolas: Mapping[str, ParabolaResult]
-    runs: tuple[StrobedRun, ...]
     second: SecondStage
 
 
@@ -88,170 +97,105 @@ def two_stage(
     RecordError
         If a run has too few strobes.
     """
-    components = found.get(accelerometer.name)
-    request = request_of(campaign, accelerometer, options, components)
-    ignored = unmodelled(campaign, accelerometer)
-    runs, second = _both_stages(observed, accelerometer, request, ignored, components)
-    unknowns = _unknowns(campaign, second, request)
-    coefficients = _coefficients(campaign, accelerometer, second, unknowns)
-    parabolas = [run.parabola for run in runs]
+    view, second = two_stage_view(campaign, observed, accelerometer, options, found)
+    name, model = accelerometer.name, second.fit.model
+    unknowns = {
+        unknown.symbol: coefficient(view.estimate, view.assessment, index)
+        for index, unknown in enumerate(model.unknowns)
+    }
+    if RIPPLE in unknowns and options.ripple == "ratio":
+        unknowns[RIPPLE] = unknowns[RIPPLE].model_copy(update={"unit": "1"})
+    others = [s for s in campaign.model.terms if s in OWN_TERMS and s not in unknowns]
+    known = {symbol: _known(accelerometer, symbol) for symbol in others}
+    coefficients = {**unknowns, **known}
     result = AccelerometerResult(
         coefficients={k: v for k, v in coefficients.items() if k not in (DRIFT, RIPPLE)},
         second_unknown={k: v for k, v in coefficients.items() if k in (DRIFT, RIPPLE)},
-        correlation=_correlation(second, coefficients),
-        confounded=confounded(second, unknowns),
-        residual=_residual(parabolas, components),
-        noise=_noise_lines(parabolas, request, components),
-        findings=findings(campaign, accelerometer.name, runs, second, coefficients, options.model),
+        correlation=correlation(view),
+        confounded=[*confounded(view), *sums_of_alike(view, second, coefficients)],
+        residual=_residual(second.parabolas, view.estimate.components.get(name)),
+        noise=_noise_lines(second.parabolas, view),
+        budget={
+            unknown.symbol: budget_lines(view.estimate, index, name)
+            for index, unknown in enumerate(model.unknowns)
+            if coefficients[unknown.symbol].estimated
+        },
+        findings=findings(view, second, coefficients, options.model),
         **described(accelerometer, coefficients),
     )
-    return TwoStageOutcome(
-        result, {run.name: _parabola(run.parabola) for run in runs}, runs, second
-    )
+    parabolas = {
+        part.run: _parabola(parabola)
+        for part, parabola in zip(second.fit.prepared, second.parabolas, strict=True)
+    }
+    return TwoStageOutcome(result, parabolas, second)
 
 
-def _both_stages(
-    observed: Sequence[ObservedRun],
-    accelerometer: Accelerometer,
-    request: TwoStageRequest,
-    ignored: Sequence[str],
-    components: VarianceComponents | None,
-) -> tuple[tuple[StrobedRun, ...], SecondStage]:
-    """Strobe the runs of one accelerometer, fit parabolas and resolve them.
-
-    `ignored` are terms of which nothing is known and whose effects are wanted; `components` are
-    those of noise that was found.
-    """
-    runs = tuple(_strobed(run, accelerometer, request) for run in observed)
-    second = second_stage(runs, accelerometer.mounting, request, ignored=ignored)
-    if DRIFT in second.symbols:
-        # K_II grows with the rate's fourth power, and so along a drift that is now known.
-        runs = tuple(_drifting(run, second.estimate(DRIFT)[0]) for run in runs)
-        second = second_stage(runs, accelerometer.mounting, request, ignored=ignored)
-    if components is not None:
-        second = with_found_noise(second, runs, components)
-    return runs, second
-
-
-def k_ii(
+def two_stage_view(
     campaign: Campaign,
     observed: Sequence[ObservedRun],
     accelerometer: Accelerometer,
     options: TwoStageOptions,
     found: Mapping[str, VarianceComponents],
-) -> tuple[Coefficient, SecondStage]:
-    """Return the K_II of `two_stage` and where it comes from, without the rest of its result.
+) -> tuple[AccelerometerView, SecondStage]:
+    """Return what the method estimates, as a joint fit of one accelerometer, and its stages.
 
-    Raises
-    ------
-    NotIdentifiableError, RecordError
-        As `two_stage`.
+    Arguments and errors as of `two_stage`.
     """
-    # Whether K_II is alone depends on what was asked for beside it, and on nothing else.
-    components = found.get(accelerometer.name)
+    name, components = accelerometer.name, found.get(accelerometer.name)
     request = request_of(campaign, accelerometer, options, components)
-    ignored = asked_only(campaign, accelerometer)
-    _, second = _both_stages(observed, accelerometer, request, ignored, components)
-    unknowns = _unknowns(campaign, second, request)
-    return _coefficients(campaign, accelerometer, second, unknowns)["K_II"], second
+    records = [r for r in series_of(campaign, observed) if r.accelerometer == name]
+    series, strobes = zip(*map(strobed, records), strict=True)
+    parabolas = [
+        request.first_stage(at, record.trajectory)
+        for at, record in zip(strobes, series, strict=True)
+    ]
+    model = two_stage_model(_known_model(campaign, name), request, series)
+    second = resolve(series, parabolas, model, request)
+    if components is not None:
+        second = with_found_noise(second, components)
+    assessment = assess(second.fit.solution, [unknown.name for unknown in model.unknowns])
+    # Asked to tell it from a term that acts exactly alike, the records say nothing.
+    unknown = nothing_known(campaign, name, second)
+    asked = [symbol for symbol in campaign.model.terms if symbol in unknown]
+    determined = {
+        other.name: assessment.determined[other.name] and not second.alike(other.symbol, asked)
+        for other in model.unknowns
+    }
+    estimated = Estimate(
+        second.fit, {} if components is None else {name: components}, second.dof, series=series
+    )
+    assessment = replace(assessment, determined=determined)
+    return AccelerometerView(campaign, estimated, assessment, name), second
 
 
-def _drifting(run: StrobedRun, drift: float) -> StrobedRun:
-    spindle = replace(run.trajectory.spindle, drift=drift)
-    return replace(run, trajectory=replace(run.trajectory, spindle=spindle))
+def _known_model(campaign: Campaign, name: str) -> Unknowns:
+    """Return the joint model with something known of all that two stages do not estimate.
 
-
-def _strobed(
-    run: ObservedRun, accelerometer: Accelerometer, request: TwoStageRequest
-) -> StrobedRun:
-    error = run.signals[accelerometer.name].error
-    turned = accelerometer.mounting.turned(run.run.attitude)
-    phase = strobing.strobe_angle(turned.input_axis)
-    time, count = run.record.time, run.record.count
-    if run.rotation is None:
-        strobes = strobing.by_nominal_rate(time, run.run.rate, error, phase, count)
-    else:
-        angle = run.trajectory.spindle.angle(time)
-        strobes = strobing.by_angle(time, angle, error, phase, count)
-    parabola = request.first_stage(strobes, run.trajectory)
-    return StrobedRun(run.run.name, run.trajectory, parabola, run.run.attitude)
-
-
-def _unknowns(
-    campaign: Campaign, second: SecondStage, request: TwoStageRequest
-) -> dict[str, Coefficient]:
-    """Return the estimates of the second stage, determined or not."""
-    estimates = {}
-    solution = second.solution
-    for index, symbol in enumerate(second.symbols):
-        value, _ = second.estimate(symbol)
-        u, dof = second.with_inputs(symbol, request)
-        prior, considered = (
-            math.sqrt(float(part[index, index]))
-            for part in (solution.covariance_prior, solution.covariance_considered)
-        )
-        limit = campaign.model.limits.get(symbol, math.inf)
-        known = float(solution.prior_sd[index])
-        ratio = symbol == RIPPLE and request.ripple == "ratio"
-        estimates[symbol] = Coefficient(
-            value=value,
-            u=u,
-            u_noise=float(second.u_noise[index]),
-            u_stated=math.hypot(prior, considered, *request.from_inputs(symbol, value)),
-            u_unstated=0.0,
-            dof=countable(dof),
-            unit="1" if ratio else _unit(symbol),
-            estimated=u < limit and not (math.isfinite(known) and u * u > 0.9 * known**2),
-        )
-    return estimates
-
-
-def _coefficients(
-    campaign: Campaign,
-    accelerometer: Accelerometer,
-    second: SecondStage,
-    unknowns: Mapping[str, Coefficient],
-) -> dict[str, Coefficient]:
-    """Return what is determined, then the other terms of the model with what is known of them."""
-    coefficients = {}
-    for symbol, estimate in unknowns.items():
-        # Asked to tell it from a term that acts exactly alike, the records say nothing.
-        alone = not set(second.alike(symbol)) & set(campaign.model.terms)
-        coefficients[symbol] = (
-            estimate if estimate.estimated and alone else _known(accelerometer, symbol)
-        )
-    for symbol in campaign.model.terms:
-        if symbol in OWN_TERMS and symbol not in coefficients:
-            coefficients[symbol] = _known(accelerometer, symbol)
-    return coefficients
+    What is asked for and not stated has its typical size; what is assumed to be perfect is held as
+    exactly that, for what it may be like.
+    """
+    model = model_of(campaign)
+    unknowns = []
+    for other in model.unknowns:
+        if not math.isfinite(other.prior[1]) and other.symbol not in (*_ESTIMATED, *ROTATION):
+            prior, unstated = prior_of(campaign, other.owner, other.symbol, None)
+            unknowns.append(replace(other, prior=prior, unstated=unstated))
+        else:
+            unknowns.append(other)
+    there = {(other.owner, other.symbol) for other in (*model.unknowns, *model.considered)}
+    perfect = [o for o in assumed_of(campaign, name) if (o.owner, o.symbol) not in there]
+    return Unknowns(tuple(unknowns), (*model.considered, *perfect))
 
 
 def _known(accelerometer: Accelerometer, symbol: str) -> Coefficient:
-    """Return a coefficient that the data do not determine: its prior, or nothing."""
+    """Return a coefficient that is not estimated: its prior, or nothing."""
     prior = accelerometer.priors.get(symbol)
     return Coefficient(
         value=prior.value if prior else None,
         u=prior.u if prior else None,
-        unit=_unit(symbol),
+        unit=unit_of(symbol),
         estimated=False,
     )
-
-
-def _unit(symbol: str) -> str:
-    units = {DRIFT: "1/s", RIPPLE: "rad/s"}
-    return units.get(symbol) or term(symbol).unit
-
-
-def _correlation(
-    second: SecondStage, coefficients: Mapping[str, Coefficient]
-) -> Correlation | None:
-    chosen = [i for i, symbol in enumerate(second.symbols) if coefficients[symbol].estimated]
-    if not chosen:
-        return None
-    covariance = second.solution.covariance[np.ix_(chosen, chosen)]
-    u = np.sqrt(np.diag(covariance))
-    matrix = covariance / np.outer(u, u)
-    return Correlation(terms=[second.symbols[i] for i in chosen], matrix=matrix.tolist())
 
 
 def _residual(parabolas: Sequence[Parabola], components: VarianceComponents | None) -> Residual:
@@ -264,12 +208,9 @@ def _residual(parabolas: Sequence[Parabola], components: VarianceComponents | No
     return Residual(rms=rms, unit="m", dof=dof, chi2=chi2, lack_of_fit_p=chi_square_tail(dof, chi2))
 
 
-def _noise_lines(
-    parabolas: Sequence[Parabola],
-    request: TwoStageRequest,
-    components: VarianceComponents | None,
-) -> dict[str, NoiseLine]:
+def _noise_lines(parabolas: Sequence[Parabola], view: AccelerometerView) -> dict[str, NoiseLine]:
     estimated = parabolas[0].sigma_from_residuals
+    components = view.estimate.components.get(view.name)
     if components is not None and not estimated:
         return record_noise(components.noise, components, "displacement")
     dof = sum(p.dof for p in parabolas)
@@ -282,7 +223,7 @@ def _noise_lines(
     )
     if components is not None:
         return {**record_noise(components.noise, components, "displacement"), "displacement": white}
-    walk = NoiseModel(0.0, request.random_walk or 0.0)
+    walk = NoiseModel(0.0, view.fit.noise[view.name].random_walk)
     return {"displacement": white, **record_noise(walk, None, "displacement")}
 
 

@@ -14,13 +14,13 @@ from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import ObservedRun
 from counterspin.calibration.options import TwoStageOptions
-from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.resolved import Accelerometer, Campaign
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
 from counterspin.inference.noise.variance_components import VarianceComponents
 from counterspin.inference.two_stage.request import TwoStageRequest
 from counterspin.inference.two_stage.strobes import strobe_angle
+from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
 
 
 def request_of(
@@ -31,20 +31,9 @@ def request_of(
 ) -> TwoStageRequest:
     """Return what a campaign asks of the two-stage method for one accelerometer.
 
-    Parameters
-    ----------
-    campaign, accelerometer
-        The description and one of its accelerometers.
-    options
-        How the method is applied.
-    components
-        Noise that was found, where the campaign states none.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the accelerometer's record is not a displacement along a horizontal axis, or its bias
-        wanders.
+    `components` is noise that was found, where the campaign states none. It raises
+    NotIdentifiableError if the record is not a displacement along a horizontal axis, or the bias
+    wanders.
     """
     if accelerometer.observable != "displacement":
         raise NotIdentifiableError(
@@ -58,12 +47,16 @@ def request_of(
         )
     for run in campaign.runs:
         strobe_angle(accelerometer.mounting.turned(run.attitude).input_axis)
-    model = campaign.model
-    known: dict[str, Quantity] = dict(accelerometer.priors)
-    known |= {s: q for s, q in model.priors.items() if s in (*model.terms, *model.considered)}
+    model = model_of(campaign)
+    priors = {
+        other.symbol: other.prior
+        for other in (*model.unknowns, *model.considered)
+        if math.isfinite(other.prior[1])
+        and other.symbol in (OWN_TERMS if other.owner == accelerometer.name else SHARED_TERMS)
+    }
     request = TwoStageRequest(
         model=options.model,
-        priors={symbol: (quantity.value, quantity.u) for symbol, quantity in known.items()},
+        priors=priors,
         fit_bias=options.fit_bias,
         nominal_angle=campaign.angle is None,
         ripple=options.ripple,
@@ -74,6 +67,7 @@ def request_of(
         timing=_number(campaign, "timing") or 0.0,
         u_radius=campaign.radius.u / campaign.radius.value,
         u_gravity=campaign.gravity.u / campaign.gravity.value,
+        limits={s: campaign.limit_of(s, accelerometer.name) for s in (*OWN_TERMS, *SHARED_TERMS)},
     )
     return request if components is None else request.with_noise(components.noise)
 

@@ -12,8 +12,9 @@ from dataclasses import replace
 from typing import Final
 
 from counterspin.campaign.checking import Problems
+from counterspin.campaign.error_model import ErrorModel
 from counterspin.campaign.readings import Reading
-from counterspin.campaign.resolved import Campaign, ErrorModel, Run
+from counterspin.campaign.resolved import Campaign, Run
 from counterspin.frozen import frozen
 from counterspin.physics.effects import RunConditions
 from counterspin.physics.terms import CONDITION_TERMS

@@ -204,7 +204,13 @@ class _DescriptionReader:
                     settings, centrifuge, readings, problems, recorded=bool(runs)
                 )
             model, priors = resolve_model(
-                settings, mountings, attitudes, given, problems=problems, gravity=gravity
+                settings,
+                mountings,
+                attitudes,
+                given,
+                {name: table.grade for name, table in tables.items() if table is not None},
+                problems=problems,
+                gravity=gravity,
             )
             if not readings and centrifuge is not None:
                 model = with_errors_of_the_path(model, errors_of_the_path(centrifuge), problems)
@@ -232,6 +238,7 @@ class _DescriptionReader:
                 table.serial_number,
                 outputs[name],
                 self._force(name, table, outputs[name]),
+                table.grade,
             )
             for name, table in tables.items()
             if table is not None
@@ -258,6 +265,7 @@ class _DescriptionReader:
             dialect=recording.dialect,
             skipped=skipped_runs(self.all_runs),
             timing_offset=records.timing_offset if records else None,
+            clock=records.clock if records else None,
             own_velocity=records is not None and records.reference == "own velocity",
             accelerometers=accelerometers,
             noise=noise,
@@ -457,7 +465,7 @@ class _DescriptionReader:
         for key, symbol in ({symbol: symbol for symbol in TERMS} | COMMON_NAMES).items():
             if (prior := getattr(table, key)) is not None:
                 path = ("accelerometers", name, key)
-                self.problems.attempt(path, about_nominal, symbol, prior)
+                self.problems.attempt(path, about_nominal, symbol, prior, table.grade)
         for key, symbol in COMMON_NAMES.items():
             value = getattr(table, key)
             if value is not None and priors[symbol] is not None:

@@ -5,7 +5,8 @@ are says `counterspin.units`.
 
 - `Quantity`: value, standard uncertainty, unit
 - `parse`: text to `Quantity` in the unit that is wanted
-- `NUMBER`, `PLUS_MINUS`: patterns of a number and of the sign before an uncertainty
+- `NUMBER`, `PLUS_MINUS`, `BARE`: patterns of a number, of the sign before an uncertainty, of both
+  without a unit
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ _SIZE_RANGE: Final = (1e-60, 1e60)
 NUMBER: Final = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 PLUS_MINUS: Final = r"\s*(?:±|\+/-|\+-)\s*"
 _QUANTITY = re.compile(rf"({NUMBER})(?:{PLUS_MINUS}({NUMBER}))?(?:\s+|(?=[^\d.\s]))(.*)")
-_BARE = re.compile(rf"{NUMBER}(?:{PLUS_MINUS}{NUMBER})?")
+#: A number, with or without an uncertainty, that has no unit.
+BARE: Final = re.compile(rf"{NUMBER}(?:{PLUS_MINUS}{NUMBER})?")
 # After a value: its unit, and an uncertainty with or without its own.
 _UNIT_TWICE = re.compile(rf"([^±]*?){PLUS_MINUS}({NUMBER})\s*([^±]*)")
 _NOT_FINITE = re.compile(r"[+-]?(nan|inf|infinity)\b", re.IGNORECASE)
@@ -99,7 +101,7 @@ def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
     clean = text.strip().replace("−", "-")
     if _NOT_FINITE.search(clean):
         raise ValueError(f"{text!r} is not a finite number; {kind} is wanted ({accepted})")
-    if _BARE.fullmatch(clean):
+    if BARE.fullmatch(clean):
         raise ValueError(f"{text!r} has no unit; {kind} is wanted ({accepted})")
     if re.match(r"[+-]?\d+,\d", clean):
         raise ValueError(f"{text!r} has a comma; decimals are written with a point")

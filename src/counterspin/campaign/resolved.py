@@ -3,7 +3,7 @@
 Accelerometer coefficients are in g-units; everything else is SI, angles in rad. `Quantity`
 carries a standard uncertainty; a plain number is exact.
 
-- `Campaign`: all of it; `Channel`, `Accelerometer`, `StatedNoise`, `ErrorModel`, `Run`: its parts
+- `Campaign`: all of it; `Channel`, `Accelerometer`, `StatedNoise`, `Run`: its parts
 - `sample_count`: rows of a record of known length; `paper_rows`, `require_room`: one that is made
   from a description alone, and how much of that there may be
 - `Simulation`, `SimulatedTruth`, `RunTruth`: what `counterspin simulate` makes the records from
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
 from counterspin.arrays import Array
+from counterspin.campaign.error_model import ErrorModel
 from counterspin.campaign.machine import MachineModel
 from counterspin.campaign.quantity import Quantity
 from counterspin.campaign.readings import Output, Reading
@@ -25,8 +26,10 @@ from counterspin.campaign.specification import Specifications
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
 from counterspin.physics.accelerometer import Mounting
+from counterspin.physics.grades import DEFAULT_GRADE, Size
 from counterspin.physics.motion import Site
 from counterspin.physics.spindle import Spindle
+from counterspin.physics.terms import term
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
 from counterspin.records.memory import MemoryTable
 from counterspin.records.record import ColumnKind, ColumnSpec
@@ -142,6 +145,8 @@ class Accelerometer:
         What its readings are in; None: g or m/s^2.
     force
         The column of specific force in records on an arm or at rest; None if there are none.
+    grade
+        One of `counterspin.physics.grades.GRADES`: how large its terms may be.
     """
 
     name: str
@@ -152,6 +157,7 @@ class Accelerometer:
     serial_number: str | None = None
     output: Output | None = None
     force: Channel | None = None
+    grade: str = DEFAULT_GRADE
 
 
 @frozen
@@ -186,49 +192,6 @@ class StatedNoise:
     def wanders(self) -> bool:
         """Whether the bias wanders, or may."""
         return self.flicker != 0.0 or self.bias_walk != 0.0
-
-
-#: In ``assume``: whatever is not stated.
-EVERYTHING: Final = "all"
-
-
-@frozen
-class ErrorModel:
-    """Which terms are asked for, which are held, and which are taken as perfect.
-
-    Everything else that acts is an unknown beside what is asked for.
-
-    Attributes
-    ----------
-    terms
-        Symbols asked for; bare names are resolved to the components that act.
-    considered
-        Symbols that are held: known but not adjusted, their prior's u is carried.
-    priors
-        Symbol of a shared term -> prior, SI (tilt: one of each run). Those of accelerometer terms
-        are in `Accelerometer.priors`.
-    limits
-        Every symbol of the term tables -> its largest credible size, in the table's unit.
-    typical
-        Likewise -> the standard uncertainty to assume where none is stated.
-    assume
-        What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
-    """
-
-    terms: tuple[str, ...]
-    considered: tuple[str, ...]
-    priors: Mapping[str, Quantity]
-    limits: Mapping[str, float]
-    typical: Mapping[str, float]
-    assume: tuple[str, ...] = ()
-
-    def assumes(self, symbol: str) -> bool:
-        """Return whether a term, or an input, is taken as perfect where nothing is stated."""
-        names = (name.removesuffix("*").removesuffix(".") for name in self.assume)
-        return any(
-            name in ("", EVERYTHING) or symbol == name or symbol.startswith(f"{name}.")
-            for name in names
-        )
 
 
 @frozen
@@ -364,6 +327,8 @@ class Campaign:
         Column of the spindle's angle, in rad; None: the nominal rate is taken.
     timing_offset
         How much later than its displacement the angle of a row was sampled, s; None: not stated.
+    clock
+        By how much of itself the recorder's clock runs fast; None: not stated.
     own_velocity
         Whether the navigation computer takes its own velocity for the Coriolis acceleration, and
         not the platform's.
@@ -417,10 +382,31 @@ class Campaign:
     tables: tuple[Path, ...] = ()
     table_checksums: Mapping[Path, str] = field(default_factory=dict)
     frames: Mapping[Path, MemoryTable] = field(default_factory=dict, repr=False)
+    clock: Quantity | None = None
     own_velocity: bool = False
     dialect: Dialect = TO_BE_FOUND
     skipped: tuple[str, ...] = ()
     source: Source | None = field(default=None, init=False, repr=False, compare=False)
+
+    def limit_of(self, symbol: str, owner: str = "") -> float:
+        """Return the largest credible size of a term: as stated, or by the owner's grade.
+
+        Parameters
+        ----------
+        symbol
+            Of the table of terms.
+        owner
+            The accelerometer, for a term of its own; else it is no matter.
+        """
+        return self.model.limits.get(symbol) or self._size(symbol, owner).limit
+
+    def typical_of(self, symbol: str, owner: str = "") -> float:
+        """Return the standard uncertainty to assume of a term; parameters as of `limit_of`."""
+        return self.model.typical.get(symbol) or self._size(symbol, owner).typical
+
+    def _size(self, symbol: str, owner: str) -> Size:
+        accelerometer = self.accelerometers.get(owner)
+        return term(symbol).sizes(DEFAULT_GRADE if accelerometer is None else accelerometer.grade)
 
     def recording_of(self, run: Run) -> Recording:
         """Return how the record of a run is read."""

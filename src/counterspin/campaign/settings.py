@@ -90,6 +90,16 @@ def _uncertain(unit: str) -> PlainValidator:
     return PlainValidator(partial(_parsed, unit))
 
 
+def _part(text: object, info: ValidationInfo) -> Quantity:
+    """Return a part of something; a number alone needs no unit."""
+    try:
+        return _parsed("1", text, info)
+    except ValueError:
+        return (
+            _parsed("1", f"{text} 1", info) if isinstance(text, str) else _parsed("1", text, info)
+        )
+
+
 def read_exactly(unit: str) -> PlainValidator:
     """Return the validator of a quantity without uncertainty."""
     return PlainValidator(partial(_parsed_exactly, unit))
@@ -354,6 +364,7 @@ class RecordsSettings(TableDialect, _TimeAndAngle):
 
     group: Text | None = None
     timing_offset: Annotated[Quantity, _uncertain("s")] | None = None
+    clock: Annotated[Quantity, PlainValidator(_part)] | None = None
     reference: Literal["platform", "own velocity"] = "platform"
 
 
@@ -392,6 +403,7 @@ class OutputSettings(SettingsSection):
 
 class _AccelerometerKeys(AxesSettings):
     serial_number: Text | None = None
+    grade: Literal["navigation", "tactical", "consumer"] = "navigation"
     output: OutputSettings | None = None
     sensitivity_prior: Text | None = None
     bias: Annotated[Quantity, _uncertain("g")] | None = None

@@ -21,13 +21,23 @@ import numpy as np
 
 from counterspin.arrays import Array
 from counterspin.campaign.checking import Path, Problems, did_you_mean
+from counterspin.campaign.error_model import EVERYTHING, ErrorModel
 from counterspin.campaign.quantity import Quantity, parse
-from counterspin.campaign.resolved import EVERYTHING, ErrorModel
 from counterspin.campaign.settings import ModelSettings, exact
 from counterspin.campaign.toml_file import flat_keys
 from counterspin.physics.accelerometer import Mounting
 from counterspin.physics.effects import PathError, Turn
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, TABLE, TERMS, Term, is_term, term
+from counterspin.physics.grades import DEFAULT_GRADE, GRADES
+from counterspin.physics.terms import (
+    INPUTS,
+    OWN_TERMS,
+    SHARED_TERMS,
+    TABLE,
+    TERMS,
+    Term,
+    is_term,
+    term,
+)
 
 #: The model of a campaign without [model] terms: the paper's.
 DEFAULT_TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
@@ -139,6 +149,7 @@ def resolve_model(
     mountings: Mapping[str, Mounting],
     attitudes: Sequence[Array],
     given: Mapping[str, Mapping[str, Quantity]],
+    grades: Mapping[str, str],
     *,
     problems: Problems,
     gravity: float | None,
@@ -155,6 +166,8 @@ def resolve_model(
         Of all runs, each of shape (3, 3).
     given
         Accelerometer -> term symbol -> prior from the accelerometer's own table.
+    grades
+        Accelerometer -> grade.
     problems
         Where mistakes are noted.
     gravity
@@ -185,7 +198,7 @@ def resolve_model(
             problems.add(("model", key), f'"{symbol}" is in model.terms too; keep one')
     if not any(symbol in TERMS for symbol in terms):
         problems.add(("model", "terms"), "names no accelerometer term to estimate")
-    platform, accelerometers = _resolve_priors(settings.priors, given, problems, gravity)
+    platform, accelerometers = _resolve_priors(settings.priors, given, problems, gravity, grades)
     _require_priors(key, held, platform, accelerometers, problems)
     limits = _resolve_sizes("limits", settings.limits, problems, gravity)
     typical = _resolve_sizes("typical", settings.typical, problems, gravity)
@@ -244,7 +257,7 @@ def _expand(
     attitudes: Sequence[Array],
     problems: Problems,
 ) -> tuple[str, ...]:
-    if name in OWN_TERMS or name in SHARED_TERMS:
+    if name in OWN_TERMS or name in SHARED_TERMS or (name in INPUTS and path[1] != "terms"):
         return (name,)
     if name not in BARE_NAMES:
         _unknown(name, path, problems)
@@ -277,6 +290,7 @@ def _resolve_priors(
     given: Mapping[str, Mapping[str, Quantity]],
     problems: Problems,
     gravity: float | None,
+    grades: Mapping[str, str],
 ) -> tuple[dict[str, Quantity], dict[str, dict[str, Quantity]]]:
     """Return platform priors, and each accelerometer's; a narrower name overrides a wider."""
     platform: dict[str, Quantity] = {}
@@ -300,7 +314,9 @@ def _resolve_priors(
         unit = term(min(symbols)).unit
         prior = problems.attempt(path, parse, flat[key], unit, gravity=gravity)
         if prior is not None:
-            problems.attempt(path, about_nominal, min(symbols), prior)
+            of_owners = (grades.get(name, DEFAULT_GRADE) for name in owners)
+            worst = max(of_owners, key=GRADES.index, default=DEFAULT_GRADE)
+            problems.attempt(path, about_nominal, min(symbols), prior, worst)
         if prior is None:
             continue
         if symbols <= set(SHARED_TERMS):
@@ -314,7 +330,7 @@ def _resolve_priors(
     return platform, merged
 
 
-def about_nominal(symbol: str, prior: Quantity) -> Quantity:
+def about_nominal(symbol: str, prior: Quantity, grade: str = DEFAULT_GRADE) -> Quantity:
     """Return a prior that is credible: a scale factor is given as its value, about 1.
 
     Raises
@@ -323,7 +339,7 @@ def about_nominal(symbol: str, prior: Quantity) -> Quantity:
         If the prior of a term with a nominal value is further from it than the term may be.
     """
     row = term(symbol)
-    if row.nominal and abs(prior.value - row.nominal) > row.limit:
+    if row.nominal and abs(prior.value - row.nominal) > row.sizes(grade).limit:
         raise ValueError(
             f"{prior.value:.6g} {row.unit} is too far from {row.nominal:g}, the nominal {symbol}; "
             f"an error of 1000 ppm is written {1.001 * row.nominal:g} {row.unit}"
@@ -338,7 +354,7 @@ def _require_priors(
     accelerometers: Mapping[str, Mapping[str, Quantity]],
     problems: Problems,
 ) -> None:
-    for symbol in held:
+    for symbol in (symbol for symbol in held if symbol not in INPUTS):
         lacking = (
             [name for name, priors in accelerometers.items() if symbol not in priors]
             if symbol in OWN_TERMS
@@ -357,9 +373,8 @@ def _require_priors(
 def _resolve_sizes(
     kind: str, raw: Mapping[str, Any], problems: Problems, gravity: float | None
 ) -> dict[str, float]:
-    """Return every term's largest credible size (``limits``) or its ``typical`` one."""
-    attribute = {"limits": "limit", "typical": "typical"}[kind]
-    sizes = {symbol: float(getattr(row, attribute)) for symbol, row in TABLE.items()}
+    """Return the largest credible sizes (``limits``) or ``typical`` ones that are stated."""
+    sizes: dict[str, float] = {}
     flat = flat_keys(raw)
     for key in _widest_first(flat):
         path = ("model", kind, key)

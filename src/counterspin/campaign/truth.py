@@ -192,7 +192,7 @@ def unfit(campaign: Campaign) -> list[str]:
     """
     if campaign.simulation is None:
         return []
-    truth, limits = campaign.simulation.truth, campaign.model.limits
+    truth = campaign.simulation.truth
     stated = truth.noise is campaign.noise
     problems = [
         f"{'noise' if stated else 'truth.noise'}.{key}: a simulation needs its true size"
@@ -202,25 +202,25 @@ def unfit(campaign: Campaign) -> list[str]:
     ]
     for name, coefficients in truth.coefficients.items():
         for symbol, value in coefficients.items():
-            problems += _incredible(f"truth.{name}.{symbol}", symbol, value, limits)
+            limit = campaign.limit_of(symbol, name)
+            problems += _incredible(f"truth.{name}.{symbol}", symbol, value, limit)
     for index, run in enumerate(campaign.runs):
         if run.truth is None:
             continue
         place = f'truth of runs[{index}] ("{run.name}")'
         for symbol, value in run.truth.shared.items():
-            problems += _incredible(f"{place}, {symbol}", symbol, value, limits)
+            limit = campaign.limit_of(symbol)
+            problems += _incredible(f"{place}, {symbol}", symbol, value, limit)
         problems += [f"{place}: {words}" for words in _unsteady(run.truth.spindle, run.duration)]
     return problems
 
 
-def _incredible(
-    place: str, symbol: str, value: float, limits: Mapping[str, float]
-) -> Iterator[str]:
+def _incredible(place: str, symbol: str, value: float, limit: float) -> Iterator[str]:
     row = term(symbol)
-    if abs(value - row.nominal) > TRUTH_MARGIN * limits[symbol]:
+    if abs(value - row.nominal) > TRUTH_MARGIN * limit:
         yield (
             f"{place}: {value:.6g} {row.unit} is more than {TRUTH_MARGIN:g} times the largest "
-            f"credible size, {limits[symbol]:.6g} {row.unit}"
+            f"credible size, {limit:.6g} {row.unit}"
             + (f" about {row.nominal:g}" if row.nominal else "")
             + f'; check its unit, or raise "{symbol}" in [model.limits]'
         )

@@ -10,6 +10,7 @@ records do not determine is named as such, and missing data of the laboratory is
 - `elements`, `coverage`: elements of DCC and D-SI, coverage factors
 - `conversion`: coefficients in SI, with what the uncertainty of g does there; `capability`: no U is
   below what the laboratory can do
+- `evidence`: what bounds the terms that were taken as perfect
 - `amendment`: a certificate that another one replaces
 - `ledger`, `entering`: what was found, certified and amended, in a file that is only added to
 - `schema`, `signature`, `attached`, `reading`: validating, signing, reading back, from a PDF too

@@ -23,6 +23,7 @@ from counterspin.certificates.capability import capability_lines, with_capabilit
 from counterspin.certificates.conversion import in_si
 from counterspin.certificates.coverage import coverage_factor
 from counterspin.certificates.elements import factor
+from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Contact, Lab, LabAccelerometer
 from counterspin.certificates.statements import Verdicts
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
@@ -137,6 +138,7 @@ def _results(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
     yield from rests
     known = (line for name in names for line in wording.known_beforehand(name, result, settings))
     yield from _part(wording.KNOWN, *map(typeset, known))
+    yield from _part(wording.ASSUMED, *evidence_lines(result.assumed, lab.evidence))
     yield from _part(wording.SUPPLIED, *wording.customer_lines(settings))
 
 

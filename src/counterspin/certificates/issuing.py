@@ -32,6 +32,7 @@ from counterspin.certificates.build import check_certifiable, to_bytes
 from counterspin.certificates.capability import with_capability
 from counterspin.certificates.conversion import with_exact_g
 from counterspin.certificates.entering import Said, enter_certificate
+from counterspin.certificates.evidence import require_evidence
 from counterspin.certificates.front import TITLE, front_blocks, results_table, title
 from counterspin.certificates.lab import Lab, example_keys, read_lab
 from counterspin.certificates.ledger import checksum_of
@@ -208,6 +209,8 @@ def certificate(
         if isinstance(result, Result):
             raise
         raise RecordError(f"{result}: {error}") from error
+    source = "the laboratory's data" if isinstance(lab, Mapping) else str(lab)
+    require_evidence(original.assumed, data.evidence, source)
     signer = read_signer(key, cert) if key is not None and cert is not None else None
     amended, old = (None, b"") if amends is None else read_amended(amends)
     issue = _issue(data, original, amended, despite, signed=signer is not None)

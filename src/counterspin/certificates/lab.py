@@ -17,7 +17,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field, PlainValidator
+from pydantic import AfterValidator, BeforeValidator, Field, PlainValidator
 
 from counterspin.calibration.result import Result
 from counterspin.campaign.checking import Path as KeyPath
@@ -26,11 +26,12 @@ from counterspin.campaign.memory.documents import plain
 from counterspin.campaign.quantity import Quantity, parse
 from counterspin.campaign.settings import SettingsSection
 from counterspin.campaign.specification import Specifications, resolve_specifications
-from counterspin.campaign.toml_file import load_document
+from counterspin.campaign.toml_file import flat_keys, load_document
 from counterspin.certificates.elements import clean
+from counterspin.certificates.evidence import ALL, is_evidence_for_something
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.output import write_text
-from counterspin.physics.terms import TERMS
+from counterspin.physics.terms import TABLE, TERMS
 
 #: Where a calibration may take place, in the words of the schema.
 _PLACES: Final = ("laboratory", "customer", "laboratoryBranch", "customerBranch", "other")
@@ -74,6 +75,10 @@ def _temperature(text: object) -> Quantity:
         raise ValueError('must be a temperature, such as "20.0 ± 0.3 degC"')
     celsius = parse(f"{match[1]} 1", "1")
     return Quantity(celsius.value, celsius.u, "degC")
+
+
+def _flat(table: object) -> object:
+    return flat_keys(table) if isinstance(table, Mapping) else table
 
 
 Words = Annotated[str, AfterValidator(_words)]
@@ -172,6 +177,7 @@ class Lab(SettingsSection):
     persons: list[Person] = Field(min_length=1)
     conditions: Conditions = Conditions()
     cmc: dict[str, str] = Field(default={})
+    evidence: Annotated[dict[str, Words], BeforeValidator(_flat)] = Field(default={})
     specification: dict[str, Any] | None = None
 
     def certified(self, result: Result) -> list[str]:
@@ -253,6 +259,10 @@ def read_lab(
         _check_settings(lab.certificate, problems)
         for symbol in lab.cmc:
             problems.attempt(("cmc", symbol), lab.capability, symbol, result.inputs.gravity)
+        for key in lab.evidence:
+            if not is_evidence_for_something(key, result.accelerometers):
+                hint = did_you_mean(key, [ALL, *TABLE])
+                problems.add(("evidence", key), f'no term is called "{key}"{hint}')
     _check_accelerometers(raw, result, problems)
     specifications = None
     if isinstance(raw.get("specification"), dict):

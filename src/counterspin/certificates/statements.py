@@ -15,6 +15,7 @@ from counterspin.certificates import wording
 from counterspin.certificates.administrative import Issue, item_id
 from counterspin.certificates.amendment import amendment_lines
 from counterspin.certificates.elements import ENGLISH, Element, dcc, rich, text
+from counterspin.certificates.evidence import evidence_lines
 from counterspin.certificates.lab import Lab
 
 Verdicts = Mapping[str, Mapping[str, Conformity]]
@@ -71,6 +72,11 @@ def statements(
         *_said(
             wording.KNOWN,
             *(line for name in names for line in wording.known_beforehand(name, result, settings)),
+        ),
+        *_said(
+            wording.ASSUMED,
+            *evidence_lines(result.assumed, lab.evidence),
+            language=settings.language,
         ),
         *_said(
             wording.SUPPLIED,

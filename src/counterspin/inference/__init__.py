@@ -11,6 +11,7 @@ What stands in this room:
 - `noise`: models of a record's noise, whitening, estimation of its size
 - `joint`: full records of all runs and accelerometers, solved together
 - `readings`: single values at rest, on an arm or on a turntable, beside records or alone
+- `reading_tests`: what their residuals follow
 - `two_stage`: the paper's method, a parabola a run and then its curvature against the rate
 
 Glossary

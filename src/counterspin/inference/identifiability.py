@@ -199,12 +199,13 @@ def assess(
 
 def _of_first(solution: Solution, p: int) -> Array:
     """Return the information about the first unknowns, the others projected out with priors."""
-    others = solution.information[:, p:]
-    count = others.shape[1]
+    # What is known exactly has nothing to be projected out.
+    uncertain = p + np.flatnonzero(solution.prior_sd[p:] > 0.0)
+    count = uncertain.size
     if count == 0:
-        return solution.information
-    rows = np.column_stack([others, solution.information[:, :p]])
-    known = np.column_stack([np.diag(1.0 / solution.prior_sd[p:]), np.zeros((count, p))])
+        return solution.information[:, :p]
+    rows = np.column_stack([solution.information[:, uncertain], solution.information[:, :p]])
+    known = np.column_stack([np.diag(1.0 / solution.prior_sd[uncertain]), np.zeros((count, p))])
     return triangle_of(np.vstack([rows, known]))[count:, count:]
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -81,6 +82,7 @@ class _Rows:
     data: int
     prior_of: npt.NDArray[np.intp]  # the unknown that each prior row holds
     considered: Array  # (data, q)
+    noise: Array | float = 1.0  # standard deviations of the data's rows, (data,)
 
 
 @frozen
@@ -162,6 +164,22 @@ class Solution:
         followed: Array = np.sum(rotation**2, axis=1)
         return followed
 
+    def with_row_noise(self, noise: Array) -> Solution:
+        """Return the same estimates where the data's rows are not of the variance assumed.
+
+        Parameters
+        ----------
+        noise
+            Standard deviations of the blocks' stacked rows, shape (n,); 1 as assumed.
+        """
+        rows = self._rows
+        gain = np.linalg.solve(rows.triangle, rows.rotation[: rows.data].T) * noise
+        return replace(
+            self,
+            covariance_noise=_embed(gain, rows.free, self.estimate.size),
+            _rows=replace(rows, noise=noise),
+        )
+
     def root_of(self, rows: Array) -> Array:
         """Return G with G @ G.T the `least_covariance` of rows @ unknowns, shape (n, f).
 
@@ -228,13 +246,14 @@ class Solution:
         rows = self._rows
         gain = rows.rotation @ np.linalg.solve(rows.triangle.T, c[rows.free])
         data = gain[: rows.data]
+        noise = data * rows.noise
         after = rows.data + rows.prior_of.size
         prior = np.zeros(c.size)
         prior[rows.prior_of] = gain[rows.data : after]
         return Combination(
             value=float(c @ self.estimate),
-            noise=float(np.linalg.norm(data)),
-            noise_rows=data,
+            noise=float(np.linalg.norm(noise)),
+            noise_rows=noise,
             prior=prior,
             considered=-(data @ rows.considered) * self.considered_sd,
             unresolved=float(np.linalg.norm(gain[after:])),

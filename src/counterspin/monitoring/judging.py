@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from counterspin.calibration.assembly import COMPLETE_PART, OUTLIER_SHARE, RATE_DIFFERENCE
+from counterspin.calibration.assembly import COMPLETE_PART, RATE_DIFFERENCE
+from counterspin.calibration.diagnosis.record_counts import OUTLIER_SHARE
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.observed import ObservedRun
 from counterspin.campaign.resolved import Campaign

@@ -232,7 +232,7 @@ class Input:
     Attributes
     ----------
     of
-        ``radius``, ``gravity``, ``latitude`` or ``timing_offset``.
+        ``radius``, ``gravity``, ``latitude``, ``timing_offset`` or ``clock``.
     """
 
     of: str

@@ -32,6 +32,7 @@ from counterspin.physics.effects import (
     Slope,
     Turn,
 )
+from counterspin.physics.grades import DEFAULT_GRADE, SIZES, Size
 
 DEGREE_PER_HOUR: Final = math.radians(1.0) / 3600.0  #: rad/s
 ARCSEC: Final = math.pi / 648000.0  #: rad
@@ -57,10 +58,11 @@ class Term(Generic[Does_co]):
         g-units for coefficients of an accelerometer, else SI.
     limit
         The largest credible size. A standard uncertainty that is not below it says that the data
-        do not determine the term.
+        do not determine the term. Of an accelerometer's term that of navigation grade: see `sizes`.
     typical
-        Standard uncertainty to assume where nothing is known of it; docs/physics.md has the
-        sources.
+        Standard uncertainty to assume where nothing is known of it; of an accelerometer's likewise.
+    source
+        What `typical` rests on, or that it is an order of magnitude.
     scope
         Who has a value of its own: each ``accelerometer``, each ``run``, each ``mounting``; or it
         is one for all, of the ``platform``, the ``machine`` or the ``input``.
@@ -76,9 +78,22 @@ class Term(Generic[Does_co]):
     unit: str
     limit: float
     typical: float
+    source: str
     scope: str
     nominal: float = 0.0
     motions: tuple[str, ...] = ()
+
+    def sizes(self, grade: str = DEFAULT_GRADE) -> Size:
+        """Return how large the term is in an accelerometer of a grade; of others it is no matter.
+
+        Parameters
+        ----------
+        grade
+            One of `counterspin.physics.grades.GRADES`.
+        """
+        if self.symbol in SIZES:
+            return SIZES[self.symbol][grade]
+        return Size(self.limit, self.typical, self.source)
 
     @property
     def per_run(self) -> bool:
@@ -112,80 +127,94 @@ _TURNING: Final = ("arm", "counter-rotating")
 _EVERYWHERE: Final = (*_TURNING, "static")
 
 
+def _own(
+    symbol: str,
+    effect: Does,
+    words: str,
+    unit: str,
+    nominal: float = 0.0,
+    motions: tuple[str, ...] = (),
+) -> Term[Does]:
+    """Return the row of a term that every accelerometer has for itself."""
+    size = SIZES[symbol][DEFAULT_GRADE]
+    sizes = (size.limit, size.typical, size.source)
+    return Term(symbol, effect, words, unit, *sizes, "accelerometer", nominal, motions)
+
+
 def _products() -> Iterator[Term[Product]]:
-    for symbol, factors, ieee, words, limit, typical in (
-        ("K_F", "", "K0", "bias", 0.1, 1e-4),
-        ("K_I", "I", "K1", "scale factor", 0.1, 1e-4),
-        ("K_II", "I I", "K2", "second-order coefficient", 1e-4, 1e-5),
-        ("K_III", "I I I", "K3", "third-order coefficient", 1e-4, 1e-6),
-        ("K_4", "I I I I", "K4", "fourth-order coefficient", 1e-5, 1e-9),
-        ("K_IP", "I P", "Kip", "cross-coupling of input and pendulous axes", 1e-4, 2e-6),
-        ("K_IO", "I O", "Kio", "cross-coupling of input and output axes", 1e-4, 2e-6),
-        ("K_PO", "P O", "Kpo", "cross-coupling of pendulous and output axes", 1e-4, 2e-6),
-        ("K_PP", "P P", "Kpp", "second-order pendulous-axis coefficient", 1e-4, 2e-6),
-        ("K_OO", "O O", "Koo", "second-order output-axis coefficient", 1e-4, 2e-6),
-        ("K_OQ", "I |I|", "Koq", "odd second-order coefficient", 1e-4, 1e-6),
-        ("delta_O", "P", "delta_o", "misalignment about the output axis", 1e-2, 5e-5),
-        ("delta_P", "O", "delta_p", "misalignment about the pendulous axis", 1e-2, 5e-5),
+    for symbol, factors, ieee, words in (
+        ("K_F", "", "K0", "bias"),
+        ("K_I", "I", "K1", "scale factor"),
+        ("K_II", "I I", "K2", "second-order coefficient"),
+        ("K_III", "I I I", "K3", "third-order coefficient"),
+        ("K_4", "I I I I", "K4", "fourth-order coefficient"),
+        ("K_IP", "I P", "Kip", "cross-coupling of input and pendulous axes"),
+        ("K_IO", "I O", "Kio", "cross-coupling of input and output axes"),
+        ("K_PO", "P O", "Kpo", "cross-coupling of pendulous and output axes"),
+        ("K_PP", "P P", "Kpp", "second-order pendulous-axis coefficient"),
+        ("K_OO", "O O", "Koo", "second-order output-axis coefficient"),
+        ("K_OQ", "I |I|", "Koq", "odd second-order coefficient"),
+        ("delta_O", "P", "delta_o", "misalignment about the output axis"),
+        ("delta_P", "O", "delta_p", "misalignment about the pendulous axis"),
     ):
         product = Product(tuple(factors.split()), ieee, -1.0 if symbol == "delta_P" else 1.0)
         degree = len(product.factors)
         unit = "g" if degree == 0 else "g/g" if degree == 1 else f"g/g^{degree}"
-        yield Term(
+        yield _own(
             symbol,
             product,
             words,
             "rad" if symbol.startswith("delta") else unit,
-            limit,
-            typical,
-            "accelerometer",
             1.0 if symbol == "K_I" else 0.0,
         )
 
 
 def _slopes() -> Iterator[Term[Slope]]:
     heating = "rise of K_F with the square of the centripetal force"
-    for symbol, condition, unit, words, limit, typical in (
-        ("K_F.temperature", "temperature", "g/K", "change of K_F with temperature", 1e-2, 5e-6),
-        ("K_I.temperature", "temperature", "g/g/K", "change of K_I with temperature", 1e-2, 1e-4),
-        (
-            "K_II.temperature",
-            "temperature",
-            "g/g^2/K",
-            "change of K_II with temperature",
-            1e-5,
-            1e-8,
-        ),
-        ("K_F.trend", "time", "g/s", "change of K_F with time", 1e-3, 1.7e-9),
-        ("K_F.heating", "force", "g/g^2", heating, 1e-4, 1e-7),
+    for symbol, condition, unit, words in (
+        ("K_F.temperature", "temperature", "g/K", "change of K_F with temperature"),
+        ("K_I.temperature", "temperature", "g/g/K", "change of K_I with temperature"),
+        ("K_II.temperature", "temperature", "g/g^2/K", "change of K_II with temperature"),
+        ("K_F.trend", "time", "g/s", "change of K_F with time"),
+        ("K_F.heating", "force", "g/g^2", heating),
     ):
         motions = _TURNING if condition == "force" else _EVERYWHERE
         slope = Slope(symbol.partition(".")[0], condition)
-        yield Term(symbol, slope, words, unit, limit, typical, "accelerometer", motions=motions)
+        yield _own(symbol, slope, words, unit, motions=motions)
+
+
+_NO_SOURCE: Final = "order of magnitude, no source"
 
 
 def _turns() -> Iterator[Term[Turn]]:
+    levelled = f"{_NO_SOURCE}: 0.5 arcsec, a good level or autocollimator", 0.5 * ARCSEC
+    aligned = f"{_NO_SOURCE}: 10 arcsec, as azimuth is found less well", 10.0 * ARCSEC
     for axis, name in enumerate(_NAMES):
-        # Levelling is against gravity; the azimuth is found less well.
-        typical = (10.0 if name == "up" else 0.5) * ARCSEC
+        source, typical = aligned if name == "up" else levelled
         turn, words = Turn("tilt", axis), f"tilt about {name}"
-        yield Term(f"platform.tilt.{name}", turn, words, "rad", 1e-2, typical, "run")
-    # kind, unit, credible and typical size, words
+        yield Term(f"platform.tilt.{name}", turn, words, "rad", 1e-2, typical, source, "run")
+    # kind, unit, words; credible and typical size, source
     rate = 10.0 * DEGREE_PER_HOUR, 0.01 * DEGREE_PER_HOUR
     of_square = "sensitivity of the gyro about {} to the square of the force"
     of_force = "g-sensitivity of the {} gyro to force along {}"
     lean = "turn of the platform about {} by force along {}"
-    by_axis = ("drift", "rad/s", *rate, "gyro drift about {}")
-    by_square = (
-        "g2_sensitivity",
-        "rad/s/g^2",
-        DEGREE_PER_HOUR,
-        1e-4 * DEGREE_PER_HOUR,
-        of_square,
+    by_axis = (
+        ("drift", "rad/s", "gyro drift about {}"),
+        (*rate, "one nautical mile an hour again: 0.01 deg/h is 0.6 nautical miles an hour"),
     )
-    by_force = ("g_sensitivity", "rad/s/g", *rate, of_force)
-    by_lean = ("compliance", "rad/g", 1e-4, 0.1 * ARCSEC, lean)
-    for (kind, unit, limit, typical, words), crossed in (
+    by_square = (
+        ("g2_sensitivity", "rad/s/g^2", of_square),
+        (DEGREE_PER_HOUR, 1e-4 * DEGREE_PER_HOUR, _NO_SOURCE),
+    )
+    by_force = (
+        ("g_sensitivity", "rad/s/g", of_force),
+        (*rate, "as the drift: the share of it that 1 g makes"),
+    )
+    by_lean = (
+        ("compliance", "rad/g", lean),
+        (1e-4, 0.1 * ARCSEC, f"{_NO_SOURCE}: 0.1 arcsec/g, 0.5 µm across 1 m"),
+    )
+    for ((kind, unit, words), sizes), crossed in (
         (by_axis, False),
         (by_force, True),
         (by_square, False),
@@ -195,15 +224,8 @@ def _turns() -> Iterator[Term[Turn]]:
             for j in range(3) if crossed else (None,):
                 suffix = name if j is None else "xyz"[i] + "xyz"[j]
                 called = words.format(*([name] if j is None else suffix))
-                yield Term(
-                    f"platform.{kind}.{suffix}",
-                    Turn(kind, i, j),
-                    called,
-                    unit,
-                    limit,
-                    typical,
-                    "platform",
-                )
+                turn = Turn(kind, i, j)
+                yield Term(f"platform.{kind}.{suffix}", turn, called, unit, *sizes, "platform")
 
 
 def _path_errors() -> Iterator[Term[PathError]]:
@@ -214,11 +236,15 @@ def _path_errors() -> Iterator[Term[PathError]]:
         "s^2/m",
         1e-5,
         4.6e-9,
+        f"{_NO_SOURCE}: 0.1 µm of 2.5 m at 1 g",
         "machine",
         motions=_TURNING,
     )
     yield from _harmonics(
-        "centrifuge.imbalance", (1, 2), "m", 1e-6, "imbalance, radius varying {} a revolution"
+        "centrifuge.imbalance",
+        (1, 2),
+        ("m", 1e-3, 1e-6, f"{_NO_SOURCE}: run-out of a good spindle"),
+        "imbalance, radius varying {} a revolution",
     )
     for axis in ("east", "north"):
         yield Term(
@@ -228,35 +254,37 @@ def _path_errors() -> Iterator[Term[PathError]]:
             "rad",
             1e-2,
             10.0 * ARCSEC,
+            f"{_NO_SOURCE}: 10 arcsec, a spindle levelled with a machinist's level",
             "machine",
             motions=_TURNING,
         )
-    eccentric = "error of an eccentric encoder, {} a revolution"
-    yield from _harmonics("encoder.harmonic", (1, 2, 3, 4), "rad", ARCSEC, eccentric)
+    yield from _harmonics(
+        "encoder.harmonic",
+        (1, 2, 3, 4),
+        ("rad", 1e-3, ARCSEC, f"{_NO_SOURCE}: 1 arcsec, a good angle encoder as mounted"),
+        "error of an eccentric encoder, {} a revolution",
+    )
 
 
 def _harmonics(
-    name: str, orders: tuple[int, ...], unit: str, typical: float, words: str
+    name: str, orders: tuple[int, ...], sizes: tuple[str, float, float, str], words: str
 ) -> Iterator[Term[PathError]]:
+    """Yield both quadratures of harmonics; `sizes` are unit, credible and typical size, source."""
     kind = "encoder" if name.startswith("encoder") else "imbalance"
     times = ("once", "twice", "three times", "four times")
     for n in orders:
         for quadrature, wave in (("cos", "cosine"), ("sin", "sine")):
-            yield Term(
-                f"{name}.{n}.{quadrature}",
-                PathError(kind, n, quadrature),
-                f"{words.format(times[n - 1])} ({wave})",
-                unit,
-                1e-3,
-                typical,
-                "machine",
-            )
+            effect = PathError(kind, n, quadrature)
+            called = f"{words.format(times[n - 1])} ({wave})"
+            yield Term(f"{name}.{n}.{quadrature}", effect, called, *sizes, "machine")
 
 
 def _displacements() -> Iterator[Term[Displacement]]:
-    for symbol, words, unit, limit, typical, motions in (
-        ("centrifuge.radius.MOUNTING", "radius of a mounting", "m", 0.1, 1e-3, _TURNING),
-        ("centrifuge.droop", "droop of the arm", "rad s^2", 1e-3, 1e-8, ("arm",)),
+    radius = "a fixture's drawing; measured, 1e-7 to 4e-6 of the radius"
+    head = f"{_NO_SOURCE}: 5 arcsec"
+    for symbol, words, unit, limit, typical, source, motions in (
+        ("centrifuge.radius.MOUNTING", "radius of a mounting", "m", 0.1, 1e-3, radius, _TURNING),
+        ("centrifuge.droop", "droop of the arm", "rad s^2", 1e-3, 1e-8, _NO_SOURCE, ("arm",)),
         *(
             (
                 f"fixture.misalignment.MOUNTING.{axis}",
@@ -264,31 +292,39 @@ def _displacements() -> Iterator[Term[Displacement]]:
                 "rad",
                 1e-2,
                 5e-5,
+                f"{_NO_SOURCE}: 10 arcsec",
                 _EVERYWHERE,
             )
             for axis in ("east", "north", "outward", "forward", "up")
         ),
-        ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, ("static",)),
+        ("head.zero", "zero of the dividing head", "rad", 1e-2, 2.5e-5, head, ("static",)),
     ):
         scope = "mounting" if "MOUNTING" in symbol else "machine"
         of = symbol.split(".")[1]
         effect = Displacement(of, symbol.rpartition(".")[2] if of == "misalignment" else "")
-        yield Term(symbol, effect, words, unit, limit, typical, scope, motions=motions)
+        yield Term(symbol, effect, words, unit, limit, typical, source, scope, motions=motions)
 
 
 def _inputs() -> Iterator[Term[Input]]:
-    for symbol, words, unit, limit, typical in (
-        # Measured with a length standard: 1e-7 to 4e-6 of the radius.
-        ("centrifuge.radius", "radius of the centrifuge", "m", 0.1, 1e-5),
-        # A gravity map, corrected for the height; an absolute gravimeter does better by 1000.
-        # On Earth it is between 9.76 and 9.84 m/s^2.
-        ("site.gravity", "gravity of the site", "m/s^2", 0.08, 1e-4),
-        # 30 m on the ground.
-        ("site.latitude", "latitude of the site", "rad", math.pi, 5e-6),
-        # One row of a record at 100 kHz.
-        ("records.timing_offset", "delay of the recorded angle", "s", 10.0, 1e-5),
+    radius = "4e-6 of 2.5 m, the larger of what measured radii reach"
+    # An absolute gravimeter does better by 1000. On Earth it is between 9.76 and 9.84 m/s^2.
+    gravity = f"{_NO_SOURCE}: a gravity map, corrected for the height"
+    for symbol, words, unit, limit, typical, source in (
+        ("centrifuge.radius", "radius of the centrifuge", "m", 0.1, 1e-5, radius),
+        ("site.gravity", "gravity of the site", "m/s^2", 0.08, 1e-4, gravity),
+        ("site.latitude", "latitude of the site", "rad", math.pi, 5e-6, "30 m on the ground"),
+        (
+            "records.timing_offset",
+            "delay of the recorded angle",
+            "s",
+            10.0,
+            1e-5,
+            "one row at 100 kHz",
+        ),
+        ("records.clock", "error of the recorder's clock", "1", 1e-2, 2e-5, "a free quartz"),
     ):
-        yield Term(symbol, Input(symbol.partition(".")[2]), words, unit, limit, typical, "input")
+        effect = Input(symbol.partition(".")[2])
+        yield Term(symbol, effect, words, unit, limit, typical, source, "input")
 
 
 def _by_symbol(rows: Iterator[Term[Does]]) -> Mapping[str, Term[Does]]:

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.calibration.model import assumed_of, typical_of
+from counterspin.calibration.model import assumed_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.frozen import frozen
 from counterspin.inference.joint.series import Series
@@ -74,7 +74,7 @@ def faults_of(campaign: Campaign, name: str) -> list[Fault]:
         Fault(
             symbol,
             term(parts[0].symbol).words_of_family,
-            typical_of(campaign, name, parts[0].symbol),
+            campaign.typical_of(parts[0].symbol, name),
             term(parts[0].symbol).unit,
             tuple(_of_term(part, campaign) for part in parts),
             random=term(parts[0].symbol).per_run,

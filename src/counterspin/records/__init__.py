@@ -9,7 +9,8 @@
 - `pieces`, `clock`, `clock_faults`, `spikes`, `reduction`, `amplitude`: the steps of reading, in
   the order in which a record passes them
 - `memory`: columns that a program holds, in the place of a file
-- `mean`: the mean of a record over whole revolutions
+- `mean`: the mean of a record over whole revolutions; `mean_scatter`: how uncertain its noise
+  leaves it
 - `report`: what was found on the way
 - `tables`: a file as a table, for those who add columns to it
 - `isolation`: the process of its own in which native code reads

@@ -1,33 +1,45 @@
-"""The mean of a record over whole revolutions, and how uncertain its scatter leaves it.
+"""The mean of a record over whole revolutions, and how uncertain its noise leaves it.
+
+The record passes what any record passes: its clock, repeated rows, empty cells, gaps and outliers
+(`counterspin.records.reading`).
 
 - `mean_of_record`, `RecordMean`
-- `stretches`: how many stretches of a record are compared
+- `stretches`: into how many stretches a record is divided, whose means tell its noise
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 
+from counterspin.arrays import Array
 from counterspin.errors import RecordError
 from counterspin.frozen import frozen
 from counterspin.records.dialect import TO_BE_FOUND, Dialect
+from counterspin.records.mean_scatter import u_of_mean
 from counterspin.records.memory import MemoryTable
-from counterspin.records.record import ColumnSpec
-from counterspin.records.tables import locate, read_scaled
+from counterspin.records.reading import read_record
+from counterspin.records.record import ColumnSpec, RecordColumns, StatedMotion
+from counterspin.records.report import RecordReport
+from counterspin.records.spikes import FEWEST_SAMPLES, find_spikes
 
-#: Stretches of a record whose means scatter; the fewest, and the most.
-_STRETCHES: Final = (8, 64)
+#: Most stretches of a record whose means tell its noise; fewest samples of one.
+_STRETCHES: Final = 64
+_SHORTEST_STRETCH: Final = 3
 
 #: Waves that a revolution may make in the output beside its mean, such as the Earth's rate does.
 _HARMONICS: Final = 2
 
-#: Empty cells and rows of text beyond this part of a record are too many.
-_EMPTY: Final = 0.05
+#: Samples of a burst or of a dead stretch, whose mean stands off where no single one does.
+_BURST: Final = 64
+
+#: What the record's only signal is called.
+_SIGNAL: Final = "reading"
 
 
 @frozen
@@ -42,6 +54,8 @@ class RecordMean:
         That were used.
     revolutions
         Whole ones that were used; 0 at rest.
+    report
+        What reading found; samples left out here are among its outliers.
     digest
         What another record has too only if all its samples are the same; None where they do not
         differ among themselves, as those of a meter of few digits, and so tell nothing.
@@ -51,6 +65,7 @@ class RecordMean:
     u: float
     samples: int
     revolutions: int
+    report: RecordReport
     digest: bytes | None = None
 
 
@@ -64,8 +79,8 @@ def mean_of_record(
     """Return the mean of a signal over the whole revolutions of a record.
 
     The waves that a revolution makes are fitted beside the mean, so that samples that do not
-    divide a revolution evenly do no harm. The uncertainty is from the scatter of the means of
-    consecutive stretches, so that noise which is not white counts.
+    divide a revolution evenly do no harm. The uncertainty is what the next record of the same
+    length would differ by, as far as this one tells (`counterspin.records.mean_scatter`).
 
     Parameters
     ----------
@@ -81,47 +96,67 @@ def mean_of_record(
     Raises
     ------
     RecordError
-        If the file cannot be read, time does not run forward, more than 5 % is empty, or it is
-        shorter than a revolution or than 16 samples.
+        As `counterspin.records.reading.read_record`, but that one revolution is enough on an arm
+        and none is needed at rest; or there are fewer than 24 samples.
     """
-    t, y = read_scaled(path, [time, signal], dialect)
-    whole = np.isfinite(t) & np.isfinite(y)
-    if whole.mean() < 1.0 - _EMPTY:
-        raise RecordError(f"{path}: {1.0 - whole.mean():.0%} of the rows are empty; 5 % may be.")
-    rows, t, y = np.flatnonzero(whole), t[whole], y[whole]
-    backwards = np.flatnonzero(np.diff(t) <= 0.0)
-    if backwards.size:
-        where = locate(path, int(rows[backwards[0] + 1]))
-        raise RecordError(f"{path}, {where}: time does not run forward.")
+    columns = RecordColumns(time, None, {_SIGNAL: signal}, dialect)
+    record = read_record(path, columns, StatedMotion(rate, steady=True), block=None)
+    there = np.isfinite(record.signals[_SIGNAL])
+    t, y = record.time[there], record.signals[_SIGNAL][there]
     # Of all: how much of them counts hangs on the rate that the run states.
     differs = y.size and np.ptp(y) > 0.0
     digest = sha256(t.tobytes() + y.tobytes()).digest() if differs else None
-    turns = math.floor((t[-1] - t[0]) * abs(rate) / (2.0 * math.pi) + 1e-9) if t.size > 1 else 0
-    if rate and turns < 1:
-        raise RecordError(f"{path}: the record is shorter than a revolution at {rate:.4g} rad/s.")
+    turns = math.floor((t[-1] - t[0]) * abs(rate) / (2.0 * math.pi) + 1e-9) if y.size else 0
     if rate:
         inside = t - t[0] < turns * 2.0 * math.pi / abs(rate) * (1.0 + 1e-12)
         t, y = t[inside], y[inside]
-    if y.size < 2 * _STRETCHES[0]:
+    if y.size < FEWEST_SAMPLES:
         raise RecordError(f"{path}: {y.size} samples are too few for a mean and its uncertainty.")
+    burst = _bursts(t, y, rate)
+    t, y = t[~burst], y[~burst]
+    value, left = _level(t, y, rate)
+    parts = np.array_split(left, stretches(y.size))
+    outliers = record.report.outliers[signal.name] + int(burst.sum())
+    return RecordMean(
+        value=value,
+        u=u_of_mean(np.array([part.mean() for part in parts])),
+        samples=int(y.size),
+        revolutions=turns,
+        report=replace(record.report, outliers={signal.name: outliers}),
+        digest=digest,
+    )
+
+
+def stretches(samples: int) -> int:
+    """Return into how many stretches a record is divided."""
+    return min(_STRETCHES, samples // _SHORTEST_STRETCH)
+
+
+def _level(t: Array, y: Array, rate: float) -> tuple[float, Array]:
+    """Return the level beside the waves of a revolution, and what both leave, shape (n,)."""
     angle = rate * (t - t[0])
     waves = [np.ones_like(t)]
     for n in range(1, _HARMONICS + 1) if rate else ():
         waves += [np.cos(n * angle), np.sin(n * angle)]
     design = np.column_stack(waves)
     fitted = np.linalg.lstsq(design, y, rcond=None)[0]
-    left = y - design @ fitted
-    count = stretches(turns)
-    means = np.array([part.mean() for part in np.array_split(left, count)])
-    return RecordMean(
-        value=float(fitted[0]),
-        u=float(means.std(ddof=1)) / math.sqrt(count),
-        samples=int(y.size),
-        revolutions=turns,
-        digest=digest,
-    )
+    return float(fitted[0]), y - design @ fitted
 
 
-def stretches(revolutions: int) -> int:
-    """Return into how many stretches a record is divided, whose means scatter."""
-    return min(max(revolutions, _STRETCHES[0]), _STRETCHES[1])
+def _bursts(t: Array, y: Array, rate: float) -> np.ndarray:
+    """Return which samples are of a stretch whose mean stands off its neighbours', shape (n,)."""
+    count = y.size // _BURST
+    found = np.zeros(y.size, dtype=bool)
+    if count < FEWEST_SAMPLES:
+        return found
+    edges = np.linspace(0, y.size, count + 1).astype(int)
+    sizes = np.diff(edges)
+    # Medians: a burst of a third of the record must not make waves.
+    left = y - np.median(y) if not rate else _level(t, y, rate)[1]
+    means, times = (np.add.reduceat(each, edges[:-1]) / sizes for each in (left, t))
+    steps = np.diff(times)
+    step = float(np.median(steps))
+    uneven = float(np.abs(steps / step - 1.0).max())
+    for place in find_spikes(times, means, 0.0, step, uneven):
+        found[edges[place] : edges[place + 1]] = True
+    return found

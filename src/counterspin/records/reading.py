@@ -41,8 +41,9 @@ from counterspin.records.spikes import find_spikes
 
 #: More empty cells than this part of a run's rows refuse the record.
 MOST_EMPTY = 0.05
-#: Fewest revolutions of a record.
+#: Fewest revolutions of a record, and of one whose mean is a reading.
 FEWEST_REVOLUTIONS = 3.0
+FEWEST_REVOLUTIONS_OF_A_MEAN = 1.0
 #: Most revolutions from one row to the next, in the mean.
 MOST_REVOLUTIONS_A_ROW = 20.0
 #: Revolutions that any record may have, and further ones for each of its rows: the motion is
@@ -82,7 +83,7 @@ def read_record(
         The file is missing, empty or unreadable, a column is missing, a cell holds text or an
         infinite value, time runs backwards, the clock or the angle jumps, the angle's rate is not
         the run's, more than 5 % of a column are empty, a unit changes within the record, or there
-        are fewer than three revolutions.
+        are fewer than three revolutions (of a steady motion than one, at rest none is needed).
     """
     record = path if isinstance(path, MemoryTable) else Path(path)
     pulses = None
@@ -173,7 +174,7 @@ class _RecordReader:
         self._columns = columns
         self._signals = list(columns.signals.values())
         self._motion = motion
-        self._wants_blocks = block == "auto"
+        self._wants_blocks = block == "auto" and bool(motion.rate)
         self._clock = Clock(file.path, file.locate, motion.rate)
         self._rows = 0
         self._lone = 0
@@ -232,7 +233,8 @@ class _RecordReader:
 
     def without_lone_rows(self, blocks: Blocks) -> tuple[float, float] | None:
         """Return the times, in the file's own clock, between which no rows stand alone."""
-        revolution = 2 * np.pi / abs(self._motion.rate)
+        rate = abs(self._motion.rate)
+        revolution = 2 * np.pi / rate if rate else 0.0
         within = without_lone_rows(blocks, max(revolution, _LONE_STEPS * self._clock.step))
         return within and (within[0] + self._start_time, within[1] + self._start_time)
 
@@ -347,7 +349,8 @@ class _RecordReader:
             self._refuse_beyond_measure(spec, signal)
             if self._block > 1:
                 signal = self._without_odd_blocks(blocks, place, signal)
-            self._check_amplitude(name, blocks.time, phase, signal)
+            if not self._motion.steady:
+                self._check_amplitude(name, blocks.time, phase, signal)
             signals[name] = signal
         return Record(
             blocks.time,
@@ -363,10 +366,13 @@ class _RecordReader:
     def _check_length(self, blocks: Blocks) -> None:
         duration = float(blocks.time[-1] - blocks.time[0])
         revolutions = duration * abs(self._motion.rate) / (2 * np.pi)
-        if revolutions < FEWEST_REVOLUTIONS:
+        steady = self._motion.steady
+        fewest = FEWEST_REVOLUTIONS_OF_A_MEAN if steady else FEWEST_REVOLUTIONS
+        if self._motion.rate and revolutions < fewest * (1.0 - 1e-9):
+            needed = f"{fewest:g} are" if fewest > 1.0 else "1 is"
             raise RecordError(
                 f"{self._file.path}: the record lasts {duration:.6g} s, {revolutions:.3g} "
-                f"revolutions at the run's rate; at least {FEWEST_REVOLUTIONS:g} are needed. "
+                f"revolutions at the run's rate; at least {needed} needed. "
                 "Check the unit of the time column."
             )
         if revolutions > MOST_REVOLUTIONS_A_ROW * self._rows:
@@ -374,7 +380,8 @@ class _RecordReader:
                 f"{self._file.path}: the record has {self._rows} rows in {revolutions:.4g} "
                 "revolutions, too few to follow the rotation. Check the unit of the time column."
             )
-        if revolutions > ANY_REVOLUTIONS + FURTHER_REVOLUTIONS_A_ROW * self._rows:
+        most = ANY_REVOLUTIONS + FURTHER_REVOLUTIONS_A_ROW * self._rows
+        if revolutions > most and not steady:
             raise RecordError(
                 f"{self._file.path}: the record has {self._rows} rows in {revolutions:.6g} "
                 f"revolutions. Beyond {ANY_REVOLUTIONS:g} revolutions, 16 rows are needed for each "

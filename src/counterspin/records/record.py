@@ -168,14 +168,17 @@ class StatedMotion:
     Attributes
     ----------
     rate
-        rad/s; negative turns from north to east.
+        rad/s; negative turns from north to east; 0 at rest.
     swings
         Accelerometer -> the wave that the motion puts into its signal; those without are not
         checked against it.
+    steady
+        Whether the signal is one level, as at rest or on an arm, beside which its waves are small.
     """
 
     rate: float
     swings: Mapping[str, Swing] = field(default_factory=dict)
+    steady: bool = False
 
 
 @frozen

@@ -60,7 +60,7 @@ def find_spikes(
     signal
         (n,) any unit; NaN where empty (what is infinite counts as empty).
     rate
-        Spindle rate, rad/s.
+        Spindle rate, rad/s; 0 at rest.
     step
         The usual spacing of the samples, s.
     unevenness
@@ -74,6 +74,8 @@ def find_spikes(
     """
     if len(signal) < FEWEST_SAMPLES:
         return np.empty(0, dtype=int)
+    # At rest there is no wave: a turn so slow that a window sees a polynomial of it.
+    rate = rate or _SHIFT_RAD / _SHIFT_STEPS / step
     width = min(WINDOW_SAMPLES, len(signal))
     uneven_time = time if unevenness > _IGNORED_UNEVENNESS else None
     phase_step = rate * step

@@ -96,7 +96,7 @@ def demonstration_plots(shown: Demonstration) -> list[Plot]:
     half = 0.5 * bias * shown.campaign.gravity.value
     upper: list[PlotSeries] = []
     lower: list[Plot] = []
-    runs = shown.two_stage.runs
+    runs = shown.two_stage.second.runs
     end = 1.01 * max(float(run.parabola.strobes.time[-1]) for run in runs)
     reach = 1.15e3 * max(_largest(run.parabola) for run in runs)
     for index, run in enumerate(runs):

@@ -42,6 +42,7 @@ class JointRequest:
             place
             for place, unknown in enumerate(self.model.unknowns)
             if unknown.asked
+            and not (unknown.unstated and unknown.prior[1] >= unknown.limit)
             and (
                 unknown.symbol in OWN_TERMS
                 or (not unknown.owner and unknown.symbol not in ROTATION)

@@ -16,7 +16,6 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.errors import NotIdentifiableError
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
 from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
-from counterspin.physics.terms import term
 from counterspin.studies.analyses import Analysis, JointRequest, analyses_of
 from counterspin.studies.bound import cramer_rao, fit_of_truth
 from counterspin.studies.description import StudyDescription
@@ -247,7 +246,7 @@ def _reported(
         symbols = list(request.unknowns)
         rows = tuple(row for row, symbol in enumerate(symbols) if symbol != RIPPLE)
         unknowns = [
-            Unknown(analysis.owner, symbol, request.unknowns[symbol], term(symbol).limit)
+            Unknown(analysis.owner, symbol, request.unknowns[symbol], request.limit_of(symbol))
             for symbol in (symbols[row] for row in rows)
         ]
         model = Unknowns(tuple(unknowns))

@@ -122,15 +122,9 @@ class FullEngine:
             ]
         second = second_stage(runs, self.world.mountings[self.owner], request, ignored=())
         if components is not None:
-            second = with_found_noise(second, runs, components)
-        values, us, dofs = [], [], []
-        for symbol in request.unknowns:
-            value, _ = second.estimate(symbol)
-            u, dof = second.with_inputs(symbol, request)
-            values.append(value)
-            us.append(u)
-            dofs.append(dof)
-        return values, us, dofs
+            second = with_found_noise(second, components)
+        solution = second.fit.solution
+        return list(solution.estimate), list(solution.u), list(second.dof)
 
     def _strobed_alone(
         self, run: int, request: TwoStageRequest, draws: Draws, generator: np.random.Generator

@@ -178,7 +178,8 @@ def _of_record(campaign: Campaign, reading: Reading) -> tuple[float, float]:
         duration = turns * 2.0 * math.pi / abs(reading.rate)
     white = float(noise.specific_force) / math.sqrt(max(duration * rate, 1.0))
     walk = float(noise.acceleration) / math.sqrt(max(duration, 1.0 / rate))
-    return math.hypot(white, walk) / campaign.gravity.value, stretches(turns) - 1.0
+    freedom = max(stretches(math.floor(duration * rate)) - 1.0, 1.0)
+    return math.hypot(white, walk) / campaign.gravity.value, freedom
 
 
 def readings_bounds(

@@ -19,9 +19,9 @@ import numpy as np
 from counterspin.arrays import Array
 from counterspin.frozen import frozen
 from counterspin.inference.least_squares import REGULARISATION
-from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest, credible_limit
+from counterspin.inference.two_stage.request import RIPPLE, TwoStageRequest
 from counterspin.physics import as_printed
-from counterspin.physics.terms import Term, term
+from counterspin.physics.terms import TERMS, Term, term
 from counterspin.studies.draws import Draws, of_run
 from counterspin.studies.noise import curvature_noise, residual_variances
 from counterspin.studies.strobed_effects import StrobedMotion, effects
@@ -153,7 +153,7 @@ class TwoStageEngine:
         fixed = {symbol: self._column(symbol, assumed) for symbol in considered}
         mean = np.array([m for m, _ in unknowns.values()])
         sd = np.array([s for _, s in unknowns.values()])
-        limits = [credible_limit(symbol) for symbol in unknowns]
+        limits = [request.limit_of(symbol) for symbol in unknowns]
         held = np.where(np.isinf(sd), REGULARISATION * np.array(limits), sd)
         inverse = _inverse(_information(design, weight, held))
         gain = sum(inverse[:, q, None] * design[q] for q in range(len(mean))) * weight
@@ -172,9 +172,12 @@ class TwoStageEngine:
                 total = total + spread**2 * np.sum((gain * fixed[symbol]) ** 2, axis=1)
             else:
                 total = total + (spread * _over_runs(gain, fixed[symbol])) ** 2
-        inputs = np.array([math.hypot(*request.from_inputs(symbol, 1.0)) for symbol in unknowns])
-        if inputs.any():
-            total = total + (inputs[:, None] * estimate) ** 2
+        # The b2 of a coefficient of degree n goes as R^n g^(1-n), that of a ripple as R.
+        degree = [len(TERMS[s].effect.factors) if s in TERMS else 1 for s in unknowns]
+        for u, powers in ((request.u_radius, degree), (request.u_gravity, [1 - n for n in degree])):
+            if u > 0.0:
+                sizes = u * np.array(powers)[:, None] * estimate
+                total = total + _over_runs(gain, np.einsum("pn,prn->rn", sizes, design)) ** 2
         dof = np.full((1, 1), math.inf)
         if request.sigma is None:
             # Welch and Satterthwaite.

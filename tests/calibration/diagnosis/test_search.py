@@ -12,8 +12,9 @@ from mistaken_campaigns import NOISE, SOUND, Mistake, make_records, mistaken
 from counterspin.calibration.diagnosis import search
 from counterspin.calibration.joint_checks import jackknife, residual_findings
 from counterspin.calibration.joint_parts import noise_lines, residual
-from counterspin.calibration.joint_problem import model_of, noise_of, series_of
+from counterspin.calibration.joint_problem import noise_of, series_of
 from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import observe
 from counterspin.calibration.result_parts import AccelerometerResult
 from counterspin.campaign.description import read_campaign
@@ -43,7 +44,7 @@ class Campaigns:
         off = {unknown: unknown.prior[1] * rng.standard_normal() for unknown in known}
         series = [self._noisy(i, one, off, rng) for i, one in enumerate(self.clean)]
         found = estimate(series, self.model, noise_of(self.campaign))
-        names = [unknown.name for unknown in self.model.unknowns]
+        names = [unknown.name for unknown in self.model.asked]
         determined = assess(found.fit.solution, names)
         views = [
             AccelerometerView(self.campaign, found, determined, name)

@@ -314,3 +314,37 @@ def test_a_mistake_is_named(mistake, sound, tmp_path):
     first = found.findings[0]
     assert f"{first.code} {first.subject}" == mistake.says
     assert found.state == mistake.state
+
+
+ONE_READING = """
+[[runs]]
+name = "at rest"
+motion = "static"
+attitude = "0 deg about north"
+reading = { Qx = "0.0050321 ± 1e-5 g", Qy = "-0.003 ± 1e-5 g" }
+"""
+
+
+@pytest.mark.parametrize(
+    "mistake",
+    [
+        Mistake("", "wrong-scale middle.Qx", records=multiplied("middle", EAST, 1.002)),
+        Mistake("", "jump slow.Qy", records=added("slow", NORTH, step(0.02, 0.7))),
+        Mistake(
+            "",
+            "wrong-angle records.angle",
+            records=added(None, ANGLE, lambda t: math.radians(1.0)),
+        ),
+        Mistake("", "wrong-noise Qx", description=(('"0.01 m"\n', '"0.004 m"\n'),)),
+        Mistake("", ""),
+    ],
+    ids=["scale", "jump", "angle", "noise", "none"],
+)
+def test_a_mistake_in_a_record_is_named_beside_a_reading_too(mistake, sound, tmp_path):
+    folder = mistaken(tmp_path, mistake, sound)
+    text = (folder / "campaign.toml").read_text(encoding="utf-8")
+    at = text.index("[simulation]") if "[simulation]" in text else len(text)
+    (folder / "campaign.toml").write_text(text[:at] + ONE_READING + text[at:], encoding="utf-8")
+    found = calibrate(folder)
+    first = [f"{finding.code} {finding.subject}" for finding in found.findings][:1]
+    assert first == [mistake.says] * bool(mistake.says)

@@ -27,8 +27,8 @@ mpl.use("Agg")
 TILTING = changed(
     SMALL,
     (
-        '[noise]\ndisplacement = "0.01 m"\n',
-        '[noise]\ndisplacement = "0.01 m"\n\n[model]\nassume = "all"\n'
+        '[model]\nassume = "all"\n',
+        '[model]\nassume = "all"\n'
         'terms = ["K_F", "K_II", "platform.tilt.north"]\n\n[model.priors]\n'
         '"platform.tilt.north" = "0 ± 0.5 arcsec"\n',
     ),

@@ -153,7 +153,7 @@ def test_a_damaged_or_newer_result_leaves_no_report(stored, tmp_path, capsys):
     text = stored.read_text(encoding="utf-8")
     for spoilt, words in (
         (text[: len(text) // 2], "not a result file, or a damaged one"),
-        (text.replace('"schema": 1', '"schema": 99'), "written by a newer counterspin"),
+        (text.replace('"schema": 2', '"schema": 99'), "written by a newer counterspin"),
     ):
         stored.write_text(spoilt, encoding="utf-8")
         assert main(["report", str(stored), "-o", str(target)]) == 1

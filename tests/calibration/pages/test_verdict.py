@@ -37,18 +37,6 @@ def test_nothing_speaks_for_a_contradicted_result():
     assert "In its favour" not in told
 
 
-def test_a_good_result_says_what_it_rests_on():
-    # 2 ug/g^2 of K_OO moves K_II by as much, two thousand times its u.
-    left_out = {"K_OO": {"sensitivity": -1.0, "unit": "g/g^2"}}
-    told = sentence(left_out=left_out)
-    assert told.startswith("Qx is good if what its model leaves out is nothing: the residuals")
-    assert told.endswith("typical sizes would move K_II by 2 ug/g^2 (K_OO, 2 ug/g^2).")
-    drives = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": -4.0}]
-    told = sentence(left_out=left_out, jackknife=drives)
-    assert told.startswith("Qx is to be used with reservations: Without slow")
-    assert told.endswith("(K_OO, 2 ug/g^2).")
-
-
 @pytest.mark.parametrize(("z", "lines"), [(1.0, 0), (4.0, 0), (7.0, 1)])
 def test_only_a_contradiction_stands_before_the_numbers(z, lines):
     jackknife = [{"run": "slow", "value": 1e-5, "shift": 1e-8, "z": z}]

@@ -1,62 +1,54 @@
-"""What a record shows of uncertain inputs."""
+"""What uncertain inputs do to a record, against records that were made with another value."""
+
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from joint_campaign import SITE, simulated
 
-from counterspin.inference.joint.inputs import TIMING, input_column
-from counterspin.inference.joint.series import Series
-from counterspin.physics.accelerometer import QX
-from counterspin.physics.motion import Site, Trajectory
-from counterspin.physics.observation import LEVEL
-from counterspin.physics.spindle import Spindle
+from counterspin.inference.joint.inputs import CLOCK, input_column
+from counterspin.physics.observation import LEVEL, ORDERS
+from counterspin.physics.spindle import Ripple, Spindle
 
-G, RADIUS, RATE, START = 9.8, 2.5, -5.0, 0.7
-ERRORS = {"K_F": 1e-3, "K_I": 1e-3, "K_II": 3e-4, "K_III": -2e-4}
+TRUTH = {"K_F": 5e-3, "K_I": 1.002, "K_II": 2.7e-5, "K_III": 3e-6}
+KNOWN = {"K_F": 5e-3, "K_I": 2e-3, "K_II": 2.7e-5, "K_III": 3e-6}
+FAST = 2e-5
 
 
-@pytest.mark.parametrize("observable", ["specific_force", "velocity"])
-def test_a_delay_of_the_angle_delays_what_the_errors_make_of_the_motion_too(observable):
-    """By the output's own slope: minus its derivative at fixed start.
+def clock_column(series):
+    """The column of the clock for an accelerometer with these errors."""
+    table = dict(zip(KNOWN, series.columns(list(KNOWN), 1.0).T, strict=True))
+    return input_column(series, CLOCK, 1.0, KNOWN, table)
 
-    Along the east axis a = -(R w^2/g) cos(w t + start) in g, and the accelerometer indicates a
-    plus the polynomial of a that its errors are.
-    """
-    t = np.arange(60) * 0.02
-    series = Series(
-        accelerometer="Qx",
-        run="run1",
-        trajectory=Trajectory(
-            Spindle(RATE, start_angle=START), RADIUS, Site(G, 0.8, earth_rate=0.0)
-        ),
-        mounting=QX,
-        observable=observable,
-        attitude=LEVEL,
-        time=t,
-        spread=np.zeros(t.size),
-        count=np.ones(t.size),
-        spacing=0.02,
-        error=np.zeros(t.size),
-    )
-    table = dict(zip(ERRORS, series.columns(list(ERRORS), 1.0).T, strict=True))
-    column = input_column(series, TIMING, 1.001, ERRORS, table)
 
-    def force(t):
-        return -RADIUS * RATE**2 / G * np.cos(RATE * t + START)
+@pytest.mark.parametrize("observable", list(ORDERS))
+def test_a_fast_clock_makes_of_a_record_what_its_column_says(observable):
+    """A record made at true times, its times written by a clock that is fast by 20 ppm."""
+    ripple = Ripple(1, 1e-5 * math.pi, 0.5)
+    true = Spindle(math.pi, 1e-6, (ripple,), 0.4)
+    made = simulated("run", math.pi, TRUTH, spindle=true, observable=observable, revolutions=40)
+    # As read by that clock, the same angles are passed at lower rates.
+    slower = Ripple(1, ripple.amplitude / (1 + FAST), 0.5)
+    slow = Spindle(math.pi / (1 + FAST), 1e-6 / (1 + FAST), (slower,), 0.4)
+    read = simulated("run", math.pi, TRUTH, spindle=slow, observable=observable, revolutions=40)
+    recorded = made.error + made.reference()
+    time = made.time * (1 + FAST)
+    read = replace(read, time=time, error=recorded)
+    errors = np.array([*KNOWN.values()])
+    expected = read.reference() + read.columns(list(KNOWN), 1.0) @ errors
+    left = recorded - expected - FAST * clock_column(read)
+    own = read.polynomials(max(read.order, 1)) if read.order else np.empty((time.size, 0))
+    if read.order:
+        left = left - own @ np.linalg.lstsq(own, left, rcond=None)[0]
+    whole = FAST * np.abs(clock_column(read)).max()
+    assert np.abs(left).max() < 1e-3 * whole
 
-    def error(t):
-        a = force(t)
-        return G * (1e-3 * a + 3e-4 * a**2 - 2e-4 * a**3)
 
-    if observable == "velocity":
-        of_reference = -G * force(t)
-        of_errors = -(error(t) - error(0.0))
-    else:
-        slope = RADIUS * RATE**3 / G * np.sin(RATE * t + START)
-        of_reference = -G * slope
-        a = force(t)
-        of_errors = -G * (1e-3 + 2 * 3e-4 * a - 3 * 2e-4 * a**2) * slope
-    # A difference over 1e-5 rad is off by half of it, and by rounding over it.
-    np.testing.assert_allclose(
-        column - of_reference, of_errors, atol=2e-5 * np.abs(of_reference).max()
-    )
-    assert np.abs(of_errors).max() > 100 * 2e-5 * np.abs(of_reference).max()
+def test_a_clock_moves_the_scale_factor_of_a_force_by_twice_its_error():
+    series = simulated("run", 2 * math.pi, {}, observable="specific_force", attitude=LEVEL)
+    column = input_column(series, CLOCK, 1.0, {}, {})
+    scale = series.columns(["K_I"], 1.0)[:, 0]
+    # But for the Earth's rate, which is what it is: 1e-5 of the spindle's.
+    assert column == pytest.approx(2.0 * scale, abs=3e-5 * np.abs(scale).max())
+    assert SITE.gravity == series.trajectory.site.gravity

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from counterspin.inference.joint.budget import budget
 from counterspin.inference.noise.unseen_noise import Unseen, lengthened
 from counterspin.inference.noise.variance_components import VarianceComponents, effective_dof_of
 from counterspin.inference.two_stage.found_noise import with_found_noise
@@ -53,23 +54,23 @@ def resolved(noise):
 
 def test_degrees_of_freedom_are_those_of_resolving_with_other_noise():
     components = found(0.01, 1e-3)
-    runs, second = resolved(components.noise)
-    wider = with_found_noise(second, runs, components)
+    _, second = resolved(components.noise)
+    wider = with_found_noise(second, components)
 
     def variances(noise):
-        return np.diag(resolved(noise)[1].solution.covariance_noise)
+        return np.diag(resolved(noise)[1].fit.solution.covariance_noise)
 
     # The gains move with the noise, which at the optimum costs nothing of first order.
     np.testing.assert_allclose(wider.dof, effective_dof_of(variances, components), rtol=1e-3)
     assert np.isfinite(wider.dof).all()
-    assert wider.solution.covariance_unseen is None
+    assert wider.fit.solution.covariance_unseen is None
 
 
 def test_a_walk_that_does_not_show_adds_what_it_adds_to_the_same_weights():
     unseen = Unseen(np.array([1e-8, 1e-7, 1e-6]), np.array([0.5, 0.3, 0.2]))
     components = found(0.01, 0.0, estimated=("white",), unseen=unseen)
     runs, second = resolved(components.noise)
-    wider = with_found_noise(second, runs, components)
+    wider = with_found_noise(second, components)
     # The same gains on strobes with the walk's covariance, an integral over the white noise.
     slope = np.zeros((2, 2))
     for place, run in enumerate(runs):
@@ -81,11 +82,15 @@ def test_a_walk_that_does_not_show_adds_what_it_adds_to_the_same_weights():
         slope += (
             curvature @ walk @ curvature * np.outer(second.gain[:, place], second.gain[:, place])
         )
-    level, _ = lengthened(unseen, np.diag(second.solution.covariance), np.diag(slope))
-    np.testing.assert_allclose(wider.solution.covariance_unseen, level * slope, rtol=1e-3)
-    noise = np.diag(second.solution.covariance_noise)
-    np.testing.assert_allclose(wider.u_noise, np.sqrt(noise + level * np.diag(slope)), rtol=1e-3)
-    assert (wider.u_noise > 1.1 * second.u_noise).any()
+    level, _ = lengthened(unseen, np.diag(second.fit.solution.covariance), np.diag(slope))
+    np.testing.assert_allclose(wider.fit.solution.covariance_unseen, level * slope, rtol=1e-3)
+    before = np.diag(second.fit.solution.covariance)
+    after = np.diag(wider.fit.solution.covariance)
+    np.testing.assert_allclose(after, before + level * np.diag(slope), rtol=1e-3)
+    assert (after > 1.2 * before).any()
+    # The budget says so in a line of its own.
+    (line,) = [line for line in budget(wider.fit, 0) if line.kind == "unseen"]
+    assert line.contribution == pytest.approx(math.sqrt(level * slope[0, 0]), rel=1e-3)
     assert np.isfinite(wider.dof).all()
 
 
@@ -95,7 +100,7 @@ def test_an_unknown_that_is_known_exactly_stays_so():
     request = TwoStageRequest(priors={"K_II": (2e-5, 0.0)}, random_walk=None)
     request = request.with_noise(components.noise)
     runs, _ = resolved(components.noise)
-    wider = with_found_noise(second_stage(runs, QX, request), runs, components)
+    wider = with_found_noise(second_stage(runs, QX, request), components)
     assert wider.estimate("K_II") == (2e-5, 0.0)
     assert wider.estimate("K_F")[1] > 0.0
 

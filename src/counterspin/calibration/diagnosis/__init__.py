@@ -3,4 +3,7 @@
 - `search`: the likely causes of a misfit, each tried on the records
 - `causes`: one finding for each cause, the others below it
 - `words`: what is said of a cause
+- `credible`: estimates that no instrument has, whatever the fit
+- `reading_findings`: what speaks against readings
+- `record_counts`: how many rows of a record were left out, and whether they are too many
 """

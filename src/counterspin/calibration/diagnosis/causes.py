@@ -16,7 +16,14 @@ from counterspin.frozen import frozen
 
 #: Codes of findings that say that something is wrong, but not what.
 ACCOUNTABLE: Final = frozenset(
-    ("lack-of-fit", "noise-implausible", "noise-differs", "run-disagrees", "methods-disagree")
+    (
+        "lack-of-fit",
+        "noise-implausible",
+        "noise-differs",
+        "run-disagrees",
+        "methods-disagree",
+        "incredible",
+    )
 )
 
 #: Part of what a size exceeds 1 by that may remain of a finding which a cause accounts for.

@@ -18,10 +18,11 @@ from typing import Final
 import numpy as np
 
 from counterspin.calibration.diagnosis.causes import ACCOUNTABLE, Cause
+from counterspin.calibration.diagnosis.credible import incredible
 from counterspin.calibration.diagnosis.words import Described, Explanation
 from counterspin.calibration.findings import CONTRADICTION_SIGMAS, from_numbers
 from counterspin.calibration.joint_checks import jackknife, residual_findings
-from counterspin.calibration.joint_parts import noise_lines, residual
+from counterspin.calibration.joint_parts import coefficient, noise_lines, residual
 from counterspin.calibration.joint_problem import noise_of
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.model import assumed_inputs, assumed_of
@@ -48,9 +49,11 @@ from counterspin.inference.joint.estimation import (
     unseen_covariance,
 )
 from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.joint.inputs import TIMING
 from counterspin.inference.joint.relaxed import extended, relax
 from counterspin.inference.joint.unknowns import Unknown
 from counterspin.inference.least_squares import NO_PRIOR
+from counterspin.physics.terms import OWN_TERMS
 from counterspin.reports.numbers import format_number
 
 #: Share of good campaigns in which a prior, or another alternative, is blamed all the same.
@@ -117,19 +120,17 @@ def causes_of(
     results
         What its checks found, by accelerometer.
     """
-    campaign, estimated = views[0].campaign, views[0].estimate
+    estimated = views[0].estimate
     read = [part for view in views for part in view.readings]
     given = not estimated.components and all(math.isinf(part.dof) for part in read)
-    now = replace(estimated, fit=relax(estimated.fit))
+    now = replace(estimated, fit=relax(estimated.fit), core=None)
     priors = of_priors(now.fit)
-    if campaign.readings:
-        # What may be wrong with readings has no columns beside them; what is known beforehand has.
-        return _causes(views, now, priors, (), given) if priors else ()
     if not _is_suspicious(views, results) and (
         not priors or _least(scores(now.fit, priors, noise_given=given)) > _SUSPICION_P
     ):
         return ()
-    return _causes(views, now, priors, tuple(_others(views, now)), given)
+    others = tuple(_others(views, now)) if now.fit.prepared else of_unstated(now.fit)
+    return _causes(views, now, priors, others, given) if priors or others else ()
 
 
 def _causes(
@@ -162,8 +163,9 @@ def _causes(
         ).described()
         causes.append(_cause(described, explained, views, now, after))
         now = after
-    if given and not campaign.readings:
-        causes += [cause for view in views for cause in _noise(replace(view, estimate=now))]
+    if given:
+        seen = (replace(view, estimate=now) for view in views if view.has_records)
+        causes += [cause for view in seen for cause in _noise(view)]
     return tuple(causes)
 
 
@@ -214,7 +216,7 @@ def _is_suspicious(
         shifts += [abs(result.two_stage.z)] if result.two_stage else []
         if any(z > _SUSPICION_SHIFT for z in shifts):
             return True
-        if any(p < _SUSPICION_P / records for p in _chances(view)):
+        if view.has_records and any(p < _SUSPICION_P / records for p in _chances(view)):
             return True
     return False
 
@@ -252,10 +254,17 @@ def _others(views: Sequence[AccelerometerView], now: Estimate) -> Iterator[Alter
     campaign, fit = views[0].campaign, now.fit
     angle = campaign.angle is not None
     yield from of_unstated(fit)
-    yield from mistakes.of_inputs(fit, assumed_inputs(campaign))
+    # Of what acts on readings too, the records alone tell half of it.
+    inputs = [s for s in assumed_inputs(campaign) if s == TIMING or not campaign.readings]
+    yield from mistakes.of_inputs(fit, inputs)
     yield from mistakes.of_records(fit, angle_recorded=angle)
     yield from mistakes.of_coriolis(fit, own_velocity=campaign.own_velocity)
-    terms = dict.fromkeys(other for view in views for other in assumed_of(campaign, view.name))
+    terms = dict.fromkeys(
+        other
+        for view in views
+        for other in assumed_of(campaign, view.name)
+        if not (campaign.readings and other.symbol in OWN_TERMS)
+    )
     yield from mistakes.of_terms(fit, list(terms))
     yield from mistakes.jumps(fit, _STEPS)
 
@@ -425,7 +434,8 @@ def _put_right(
 
 def _again(now: Estimate, fit: JointFit, requests: Mapping[str, NoiseRequest]) -> Estimate:
     if not now.components:
-        return replace(now, fit=fit, dof=np.full(len(fit.model.unknowns), math.inf))
+        dof = np.full(len(fit.model.unknowns), math.inf)
+        return replace(now, fit=fit, dof=dof, core=None)
     return estimate_again(now, fit, requests)
 
 
@@ -487,13 +497,21 @@ def _concerned(
 def _seen_again(view: AccelerometerView, after: Estimate) -> AccelerometerView:
     """Return a view of a relaxed fit, with the readings as they fit that."""
     fit = after.fit
-    readings = tuple(part.relaxed().under(fit.solution, fit.model) for part in view.readings)
+    count = len(fit.model.unknowns)
+    readings = tuple(part.relaxed(count).under(fit.solution, fit.model) for part in view.readings)
     return replace(view, estimate=after, readings=readings)
 
 
 def _checked(view: AccelerometerView) -> Iterator[Finding]:
     yield from residual_findings(view)
     yield from _numbers(view, None)
+    own = {
+        symbol: coefficient(view.estimate, view.assessment, place)
+        for symbol, place in view.places.items()
+        if f"{view.name}.{symbol}" in view.assessment.determined  # not what was considered before
+    }
+    for finding in incredible(view.campaign, view.name, own):
+        yield from (finding, *finding.explains)
 
 
 def _numbers(view: AccelerometerView, result: AccelerometerResult | None) -> Iterator[Finding]:

@@ -10,6 +10,7 @@ import math
 from typing import Final
 
 from counterspin.calibration.joint_parts import unit_of
+from counterspin.calibration.model import inputs_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.settings import OBSERVABLES
 from counterspin.frozen import frozen
@@ -119,12 +120,8 @@ class Explanation:
         )
 
     def _input(self) -> Described:
-        known, campaign = INPUTS[self.other.symbol], self.campaign
-        stated = {
-            "centrifuge.radius": campaign.radius.value,
-            "site.gravity": campaign.gravity.value,
-            "site.latitude": campaign.latitude.value,
-        }.get(known.symbol, campaign.timing_offset.value if campaign.timing_offset else 0.0)
+        known = INPUTS[self.other.symbol]
+        stated = inputs_of(self.campaign)[known.symbol].value
         text = (
             f"A {known.words} of {_shown(stated + self.value, self.u, known.unit)} would fit; "
             f"{_shown(stated, 0.0, known.unit).removesuffix(' (exact)')} is stated. Check it."

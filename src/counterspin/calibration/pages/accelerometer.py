@@ -12,9 +12,11 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+from counterspin.calibration.diagnosis.record_counts import rejected_of
 from counterspin.calibration.findings import methods_agree
 from counterspin.calibration.pages.kinds import kind_blocks
 from counterspin.calibration.pages.motions import table_of_tests
+from counterspin.calibration.pages.records import count_blocks, note_blocks
 from counterspin.calibration.pages.uncertainty import dominance
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
@@ -67,7 +69,7 @@ def accelerometer_blocks(
     yield from kind_blocks(accelerometer)
     if accelerometer.readings:
         yield table_of_tests(accelerometer.readings)
-    yield from _readings(accelerometer.readings)
+    yield from _readings(accelerometer.readings, details=details)
     if accelerometer.two_stage is not None:
         yield Paragraph(
             _comparison(accelerometer.two_stage, accelerometer.coefficients.get("K_II"))
@@ -86,9 +88,10 @@ def _in_output_units(output: dict[str, Coefficient]) -> str:
     return f"In the unit of the readings: {', '.join(parts)}."
 
 
-def _readings(readings: Sequence[ReadingResult]) -> Iterator[Block]:
+def _readings(readings: Sequence[ReadingResult], *, details: bool) -> Iterator[Block]:
     if not readings:
         return
+    averaged = [line for line in readings if line.samples is not None]
     yield Table(
         columns=(
             Column("Reading", wraps=True),
@@ -97,6 +100,7 @@ def _readings(readings: Sequence[ReadingResult]) -> Iterator[Block]:
             Column("Indication, g", "right"),
             Column("Residual, ug", "right"),
             Column("Residual / its u", "right"),
+            *((Column("Used", "right"), Column("Rejected", "right")) if averaged else ()),
         ),
         rows=tuple(
             (
@@ -106,10 +110,22 @@ def _readings(readings: Sequence[ReadingResult]) -> Iterator[Block]:
                 format_compact(line.value, line.u),
                 f"{line.residual * 1e6:.2f}",
                 "-" if line.z is None else f"{line.z:.2f}",
+                *_samples(line, shown=bool(averaged)),
             )
             for line in readings
         ),
     )
+    for line in averaged:
+        yield from note_blocks(line.name, line)
+        if details:
+            yield from count_blocks(line.name, line)
+
+
+def _samples(line: ReadingResult, *, shown: bool) -> tuple[str, ...]:
+    """Return the cells of samples used and rejected; a value that was read has none."""
+    if not shown:
+        return ()
+    return ("", "") if line.samples is None else (str(line.samples), str(rejected_of(line.counts)))
 
 
 def in_field_units(coefficient: Coefficient) -> tuple[float | None, float | None, str]:

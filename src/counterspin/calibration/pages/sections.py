@@ -18,6 +18,7 @@ from counterspin.calibration.pages.accelerometer import (
     in_field_units,
 )
 from counterspin.calibration.pages.conformity import conformity_blocks
+from counterspin.calibration.pages.records import count_blocks, note_blocks
 from counterspin.calibration.pages.uncertainty import assumption, dominance, knowledge_blocks
 from counterspin.calibration.pages.verdict import misfit_blocks, verdict_blocks
 from counterspin.calibration.result import Result
@@ -195,17 +196,14 @@ def run_blocks(runs: dict[str, RunResult], *, details: bool) -> Iterator[Block]:
     yield from _parabolas(runs)
     yield from _fits(runs)
     for name, run in runs.items():
-        for note in run.notes:
-            yield Paragraph(note if note.startswith(name) else f"{name}: {note}")
+        yield from note_blocks(name, run)
     if details:
         yield from _counts(runs)
 
 
 def _counts(runs: dict[str, RunResult]) -> Iterator[Block]:
     for name, run in runs.items():
-        counts = ", ".join(f"{key.replace('_', ' ')} {count}" for key, count in run.counts.items())
-        if counts:
-            yield Paragraph(f"{name}: {counts}.")
+        yield from count_blocks(name, run)
         if run.angle_rms is not None:
             unit, factor = field_unit("rad")
             rms = format_number(run.angle_rms * factor)

@@ -29,6 +29,7 @@ _COMMON: Final = {
     "angle": "records.angle",
     "dialect": "records",
     "timing_offset": "records.timing_offset",
+    "clock": "records.clock",
     "own_velocity": "records.reference",
     "noise": "noise",
     "specifications": "specification",

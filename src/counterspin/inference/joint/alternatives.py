@@ -52,6 +52,9 @@ class Alternative:
         Place of a series -> what it shows of one unit, shape (n,).
     priors
         Place of an unknown -> by how much one unit moves its prior.
+    beside
+        Name of a block beside the records -> what it shows of one unit, in rows of unit variance,
+        shape (n,).
     at
         Where in a run, s; None where it has no place.
     limit
@@ -63,6 +66,7 @@ class Alternative:
     symbol: str
     columns: Mapping[int, Array] = field(default_factory=dict, repr=False, compare=False)
     priors: Mapping[int, float] = field(default_factory=dict, compare=False)
+    beside: Mapping[str, Array] = field(default_factory=dict, repr=False, compare=False)
     at: float | None = None
     limit: float = math.inf
 
@@ -219,6 +223,8 @@ class Beside:
         Sums of squares of the columns before anything was taken away, shape (m,).
     dof
         Degrees of freedom of the fit.
+    places
+        By its name, which rows are those of a block beside the records.
     """
 
     columns: Array
@@ -226,11 +232,12 @@ class Beside:
     rss: float
     before: Array
     dof: float
+    places: Mapping[str, slice] = field(default_factory=dict)
 
 
 def beside_fit(fit: JointFit, alternatives: Sequence[Alternative]) -> Beside:
     """Put alternatives beside a fit; arguments as of `scores`."""
-    blocks, solution, beside = _in_rows_of(fit, [a for a in alternatives if a.columns])
+    blocks, solution, beside = _in_rows_of(fit, [a for a in alternatives if a.columns or a.beside])
     data, priors = _columns(alternatives, blocks, solution, beside)
     target = np.concatenate([block.target for block in blocks])
     known = solution.prior_sd == 0.0
@@ -245,7 +252,15 @@ def beside_fit(fit: JointFit, alternatives: Sequence[Alternative]) -> Beside:
         rss=sum(block.rss for block in blocks),
         before=np.sum(data**2, axis=0) + np.sum(priors**2, axis=0),
         dof=solution.dof,
+        places=_places(fit, blocks),
     )
+
+
+def _places(fit: JointFit, blocks: Sequence[Block]) -> dict[str, slice]:
+    ends = np.cumsum([block.factor.shape[0] for block in blocks]).tolist()
+    starts = [0, *ends]
+    first = len(fit.blocks)
+    return {name: slice(starts[first + k], ends[first + k]) for k, name in enumerate(fit.beside)}
 
 
 def _in_rows_of(fit: JointFit, shown: Sequence[Alternative]) -> tuple[list[Block], Solution, Array]:
@@ -254,7 +269,9 @@ def _in_rows_of(fit: JointFit, shown: Sequence[Alternative]) -> tuple[list[Block
     if not shown:
         return blocks, fit.solution, np.empty((0, 0))
     p = len(fit.model.unknowns)
-    _, records, readings = widened(fit, [other.columns for other in shown], fit.noise)
+    _, records, readings = widened(
+        fit, [other.columns for other in shown], fit.noise, [other.beside for other in shown]
+    )
     wide = [*records, *readings.values()]
     blocks = [replace(block, factor=block.factor[:, :p]) for block in wide]
     beside = np.vstack([block.factor[:, p:] for block in wide])
@@ -271,10 +288,10 @@ def _columns(
     rows = sum(block.factor.shape[0] for block in blocks)
     data = np.zeros((rows, len(alternatives)))
     priors = np.zeros((solution.estimate.size, len(alternatives)))
-    of_records = iter(beside.T)
+    shown = iter(beside.T)
     for k, other in enumerate(alternatives):
-        if other.columns:
-            data[:, k] = next(of_records)
+        if other.columns or other.beside:
+            data[:, k] = next(shown)
         for place, moved in other.priors.items():
             sd = float(solution.prior_sd[place])
             if sd > 0.0:

@@ -8,6 +8,7 @@ left is a dozen columns, which serve wherever a fit is repeated for other rows o
 What is asked for has the same estimate and covariance, but for that.
 
 - `condense`: a prepared problem with these columns in place of the others
+- `white_level`: about what the white noise of a record is
 """
 
 from __future__ import annotations
@@ -33,17 +34,16 @@ _LIMIT: Final = 1e3
 def condense(
     prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, float | None]
 ) -> tuple[tuple[Prepared, ...], Unknowns]:
-    """Return columns and model with what nobody asks for condensed; places of the asked stay.
+    """Return columns and model with what nobody asks for condensed, after what is asked for.
 
     Parameters
     ----------
     prepared, model
-        The problem; what is asked for comes first.
+        The problem.
     noise
         Accelerometer -> white noise of a sample, in its record's unit; None where it is not known.
     """
-    p = len(model.asked)
-    others = model.unknowns[p:]
+    others = [unknown for unknown in model.unknowns if not unknown.asked]
     spread = np.array([other.prior[1] for other in others])
     if not others or not np.isfinite(spread).all():
         return tuple(prepared), model
@@ -51,11 +51,11 @@ def condense(
     floors = {part.accelerometer: noise.get(part.accelerometer) or math.inf for part in prepared}
     for part in prepared:
         if not noise.get(part.accelerometer):
-            floors[part.accelerometer] = min(floors[part.accelerometer], _level(part))
+            floors[part.accelerometer] = min(floors[part.accelerometer], white_level(part))
     weighted: list[Array] = []
     shown: list[Array] = []
     for part in prepared:
-        columns = _columns(part, p, len(others))
+        columns = _columns(part, model)
         weight = np.sqrt(part.series.count) / floors[part.accelerometer]
         shown.append(columns)
         weighted.append(triangle_of(in_parts(columns * spread * weight[:, None])))
@@ -66,32 +66,37 @@ def condense(
     few = [Unknown("", f"condensed.{k}", (0.0, 1.0), _LIMIT, asked=False) for k in range(len(kept))]
     condensed = replace(model, unknowns=(*model.asked, *few))
     return tuple(
-        _condensed(part, columns, p, mean, kept.T * spread[:, None])
+        _condensed(part, columns, model, mean, kept.T * spread[:, None])
         for part, columns in zip(prepared, shown, strict=True)
     ), condensed
 
 
-def _columns(part: Prepared, p: int, count: int) -> Array:
-    """Return the columns of all unknowns from the p-th on, zero where a record has none, (n, q)."""
-    columns = np.zeros((part.series.time.size, count))
-    for place, unknown in enumerate(part.unknowns):
-        if unknown >= p:
-            columns[:, unknown - p] = part.design[:, place]
+def _columns(part: Prepared, model: Unknowns) -> Array:
+    """Return the columns of what nobody asks for, zero where a record has none, (n, q)."""
+    others = [place for place, unknown in enumerate(model.unknowns) if not unknown.asked]
+    columns = np.zeros((part.series.time.size, len(others)))
+    shown = dict(zip(part.unknowns, part.design.T, strict=True))
+    for k, place in enumerate(others):
+        if place in shown:
+            columns[:, k] = shown[place]
     return columns
 
 
-def _condensed(part: Prepared, columns: Array, p: int, mean: Array, directions: Array) -> Prepared:
-    asked = [place for place, unknown in enumerate(part.unknowns) if unknown < p]
-    few = range(p, p + directions.shape[1])
+def _condensed(
+    part: Prepared, columns: Array, model: Unknowns, mean: Array, directions: Array
+) -> Prepared:
+    asked = [place for place, unknown in enumerate(model.unknowns) if unknown.asked]
+    own = [k for k, place in enumerate(part.unknowns) if model.unknowns[place].asked]
+    few = range(len(asked), len(asked) + directions.shape[1])
     return replace(
         part,
         series=replace(part.series, error=part.series.error - columns @ mean),
-        unknowns=(*(part.unknowns[place] for place in asked), *few),
-        design=np.hstack([part.design[:, asked], columns @ directions]),
+        unknowns=(*(asked.index(part.unknowns[k]) for k in own), *few),
+        design=np.hstack([part.design[:, own], columns @ directions]),
     )
 
 
-def _level(part: Prepared) -> float:
+def white_level(part: Prepared) -> float:
     """Return the white noise of a record's samples, from what changes from row to row.
 
     Third differences of what no column explains: slow noise does not show in them.

@@ -19,7 +19,7 @@ from counterspin.arrays import SIGMA_OF_MAD, Array, semidefinite_root
 from counterspin.errors import ConvergenceError
 from counterspin.frozen import frozen
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.condensed import condense
+from counterspin.inference.joint.condensed import condense, white_level
 from counterspin.inference.joint.fit import JointFit, solve_joint
 from counterspin.inference.joint.outliers import outlying
 from counterspin.inference.joint.prepared import Prepared, prepare_columns, prepared_for
@@ -153,14 +153,15 @@ def estimate(
     if reject:
         fit = _reject(fit, series, requests, outliers)
         prepared = _kept(prepared, outliers)
-    noise, components = _noise(fit.prepared, fit.model, requests)
+    # Inputs come last, and the noise with them: what it is about will do until then.
+    noise, components = _noise(fit.prepared, fit.model, requests, rough=model.has_inputs)
     fit = fit.with_noise(noise)
     whole = encoder.with_encoder(plain, [part.series for part in prepared], noise)
     if whole is not plain:
         # What the encoder has not shown is in the residuals until then.
         prepared = prepared_for(prepared, plain, whole, before, _known(fit))
         fit = solve_joint(*condense(prepared, whole, _white(noise)), noise)
-        noise, components = _noise(fit.prepared, fit.model, requests)
+        noise, components = _noise(fit.prepared, fit.model, requests, rough=model.has_inputs)
         fit = fit.with_noise(noise)
     scale_factors = _scale_factors(series, plain, fit)
     moved = any(abs(scale_factors[a] - before[a]) > _SCALE_TOLERANCE for a in before)
@@ -217,13 +218,16 @@ def _finished(
     """Return the estimate of all unknowns with the noise of a condensed fit to the same rows."""
     fit = solve_joint(prepared, model, core.noise)
     core, dof = _with_unseen(core, components, _effective_dof(core, components))
-    p, asked = len(model.unknowns), len(model.asked)
-    every = np.full(p, math.inf)
-    every[:asked] = dof[:asked]
+    # In the condensed fit what is asked for comes first; one that has nothing condensed is whole.
+    places = [place for place, unknown in enumerate(model.unknowns) if unknown.asked]
+    if core.model.unknowns == model.unknowns:
+        places = list(range(len(model.unknowns)))
+    every = np.full(len(model.unknowns), math.inf)
+    every[places] = dof[: len(places)]
 
     def embedded(covariance: Array) -> Array:
-        whole = np.zeros((p, p))
-        whole[:asked, :asked] = covariance[:asked, :asked]
+        whole = np.zeros((every.size, every.size))
+        whole[np.ix_(places, places)] = covariance[: len(places), : len(places)]
         return whole
 
     added = core.solution.covariance_unseen
@@ -284,10 +288,12 @@ def _scale_factors(
 ) -> dict[str, float]:
     """Return K_I of each accelerometer: estimated, or known beforehand, or 1."""
     factors = {record.accelerometer: 1.0 for record in series}
-    for index, unknown in enumerate(model.unknowns):
+    found = {} if fit is None else {other: k for k, other in enumerate(fit.model.unknowns)}
+    for unknown in model.unknowns:
         if unknown.symbol == "K_I":
-            if fit is not None and fit.solution.u[index] < unknown.limit:
-                factors[unknown.owner] = 1.0 + float(fit.solution.estimate[index])
+            place = found.get(unknown)
+            if fit is not None and place is not None and fit.solution.u[place] < unknown.limit:
+                factors[unknown.owner] = 1.0 + float(fit.solution.estimate[place])
             elif math.isfinite(unknown.prior[1]):
                 factors[unknown.owner] = unknown.prior[0]
     factors |= {c.owner: c.prior[0] for c in model.considered if c.symbol == "K_I"}
@@ -384,9 +390,16 @@ def _jittered(residuals: Array, white: float, jitter: float, variance: Array) ->
 
 
 def _noise(
-    prepared: Sequence[Prepared], model: Unknowns, requests: Mapping[str, NoiseRequest]
+    prepared: Sequence[Prepared],
+    model: Unknowns,
+    requests: Mapping[str, NoiseRequest],
+    *,
+    rough: bool = False,
 ) -> tuple[dict[str, NoiseModel], dict[str, VarianceComponents]]:
-    """Return each accelerometer's noise, given or by restricted maximum likelihood."""
+    """Return each accelerometer's noise, given or by restricted maximum likelihood.
+
+    Where `rough`, white noise from what changes from row to row does for what is not given.
+    """
     noise: dict[str, NoiseModel] = {}
     components: dict[str, VarianceComponents] = {}
     for name, request in requests.items():
@@ -394,6 +407,9 @@ def _noise(
             noise[name] = request.given
             continue
         own = [part for part in prepared if part.accelerometer == name]
+        if rough and (white := max(map(white_level, own))) > 0.0:
+            noise[name] = NoiseModel(white)
+            continue
         components[name] = _components(own, model, request)
         noise[name] = components[name].noise
     return noise, components

@@ -69,6 +69,8 @@ class JointFit:
         (m/s^2)/Hz^0.5, and what it adds to the covariance, shape (p, p).
     beside
         Blocks of data that are no records, by what they are called in a budget.
+    beside_rows
+        Rows of unit variance that they were reduced from, [unknowns | considered | target].
     """
 
     model: Unknowns
@@ -78,6 +80,7 @@ class JointFit:
     noise: Mapping[str, NoiseModel]
     unseen: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
     beside: Mapping[str, Block] = field(default_factory=dict)
+    beside_rows: Mapping[str, Array] = field(default_factory=dict)
 
     def with_noise(self, noise: Mapping[str, NoiseModel]) -> JointFit:
         """Return the fit with other noise; records whose noise stays remain as they are reduced.

@@ -1,6 +1,6 @@
 """What a record shows of uncertain inputs: radius, gravity, latitude, timing, unrecorded rotation.
 
-- `INPUTS`, `TIMING`: the inputs
+- `INPUTS`, `TIMING`, `CLOCK`: the inputs
 - `input_column`: the recorded output per unit of one of them
 - `rotation_column`: per unit of a parameter of the rotation, where no angle is recorded
 """
@@ -19,6 +19,7 @@ from counterspin.physics.motion import Trajectory
 
 #: Uncertain inputs: how each changes the trajectory, and the relative step of its derivative.
 _STEP: Final = 1e-5
+_INPUT_STEP: Final = 1e-6
 INPUTS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
     "centrifuge.radius": lambda motion, step: replace(motion, radius=motion.radius + step),
     "site.gravity": lambda motion, step: replace(
@@ -29,6 +30,7 @@ INPUTS: Final[Mapping[str, Callable[[Trajectory, float], Trajectory]]] = {
     ),
 }
 TIMING: Final = "records.timing_offset"  #: s, by which an angle is sampled after its output
+CLOCK: Final = "records.clock"  #: the part of itself by which the recorder's clock runs fast
 
 
 def rotation_column(series: Series, symbol: str) -> Array:
@@ -74,7 +76,7 @@ def input_column(
     series
         The data.
     name
-        A key of `INPUTS`, or `TIMING`.
+        A key of `INPUTS`, `TIMING` or `CLOCK`.
     scale_factor
         K_I, with which the accelerometer sees the platform's errors.
     known
@@ -95,12 +97,16 @@ def input_column(
         late = series.columns(symbols, scale_factor, replace(series.trajectory, spindle=behind))
         delayed: Array = (series.reference(later=-step) + late @ errors - base - before) / step
         return delayed
+    if name == CLOCK:
+        there = series.by_clock(_STEP)
+        clocked: Array = there.reference() + there.columns(symbols, scale_factor) @ errors
+        return np.asarray((clocked - base - before) / _STEP)
     size = {
         "centrifuge.radius": series.trajectory.radius,
         "site.gravity": series.trajectory.site.gravity,
         "site.latitude": 1.0,
     }[name]
-    step = _STEP * size
+    step = _INPUT_STEP * size
     moved = INPUTS[name](series.trajectory, step)
     after = series.columns(symbols, scale_factor, moved) @ errors
     change: Array = (series.reference(moved) + after - base - before) / step

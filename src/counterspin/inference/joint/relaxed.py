@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from counterspin.arrays import Array
-from counterspin.inference.blocks import Block
+from counterspin.inference.blocks import Block, reduce_block
 from counterspin.inference.joint.fit import JointFit, blocks_of, relaxed_block, solve_blocks
 from counterspin.inference.joint.prepared import Prepared
 from counterspin.inference.joint.unknowns import Unknown, Unknowns
@@ -61,11 +61,15 @@ def relax(fit: JointFit) -> JointFit:
 
 
 def widened(
-    fit: JointFit, columns: Sequence[Mapping[int, Array]], noise: Mapping[str, NoiseModel]
+    fit: JointFit,
+    columns: Sequence[Mapping[int, Array]],
+    noise: Mapping[str, NoiseModel],
+    readings: Sequence[Mapping[str, Array]] = (),
 ) -> tuple[tuple[Prepared, ...], tuple[Block, ...], dict[str, Block]]:
     """Return records and blocks of a relaxed fit, readings' last, with further columns.
 
-    Arguments as of `extended`; the columns stand after those of the unknowns.
+    Arguments as of `extended`; the columns stand after those of the unknowns. `readings` has of
+    each what it shows of a block beside the records: its name -> shape (n,), in `fit.beside_rows`.
     """
     p, m = len(fit.model.unknowns), len(columns)
     added = [Unknown("", str(place), NO_PRIOR, 1.0) for place in range(m)]
@@ -76,10 +80,18 @@ def widened(
     )
     blocks = tuple(blocks_of(prepared, model, noise))
     beside = {
-        name: replace(block, factor=np.pad(block.factor, ((0, 0), (0, m))))
+        name: _beside(block, fit.beside_rows.get(name), [shown.get(name) for shown in readings], m)
         for name, block in fit.beside.items()
     }
     return prepared, blocks, beside
+
+
+def _beside(block: Block, rows: Array | None, columns: Sequence[Array | None], m: int) -> Block:
+    """Return a block beside the records with m further columns, zero where it shows nothing."""
+    if rows is None or not any(column is not None for column in columns):
+        return replace(block, factor=np.pad(block.factor, ((0, 0), (0, m))))
+    added = [np.zeros(rows.shape[0]) if column is None else column for column in columns]
+    return reduce_block(np.column_stack([rows[:, :-1], *added]), rows[:, -1])
 
 
 def extended(
@@ -101,7 +113,16 @@ def extended(
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *unknowns))
     solution = solve_blocks([*blocks, *beside.values()], model)
     return replace(
-        fit, model=model, solution=solution, prepared=prepared, blocks=blocks, beside=beside
+        fit,
+        model=model,
+        solution=solution,
+        prepared=prepared,
+        blocks=blocks,
+        beside=beside,
+        beside_rows={
+            name: np.hstack([rows[:, :-1], np.zeros((len(rows), len(columns))), rows[:, -1:]])
+            for name, rows in fit.beside_rows.items()
+        },
     )
 
 

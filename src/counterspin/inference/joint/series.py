@@ -115,6 +115,26 @@ class Series:
             self.spread,
         )
 
+    def by_clock(self, fast: float) -> Series:
+        """Return the series at true times, the recorder's clock being fast by a part of itself.
+
+        What was recorded at t happened at t/(1 + fast); the recorded angle is what it was, so that
+        the spindle turned faster by that.
+        """
+        slow, spindle = 1.0 / (1.0 + fast), self.trajectory.spindle
+        faster = replace(
+            spindle,
+            rate=spindle.rate / slow,
+            drift=spindle.drift / slow,
+            ripples=tuple(replace(r, amplitude=r.amplitude / slow) for r in spindle.ripples),
+        )
+        return replace(
+            self,
+            trajectory=replace(self.trajectory, spindle=faster),
+            time=self.time * slow,
+            spread=self.spread * slow,
+        )
+
     def without(self, drop: npt.NDArray[np.bool_]) -> Series:
         """Return the series without the rows where `drop` (bool, shape (n,)) is true."""
         keep = np.logical_not(drop)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -20,6 +20,9 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.frozen import frozen
 from counterspin.inference.noise.model import Differences, solve_banded_factor
 from counterspin.inference.noise.wander import Levels, LowRank
+
+#: Rows less what the unknowns follow of them, below which rounding is all that is left.
+_LEAST_FREEDOM: Final = 1e-9
 
 
 @frozen
@@ -192,14 +195,22 @@ class RestrictedLikelihood:
 
     def best_scale(self, ratio: float | Ratios) -> float:
         """Log scale at which `slope` is zero."""
-        rss = float(self._triangle(ratio)[0][-1, -1]) ** 2
+        values = self._triangle(ratio)[0][:, -1]
+        left = self.rows - self.prior.shape[1] + 1
+        # Where unknowns can follow all rows, only their priors leave anything: from above.
+        rss = float(values[-1]) ** 2 if left > 0 else float(values @ values)
         if rss == 0:
             raise NotIdentifiableError(
                 "the residuals are all zero, so no noise can be estimated; state the noise"
             )
-        log_scale = math.log(rss / max(self.rows - self.prior.shape[1] + 1, 1))
+        log_scale = math.log(rss / (left if left > 0 else self.rows))
         for _ in range(100 if len(self.prior) else 0):
             freedom, scaled = self._freedom_and_rss(log_scale, ratio)
+            if freedom <= _LEAST_FREEDOM * self.rows or scaled <= 0.0:
+                raise NotIdentifiableError(
+                    f"the unknowns follow all of {self.rows} rows, so that no noise shows beside "
+                    "them; state the noise, or give longer records"
+                )
             change = math.log(scaled / freedom)
             log_scale += change
             if abs(change) < 1e-12:

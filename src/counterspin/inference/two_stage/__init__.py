@@ -3,7 +3,7 @@
 - `strobes`: the samples of a record at one angle of each revolution (Eq. 15)
 - `request`: model, priors and noise of one accelerometer
 - `first_stage`: a parabola through the strobes of one run (Eq. 16-18, 31)
+- `curvatures`: a record as one row of a joint fit, its curvature
 - `second_stage`: K_II from the curvatures of all runs (Eq. 19-27, 33-34)
-- `held_priors`: whether what is known beforehand agrees with the runs
 - `found_noise`: what the uncertainty of noise that was found does to K_II
 """

@@ -5,63 +5,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
 from dataclasses import replace
 
 import numpy as np
 
-from counterspin.arrays import Array
 from counterspin.inference.noise.unseen_noise import lengthened
 from counterspin.inference.noise.variance_components import VarianceComponents, effective_dof
 from counterspin.inference.two_stage.first_stage import Parabola, walk_covariance
-from counterspin.inference.two_stage.request import credible_limit
-from counterspin.inference.two_stage.second_stage import SecondStage, StrobedRun
+from counterspin.inference.two_stage.second_stage import SecondStage
 
 
-def with_found_noise(
-    second: SecondStage, runs: Sequence[StrobedRun], components: VarianceComponents
-) -> SecondStage:
+def with_found_noise(second: SecondStage, components: VarianceComponents) -> SecondStage:
     """Return the second stage with what the estimate of its noise leaves open.
 
     The covariance is linear in the white variance and in N^2, the gains being what they are. So
     the degrees of freedom are Satterthwaite's, and a random walk that the records do not show but
-    allow adds its share, as in the joint fit
-    (`counterspin.inference.noise.unseen_noise`).
-
-    Parameters
-    ----------
-    second
-        Resolved with this noise.
-    runs
-        What it was resolved from.
-    components
-        Of the accelerometer's records.
+    allow adds its share, as in the joint fit (`counterspin.inference.noise.unseen_noise`).
     """
-    by_white, by_walk = np.transpose([_by_noise(run.parabola) for run in runs])
-    if runs[0].parabola.sigma_from_residuals:
+    by_white, by_walk = np.transpose([_by_noise(parabola) for parabola in second.parabolas])
+    if second.parabolas[0].sigma_from_residuals:
         # The white noise has the degrees of freedom of the strobes' own residuals.
         by_white = np.zeros_like(by_white)
-    solution = second.solution
-    noise, total = np.diag(solution.covariance_noise), np.diag(solution.covariance)
-    gradient = second.gain**2 @ np.column_stack([by_white, by_walk])
-    inverse = 1.0 / second.dof + 1.0 / effective_dof(noise, gradient, components.covariance)
-    limits = np.array([credible_limit(symbol) for symbol in second.symbols])
-    known = (solution.u > 0.0) & (solution.u < limits) & (gradient[:, 1] > 0.0)
-    if components.unseen is None or not known.any():
-        return replace(second, dof=_reciprocal(inverse))
-    gain = np.where(known[:, None], second.gain, 0.0)
-    slope = (gain * by_walk) @ gain.T
-    noise, total, diagonal = (part[known] for part in (noise, total, np.diag(slope)))
-    level, longer = lengthened(components.unseen, total, diagonal)
-    added = level * diagonal
-    # Of the whole variance first, then of the part that is noise.
-    whole = inverse[known] * np.square(noise / (total + added)) + 1.0 / longer
-    inverse[known] = whole * np.square((total + added) / (noise + added))
-    return replace(
-        second,
-        dof=_reciprocal(inverse),
-        solution=replace(solution, covariance_unseen=level * slope),
-    )
+    fit, gain = second.fit, second.gain
+    total = np.diag(fit.solution.covariance)
+    gradient = gain**2 @ np.column_stack([by_white, by_walk])
+    inverse = 1.0 / second.dof + 1.0 / effective_dof(total, gradient, components.covariance)
+    limits = np.array([unknown.limit for unknown in fit.model.unknowns])
+    known = (fit.solution.u > 0.0) & (fit.solution.u < limits) & (gradient[:, 1] > 0.0)
+    if components.unseen is not None and known.any():
+        gain = np.where(known[:, None], gain, 0.0)
+        slope = (gain * by_walk) @ gain.T
+        level, longer = lengthened(components.unseen, total[known], np.diag(slope)[known])
+        share = total[known] / (total + level * np.diag(slope))[known]
+        inverse[known] = share**2 * inverse[known] + 1.0 / longer
+        unseen = {fit.prepared[0].accelerometer: (math.sqrt(level), level * slope)}
+        solution = replace(fit.solution, covariance_unseen=level * slope)
+        fit = replace(fit, solution=solution, unseen=unseen)
+    with np.errstate(divide="ignore"):
+        return replace(second, fit=fit, dof=1.0 / inverse)
 
 
 def _by_noise(parabola: Parabola) -> tuple[float, float]:
@@ -69,8 +51,3 @@ def _by_noise(parabola: Parabola) -> tuple[float, float]:
     gain, strobes = parabola.gain[2], parabola.strobes
     white = float(np.sum((gain * strobes.noise_factor) ** 2))
     return white, float(gain @ walk_covariance(strobes.time) @ gain)
-
-
-def _reciprocal(inverse: Array) -> Array:
-    with np.errstate(divide="ignore"):
-        return np.asarray(1.0 / inverse)

@@ -63,6 +63,8 @@ class TwoStageRequest:
         Standard deviation of a time stamp, s.
     u_radius, u_gravity
         Relative standard uncertainties of radius and gravity.
+    limits
+        Term -> largest credible size, where it is not the table's.
     """
 
     model: Literal["exact", "as-printed"] = "exact"
@@ -77,6 +79,7 @@ class TwoStageRequest:
     timing: float = 0.0
     u_radius: float = 0.0
     u_gravity: float = 0.0
+    limits: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def scale_factor(self) -> float:
@@ -118,23 +121,16 @@ class TwoStageRequest:
         sigma = None if self.sigma is None else math.hypot(self.sigma, passing * self.timing)
         return first_stage(strobes, sigma, self.random_walk or 0.0)
 
-    def from_inputs(self, symbol: str, value: float) -> tuple[float, float]:
-        """Return what uncertain radius and gravity add to the uncertainty of an estimate.
+    def inputs(self, motion: Trajectory) -> dict[str, float]:
+        """Return the uncertain inputs, with the standard uncertainty of each in SI units."""
+        sizes = {
+            "centrifuge.radius": self.u_radius * motion.radius,
+            "site.gravity": self.u_gravity * motion.site.gravity,
+        }
+        return {name: u for name, u in sizes.items() if u > 0.0}
 
-        A unit of a coefficient of degree n has a b2 in proportion to R^n g^(1-n).
-        """
-        radius, gravity = self.from_relative(symbol, value)
-        return (radius * self.u_radius, gravity * self.u_gravity)
-
-    @staticmethod
-    def from_relative(symbol: str, value: float) -> tuple[float, float]:
-        """Return what relative errors of 1 of radius and gravity would move an estimate by."""
-        if symbol not in TERMS:
-            return (0.0, 0.0)
-        degree = len(TERMS[symbol].effect.factors)
-        return (-degree * value, (degree - 1) * value)
-
-
-def credible_limit(symbol: str) -> float:
-    """Return the largest credible size of an unknown of the two-stage method."""
-    return _SPINDLE_LIMIT if symbol.startswith("spindle.") else term(symbol).limit
+    def limit_of(self, symbol: str) -> float:
+        """Return the largest credible size of an unknown of the two-stage method."""
+        if symbol.startswith("spindle."):
+            return _SPINDLE_LIMIT
+        return self.limits.get(symbol) or term(symbol).limit

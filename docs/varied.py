@@ -1,0 +1,269 @@
+"""Whether intervals hold in good campaigns of any kind, and how often one is blamed: `make coverage`.
+
+Each trial draws a campaign: one or two accelerometers, what is recorded, senses of rotation, noise
+that is stated or not, gaps, what is known beforehand, and every error that the description does not
+state, at its typical size. It is simulated, described, and calibrated as a user would.
+"""
+
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy.special import ndtri, stdtr
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.model import model_of
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.resolved import Campaign
+from counterspin.campaign.simulation import simulate
+from counterspin.physics.terms import INPUTS, OWN_TERMS, term
+from kept_table import DOCS, UNITS, KeptTable, frame, table_of
+
+#: Campaigns of each kind.
+TRIALS: Final = 150
+
+#: Seed of the first one.
+FIRST: Final = 7000
+
+#: What is asked for.
+TERMS: Final = ("K_F", "K_I", "K_II", "K_III")
+
+#: Standard deviations from which the true coefficients are drawn.
+SIZES: Final = {"K_F": 5e-3, "K_I": 2e-3, "K_II": 3e-5, "K_III": 3e-6}
+
+#: White noise of each observable, and a walk, in the units of [noise].
+WHITE: Final = {"displacement": 0.01, "velocity": 1e-3, "specific_force": 1e-3}
+WALK: Final = 3e-4
+
+
+@dataclass(frozen=True)
+class Row:
+    """What came out of one kind of campaigns.
+
+    Attributes
+    ----------
+    words, campaigns
+        Which, and how many.
+    values
+        By coefficient, how many errors there are.
+    z_rms
+        By coefficient, rms of the errors over u, as normal equivalents.
+    covered
+        Part of the 95 % intervals, of all coefficients, that hold the truth.
+    blamed
+        Part of the campaigns that are not good.
+    """
+
+    words: str
+    campaigns: int
+    values: dict[str, int]
+    z_rms: dict[str, float]
+    covered: float
+    blamed: float
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """One campaign: its description without truth, and the true coefficients."""
+
+    described: str
+    simulated: str
+    truth: dict[str, dict[str, float]]
+    gaps: int
+
+
+def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
+    """Return a campaign; with its unstated errors, or assumed to have none."""
+    observable = str(rng.choice([*WHITE], p=[0.6, 0.2, 0.2]))
+    axes = ["east", "north"] if rng.random() < 0.7 else [str(rng.choice(["east", "north"]))]
+    if rng.random() < 0.5:
+        axes.reverse()
+    white = WHITE[observable] * 10.0 ** rng.uniform(-1.0, 0.5)
+    walk = WALK if rng.random() < 0.3 and observable != "specific_force" else 0.0
+    noise = [f'{observable} = "{white!r} {UNITS[observable]}"']
+    noise += [f'acceleration = "{walk!r} m/s^2/Hz^0.5"'] if walk else []
+    stated = noise if rng.random() < 0.5 else []
+    truth: dict[str, dict[str, float]] = {}
+    tables = []
+    for axis in axes:
+        own = {s: term(s).nominal + size * rng.standard_normal() for s, size in SIZES.items()}
+        truth[f"Q{axis}"] = own
+        known = []
+        for symbol, u, key in (("K_F", 2e-6, "bias"), ("K_I", 5e-6, "scale_factor")):
+            if rng.random() < 0.5:
+                value = own[symbol] + u * rng.standard_normal()
+                known.append(f'{key} = "{value!r} ± {u} {term(symbol).unit}"')
+        pendulous = "down" if axis != "up" else "north"
+        column = f'{observable} = {{ column = "{axis}", unit = "{UNITS[observable]}" }}'
+        lines = [f'input_axis = "{axis}"', f'pendulous_axis = "{pendulous}"', *known, column]
+        tables.append(f"[accelerometers.Q{axis}]\n" + "\n".join(lines))
+    rates = sorted({round(float(rate), 3) for rate in rng.uniform(0.25, 1.2, rng.integers(3, 6))})
+    senses = rng.choice([-1.0, 1.0], len(rates)) if rng.random() < 0.4 else np.ones(len(rates))
+    made = [
+        f'[[runs]]\nname = "run{i}"\nrate = "{float(sense) * rate!r} rev/s"\nrecord = "run{i}.csv"'
+        for i, (rate, sense) in enumerate(zip(rates, senses, strict=True), start=1)
+    ]
+    asked = ", ".join(f'"{symbol}"' for symbol in TERMS)
+    assume = "" if unstated else 'assume = "all"\n'
+    model = f"[model]\nterms = [{asked}]\n{assume}"
+    inputs = {"gravity": 9.8066, "latitude": 45.75, "radius": 2.5}
+    head = _frame(inputs)
+    table = "[noise]\n" + "\n".join(stated) if stated else ""
+    described = "\n\n".join([head, *tables, table, model, *made]) + "\n"
+    off = _unstated(described, rng) if unstated else {}
+    for name, own in truth.items():
+        own |= off.get(name, {})
+    simulation = (
+        f'[simulation]\nsampling_rate = "16 Hz"\nrevolutions = {int(rng.integers(15, 40))}\n'
+        f"seed = {int(rng.integers(1 << 30))}\n"
+    )
+    wrong = {
+        key: value + off.get("", {}).get(symbol, 0.0) * (180.0 / np.pi if key == "latitude" else 1.0)
+        for (key, value), symbol in zip(
+            inputs.items(), ("site.gravity", "site.latitude", "centrifuge.radius"), strict=True
+        )
+    }
+    true_tables = [
+        f"[truth.{name}]\n" + "\n".join(f'"{s}" = "{v!r} {term(s).unit}"' for s, v in own.items())
+        for name, own in truth.items()
+    ]
+    true_tables += list(_shared(off))
+    simulated_runs = [
+        run + _tilts(off.get(f"run{i}", {})) for i, run in enumerate(made, start=1)
+    ]
+    true_noise = "[truth.noise]\n" + "\n".join([*noise, 'angle = "1e-6 rad"'])
+    simulated = "\n\n".join(
+        [_frame(wrong), *tables, model, *simulated_runs, simulation, *true_tables, true_noise]
+    )
+    return Drawn(described, simulated + "\n", truth, int(rng.integers(0, 3)))
+
+
+def _frame(inputs: dict[str, float]) -> str:
+    return frame(
+        f"{inputs['gravity']!r} m/s^2", f"{inputs['latitude']!r} deg", f"{inputs['radius']!r} m"
+    )
+
+
+def _unstated(described: str, rng: np.random.Generator) -> dict[str, dict[str, float]]:
+    """Draw everything that a campaign does not state: owner -> symbol -> value."""
+    with tempfile.TemporaryDirectory() as folder:
+        campaign = _written(Path(folder), described)
+        unknowns = model_of(campaign).unknowns
+    off: dict[str, dict[str, float]] = {}
+    for unknown in unknowns:
+        if unknown.unstated and unknown.symbol not in ("records.timing_offset",):
+            value, u = unknown.prior
+            off.setdefault(unknown.owner, {})[unknown.symbol] = value + u * rng.standard_normal()
+    return off
+
+
+def _shared(off: dict[str, dict[str, float]]) -> Iterator[str]:
+    families: dict[str, list[str]] = {}
+    for symbol, value in off.get("", {}).items():
+        if symbol not in INPUTS and symbol not in OWN_TERMS:
+            family, _, key = symbol.partition(".")
+            families.setdefault(family, []).append(f'{key} = "{value!r} {term(symbol).unit}"')
+    for family, lines in families.items():
+        yield f"[truth.{family}]\n" + "\n".join(lines)
+
+
+def _tilts(own: dict[str, float]) -> str:
+    if not own:
+        return ""
+    keys = (f'{s.removeprefix("platform.")} = "{v!r} rad"' for s, v in own.items())
+    return f"\ntruth = {{ {', '.join(keys)} }}"
+
+
+def _written(folder: Path, text: str) -> Campaign:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "campaign.toml").write_text(text, encoding="utf-8")
+    return read_campaign(folder)
+
+
+def _with_gaps(folder: Path, rng: np.random.Generator, gaps: int) -> None:
+    """Take rows out of each record."""
+    for file in sorted(folder.glob("run*.csv")):
+        head, *rows = file.read_text(encoding="utf-8").splitlines()
+        for _ in range(gaps):
+            start = int(rng.integers(10, len(rows) - 40))
+            del rows[start : start + int(rng.integers(1, 20))]
+        file.write_text("\n".join([head, *rows]) + "\n", encoding="utf-8")
+
+
+def tried(seed: int, *, unstated: bool) -> tuple[list[tuple[str, float, bool]], Any]:
+    """Return symbol, normal equivalent of the error, whether it is covered; and the result."""
+    rng = np.random.default_rng(seed)
+    drawn = draw(rng, unstated=unstated)
+    with tempfile.TemporaryDirectory() as place:
+        folder = Path(place) / "records"
+        simulate(_written(Path(place) / "true", drawn.simulated), folder)
+        (folder / "campaign.toml").unlink()
+        _with_gaps(folder, rng, drawn.gaps)
+        result = calibrate(_written(folder, drawn.described))
+    errors = []
+    for name, own in result.accelerometers.items():
+        for symbol, c in own.coefficients.items():
+            if c.estimated and c.value is not None and c.u:
+                z = (c.value - drawn.truth[name][symbol]) / c.u
+                low, high = c.interval()
+                normal = float(ndtri(stdtr(min(c.dof or 1e9, 1e9), -abs(z)))) * -np.sign(z)
+                errors.append((symbol, normal, low <= drawn.truth[name][symbol] <= high))
+    return errors, result
+
+
+def row_of(words: str, *, unstated: bool, trials: int, first: int = FIRST) -> Row:
+    """Return what comes out of so many campaigns."""
+    by_symbol: dict[str, list[float]] = {}
+    covered, blamed = [], 0
+    for trial in range(trials):
+        errors, result = tried(first + trial, unstated=unstated)
+        blamed += result.state != "good"
+        for symbol, z, holds in errors:
+            by_symbol.setdefault(symbol, []).append(z)
+            covered.append(holds)
+    return Row(
+        words,
+        trials,
+        {symbol: len(z) for symbol, z in by_symbol.items()},
+        {symbol: float(np.sqrt(np.mean(np.square(z)))) for symbol, z in by_symbol.items()},
+        float(np.mean(covered)),
+        blamed / trials,
+    )
+
+
+def render(rows: Sequence[Row]) -> str:
+    """Return the table as Markdown."""
+    head = {"Campaigns": "---", "Number": "---:"}
+    head |= {f"z rms of {symbol}": "---:" for symbol in TERMS}
+    head |= {"95 % intervals that hold": "---:", "not called good": "---:"}
+    return table_of(
+        head,
+        [
+            [
+                row.words,
+                str(row.campaigns),
+                *(
+                    f"{row.z_rms[s]:.2f} ± {1.0 / np.sqrt(2.0 * row.values[s]):.2f}"
+                    for s in TERMS
+                ),
+                f"{row.covered:.1%}".replace("%", " %"),
+                f"{row.blamed:.1%}".replace("%", " %"),
+            ]
+            for row in rows
+        ],
+    )
+
+
+TABLE: Final = KeptTable("varied", DOCS / "trust.md", Row, render)
+
+KINDS: Final = {
+    "nothing assumed, every unstated error drawn at its typical size": True,
+    'perfect machines, `assume = "all"`': False,
+}
+
+
+if __name__ == "__main__":
+    TABLE.keep([row_of(w, unstated=u, trials=TRIALS) for w, u in KINDS.items()])

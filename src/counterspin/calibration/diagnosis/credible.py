@@ -1,0 +1,171 @@
+"""Estimates that no instrument and no machine has: a mistake that the records cannot show.
+
+With the sign of all readings reversed a fit is as good as before; only its K_I says that something
+is wrong, near -1. So each estimate is compared with its largest credible size about what it ideally
+is, three of its standard uncertainties allowed.
+
+- `incredible`: the finding on the coefficients of one accelerometer
+- `incredible_shared`: those on what platform and machine have
+- `beyond_typical`: those on what nothing states
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final
+
+from counterspin.calibration.result_parts import Coefficient, Finding, Knowledge
+from counterspin.campaign.resolved import Campaign
+from counterspin.inference.joint.unknowns import Unknown
+from counterspin.physics.terms import OWN_TERMS, is_term, term
+from counterspin.reports.numbers import field_unit, format_estimate, format_number
+
+#: An estimate may be beyond its largest credible size by so many of its standard uncertainties.
+_ALLOWED: Final = 3.0
+
+#: What is unstated may be so many times its typical size.
+_TYPICAL_SIZES: Final = 4.0
+
+#: A scale factor is off by a unit that it is this near to, of its size; 9.8 is not 10.
+_ALIKE: Final = 0.01
+
+_GRAVITY: Final = 9.80665  #: m/s^2
+
+#: Powers of ten that a unit may be off by.
+_POWERS: Final = (-9, -6, -4, -3, -2, -1, 1, 2, 3, 4, 6, 9)
+
+#: The first of these that a symbol begins with says what is likely.
+_LIKELY: Final = {
+    "K_F.temperature": "the unit of the temperatures, or which position has which",
+    "K_I.temperature": "the unit of the temperatures, or which position has which",
+    "K_II.temperature": "the unit of the temperatures, or which position has which",
+    "K_F.trend": "the times of the runs and their unit",
+    "K_F": "an offset of all readings, or the zero of the attitudes",
+    "delta_": "the attitudes: their zero, their sense, or the axes",
+    "K_": "the rates, the radius, or an output that is not linear at the largest force",
+    "platform.tilt": "the attitudes, or the input axes",
+    "platform.": "the unit of a record, or the noise that is stated",
+    "centrifuge.radius": "the radius and its unit",
+    "centrifuge.": "the radius, the rates and their units",
+    "fixture.": "the attitudes and axes of this mounting",
+    "head.zero": "the zero of the dividing head, and the sense in which its angle is counted",
+    "encoder.": "the angle: its unit, and its counts per revolution",
+}
+
+
+def incredible(
+    campaign: Campaign, name: str, coefficients: Mapping[str, Coefficient]
+) -> Iterator[Finding]:
+    """Yield a finding if coefficients of an accelerometer are beyond what is credible.
+
+    A wrong scale factor makes the others wrong by as much: they stand below it.
+
+    Parameters
+    ----------
+    campaign, name
+        The description and one of its accelerometers.
+    coefficients
+        Symbol -> estimate, in g-units.
+    """
+    found = {
+        symbol: finding
+        for symbol, c in coefficients.items()
+        if symbol in OWN_TERMS
+        and (finding := _finding(campaign, name, symbol, f"{name}.{symbol}", c)) is not None
+    }
+    scale = found.pop("K_I", None)
+    if scale is None:
+        yield from found.values()
+    else:
+        yield scale.model_copy(update={"explains": list(found.values())})
+
+
+def incredible_shared(
+    campaign: Campaign, coefficients: Mapping[Unknown, Coefficient]
+) -> Iterator[Finding]:
+    """Yield the findings on what platform, machine and runs have; deviations from nominal, SI.
+
+    Parameters
+    ----------
+    campaign
+        The description.
+    coefficients
+        Unknown -> estimate; radii of mountings as deviations from the centrifuge's.
+    """
+    for unknown, c in coefficients.items():
+        if is_term(unknown.symbol):
+            finding = _finding(campaign, "", unknown.symbol, unknown.name, c)
+            if finding is not None:
+                yield finding
+
+
+def beyond_typical(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
+    """Yield a finding for each thing unstated that comes out far from nothing.
+
+    Parameters
+    ----------
+    rests_on
+        What is known beside the data, with what the fit makes of it.
+    """
+    for row in rests_on:
+        if row.kind != "unstated" or row.found is None or row.u_found is None:
+            continue
+        times = abs(row.found - row.value) / row.u
+        if times <= _TYPICAL_SIZES:
+            continue
+        unit, factor = field_unit(row.unit)
+        found = format_estimate(row.found * factor, row.u_found * factor, unit)
+        size = f"{format_number(row.u * factor, 2)} {unit}"
+        text = (
+            f"{row.name}, which nothing states, comes out at {found}: {format_number(times, 2)} "
+            f"times the typical size, {size}. State what is known of it in [model.priors], or "
+            "look for a mistake that has the same effect."
+        )
+        yield Finding(code="beyond-typical", subject=row.name, text=text, size=times)
+
+
+def _finding(
+    campaign: Campaign, owner: str, symbol: str, subject: str, c: Coefficient
+) -> Finding | None:
+    """Return the finding on one estimate; None if it is credible or there is none."""
+    if not c.estimated or c.value is None or c.u is None:
+        return None
+    row, limit = term(symbol), campaign.limit_of(symbol, owner)
+    beyond = abs(c.value - row.nominal) - limit
+    if beyond <= _ALLOWED * c.u:
+        return None
+    about = f" about {row.nominal:g}" if row.nominal else ""
+    likely = _of_scale(c.value, limit) if symbol == "K_I" else _likely(symbol)
+    grade = f" state its grade in accelerometers.{owner}, or" if owner else ""
+    text = (
+        f"{symbol} = {format_number(c.value, 5)} {c.unit} is not credible: beyond "
+        f"{format_number(limit)} {c.unit}{about}. The records cannot show why; likely is "
+        f"{likely}. If it is true,{grade} raise {symbol} in [model.limits]."
+    )
+    return Finding(
+        code="incredible",
+        subject=subject,
+        text=text,
+        size=beyond / c.u if c.u > 0.0 else None,
+        contradicts=True,
+    )
+
+
+def _likely(symbol: str) -> str:
+    return next(words for start, words in _LIKELY.items() if symbol.startswith(start))
+
+
+def _of_scale(value: float, limit: float) -> str:
+    """Return what makes a scale factor what it is: a sign, a unit, a column."""
+    factors = {10.0**power: f"a unit off by a power of ten, 1e{power}" for power in _POWERS}
+    factors |= dict.fromkeys((_GRAVITY, 1.0 / _GRAVITY), "a unit, m/s^2 against g")
+    near = min([1.0, *factors], key=lambda factor: abs(abs(value) / factor - 1.0))
+    explained = abs(abs(value) / near - 1.0) <= _ALIKE
+    causes = []
+    if value < -limit or (value < 0.0 and explained):
+        causes.append("the sign of the output, or the sense of the input axis")
+    if explained and near in factors:
+        causes.append(factors[near])
+    elif abs(value) <= limit:
+        causes.append("another column, or another accelerometer, than is stated")
+    return ", and ".join(causes) or "the sensitivity and its unit, or the range of the readout"

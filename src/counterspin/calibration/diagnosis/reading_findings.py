@@ -1,0 +1,217 @@
+"""What speaks against readings: residuals that are no noise, positions off, records of outliers.
+
+- `readings_fit`: residuals that are not noise, what they follow, and whether they can be judged
+- `outlying_readings`: positions that stand out; `outliers_of_means`: records that lost many rows
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from counterspin.calibration.diagnosis.record_counts import counts_of, many_outliers
+from counterspin.calibration.findings import (
+    CONTRADICTION_SIGMAS,
+    equivalent_deviations,
+    lack_of_fit,
+)
+from counterspin.calibration.joint_view import AccelerometerView
+from counterspin.calibration.readings import AccelerometerReadings, residual_of
+from counterspin.calibration.result_parts import Finding
+from counterspin.inference.diagnostics import SIGNIFICANCE
+from counterspin.inference.joint.alternatives import Alternative
+from counterspin.inference.joint.relaxed import relax
+from counterspin.inference.reading_tests import (
+    DRIFT,
+    FEWEST_FREEDOM,
+    HYSTERESIS,
+    TERM,
+    WARM_UP,
+    WAVE,
+    Followed,
+    Group,
+    candidates,
+    most_followed,
+)
+from counterspin.reports.numbers import format_number
+
+#: Up to so many positions that are off may each be a mistake. More, and more than this share of
+#: all, point to the model.
+_MAX_LONE_POSITIONS: Final = 3
+_MAX_LONE_SHARE: Final = 0.25
+
+
+def readings_fit(view: AccelerometerView) -> list[Finding]:
+    """Return a finding for each motion whose residuals are not noise, or cannot be judged.
+
+    Noise that was stated is what they are compared with; noise that was estimated shows a misfit
+    where positions were read more than once. Beside that, whatever the noise, it is asked what the
+    residuals follow. Both share the significance, and so do the motions.
+    """
+    parts = view.readings
+    level = 0.5 * SIGNIFICANCE
+    followed = {place: one for place, one in _followed(view) if one.p * one.tests < level}
+    findings = []
+    for place, part in enumerate(parts):
+        if part.dof < FEWEST_FREEDOM:
+            findings.append(_unjudged(view.name, part))
+        residual = residual_of([part])
+        stated = math.isinf(part.dof)
+        p = residual.lack_of_fit_p if stated else part.misfit_of_positions
+        sentences = []
+        if p is not None and p < level / len(parts):
+            said = (
+                f"The residuals of the {part.words} are not the noise that was stated"
+                if stated
+                else f"Positions of the {part.words} are further off the model than repeats of one "
+                "position are from each other"
+            )
+            sentences = [f"{said} (p = {p:.2g})."]
+        general = lack_of_fit(view.name, sentences, residual) if sentences else None
+        if place in followed:
+            findings.append(_explained(view.name, part, followed[place], general))
+        elif general is not None:
+            findings.append(general)
+    return findings
+
+
+def _unjudged(name: str, part: AccelerometerReadings) -> Finding:
+    text = (
+        f"{part.readings.size} {part.words} without a stated uncertainty leave "
+        f"{format_number(part.dof, 2)} degrees of freedom beside what is estimated: no residual of "
+        "theirs can be judged. State their uncertainty, or take more of them."
+    )
+    return Finding(code="unjudged-readings", subject=name, text=text)
+
+
+def _followed(view: AccelerometerView) -> Iterator[tuple[int, Followed]]:
+    """Yield what the residuals of each motion follow most: its place, and what it is."""
+    fit = relax(view.fit)
+    judged = {
+        place: part
+        for place, part in enumerate(view.readings)
+        if part.block_name in fit.beside_rows
+        and part.block_name in fit.beside
+        and min(part.dof, part.freedom) >= FEWEST_FREEDOM
+    }
+    if not judged:
+        return
+    groups = [_group(part) for part in judged.values()]
+    own = [unknown for unknown in fit.model.unknowns if unknown.owner == view.name]
+    known = {unknown.symbol for unknown in own if math.isfinite(unknown.prior[1])}
+    columns = [
+        tuple(candidates(group, {unknown.symbol for unknown in own}, known)) for group in groups
+    ]
+    places = list(judged)
+    for one in most_followed(fit, groups, columns):
+        yield places[one.group], one
+
+
+def _group(part: AccelerometerReadings) -> Group:
+    readings, estimated = part.readings, math.isfinite(part.dof)
+    noise = part.noise / np.sqrt(readings.repeats)
+    names = {name for name, _, _ in part.outlying()}
+    lone = tuple(k for k, name in enumerate(readings.names) if name in names)
+    return Group(
+        readings,
+        part.block_name,
+        part.sigma,
+        (noise / part.sigma) ** 2 if estimated else np.ones(readings.size),
+        # The noise that is estimated is such that they are what is expected.
+        part.dof if estimated else part.squares,
+        part.dof if estimated else part.freedom,
+        estimated,
+        lone if len(lone) <= _most_lone(part) else (),
+    )
+
+
+def _explained(
+    name: str, part: AccelerometerReadings, followed: Followed, general: Finding | None
+) -> Finding:
+    """Return the finding that residuals follow something, the best explanation first."""
+    first = followed.alternatives[0]
+    size = equivalent_deviations(followed.p)
+    text = f"The residuals of the {part.words} {_clause(first)} (p = {followed.p:.2g})."
+    terms = [other.symbol for other in followed.alternatives if other.kind == TERM]
+    if first.kind == TERM:
+        terms = terms[1:]
+    if first.kind == WAVE:
+        made = f", or {' or '.join(terms)} in the accelerometer," if terms else ""
+        text += f" An error of the head that goes with its angle{made} would make them so."
+    elif terms:
+        text += f" So would {' or '.join(terms)}."
+    others = dict.fromkeys(
+        _clause(other) for other in followed.alternatives[1:] if other.kind not in (TERM, WAVE)
+    )
+    text += "".join(f" As well it can be said that they {clause}." for clause in others)
+    if general is not None:
+        text += f" {general.text}"
+    return Finding(
+        code="lack-of-fit",
+        subject=name,
+        text=text,
+        size=size,
+        contradicts=size > CONTRADICTION_SIGMAS or (general is not None and general.contradicts),
+    )
+
+
+def _clause(other: Alternative) -> str:
+    when = (
+        "the order in which they were taken" if other.symbol == "order" else "the time of reading"
+    )
+    return {
+        WAVE: f"follow {other.symbol}, phi being the head's angle from where the input axis points "
+        "up",
+        TERM: f"are what {other.symbol} makes, beyond what the model allows it",
+        DRIFT: f"drift with {when}",
+        WARM_UP: f"settle with {when}, as after a warm-up",
+        HYSTERESIS: "depend on the side from which a position was approached (hysteresis)",
+    }[other.kind]
+
+
+def outlying_readings(name: str, parts: Sequence[AccelerometerReadings]) -> list[Finding]:
+    """Return a finding for each position that stands out, or one where many of a motion do."""
+    findings = []
+    for part in parts:
+        far_off = part.outlying()
+        if len(far_off) <= _most_lone(part):
+            findings += [_outlying(part, name, *one) for one in far_off]
+            continue
+        worst = max(far_off, key=lambda one: abs(one[2]))
+        finding = _outlying(part, name, *worst)
+        text = (
+            f"{len(far_off)} of {part.readings.size} {part.words} are off the model: so many "
+            f"point to the model and not to single readings. {finding.text}"
+        )
+        findings.append(finding.model_copy(update={"text": text}))
+    return findings
+
+
+def _most_lone(part: AccelerometerReadings) -> float:
+    return max(_MAX_LONE_POSITIONS, _MAX_LONE_SHARE * part.readings.size)
+
+
+def _outlying(
+    part: AccelerometerReadings, name: str, reading: str, residual: float, z: float
+) -> Finding:
+    return Finding(
+        code="outlying-reading",
+        subject=f"{name}.{reading}",
+        text=f'The position "{reading}" reads {residual * 1e6:+.3g} ug off the model, '
+        f"{abs(z):.1f} of its standard deviations: look at it, or at what the model lacks.",
+        size=abs(z),
+        contradicts=abs(z) > CONTRADICTION_SIGMAS and math.isinf(part.dof),
+    )
+
+
+def outliers_of_means(name: str, parts: Sequence[AccelerometerReadings]) -> list[Finding]:
+    """Return a finding for each record whose mean is a reading and that lost many rows."""
+    return [
+        finding
+        for part in parts
+        for reading, mean in part.means.items()
+        for finding in many_outliers(f"{name}.{reading}", counts_of(mean.report))
+    ]

@@ -1,0 +1,91 @@
+"""[evidence] of ``LAB.toml``: what bounds the terms that a result takes as perfect.
+
+A term that a description assumes to be perfect adds nothing to u, so a certificate that states u
+has to say why: with a text of the laboratory for each, such as a measurement or a data sheet.
+
+- `unsupported`: what is assumed without a text
+- `is_evidence_for_something`: whether a key names any term
+- `require_evidence`: no certificate without it; `evidence_lines`: what the certificate says
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import Final
+
+from counterspin.errors import CampaignError
+from counterspin.physics.terms import TABLE, is_term, symbol_of
+
+#: As a key, or as what is assumed: everything that is not stated.
+ALL: Final = "all"
+
+
+def unsupported(assumed: Sequence[str], evidence: Mapping[str, str]) -> list[str]:
+    """Return what is assumed without a text.
+
+    Parameters
+    ----------
+    assumed
+        Terms, patterns such as ``platform.*``, or ``all``.
+    evidence
+        Text by term, by what several begin with (``platform.tilt``), by pattern; or for ``all``.
+        A term of one accelerometer (``Qx.K_OO``) is covered by that of all (``K_OO``).
+    """
+    return [name for name in assumed if not any(_covers(key, name) for key in evidence)]
+
+
+def _covers(key: str, name: str) -> bool:
+    """Return whether a key of [evidence] stands for something that is assumed."""
+    if key == ALL:
+        return True
+    own = name if _is_pattern(name) else symbol_of(name)
+    return any(
+        fnmatchcase(one, key) or one.startswith(f"{key}.") for one in dict.fromkeys((name, own))
+    )
+
+
+def _is_pattern(name: str) -> bool:
+    return any(sign in name for sign in "*?[")
+
+
+def is_evidence_for_something(key: str, accelerometers: Collection[str]) -> bool:
+    """Return whether a key names a term or several, of these accelerometers or of the machine."""
+    owner, _, rest = key.partition(".")
+    if owner in accelerometers and rest and not is_term(key):
+        return is_evidence_for_something(rest, ())
+    return key == ALL or is_term(key) or any(_covers(key, symbol) for symbol in TABLE)
+
+
+def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source: str) -> None:
+    """Refuse a certificate of a result that assumes something for which nobody answers.
+
+    Parameters
+    ----------
+    assumed, evidence
+        As of `unsupported`.
+    source
+        What the laboratory's data are called in the message.
+
+    Raises
+    ------
+    CampaignError
+        With what lacks a text, and what to write.
+    """
+    lacking = unsupported(assumed, evidence)
+    if not lacking:
+        return
+    lines = " ".join(f'"{name}" = "..."' for name in lacking)
+    problem = (
+        f"evidence: the result takes {', '.join(lacking)} as perfect, so that its u holds nothing "
+        "of that; say for each what bounds it, such as a measurement or a data sheet, in "
+        f"[evidence]: {lines}; or calibrate without the assumption"
+    )
+    raise CampaignError(source, [problem])
+
+
+def evidence_lines(assumed: Sequence[str], evidence: Mapping[str, str]) -> Iterator[str]:
+    """Yield the texts for what is assumed, each with the terms that it is for."""
+    for key, text in evidence.items():
+        if any(_covers(key, name) for name in assumed):
+            yield f"{', '.join(assumed) if key == ALL else key}: {text}"

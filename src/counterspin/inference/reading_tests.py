@@ -1,0 +1,316 @@
+"""What the residuals of readings follow: tests that need neither repeats nor a stated noise.
+
+Each is one further column beside the fit (`counterspin.inference.joint.alternatives`): a wave of
+the dividing head's angle, a term of the accelerometer, a drift, a warm-up, the sense of approach.
+Where the noise is estimated from the same residuals it is an F test of the column (Draper and
+Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that is left.
+
+- `candidates`: the columns of one group; `head_angle`: the angle that their waves are of
+- `most_followed`, `Followed`: all of them held against a fit, and what is alike
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator, Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from counterspin.arrays import Array
+from counterspin.frozen import frozen
+from counterspin.inference.diagnostics import LEAST_PART_LEFT, SIGNIFICANCE
+from counterspin.inference.distributions import chi_square_tail, normal_cdf, student_cdf
+from counterspin.inference.joint.alternatives import Alternative, beside_fit
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.readings import Readings
+from counterspin.physics.terms import CONDITION_TERMS, TERMS
+
+#: Kinds of columns, the likelier first, for where the residuals cannot tell.
+WAVE, TERM, DRIFT, WARM_UP, HYSTERESIS = KINDS = (
+    "wave",
+    "term",
+    "drift",
+    "warm-up",
+    "hysteresis",
+)
+
+#: Least degrees of freedom of residuals from which anything is judged.
+FEWEST_FREEDOM: Final = 5.0
+
+#: Waves a revolution of the head, up to this many.
+_HARMONICS: Final = 4
+
+#: Time constants of a warm-up, in parts of the whole series.
+_WARM_UPS: Final = (0.1, 0.3)
+
+#: Columns are alike where what the fit leaves of them has a correlation above this.
+_ALIKE: Final = 0.999
+
+#: Chi-square by which one column must be better than another to exclude it.
+_DECISIVE_CHI2: Final = 6.0
+
+
+@frozen
+class Group:
+    """Readings as they are tested.
+
+    Attributes
+    ----------
+    readings
+        What was read.
+    block
+        What their block is called among those beside the records.
+    sigma, of_noise
+        Standard uncertainty of each reading (g), and the part that noise has in its square, (n,).
+    squares
+        Sum of the squares of their residuals over the uncertainties.
+    freedom
+        Of the residuals; where the noise was estimated, of that, repeats counted.
+    estimated
+        Whether the noise was estimated.
+    left_out
+        Places of readings that stand out by themselves, which the tests must not follow.
+    """
+
+    readings: Readings
+    block: str
+    sigma: Array
+    of_noise: Array
+    squares: float
+    freedom: float
+    estimated: bool
+    left_out: tuple[int, ...] = ()
+
+
+@frozen
+class Followed:
+    """One column that the residuals of a group follow, with those that do as well.
+
+    Attributes
+    ----------
+    group
+        Place of the group.
+    alternatives
+        The likeliest first: all that explain as much.
+    p
+        Probability of as much by chance, for this column alone.
+    tests
+        How many columns were tested, those that are alike counted once.
+    """
+
+    group: int
+    alternatives: tuple[Alternative, ...]
+    p: float
+    tests: int
+
+
+def head_angle(group: Readings) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """Return the angle of the dividing head from where the input axis points up, and where it is.
+
+    Returns
+    -------
+    tuple of Array
+        rad, shape (n,), and whether the reading was taken at an angle about the axis that most
+        readings have in common, shape (n,). About an upright axis the angle is from north; of an
+        input axis along the head's, it is that of the pendulous axis.
+    """
+    n = group.size
+    angle, there = np.zeros(n), np.zeros(n, dtype=bool)
+    turned = np.linalg.norm(group.head, axis=1) > 0.0
+    if not turned.any():
+        return angle, there
+    axes = np.round(group.head[turned], 9)
+    kinds, counts = np.unique(axes, axis=0, return_counts=True)
+    axis = kinds[np.argmax(counts)]
+    there[turned] = (axes == axis).all(axis=1)
+    axis = axis / np.linalg.norm(axis)
+    up = np.array([0.0, 0.0, 1.0])
+    start = up if abs(axis @ up) < 0.9 else np.array([0.0, 1.0, 0.0])
+    start = start - (start @ axis) * axis
+    start /= np.linalg.norm(start)
+    aside = np.cross(axis, start)
+    frames = np.array([station.mounting.matrix for station in group.stations])
+    along = np.abs(frames[there] @ axis)
+    pointer = frames[:, 0] if along[:, 0].max() < 0.9 else frames[:, 1]
+    angle[there] = np.arctan2(pointer[there] @ aside, pointer[there] @ start)
+    return angle, there
+
+
+def candidates(
+    group: Group, unknown: Collection[str], followed: Collection[str]
+) -> Iterator[Alternative]:
+    """Yield the columns that the residuals of a group may follow.
+
+    Parameters
+    ----------
+    group
+        The readings.
+    unknown
+        Symbols of the accelerometer's terms that the fit may choose freely.
+    followed
+        Those of them of which something is known beforehand, and which may be more than that.
+    """
+    readings = group.readings
+    for kind, symbol, column in (
+        *_waves(readings),
+        *_terms(readings, unknown, followed),
+        *_in_order(readings),
+        *_of_approach(readings),
+    ):
+        yield Alternative(
+            kind, readings.accelerometer, symbol, beside={group.block: column / group.sigma}
+        )
+
+
+_Column = tuple[str, str, Array]
+
+
+def _waves(readings: Readings) -> Iterator[_Column]:
+    angle, there = head_angle(readings)
+    for n in range(1, _HARMONICS + 1) if there.any() else ():
+        turns = f"{n} phi" if n > 1 else "phi"
+        yield WAVE, f"cos {turns}", there.astype(float) * np.cos(n * angle)
+        yield WAVE, f"sin {turns}", there.astype(float) * np.sin(n * angle)
+
+
+def _terms(
+    readings: Readings, unknown: Collection[str], followed: Collection[str]
+) -> Iterator[_Column]:
+    products = dict(zip(TERMS, readings.products({}).T, strict=True))
+    for symbol, product in products.items():
+        if symbol not in unknown or symbol in followed:
+            yield TERM, symbol, product
+    for symbol, row in CONDITION_TERMS.items():
+        lever = readings.lever(symbol)
+        # A slope with time that nobody has stated is the drift.
+        if symbol not in unknown and np.ptp(lever) > 0.0 and row.effect.condition != "time":
+            yield TERM, symbol, products[row.effect.coefficient] * lever
+
+
+def _in_order(readings: Readings) -> Iterator[_Column]:
+    by_time = np.ptp(readings.time) > 0.0
+    x = readings.time if by_time else np.arange(float(readings.size))
+    x = (x - x.min()) / np.ptp(x)
+    yield DRIFT, "time" if by_time else "order", x - 0.5
+    for part in _WARM_UPS:
+        yield WARM_UP, "time" if by_time else "order", np.exp(-x / part)
+
+
+def _of_approach(readings: Readings) -> Iterator[_Column]:
+    """Yield from which side each position was come to: that of the head, or of the rate's size."""
+    angle, there = head_angle(readings)
+    if there.all():
+        # Half a turn may be made either way.
+        steps = np.angle(np.exp(1j * np.diff(angle)))
+        steps[np.abs(steps) > math.pi * (1.0 - 1e-6)] = 0.0
+    else:
+        steps = np.diff([abs(station.rate) for station in readings.stations])
+    sense, last = np.zeros(readings.size), 0.0
+    for k, step in enumerate(steps.tolist(), start=1):
+        last = math.copysign(1.0, step) if abs(step) > 1e-9 else last
+        sense[k] = last
+    sense[0] = sense[1]
+    if (sense > 0.0).any() and (sense < 0.0).any():
+        yield HYSTERESIS, "sense of approach", sense
+
+
+def most_followed(
+    fit: JointFit, groups: Sequence[Group], alternatives: Sequence[Sequence[Alternative]]
+) -> list[Followed]:
+    """Return of each group the column that its residuals follow most, with those like it.
+
+    Parameters
+    ----------
+    fit
+        Of `counterspin.inference.joint.relaxed.relax`, with the rows of the groups' blocks.
+    groups
+        The readings of one accelerometer.
+    alternatives
+        Of each group: `candidates`.
+    """
+    marks = [
+        Alternative("left out", "", str(k), beside={group.block: np.eye(group.readings.size)[k]})
+        for group in groups
+        for k in group.left_out
+    ]
+    every = [*marks, *(other for own in alternatives for other in own)]
+    if len(every) == len(marks):
+        return []
+    held = beside_fit(fit, every)
+    columns, residual = held.columns, held.residual
+    there = np.sum(columns**2, axis=0) > LEAST_PART_LEFT * held.before
+    found, tests = [], 0
+    start = len(marks)
+    for place, (group, own) in enumerate(zip(groups, alternatives, strict=True)):
+        out = [k for k, mark in enumerate(marks) if group.block in mark.beside]
+        own_columns, usable = columns[:, start : start + len(own)], there[start : start + len(own)]
+        start += len(own)
+        basis = np.linalg.qr(columns[:, out])[0]
+        apart = basis.T @ residual
+        if out and usable.any():
+            # Readings that a column explains better than each by itself stand out for its sake.
+            norms = np.linalg.norm(own_columns[:, usable], axis=0)
+            if np.max(np.abs(own_columns[:, usable].T @ residual) / norms) ** 2 > float(
+                apart @ apart
+            ):
+                out, basis, apart = [], basis[:, :0], apart[:0]
+        left = own_columns - basis @ (basis.T @ own_columns)
+        alone = residual - basis @ apart
+        norms = np.linalg.norm(left, axis=0)
+        usable &= norms**2 > LEAST_PART_LEFT
+        if not usable.any():
+            continue
+        kept = [other for other, use in zip(own, usable.tolist(), strict=True) if use]
+        unit = left[:, usable] / norms[usable]
+        gains = _own_gains(unit, alone, held.places[group.block])
+        alike = np.abs(unit.T @ unit) > _ALIKE
+        tests += int(np.sum(~np.any(np.triu(alike, 1), axis=0)))
+        best = int(np.argmax(gains))
+        squares = group.squares - float(apart @ apart)
+        freedom = group.freedom - len(out)
+        share = _share(group, kept[best])
+        p, scale = _chance(float(gains[best]), squares, freedom, share, group.estimated)
+        as_good = [
+            other
+            for k, other in enumerate(kept)
+            if alike[k, best] or gains[k] > gains[best] - _DECISIVE_CHI2 * scale
+        ]
+        as_good.sort(key=lambda other: KINDS.index(other.kind))
+        found.append(Followed(place, tuple(as_good), p, 0))
+    return [Followed(each.group, each.alternatives, each.p, tests) for each in found]
+
+
+def _own_gains(units: Array, residual: Array, rows: slice) -> Array:
+    """Return by how much each column lessens the squares of the readings themselves, shape (m,).
+
+    What lessens those of priors is a conflict with a prior, and no pattern of the readings.
+    """
+    after = residual[rows, None] - units[rows] * (units.T @ residual)
+    squares = float(residual[rows] @ residual[rows])
+    lessened: Array = np.maximum(squares - np.sum(after**2, axis=0), 0.0)
+    return lessened
+
+
+def _share(group: Group, other: Alternative) -> float:
+    """Return the part that noise has in the variance of what a column is weighed against."""
+    column = other.beside[group.block] ** 2
+    return min(float(column @ group.of_noise) / float(column.sum()), 1.0)
+
+
+def _chance(
+    gain: float, squares: float, freedom: float, share: float, estimated: bool
+) -> tuple[float, float]:
+    """Return the probability of a gain in chi-square, and the scale of the residuals without it."""
+    rest, others = max(squares - gain, 0.0), max(freedom - 1.0, 0.5)
+    scale = max(rest / others, 1e-12)
+    by_noise = 2.0 * normal_cdf(-math.sqrt(gain))
+    if not estimated:
+        # Where more is wrong than this column, it must be more than the others.
+        if chi_square_tail(others, rest) > SIGNIFICANCE:
+            return by_noise, 1.0
+        return max(by_noise, 2.0 * student_cdf(others, -math.sqrt(gain / scale))), scale
+    # The head's part of the variance is known, so that only the noise's has a scale to find.
+    scale = (1.0 - share) + share * scale
+    return 2.0 * student_cdf(others / max(share, 1e-6) ** 2, -math.sqrt(gain / scale)), scale

@@ -1,0 +1,133 @@
+"""How large the terms of an accelerometer are, by its grade, and where that comes from.
+
+A credible size is an order of magnitude, several times what data sheets allow if they name it:
+beyond it is a mistake, not an instrument. A typical size is the standard uncertainty of a term of
+which nothing is stated; its source says which figure of which document it rests on, or that there
+is none.
+
+Documents:
+
+- the paper: Table 1 of the one that the package is about
+- dual-use list: accelerometers that are controlled by entry 7A001.a of the EU's and the Swiss (GKV)
+  list of dual-use goods, here by the latter
+- MS1010: Safran Colibrys, MS1000 data sheet, 2016-12-30, the ±10 g model, typical values
+- ADXL350, ADXL313: Analog Devices, data sheets, Table 1
+- HASI: calibration of the servo accelerometer of Huygens, ``HASI_ACC_CALIBRATION_DATA.TXT`` in
+  ESA's Planetary Science Archive
+
+- `GRADES`; `DEFAULT_GRADE`: of an accelerometer that states none
+- `Size`: credible and typical; `SIZES`: by symbol, then grade
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from counterspin.frozen import frozen
+
+#: From the best to the worst.
+GRADES: Final = ("navigation", "tactical", "consumer")
+
+DEFAULT_GRADE: Final = GRADES[0]
+
+
+@frozen
+class Size:
+    """How large a term is, in the unit of its row.
+
+    Attributes
+    ----------
+    limit
+        The largest credible size.
+    typical
+        Standard uncertainty to assume where nothing is known.
+    source
+        What `typical` rests on.
+    """
+
+    limit: float
+    typical: float
+    source: str
+
+
+_NONE: Final = "order of magnitude, no source"
+_FIFTH: Final = "order of magnitude: a fifth of K_II, as at navigation grade"
+_TENTH: Final = "order of magnitude: a tenth of K_II, as at navigation grade"
+_OF_PAPER: Final = "the paper's Table 1 for K_IP (6e-6 g/g²), a third of it; the others likewise"
+
+_CROSS: Final = (
+    (1e-4, 2e-6, _OF_PAPER),
+    (1e-3, 6e-5, _FIFTH),
+    (1e-2, 2e-4, _FIFTH),
+)
+_MISALIGNMENT: Final = (
+    (1e-2, 5e-5, "order of magnitude, no source: 10 arcsec, aligned on its platform or fixture"),
+    (5e-2, 1e-2, "MS1010: misalignment 10 mrad"),
+    (0.2, 2e-2, "between ADXL313 and ADXL350: cross-axis sensitivity ±1 % and ±3 %"),
+)
+
+_ROWS: Final[Mapping[str, tuple[tuple[float, float, str], ...]]] = {
+    "K_F": (
+        (
+            0.1,
+            1e-4,
+            "one nautical mile an hour, which defines navigation grade: a bias of 1e-4 g levels "
+            "the platform wrong by 1e-4 rad, 0.34 nautical miles; dual-use list, 7A001.a.1: "
+            "better than 130 µg over one year",
+        ),
+        (0.3, 1.2e-3, "MS1010: long-term bias repeatability 1.2 mg"),
+        (1.0, 5e-2, "ADXL350: 0 g output ±50 mg, typical, of X and Y"),
+    ),
+    "K_I": (
+        (0.1, 1e-4, "dual-use list, 7A001.a.1: scale factor better than 130 ppm over one year"),
+        (
+            0.2,
+            1.2e-3,
+            "dual-use list, 7A001.a.2, above 15 g: scale factor better than 1250 ppm over one year",
+        ),
+        (0.5, 4e-2, "ADXL350: 512 LSB/g ± 7.5 %, taken as limits of a rectangular distribution"),
+    ),
+    "K_II": (
+        (1e-4, 1e-5, "the paper's Table 1 (2e-5 g/g²), half of it"),
+        (3e-3, 3e-4, "MS1010: nonlinearity 0.3 % of 10 g, as if all of it were of second order"),
+        (1e-2, 1e-3, "ADXL313 and ADXL350: nonlinearity ±0.5 % of 4 g and of 8 g, likewise"),
+    ),
+    "K_III": (
+        (1e-4, 1e-6, "the paper's Table 1 (4e-6 g/g³), a quarter of it"),
+        (1e-3, 3e-5, "MS1010: nonlinearity 0.3 % of 10 g, as if all of it were of third order"),
+        (1e-2, 1e-4, "ADXL350: nonlinearity ±0.5 % of 8 g, likewise"),
+    ),
+    "K_4": ((1e-5, 1e-9, _NONE), (1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE)),
+    "K_IP": _CROSS,
+    "K_IO": _CROSS,
+    "K_PO": _CROSS,
+    "K_PP": _CROSS,
+    "K_OO": _CROSS,
+    "K_OQ": ((1e-4, 1e-6, _NONE), (1e-3, 3e-5, _TENTH), (1e-2, 1e-4, _TENTH)),
+    "delta_O": _MISALIGNMENT,
+    "delta_P": _MISALIGNMENT,
+    "K_F.temperature": (
+        (1e-2, 5e-6, "order of magnitude; HASI: 0.6 µg/K at 293 K, 2.3 µg/K at 100 K"),
+        (1e-2, 1e-4, _NONE),
+        (1e-2, 2e-4, "ADXL350: 0 g offset ±0.17 mg/K of X and Y, ±0.24 mg/K of Z, typical"),
+    ),
+    "K_I.temperature": (
+        (1e-2, 1e-4, "HASI: 78 ppm/K at 293 K"),
+        (1e-2, 1e-4, "as of the grades above and below, which agree"),
+        (1e-2, 1e-4, "ADXL313 and ADXL350: ±0.01 %/K"),
+    ),
+    "K_II.temperature": ((1e-5, 1e-8, _NONE), (1e-4, 3e-7, _NONE), (1e-3, 1e-6, _NONE)),
+    "K_F.trend": (
+        (1e-3, 1.7e-9, "order of magnitude, no source: 0.1 µg/min"),
+        (1e-3, 1.7e-8, "order of magnitude, no source: 1 µg/min"),
+        (1e-3, 1.7e-7, "order of magnitude, no source: 10 µg/min"),
+    ),
+    "K_F.heating": ((1e-4, 1e-7, _NONE), (1e-3, 1e-6, _NONE), (1e-2, 1e-5, _NONE)),
+}
+
+#: Symbol of a term of an accelerometer -> grade -> size.
+SIZES: Final[Mapping[str, Mapping[str, Size]]] = {
+    symbol: {grade: Size(*size) for grade, size in zip(GRADES, sizes, strict=True)}
+    for symbol, sizes in _ROWS.items()
+}

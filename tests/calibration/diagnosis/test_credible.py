@@ -1,0 +1,128 @@
+"""Estimates that no instrument has, in campaigns whose records fit."""
+
+import numpy as np
+import pytest
+from campaigns import SMALL, changed, write
+from reading_campaigns import simulated, tumble
+from reading_descriptions import ACCELEROMETER, at_rest, place
+
+from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.diagnosis.credible import incredible
+from counterspin.calibration.result_parts import Coefficient
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.simulation import simulate
+
+SIGMA = 2e-6
+TRUTH = {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5}
+SIGN = "the sign of the output, or the sense of the input axis"
+
+
+def tumbled(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelerometer=""):
+    """Calibrate a tumble whose indications were changed, or whose positions are turned, deg."""
+    values = simulated(tumble(), np.random.default_rng(1), SIGMA, truth=TRUTH)
+    step = 360 / len(values)
+    runs = "".join(
+        at_rest(
+            f"tumble {i}",
+            f"{i * step + turned!r} deg about north",
+            f"{float(1.25 * change(value))!r} ± {1.25 * SIGMA!r} mA",
+        )
+        for i, value in enumerate(values)
+    )
+    model = f"[model]\nterms = {list(terms)}\n{more}".replace("'", '"')
+    head = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER + accelerometer
+    (folder / "campaign.toml").write_text(head + "\n" + model + runs, encoding="utf-8")
+    return calibrate(folder)
+
+
+def only(result):
+    (finding,) = [f for f in result.findings if f.code == "incredible"]
+    return finding
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda g: -g, SIGN),
+        (lambda g: 10.0 * g, "a unit off by a power of ten, 1e1."),
+        (lambda g: 1e-3 * g, "a unit off by a power of ten, 1e-3."),
+        (lambda g: -1e3 * g, f"{SIGN}, and a unit off by a power of ten, 1e3."),
+        (lambda g: 9.80665 * g, "a unit, m/s^2 against g."),
+        (lambda g: g / 9.80665, "a unit, m/s^2 against g."),
+        (lambda g: 0.03 * g, "another column, or another accelerometer, than is stated."),
+        (lambda g: 1.3 * g, "the sensitivity and its unit, or the range of the readout."),
+    ],
+)
+def test_a_scale_factor_that_no_instrument_has(tmp_path, change, words):
+    result = tumbled(tmp_path, change)
+    assert result.state == "contradicted"
+    finding = only(result)
+    assert finding.subject == "A.K_I"
+    assert finding.contradicts
+    assert words in finding.text
+    assert result.findings[0] == finding
+
+
+def test_the_size_says_by_how_many_standard_uncertainties(tmp_path):
+    result = tumbled(tmp_path, lambda g: 1.3 * g)
+    c = result.accelerometers["A"].coefficients["K_I"]
+    assert only(result).size == pytest.approx((c.value - 1.0 - 0.1) / c.u, rel=1e-9)
+
+
+def test_an_offset_and_an_attitude(tmp_path):
+    offset = tumbled(tmp_path, lambda g: g + 0.3)
+    assert only(offset).subject == "A.K_F"
+    assert "K_F = 0.302 g is not credible: beyond 0.1 g." in only(offset).text
+    turned = tumbled(tmp_path, lambda g: g, turned=1.0)
+    assert only(turned).subject == "A.delta_O"
+    assert "the attitudes: their zero" in only(turned).text
+    head = tumbled(tmp_path, lambda g: g, turned=1.0, terms=("K_F", "K_I", "head.zero"))
+    assert only(head).subject == "head.zero"
+    assert "the zero of the dividing head" in only(head).text
+    assert head.state == "contradicted"
+
+
+def test_what_is_wrong_with_the_scale_factor_accounts_for_the_rest(tmp_path):
+    finding = only(tumbled(tmp_path, lambda g: 100.0 * g))
+    assert finding.subject == "A.K_I"
+    assert [f.subject for f in finding.explains] == ["A.K_F"]
+
+
+def test_what_is_credible_is_the_campaigns_to_say(tmp_path):
+    for more in (
+        {"more": 'limits = { K_I = "0.5 g/g" }\n'},
+        {"accelerometer": 'grade = "consumer"'},
+    ):
+        assert tumbled(tmp_path, lambda g: 1.3 * g, **more).state == "good"
+    assert tumbled(tmp_path, lambda g: 1.08 * g).state == "good"
+    narrow = tumbled(tmp_path, lambda g: g, more='limits = { K_F = "1e-3 g" }\n')
+    assert only(narrow).subject == "A.K_F"
+
+
+def estimate(value, u, *, estimated=True, unit="g/g^2"):
+    return Coefficient(value=value, u=u, unit=unit, estimated=estimated)
+
+
+@pytest.mark.parametrize(
+    ("value", "u", "estimated", "told"),
+    [
+        (5e-4, 1e-6, True, True),
+        (-5e-4, 1e-6, True, True),
+        (1.29e-4, 1e-5, True, False),  # within three u of the size
+        (1.31e-4, 1e-5, True, True),
+        (5e-4, 1e-6, False, False),  # a prior is no estimate
+        (None, None, False, False),
+    ],
+)
+def test_three_standard_uncertainties_beyond(tmp_path, value, u, estimated, told):
+    campaign = read_campaign(write(tmp_path, SMALL))
+    found = incredible(campaign, "Qx", {"K_II": estimate(value, u, estimated=estimated)})
+    assert [finding.subject for finding in found] == ["Qx.K_II"] * told
+
+
+@pytest.mark.parametrize("method", ["joint", "two-stage"])
+def test_both_methods_say_it(tmp_path, method):
+    larger = changed(SMALL, ('K_II = "2.7e-5 g/g^2"', 'K_II = "4e-4 g/g^2"'))
+    result = calibrate(simulate(read_campaign(write(tmp_path, larger))), method=method)
+    assert only(result).subject == "Qx.K_II"
+    assert "the rates, the radius" in only(result).text

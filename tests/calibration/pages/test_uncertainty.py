@@ -1,0 +1,81 @@
+"""What decides u, in words: the source, its size, what would be left of u without it."""
+
+import math
+
+from results import coefficient, result
+
+from counterspin.calibration.pages.uncertainty import assumption, dominance, knowledge_blocks
+from counterspin.calibration.result_parts import Knowledge
+from counterspin.reports.blocks import Paragraph, Table
+
+
+def line(source, kind, contribution, total, **more):
+    """A line of a budget whose sensitivity is one."""
+    return {
+        "source": source,
+        "kind": kind,
+        "u": None if kind == "noise" else contribution,
+        "unit": "" if kind == "noise" else "g/g^2",
+        "sensitivity": None if kind == "noise" else 1.0,
+        "contribution": contribution,
+        "share": (contribution / total) ** 2,
+        **more,
+    }
+
+
+def resting(unstated, noise=1e-7, **more):
+    """A result whose u(K_II) is of noise and of K_OO, which nothing states."""
+    u = math.hypot(unstated, noise)
+    lines = [line("K_OO", "unstated", unstated, u), line("noise of Qx", "noise", noise, u)]
+    k_ii = coefficient(2.7e-5, u, "g/g^2", u_noise=noise, u_stated=0.0, u_unstated=unstated)
+    found = result(coefficients={"K_II": k_ii}, budget={"K_II": lines}, correlation=None)
+    return found.model_copy(update=more)
+
+
+def test_the_largest_unstated_source_is_named_with_what_would_be_left():
+    told = dominance(resting(2e-6).accelerometers["Qx"])
+    # Known to a tenth of its typical size, K_OO leaves hypot(0.2, 0.1) ug/g^2.
+    assert told == (
+        "100 % of u(K_II)^2 is K_OO, which nothing states (typical 2 ug/g^2): stated or measured "
+        "to 0.2 ug/g^2, it would leave u = 0.22 ug/g^2."
+    )
+
+
+def test_where_noise_or_what_is_stated_decides_there_is_nothing_to_say():
+    assert dominance(resting(5e-8).accelerometers["Qx"]) == ""
+    stated = result().accelerometers["Qx"]
+    assert dominance(stated) == ""
+    assert dominance(stated, "K_I") == ""
+
+
+def test_what_is_assumed_is_named():
+    assert assumption(resting(2e-6)) == ""
+    assert assumption(resting(2e-6, assumed=["K_4", "K_IP"])) == (
+        "Taken as perfect, and so no part of u: K_4, K_IP."
+    )
+    many = [f"K_{k}" for k in range(11)]
+    assert assumption(resting(2e-6, assumed=many)).endswith("K_7 and 3 more.")
+
+
+def test_what_counts_in_a_budget_is_in_the_table_the_largest_first():
+    rows = [
+        Knowledge(name="Qx.K_PP", kind="stated", unit="g/g^2", value=0.0, u=1e-6),
+        Knowledge(
+            name="Qx.K_OO",
+            kind="unstated",
+            unit="g/g^2",
+            value=0.0,
+            u=2e-6,
+            found=1e-7,
+            u_found=1.9e-6,
+        ),
+        Knowledge(name="noise of Qx", kind="held", unit="g/g^2", value=0.0, u=1e-6),
+    ]
+    blocks = list(knowledge_blocks(resting(2e-6, rests_on=rows, assumed=["K_4"])))
+    (table,) = (block for block in blocks if isinstance(block, Table))
+    assert [row[0] for row in table.rows] == ["Qx.K_OO", "noise of Qx"]
+    assert table.rows[0][1:3] == ("second-order output-axis coefficient", "unstated")
+    assert table.rows[1][4] == "held"
+    assert isinstance(blocks[-1], Paragraph)
+    assert blocks[-1].text.startswith("Taken as perfect")
+    assert list(knowledge_blocks(resting(2e-6))) == []

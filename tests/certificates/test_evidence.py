@@ -1,0 +1,119 @@
+"""What a result takes as perfect needs a text of the laboratory, and the certificate prints it."""
+
+import io
+import tomllib
+
+import pypdf
+import pytest
+from results import result
+
+from certificates import LAB, find
+from counterspin.certificates.evidence import is_evidence_for_something, unsupported
+from counterspin.certificates.issuing import certificate
+from counterspin.errors import CampaignError
+
+
+@pytest.mark.parametrize(
+    ("assumed", "keys", "lacking"),
+    [
+        ([], [], []),
+        (["K_OO"], [], ["K_OO"]),
+        (["K_OO"], ["K_OO"], []),
+        (["K_OO", "K_PP"], ["K_OO"], ["K_PP"]),
+        (["K_OO", "platform.*"], ["all"], []),
+        (["all"], ["all"], []),
+        (["all"], ["K_OO", "platform.*"], ["all"]),
+        (["platform.*"], ["platform.*"], []),
+        (["platform.*"], ["platform"], []),
+        (["platform.*"], ["platform.tilt.*"], ["platform.*"]),
+        (["platform.tilt.north", "platform.tilt.up"], ["platform.*"], []),
+        (["platform.tilt.north", "platform.drift.up"], ["platform.tilt"], ["platform.drift.up"]),
+        (["Qx.K_OO"], ["K_OO"], []),
+        (["K_OO"], ["Qx.K_OO"], ["K_OO"]),
+        (["Qx.K_OO", "Qy.K_OO"], ["Qx.K_OO"], ["Qy.K_OO"]),
+        (["K_OO"], ["K_O"], ["K_OO"]),
+        (["fixture.misalignment.m1.east"], ["fixture.misalignment"], []),
+    ],
+)
+def test_what_lacks_a_text(assumed, keys, lacking):
+    assert unsupported(assumed, dict.fromkeys(keys, "a report")) == lacking
+
+
+@pytest.mark.parametrize(
+    ("key", "known"),
+    [
+        ("all", True),
+        ("K_OO", True),
+        ("K_*", True),
+        ("platform.*", True),
+        ("platform.tilt", True),
+        ("head.zero", True),
+        ("fixture.misalignment.m1.east", True),
+        ("Qx.K_OO", True),
+        ("Qx.K_*", True),
+        ("Qz.K_OO", False),
+        ("Qx", False),
+        ("K_O", False),
+        ("platform.tilts", False),
+    ],
+)
+def test_a_key_is_of_a_term(key, known):
+    assert is_evidence_for_something(key, ["Qx"]) == known
+
+
+def assuming(*terms):
+    return result().model_copy(update={"assumed": list(terms)})
+
+
+def made(given, more=""):
+    return certificate(given, tomllib.loads(LAB + more))
+
+
+def test_there_is_no_certificate_without_it():
+    with pytest.raises(CampaignError) as caught:
+        made(assuming("K_OO", "K_PP", "platform.*"), '[evidence]\nK_PP = "Bericht 1"\n')
+    (problem,) = caught.value.problems
+    assert "takes K_OO, platform.* as perfect" in problem
+    assert 'in [evidence]: "K_OO" = "..." "platform.*" = "..."' in problem
+
+
+def test_the_certificate_prints_it():
+    texts = (
+        '[evidence]\nK_OO = "Typprüfung 4714."\nplatform.tilt = "Bericht 4715."\nK_4 = "Nr. 1"\n'
+    )
+    one = made(assuming("K_OO", "platform.tilt.north"), texts)
+    (statement,) = (
+        s
+        for s in find(one.xml, "//dcc:statement")
+        if "taken as perfect" in "".join(s.itertext()).partition("\n\n")[0]
+    )
+    said = "".join(statement.itertext())
+    assert "K_OO: Typprüfung 4714." in said
+    assert "platform.tilt: Bericht 4715." in said
+    assert "Nr. 1" not in said
+    read = pypdf.PdfReader(io.BytesIO(one.pdf()))
+    text = "\n".join(page.extract_text() for page in read.pages)
+    assert "What was taken as perfect, and what bounds it" in text
+    assert "Typprüfung 4714." in text
+
+
+def test_a_result_that_assumes_nothing_says_nothing_of_it():
+    one = made(assuming(), '[evidence]\nall = "Bericht 1"\n')
+    assert b"taken as perfect" not in one.xml
+    everything = made(assuming("K_OO", "K_PP"), '[evidence]\nall = "Bericht 1"\n')
+    assert "K_OO, K_PP: Bericht 1" in everything.xml.decode()
+
+
+@pytest.mark.parametrize(
+    ("text", "problem"),
+    [
+        ('K_O = "Bericht"', 'evidence.K_O: no term is called "K_O"'),
+        ('Qz.K_OO = "Bericht"', 'no term is called "Qz.K_OO"'),
+        ('K_OO = "  "', "evidence.K_OO: must not be empty"),
+        ("K_OO = 1", "evidence.K_OO: must be text"),
+    ],
+)
+def test_mistakes_are_told_by_key(text, problem):
+    with pytest.raises(CampaignError) as caught:
+        made(result(), f"[evidence]\n{text}\n")
+    assert any(problem in line for line in caught.value.problems), caught.value.problems

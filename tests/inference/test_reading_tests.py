@@ -1,0 +1,117 @@
+"""The columns that residuals of readings are held against, and the chance of what they gain."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reading_campaigns import TRUTH, arm, model, readings, simulated, tumble
+from scipy import stats
+
+from counterspin.inference.joint.fit import JointFit
+from counterspin.inference.reading_tests import (
+    DRIFT,
+    HYSTERESIS,
+    TERM,
+    WAVE,
+    Group,
+    candidates,
+    head_angle,
+    most_followed,
+)
+from counterspin.inference.readings import solve_readings
+
+LEVEL = ("K_F", "K_I", "delta_O")
+
+
+def held(test, values, u, terms=LEVEL):
+    """Solve readings, and hold all columns against them."""
+    own = readings(test, values, u)
+    problem = model(terms)
+    fit = solve_readings([own], problem)
+    (part,) = fit.linear
+    rows = np.column_stack([part.design, part.fixed, part.target]) / part.sigma[:, None]
+    joint = JointFit(
+        problem, fit.solution, (), (), {}, beside={"all": fit.blocks[0]}, beside_rows={"all": rows}
+    )
+    estimated = u is None
+    group = Group(
+        own,
+        "all",
+        fit.sigma[0],
+        np.ones(own.size),
+        fit.dof[0] if estimated else fit.squares[0],
+        fit.dof[0] if estimated else fit.freedom[0],
+        estimated,
+    )
+    columns = tuple(candidates(group, terms, ()))
+    return joint, group, columns
+
+
+def test_the_angle_of_the_head_is_from_where_the_input_axis_points_up():
+    angle, there = head_angle(readings(tumble(8), np.zeros(8), 1.0))
+    assert there.all()
+    np.testing.assert_allclose(np.cos(angle), np.cos(np.arange(8) * math.pi / 4), atol=1e-12)
+    np.testing.assert_allclose(np.sin(angle), np.sin(np.arange(8) * math.pi / 4), atol=1e-12)
+    _, none = head_angle(readings(arm(), np.zeros(24), 1.0))
+    assert not none.any()
+
+
+def test_positions_about_another_axis_have_no_wave():
+    test = tumble(8)
+    head = test[2].copy()
+    head[:2] = [1.0, 0.0, 0.0]
+    _, there = head_angle(readings((*test[:2], head), np.zeros(8), 1.0))
+    assert there.tolist() == [False] * 2 + [True] * 6
+
+
+def test_columns_are_those_that_the_model_lacks():
+    _, _, columns = held(tumble(24), simulated(tumble(24), np.random.default_rng(1), 1e-6), 1e-6)
+    names = {(column.kind, column.symbol) for column in columns}
+    assert (WAVE, "cos 2 phi") in names
+    assert (TERM, "K_II") in names
+    assert (TERM, "K_I") not in names
+    assert (DRIFT, "time") in names
+    # All positions were approached from one side.
+    assert HYSTERESIS not in {kind for kind, _ in names}
+
+
+def test_the_gain_is_that_of_a_fit_with_the_column():
+    """Rao's score of one more column on a linear problem is exact."""
+    test, truth = tumble(24), {"K_F": 2e-3, "K_I": 1.0005, "delta_O": 3e-5, "K_II": 15e-6}
+    values = simulated(test, np.random.default_rng(2), 2e-6, truth=truth)
+    joint, group, columns = held(test, values, 2e-6)
+    (found,) = most_followed(joint, [group], [columns])
+    assert found.alternatives[0].symbol == "cos 2 phi"
+    assert {"K_II", "K_PP"} <= {other.symbol for other in found.alternatives}
+    with_term = solve_readings([readings(test, values, 2e-6)], model((*LEVEL, "K_II")))
+    gain = group.squares - with_term.squares[0]
+    assert found.p == pytest.approx(2.0 * stats.norm.sf(math.sqrt(gain)), rel=1e-3)
+    estimated, own, columns = held(test, values, None)
+    (found,) = most_followed(estimated, [own], [columns])
+    f = gain / (with_term.squares[0] / (24 - 4))
+    assert found.p == pytest.approx(stats.f.sf(f, 1, 24 - 4), rel=1e-3)
+
+
+@pytest.mark.parametrize("u", [None, 2e-6], ids=["noise estimated", "noise stated"])
+def test_of_good_readings_as_few_are_blamed_as_the_significance_says(u):
+    """300 tumbles at 5 %, shared out among the columns: no more than 27 (p = 0.002)."""
+    rng = np.random.default_rng(3)
+    truth = {symbol: TRUTH.get(symbol, 3e-5) for symbol in LEVEL}
+    blamed = 0
+    for _ in range(300):
+        joint, group, columns = held(tumble(), simulated(tumble(), rng, 2e-6, truth=truth), u)
+        (found,) = most_followed(joint, [group], [columns])
+        assert 8 <= found.tests <= len(columns)
+        blamed += found.p * found.tests < 0.05
+    assert blamed <= 27
+
+
+def test_a_reading_that_stands_out_is_left_out_and_leads_to_no_column():
+    test, rng = tumble(24), np.random.default_rng(4)
+    truth = {symbol: TRUTH.get(symbol, 3e-5) for symbol in LEVEL}
+    values = simulated(test, rng, 2e-6, truth=truth)
+    values[0] += 2e-4
+    joint, group, columns = held(test, values, 2e-6)
+    (without,) = most_followed(joint, [replace(group, left_out=(0,))], [columns])
+    assert without.p * without.tests > 0.01
