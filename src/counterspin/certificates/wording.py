@@ -111,9 +111,9 @@ def uncertainty_statement() -> str:
         "(Welch-Satterthwaite), or of the normal distribution where these are infinite, for a "
         f"coverage probability of {format_share(COVERAGE)}. What the campaign does not state is in "
         "U and in probabilities of conforming at the typical size of its kind; what is taken as "
-        f'perfect is in neither, and is named under "{RESTS_ON}". In the XML, numbers have all '
-        "digits of the computation; "
-        "significantDigit is the power of ten of the last digit that the uncertainty supports. "
+        f'perfect is in neither, and is named under "{ASSUMED}". In the XML, numbers have all '
+        "digits of the computation; significantDigit is the power of ten of the last digit that "
+        "the uncertainty supports. "
         "The ellipsoidal region is the set of all d with d' V^-1 d <= k^2 about the estimates, V "
         "being the covariance matrix of the standard uncertainties, for the same probability of "
         "all quantities together."
@@ -214,8 +214,7 @@ def known_beforehand(name: str, result: Result, settings: CertificateSettings) -
 def rest_lines(name: str, result: Result) -> list[str]:
     """Return what u of an accelerometer's coefficients rests on that nobody has measured.
 
-    Beside what the records cannot tell apart: what is not stated and counts at its typical size,
-    and what is taken as perfect.
+    Beside what the records cannot tell apart: what is not stated and counts at its typical size.
     """
     accelerometer = result.accelerometers[name]
     said = [plainly(line) for line in rests_on(accelerometer)]
@@ -229,8 +228,6 @@ def rest_lines(name: str, result: Result) -> list[str]:
             "Not stated, and so in U with a typical standard uncertainty: "
             f"{'; '.join(sizes.values())}."
         )
-    if result.assumed:
-        said.append(f"Taken as perfect, and so no part of U: {', '.join(result.assumed)}.")
     return said
 
 
