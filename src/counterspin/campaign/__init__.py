@@ -6,6 +6,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `attitude`: directions and platform attitudes
 - `settings`: the keys of ``campaign.toml``, section by section
 - `checking`: mistakes in the file, collected and reported with their keys
+- `error_model`: which error terms are asked for, held and assumed to be perfect
 - `terms`: the error terms of a campaign's model, and their priors
 - `truth`: the true values of a simulated campaign; a calibration does not read them
 - `specification`: tolerance limits of coefficients, and the decision rule
