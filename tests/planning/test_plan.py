@@ -51,7 +51,7 @@ PLANS = {
         SMALL,
         ('"2.5 m"  ', '"2.5 ± 2e-4 m"  '),
         ('"platform.tilt", ', ""),
-        ('# considered = ["K_PP"]  ', 'considered = ["platform.tilt", "K_PP"]'),
+        ('# hold = ["K_PP"]  ', 'hold = ["platform.tilt", "K_PP"]'),
         ("[model.priors]", '[model.priors]\nK_PP = "0 ± 1e-7 g/g^2"'),
         ('# [truth.Qx] ', "[truth.Qx]"),
         ('# K_II = "2e-5 g/g^2"', 'K_II = "2e-5 g/g^2"'),
@@ -94,7 +94,7 @@ acceleration = "3e-6 g/Hz^0.5"
 [model]
 assume = "all"
 terms = ["K_F","K_I","K_II","K_III","platform.tilt","platform.drift"]
-considered = ["platform.g_sensitivity"]
+hold = ["platform.g_sensitivity"]
 [model.priors]
 "platform.tilt" = "0 ± 0.5 arcsec"
 "platform.drift" = "0 ± 0.01 deg/h"
@@ -456,7 +456,7 @@ MISTAKES = {
     "no rate": ([('highest_rate = "1 rev/s"', "")], "give highest_rate, specific_force or rates"),
     "flicker": ([('displacement = "0.01 m"', 'displacement = "0.01 m"\nflicker = "1 ug"')],
                 "noise.flicker: a search for runs knows nothing of a bias that wanders"),
-    "trend": ([('# considered = ["K_PP"]', 'considered = ["K_F.trend"]')],
+    "trend": ([('# hold = ["K_PP"]', 'hold = ["K_F.trend"]')],
               '"K_F.trend" depends on the time of each run, which a plan does not know'),
     "prior": ([('"platform.tilt" = "0 ± 0.5 arcsec"', '"platform.tilt" = "0 ± 0.5 m"')],
               "platform.tilt"),
