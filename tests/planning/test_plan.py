@@ -18,6 +18,7 @@ from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
 from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
+from counterspin.physics.terms import CONDITION_TERMS
 from counterspin.planning.design import Design
 from counterspin.planning.figures import FIGURES, save_figures
 from counterspin.planning.forecast import forecast, planned_series
@@ -230,6 +231,9 @@ RECORDS = {
     "random walk": PLANS["random walk"][1:],
     "velocity": PLANS["dense velocity records"][1:3],
     "considered": PLANS["considered terms and an uncertain radius"][1:],
+    "only what depends on when is assumed": [
+        ('assume = "all"', f"assume = {[s for s in CONDITION_TERMS if s != 'K_F.heating']}"),
+    ],
 }
 
 
@@ -322,7 +326,7 @@ def test_report_says_what_the_issue_asks_for(plan_of, capsys):
         "u(K_II of Qx) =",
         "Starts at, s",
         "Where u(K_II) of Qx will come from",
-        "platform.tilt.north (prior), all runs",
+        "platform.tilt.north, all runs",
         "relaxed by 10 %",
         "both senses instead",
         "the paper's plan",
