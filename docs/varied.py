@@ -121,7 +121,8 @@ def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
         f"seed = {int(rng.integers(1 << 30))}\n"
     )
     wrong = {
-        key: value + off.get("", {}).get(symbol, 0.0) * (180.0 / np.pi if key == "latitude" else 1.0)
+        key: value
+        + off.get("", {}).get(symbol, 0.0) * (180.0 / np.pi if key == "latitude" else 1.0)
         for (key, value), symbol in zip(
             inputs.items(), ("site.gravity", "site.latitude", "centrifuge.radius"), strict=True
         )
@@ -131,9 +132,7 @@ def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
         for name, own in truth.items()
     ]
     true_tables += list(_shared(off))
-    simulated_runs = [
-        run + _tilts(off.get(f"run{i}", {})) for i, run in enumerate(made, start=1)
-    ]
+    simulated_runs = [run + _tilts(off.get(f"run{i}", {})) for i, run in enumerate(made, start=1)]
     true_noise = "[truth.noise]\n" + "\n".join([*noise, 'angle = "1e-6 rad"'])
     simulated = "\n\n".join(
         [_frame(wrong), *tables, model, *simulated_runs, simulation, *true_tables, true_noise]
@@ -245,10 +244,7 @@ def render(rows: Sequence[Row]) -> str:
             [
                 row.words,
                 str(row.campaigns),
-                *(
-                    f"{row.z_rms[s]:.2f} ± {1.0 / np.sqrt(2.0 * row.values[s]):.2f}"
-                    for s in TERMS
-                ),
+                *(f"{row.z_rms[s]:.2f} ± {1.0 / np.sqrt(2.0 * row.values[s]):.2f}" for s in TERMS),
                 f"{row.covered:.1%}".replace("%", " %"),
                 f"{row.blamed:.1%}".replace("%", " %"),
             ]

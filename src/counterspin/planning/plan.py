@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from counterspin._version import __version__
+from counterspin.calibration.model import assumed
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.attitude import attitude_words
 from counterspin.campaign.description import read_campaign
@@ -283,6 +284,7 @@ def _result(
         readings=planned_readings(campaign),
         accelerometers=accelerometers_of(prediction),
         platform=platform_of(prediction),
+        assumed=list(assumed(campaign)),
         warnings=[question.text for question in questions(campaign)],
         provenance=Provenance(version=__version__, inputs={}),
     )

@@ -8,11 +8,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final, Protocol
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult, BudgetLine, Knowledge
+from counterspin.calibration.result_parts import BudgetLine, Knowledge
 from counterspin.physics.terms import is_term, symbol_of, term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
@@ -36,13 +36,45 @@ _LEAST_SHARE: Final = 1e-3
 _MOST_NAMES: Final = 8
 
 
-def dominance(accelerometer: AccelerometerResult, symbol: str = "K_II") -> str:
+class Uncertain(Protocol):
+    """A coefficient's uncertainty, found or forecast."""
+
+    @property
+    def u(self) -> float | None:
+        """Standard uncertainty."""
+
+    @property
+    def unit(self) -> str:
+        """Of `u`."""
+
+
+class Answered(Protocol):
+    """What is told of an accelerometer, found or forecast."""
+
+    @property
+    def coefficients(self) -> Mapping[str, Uncertain]:
+        """By symbol."""
+
+    @property
+    def budget(self) -> Mapping[str, Sequence[BudgetLine]]:
+        """By symbol."""
+
+
+class Assuming(Protocol):
+    """A result, or a plan."""
+
+    @property
+    def assumed(self) -> Sequence[str]:
+        """What is taken as perfect."""
+
+
+def dominance(accelerometer: Answered, symbol: str = "K_II") -> str:
     """Return what decides the u of a coefficient, where unstated sources do; else empty.
 
     Parameters
     ----------
     accelerometer
-        The result.
+        The result, or what is planned.
     symbol
         The coefficient.
     """
@@ -69,7 +101,7 @@ def _size(line: BudgetLine, part: float) -> str:
     return f"{format_number((line.u or 0.0) * factor * part, 2)} {unit}".strip()
 
 
-def assumption(result: Result) -> str:
+def assumption(result: Assuming) -> str:
     """Return what is taken as perfect, in a sentence; empty if nothing is."""
     names = result.assumed
     if not names:
