@@ -1,4 +1,4 @@
-"""Whether intervals hold in good campaigns of any kind, and how often one is blamed: `make coverage`.
+"""Whether intervals hold in good campaigns of any kind: `make coverage`.
 
 Each trial draws a campaign: one or two accelerometers, what is recorded, senses of rotation, noise
 that is stated or not, gaps, what is known beforehand, and every error that the description does not
@@ -114,8 +114,8 @@ def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
     table = "[noise]\n" + "\n".join(stated) if stated else ""
     described = "\n\n".join([head, *tables, table, model, *made]) + "\n"
     off = _unstated(described, rng) if unstated else {}
-    for name, own in truth.items():
-        own |= off.get(name, {})
+    for name in truth:
+        truth[name] |= off.get(name, {})
     simulation = (
         f'[simulation]\nsampling_rate = "16 Hz"\nrevolutions = {int(rng.integers(15, 40))}\n'
         f"seed = {int(rng.integers(1 << 30))}\n"

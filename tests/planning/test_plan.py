@@ -16,7 +16,6 @@ from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
-from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.physics.terms import CONDITION_TERMS
 from counterspin.planning.design import Design
@@ -28,6 +27,7 @@ from counterspin.planning.plan_file import read_plan
 from counterspin.planning.result import PlanResult
 from counterspin.planning.search import Search
 from counterspin.reports.text import report_console
+from counterspin.toml_text import write_document
 
 DOCS = Path(__file__).parents[2] / "docs"
 GOAL = 'minimise = ["K_II"]  '

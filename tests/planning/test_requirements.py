@@ -7,13 +7,13 @@ from campaigns import changed
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.starter import init
-from counterspin.campaign.toml_text import write_document
 from counterspin.planning.faults import of_path
 from counterspin.planning.forecast import forecast
 from counterspin.planning.page import render_plan
 from counterspin.planning.plan import check, plan
 from counterspin.planning.watching import watch
 from counterspin.reports.text import report_console
+from counterspin.toml_text import write_document
 
 SMALL = ('total_time = "700 s"', 'total_time = "240 s"')
 

@@ -11,7 +11,7 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `truth`: the true values of a simulated campaign; a calibration does not read them
 - `specification`: tolerance limits of coefficients, and the decision rule
 - `resolved`: the campaign as the calculation sees it, in SI
-- `toml_file`, `toml_text`: files in TOML, read and written
+- `toml_file`: files in TOML, read
 - `description`: `read_campaign`, from the file to the resolved campaign
 - `readings`, `readings_table`: single values, at rest or on a machine, in runs or in a table
 - `machine`: what the machine does to them

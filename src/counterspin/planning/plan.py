@@ -23,7 +23,6 @@ from counterspin.campaign.description import read_campaign
 from counterspin.campaign.questions import questions
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
-from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
@@ -44,6 +43,7 @@ from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.planning.requirements import requirements_of
 from counterspin.planning.result import GoalResult, LimitResult, OtherPlan, PlanResult, Requirement
 from counterspin.planning.search import Search
+from counterspin.toml_text import write_document
 from counterspin.workers import one_blas_thread
 
 #: Smallest relative gain of u that is reported.
