@@ -2,6 +2,7 @@
 
 - `dominance`: one sentence on what decides the u of a coefficient
 - `assumption`: one sentence on what is taken as perfect
+- `telling`: the lines of a budget that matter
 - `knowledge_blocks`: the table of what a result rests on beside its data
 """
 
@@ -31,6 +32,10 @@ _KNOWN_BETTER: Final = 0.1
 
 #: Sources below this part of any u^2 are not in the table.
 _LEAST_SHARE: Final = 1e-3
+
+#: Lines of a budget below this share are said together, where they are more than a few.
+_LEAST_LINE: Final = 1e-4
+_FEW_LINES: Final = 3
 
 #: So many names of what is assumed are listed.
 _MOST_NAMES: Final = 8
@@ -66,6 +71,12 @@ class Assuming(Protocol):
     @property
     def assumed(self) -> Sequence[str]:
         """What is taken as perfect."""
+
+
+def telling(lines: Sequence[BudgetLine]) -> tuple[Sequence[BudgetLine], Sequence[BudgetLine]]:
+    """Return the lines of a budget that make up u, and those that together add next to nothing."""
+    count = next((k for k, line in enumerate(lines) if line.share < _LEAST_LINE), len(lines))
+    return (lines, ()) if len(lines) - count <= _FEW_LINES else (lines[:count], lines[count:])
 
 
 def dominance(accelerometer: Answered, symbol: str = "K_II") -> str:
