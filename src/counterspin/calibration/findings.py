@@ -236,7 +236,7 @@ def from_numbers(
     """
     known = {(finding.code, finding.subject) for finding in accelerometer.findings}
     if ("lack-of-fit", name) not in known:
-        yield from _misfit(name, accelerometer.residual)
+        yield from _misfit(name, accelerometer.residual, accelerometers)
     yield from _implausible_noise(name, accelerometer, gravity)
     # Where the residuals are far beyond the noise, uncertainties are too small by as much, and what
     # exceeds them for that reason alone is no finding of its own.
@@ -254,9 +254,9 @@ def from_numbers(
         )
 
 
-def _misfit(name: str, residual: Residual) -> Iterator[Finding]:
+def _misfit(name: str, residual: Residual, accelerometers: int) -> Iterator[Finding]:
     p = residual.lack_of_fit_p
-    if p is None or _fits(residual):
+    if p is None or _fits(residual, accelerometers):
         return
     times = _times_noise(residual)
     what = (
@@ -317,11 +317,15 @@ def equivalent_deviations(p: float) -> float:
     return -normal_quantile(0.5 * max(p, 1e-300))
 
 
-def _fits(residual: Residual) -> bool:
-    """Return whether the probability of a worse fit is no reason for a finding."""
+def _fits(residual: Residual, accelerometers: int = 1) -> bool:
+    """Return whether the probability of a worse fit is no reason for a finding.
+
+    All accelerometers of a campaign share the significance.
+    """
     # With stated noise it is chi-square's own, which shares the significance with other tests.
     limit = SIGNIFICANCE if residual.chi2 is None else CHI_SQUARE_SIGNIFICANCE
-    return residual.lack_of_fit_p is None or residual.lack_of_fit_p >= limit
+    p = residual.lack_of_fit_p
+    return p is None or p >= limit / accelerometers
 
 
 def _times_noise(residual: Residual) -> float | None:

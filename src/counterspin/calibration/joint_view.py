@@ -92,4 +92,5 @@ class AccelerometerView:
             times[prepared.run] = prepared.series.time[-whitened.size :]
             freedom[prepared.run] = max(self.fit.degrees_of_freedom[index], _FEWEST_DOF)
         noise_given = self.name not in self.estimate.components
-        return diagnose(rows, freedom, noise_given=noise_given, times=times)
+        fits = len(self.campaign.accelerometers)
+        return diagnose(rows, freedom, noise_given=noise_given, times=times, fits=fits)

@@ -129,6 +129,7 @@ def diagnose(
     *,
     noise_given: bool,
     times: Mapping[str, ArrayLike] | None = None,
+    fits: int = 1,
 ) -> Diagnostics:
     """Test the whitened residuals of a fit.
 
@@ -142,6 +143,9 @@ def diagnose(
         False where the noise was estimated from these residuals.
     times
         By run, the rows' times, s (any offset), for the frequency of a peak.
+    fits
+        Of how many such fits, those of a campaign's accelerometers, this is one: the significance
+        is shared among them.
 
     Raises
     ------
@@ -171,7 +175,8 @@ def diagnose(
     else:
         smallest = min(min(run.sign_p, run.peak_p) for run in runs.values())
         fit_p = min(1.0, 2 * len(runs) * smallest)
-    findings = _findings(runs, chi2, whole, noise_given, "Hz" if times else "cycles per row")
+    unit = "Hz" if times else "cycles per row"
+    findings = _findings(runs, (chi2, whole), unit, noise_given=noise_given, fits=fits)
     return Diagnostics(chi2, whole, fit_p, noise_given, runs, findings)
 
 
@@ -195,17 +200,24 @@ def _diagnose_run(rows: Array, dof: float, interval: float) -> RunDiagnostics:
 
 
 def _findings(
-    runs: Mapping[str, RunDiagnostics], chi2: float, dof: float, noise_given: bool, unit: str
+    runs: Mapping[str, RunDiagnostics],
+    whole: tuple[float, float],
+    unit: str,
+    *,
+    noise_given: bool,
+    fits: int,
 ) -> tuple[str, ...]:
-    """Sentences on what is too unlikely, all tests together at `SIGNIFICANCE`."""
-    limit = 0.5 * SIGNIFICANCE / (3 * len(runs)) if noise_given else SIGNIFICANCE / (2 * len(runs))
+    """Sentences on what is too unlikely, all tests of all fits together at `SIGNIFICANCE`."""
+    chi2, dof = whole
+    tests = fits * len(runs) * (6 if noise_given else 2)
+    limit, of_chi2 = SIGNIFICANCE / tests, CHI_SQUARE_SIGNIFICANCE / fits
     found = []
-    if noise_given and chi_square_tail(dof, chi2) < CHI_SQUARE_SIGNIFICANCE:
+    if noise_given and chi_square_tail(dof, chi2) < of_chi2:
         found.append(
             f"The residuals are {math.sqrt(chi2 / dof):.3g} times as large as the stated noise: "
             "the noise is stated too small or the model lacks a term."
         )
-    elif noise_given and chi_square_tail(dof, chi2) > 1 - CHI_SQUARE_SIGNIFICANCE:
+    elif noise_given and chi_square_tail(dof, chi2) > 1 - of_chi2:
         found.append(
             f"The residuals are only {math.sqrt(chi2 / dof):.3g} times as large as the stated "
             "noise: the noise is stated too large."

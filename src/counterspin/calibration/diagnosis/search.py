@@ -174,9 +174,9 @@ def _noise(view: AccelerometerView) -> Iterator[Cause]:
 
     Residuals of another size than the noise, alike in every run and independent of each other.
     """
-    tests, name = view.diagnostics, view.name
+    tests, name, fits = view.diagnostics, view.name, len(view.campaign.accelerometers)
     p = chi_square_tail(tests.dof, tests.chi2)
-    if CHI_SQUARE_SIGNIFICANCE < p < 1.0 - CHI_SQUARE_SIGNIFICANCE:
+    if CHI_SQUARE_SIGNIFICANCE / fits < p < 1.0 - CHI_SQUARE_SIGNIFICANCE / fits:
         return
     ratio, least = tests.chi2 / tests.dof, SIGNIFICANCE / (3.0 * len(tests.runs))
     for run in tests.runs.values():
