@@ -14,6 +14,7 @@ radius = "2.5 m"
 time = {{ column = "time_s", unit = "s" }}
 angle = {{ column = "angle_rad", unit = "rad" }}
 [model]
+assume = "all"
 terms = ["K_F", "K_I", "K_II", "K_III"]
 """
 EAST = """

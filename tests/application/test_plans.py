@@ -11,14 +11,13 @@ from counterspin.planning.plan import plan, write_example
 from counterspin.planning.plan_sections import LimitsSettings
 
 #: In the example of a plan.
-PERFECT = ('# assume = ["K_PP"]', 'assume = "all"')
 
 
 @pytest.fixture
 def planned(page, folder):
     file = write_example(folder / "PLAN.toml")
     # The fewer, the sooner; and u is that of the runs, which a plan can change.
-    file.write_text(changed(file.read_text(), ("runs = 14", "runs = 4"), PERFECT))
+    file.write_text(changed(file.read_text(), ("runs = 14", "runs = 4")))
     return page
 
 

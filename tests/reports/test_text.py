@@ -41,8 +41,8 @@ K_II = Coefficient(
     value=2.70445e-5,
     u=7.0e-10,
     u_noise=6.0e-10,
-    u_prior=3.0e-10,
-    u_considered=2.0e-10,
+    u_stated=3.0e-10,
+    u_unstated=2.0e-10,
     dof=20.0,
     unit="g/g^2",
     estimated=True,
@@ -118,6 +118,7 @@ def full():
             "K_II": [
                 BudgetLine(
                     source="noise of the records",
+                    kind="noise",
                     u=None,
                     unit="",
                     sensitivity=None,
@@ -126,6 +127,7 @@ def full():
                 ),
                 BudgetLine(
                     source="platform.tilt.north (run1)",
+                    kind="stated",
                     u=0.5 * ARCSEC,
                     unit="rad",
                     sensitivity=3e-10 / (0.5 * ARCSEC),
@@ -246,7 +248,7 @@ def test_coefficients_are_rounded_to_their_uncertainty_and_name_its_origin():
     text = text_of(result())
     assert squeezed(line_with(text, "second-order")) == (
         "K_II second-order coefficient 27.04450 ± 0.00070 ug/g^2 "
-        "noise 73 %, priors 18 %, considered 8.2 %"
+        "noise 73 %, stated 18 %, unstated 8.2 %"
     )
     assert squeezed(line_with(text, "bias")) == "K_F bias 5032.1 ± 2.0 ug noise 100 %"
     assert squeezed(line_with(text, "scale factor")) == (
@@ -348,10 +350,10 @@ def test_budget_is_written_when_asked_for():
     assert "Uncertainty budget" not in text_of(full())
     rows = text_of(full(), budget=True).partition("Uncertainty budget of K_II, Qx")[2]
     assert squeezed(line_with(rows.partition("Accelerometer Qy")[0], "noise of the records")) == (
-        "noise of the records 0.00060 80 %"
+        "noise of the records noise 0.00060 80 %"
     )
     assert squeezed(line_with(rows, "0.5 arcsec")) == (
-        "platform.tilt.north (run1) 0.5 arcsec 0.0006 0.00030 20 %"
+        "platform.tilt.north (run1) stated 0.5 arcsec 0.0006 0.00030 20 %"
     )
     # sqrt(6^2 + 3^2) = 6.7
     assert squeezed(line_with(rows, "combined")) == "combined 0.00067"

@@ -28,6 +28,7 @@ import numpy.typing as npt
 from numpy.polynomial import chebyshev
 
 from counterspin.arrays import Array
+from counterspin.inference.joint.inputs import CLOCK
 from counterspin.inference.joint.prepared import Prepared, prepare_columns
 from counterspin.inference.joint.series import Series, jitter_of
 from counterspin.inference.joint.unknowns import Unknowns
@@ -47,6 +48,9 @@ _RESIDUAL: Final = 1e-6
 
 #: Nodes in the rate: the weights are polynomials of the tenth degree (a_I^4 goes as w^8).
 _RATE_NODES: Final = 13
+
+#: Step of the derivative by the clock.
+_CLOCK_STEP: Final = 1e-6
 
 
 class RunInformation:
@@ -298,7 +302,29 @@ class RunInformation:
         )
         factors = {name: setup.scale_factors[name] for name in [instrument.name]}
         (prepared,) = prepare_columns([series], setup.model, factors, setup.estimate)
+        symbols = [setup.model.unknowns[i].symbol for i in prepared.unknowns]
+        if CLOCK in symbols and instrument.order > 0:
+            column = prepared.design[:, symbols.index(CLOCK)]
+            column[:] = self._by_clock(prepared, column, instrument.order)
         return prepared
+
+    def _by_clock(self, prepared: Prepared, column: Array, order: int) -> Array:
+        """Return what a fast clock does to a record, differentiated so often, from the force's.
+
+        Of a force at true times the clock makes one that is less by itself for each integration.
+        A circle is passed at the same angles: nothing of it shows in displacement, its
+        acceleration in velocity.
+        """
+        series, model = prepared.series, self.setup.model
+        asked = [k for k, i in enumerate(prepared.unknowns) if model.unknowns[i].asked]
+        values = self.setup.estimate[[prepared.unknowns[k] for k in asked]]
+        errors = prepared.design[:, asked] @ values
+        there = series.by_clock(_CLOCK_STEP).reference() - series.reference()
+        shown: Array = column - there / _CLOCK_STEP - order * errors
+        if order == 1:
+            axis = series.mounting.turned(series.attitude).input_axis
+            shown = shown + series.trajectory.acceleration(series.time) @ axis
+        return shown
 
 
 def _combination(angle: Array, columns: Array, harmonics: int) -> tuple[Array, float]:
