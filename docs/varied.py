@@ -1,4 +1,4 @@
-"""Whether intervals hold in good campaigns of any kind, and how often one is blamed: `make coverage`.
+"""Whether intervals hold in good campaigns of any kind: `make coverage`.
 
 Each trial draws a campaign: one or two accelerometers, what is recorded, senses of rotation, noise
 that is stated or not, gaps, what is known beforehand, and every error that the description does not
@@ -114,14 +114,15 @@ def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
     table = "[noise]\n" + "\n".join(stated) if stated else ""
     described = "\n\n".join([head, *tables, table, model, *made]) + "\n"
     off = _unstated(described, rng) if unstated else {}
-    for name, own in truth.items():
-        own |= off.get(name, {})
+    for name in truth:
+        truth[name] |= off.get(name, {})
     simulation = (
         f'[simulation]\nsampling_rate = "16 Hz"\nrevolutions = {int(rng.integers(15, 40))}\n'
         f"seed = {int(rng.integers(1 << 30))}\n"
     )
     wrong = {
-        key: value + off.get("", {}).get(symbol, 0.0) * (180.0 / np.pi if key == "latitude" else 1.0)
+        key: value
+        + off.get("", {}).get(symbol, 0.0) * (180.0 / np.pi if key == "latitude" else 1.0)
         for (key, value), symbol in zip(
             inputs.items(), ("site.gravity", "site.latitude", "centrifuge.radius"), strict=True
         )
@@ -131,9 +132,7 @@ def draw(rng: np.random.Generator, *, unstated: bool) -> Drawn:
         for name, own in truth.items()
     ]
     true_tables += list(_shared(off))
-    simulated_runs = [
-        run + _tilts(off.get(f"run{i}", {})) for i, run in enumerate(made, start=1)
-    ]
+    simulated_runs = [run + _tilts(off.get(f"run{i}", {})) for i, run in enumerate(made, start=1)]
     true_noise = "[truth.noise]\n" + "\n".join([*noise, 'angle = "1e-6 rad"'])
     simulated = "\n\n".join(
         [_frame(wrong), *tables, model, *simulated_runs, simulation, *true_tables, true_noise]
@@ -245,10 +244,7 @@ def render(rows: Sequence[Row]) -> str:
             [
                 row.words,
                 str(row.campaigns),
-                *(
-                    f"{row.z_rms[s]:.2f} ± {1.0 / np.sqrt(2.0 * row.values[s]):.2f}"
-                    for s in TERMS
-                ),
+                *(f"{row.z_rms[s]:.2f} ± {1.0 / np.sqrt(2.0 * row.values[s]):.2f}" for s in TERMS),
                 f"{row.covered:.1%}".replace("%", " %"),
                 f"{row.blamed:.1%}".replace("%", " %"),
             ]

@@ -10,7 +10,9 @@ SAID = {"result": "three/result.json", "lab": "LAB.toml", "output": "three/certi
 
 @pytest.fixture
 def with_lab(page, folder):
-    write_example(folder / "LAB.toml")
+    lab = write_example(folder / "LAB.toml")
+    # The campaign of the folder takes what it does not state as perfect.
+    lab.write_text(lab.read_text() + '\n[evidence]\nall = "Type test 4714."\n')
     return page
 
 

@@ -27,7 +27,7 @@ def _issued(page, output):
 
 def test_no_ledger_is_kept_outside(page, folder, outside):
     lab = write_lab(folder / "LAB.toml")
-    text = lab.read_text()
+    text = lab.read_text() + '\n[evidence]\nall = "Type test 4714."\n'
     head = "[certificate]\n"
     assert head in text
     lab.write_text(text.replace(head, head + 'ledger = "sub/led.jsonl"\n'))

@@ -3,18 +3,22 @@
 import tomllib
 
 import pytest
+from campaigns import changed
 from served import wait
 
 from counterspin.application.plans import PLAN_KEYS
 from counterspin.planning.plan import plan, write_example
 from counterspin.planning.plan_sections import LimitsSettings
 
+#: In the example of a plan.
+PERFECT = ('# assume = ["K_PP"]', 'assume = "all"')
+
 
 @pytest.fixture
 def planned(page, folder):
     file = write_example(folder / "PLAN.toml")
-    # The fewer, the sooner.
-    file.write_text(file.read_text().replace("runs = 14", "runs = 4"))
+    # The fewer, the sooner; and u is that of the runs, which a plan can change.
+    file.write_text(changed(file.read_text(), ("runs = 14", "runs = 4"), PERFECT))
     return page
 
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from counterspin.inference.joint.series import Series
-from counterspin.inference.joint.unknowns import Unknown
+from counterspin.inference.joint.unknowns import Considered, Unknown
 from counterspin.physics import simulation
 from counterspin.physics.accelerometer import QX, QY
 from counterspin.physics.motion import Site, Trajectory
@@ -77,6 +77,11 @@ def unknowns(symbols, priors=None, owner="Qx"):
     return tuple(
         Unknown(owner, symbol, known.get(symbol, NOTHING), term(symbol).limit) for symbol in symbols
     )
+
+
+def held_inputs(sizes):
+    """Uncertain inputs that are held, with the table's limits; sizes are standard uncertainties."""
+    return tuple(Considered("", s, (0.0, u), term(s).limit, asked=False) for s, u in sizes.items())
 
 
 def noisy(series, noise, rng):

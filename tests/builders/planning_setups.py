@@ -36,6 +36,9 @@ PRIORS = {
     "platform.tilt.north": 0.5 * ARCSECOND,
     "platform.drift.north": 0.005 * DEGREE_PER_HOUR,
     "platform.g_sensitivity.zx": 0.02 * DEGREE_PER_HOUR,
+    "centrifuge.radius": 1e-4,
+    "site.gravity": 1e-5,
+    "records.timing_offset": 1e-3,
 }
 
 
@@ -62,7 +65,6 @@ def make_setup(
     noise=WHITE,
     observable="displacement",
     mountings=None,
-    inputs=None,
     priors=PRIORS,
     sampling_rate=50.0,
     jitter=0.0,
@@ -78,7 +80,6 @@ def make_setup(
     model = Unknowns(
         tuple(unknown(s, o, priors=priors) for s in (*symbols, *platform) for o in owners(s)),
         tuple(unknown(s, o, Considered, priors) for s in considered for o in owners(s)),
-        inputs,
     )
     return Setup(
         instruments=tuple(
@@ -140,9 +141,7 @@ def u_by_joint_fit(setup, design):
                 found.append(one)
         return tuple(found)
 
-    model = Unknowns(
-        of_runs(setup.model.unknowns), of_runs(setup.model.considered), setup.model.inputs
-    )
+    model = Unknowns(of_runs(setup.model.unknowns), of_runs(setup.model.considered))
     expected = {u.name: v for u, v in zip(setup.model.unknowns, setup.estimate, strict=True)}
     estimate = np.array(
         [

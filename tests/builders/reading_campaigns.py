@@ -89,6 +89,6 @@ def simulated(test, rng, sigma, machine=(), u_head=0.0, truth=TRUTH, temperature
     return values + rng.normal(0.0, sigma, count)
 
 
-def model(terms=tuple(TRUTH), others=(), considered=(), inputs=None):
+def model(terms=tuple(TRUTH), others=(), considered=()):
     """Return what is estimated and considered."""
-    return Unknowns((*map(unknown, terms), *others), tuple(considered), inputs)
+    return Unknowns((*map(unknown, terms), *others), tuple(considered))

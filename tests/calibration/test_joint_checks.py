@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from counterspin.calibration.attitude_findings import shared_findings
 from counterspin.calibration.calibrate import calibrate
+from counterspin.calibration.diagnosis.attitude_findings import shared_findings
 from counterspin.calibration.joint_checks import hidden_walk, unseen_ripple
 from counterspin.calibration.joint_view import AccelerometerView
 from counterspin.calibration.result_parts import Coefficient

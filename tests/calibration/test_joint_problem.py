@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from campaigns import SMALL, changed, write
 
-from counterspin.calibration.joint_problem import left_out_of, model_of, series_of
+from counterspin.calibration.joint_problem import series_of
+from counterspin.calibration.model import assumed_of, model_of
 from counterspin.calibration.observed import ObservedRun, Signal
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.two_stage_request import request_of
@@ -64,10 +65,10 @@ def test_credible_sizes_of_unknowns_go_by_the_grade_of_their_accelerometer(tmp_p
     campaign = read_campaign(write(tmp_path, changed(SMALL, of_qy)))
     for name, grade in (("Qx", "navigation"), ("Qy", "consumer")):
         asked = [u for u in model_of(campaign).unknowns if u.owner == name]
-        left_out = [c for c in left_out_of(campaign, name) if c.symbol in OWN_TERMS]
+        perfect = [c for c in assumed_of(campaign, name) if c.symbol in OWN_TERMS]
         assert {u.symbol for u in asked} >= {"K_F", "K_II", "K_III"}
-        assert {c.symbol for c in left_out} >= {"K_OO", "delta_O"}
-        for one in (*asked, *left_out):
+        assert {c.symbol for c in perfect} >= {"K_OO", "delta_O"}
+        for one in (*asked, *perfect):
             assert one.limit == term(one.symbol).sizes(grade).limit
         request = request_of(campaign, campaign.accelerometers[name], TwoStageOptions(), None)
         assert request.limit_of("K_II") == term("K_II").sizes(grade).limit

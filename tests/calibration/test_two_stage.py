@@ -59,15 +59,15 @@ def test_json_has_the_fields_of_the_contract(tmp_path, capsys):
     assert main(["calibrate", str(folder), "--method", "two-stage", "--json", str(file)]) == 0
     assert "K_II of Qx = " in capsys.readouterr().out
     document = json.loads(file.read_text(encoding="utf-8"))
-    assert (document["schema"], document["method"], document["model"]) == (1, "two-stage", "exact")
+    assert (document["schema"], document["method"], document["model"]) == (2, "two-stage", "exact")
     found = document["accelerometers"]["Qx"]
     k_ii = found["coefficients"]["K_II"]
     assert set(k_ii) == {
-        *("value", "u", "u_noise", "u_prior", "u_considered", "u_typical"),
+        *("value", "u", "u_noise", "u_stated", "u_unstated"),
         *("dof", "unit", "estimated"),
     }
     assert k_ii["u"] ** 2 == pytest.approx(
-        k_ii["u_noise"] ** 2 + k_ii["u_prior"] ** 2 + k_ii["u_considered"] ** 2, rel=1e-12
+        k_ii["u_noise"] ** 2 + k_ii["u_stated"] ** 2 + k_ii["u_unstated"] ** 2, rel=1e-12
     )
     assert (k_ii["dof"], k_ii["unit"], k_ii["estimated"]) == (None, "g/g^2", True)
     for name, truth in K_II.items():
@@ -111,8 +111,11 @@ def test_bias_is_estimated_or_taken_as_known(tmp_path):
     k_f = taken.coefficients["K_F"]
     assert (k_f.estimated, k_f.value, k_f.u) == (False, 0.005, 2e-6)
     # 2e-6 g of K_F stand for 2e-6 g/g^2 (g/2)/(R^2 w^4/4g) of K_II, mostly that of the fast run.
-    assert taken.coefficients["K_II"].u_considered > 2e-8
-    assert free.coefficients["K_II"].u_considered < 1e-10
+    assert taken.coefficients["K_II"].u_stated > 2e-8
+    of_bias = [
+        line.kind for a in (free, taken) for line in a.budget["K_II"] if line.source == "K_F"
+    ]
+    assert of_bias == ["stated", "held"]
 
 
 def test_prior_of_k_ii_counts(tmp_path):
@@ -125,13 +128,13 @@ def test_prior_of_k_ii_counts(tmp_path):
     weight = plain.u**2 / (plain.u**2 + 2e-7**2)
     assert c.value == pytest.approx(plain.value + weight * (2.8e-5 - plain.value), rel=1e-9)
     assert c.u == pytest.approx(math.sqrt(weight) * 2e-7, rel=1e-6)
-    assert c.u_prior == pytest.approx(weight * 2e-7, rel=1e-6)
+    assert c.u_stated == pytest.approx(weight * 2e-7, rel=1e-6)
     tight = changed(prior[1], ("2e-7", "1e-12"))
     held = qx(result_of(tmp_path / "c", (prior[0], tight))).coefficients["K_II"]
     assert (held.estimated, held.value, held.u) == (False, 2.8e-5, 1e-12)
 
 
-def test_uncertain_radius_and_gravity_are_considered(tmp_path):
+def test_uncertain_radius_and_gravity_are_held(tmp_path):
     inputs = (
         ('"2.5 m"', '"2.5 ± 2.5e-3 m"'),
         ('"9.8066 m/s^2"', '"9.8066 ± 4.9033e-3 m/s^2"'),
@@ -139,17 +142,15 @@ def test_uncertain_radius_and_gravity_are_considered(tmp_path):
     sure = qx(result_of(tmp_path / "a")).coefficients
     unsure = qx(result_of(tmp_path / "b", *inputs)).coefficients
     # b2 is K_II R^2 w^4/(4 g) + K_F g/2.
-    u = unsure["K_II"].u_considered
+    u = unsure["K_II"].u_stated
     assert u == pytest.approx(math.hypot(2 * 1e-3, 5e-4) * unsure["K_II"].value, rel=1e-6)
-    assert unsure["K_F"].u_considered == pytest.approx(5e-4 * unsure["K_F"].value, rel=1e-6)
-    assert sure["K_II"].u_considered < 1e-12
+    assert unsure["K_F"].u_stated == pytest.approx(5e-4 * unsure["K_F"].value, rel=1e-6)
+    assert sure["K_II"].u_stated < 1e-12
     assert unsure["K_II"].value == sure["K_II"].value
 
 
-def test_tilt_is_considered_run_by_run(tmp_path):
-    tilt = modelled(
-        'considered = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }'
-    )
+def test_tilt_is_held_run_by_run(tmp_path):
+    tilt = modelled('hold = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }')
     folder = made(tmp_path, tilt)
     campaign = read_campaign(folder)
     outcome = two_stage(
@@ -158,15 +159,12 @@ def test_tilt_is_considered_run_by_run(tmp_path):
     gain = outcome.second.gain[0]
     size = 0.5 * math.pi / 648000 * 1.002 * 9.8066 / 2
     c = outcome.result.coefficients["K_II"]
-    assert c.u_considered == pytest.approx(size * math.hypot(*gain), rel=1e-4)
-    assert "platform.tilt.north" not in outcome.result.left_out
+    assert c.u_stated == pytest.approx(size * math.hypot(*gain), rel=1e-4)
 
 
 @pytest.mark.parametrize("options", [{}, {"weighted": False}, {"model": "as-printed"}])
 def test_budget_holds_every_source_of_u(tmp_path, options):
-    tilt = modelled(
-        'considered = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }'
-    )
+    tilt = modelled('hold = ["platform.tilt"]\npriors = { "platform.tilt" = "0 ± 0.5 arcsec" }')
     radius = ('"2.5 m"', '"2.5 ± 2.5e-3 m"')
     found = qx(result_of(tmp_path, PRIORS, tilt, radius, **options))
     estimated = {symbol for symbol, c in found.coefficients.items() if c.estimated}
@@ -178,13 +176,13 @@ def test_budget_holds_every_source_of_u(tmp_path, options):
         assert noise.contribution == pytest.approx(c.u_noise, rel=1e-9)
     sources = {line.source: line for line in found.budget["K_II"]}
     c = found.coefficients["K_II"]
-    assert sources["centrifuge.radius (input)"].contribution == pytest.approx(
-        2e-3 * abs(c.value), rel=1e-4
-    )
+    assert sources["centrifuge.radius"].contribution == pytest.approx(2e-3 * abs(c.value), rel=1e-4)
     if not options:
-        psi = [sources[f"{run}.platform.tilt.north (considered)"] for run in ("slow", "fast")]
-        assert {line.unit for line in psi} == {"rad"}
-        assert sources["K_F (prior)"].contribution == pytest.approx(c.u_prior, rel=1e-9)
+        psi = [sources[f"{run}.platform.tilt.north"] for run in ("slow", "fast")]
+        assert {(line.unit, line.kind) for line in psi} == {("rad", "held")}
+        assert sources["K_F"].kind == "stated"
+        stated = [line.contribution for line in found.budget["K_II"] if line.kind != "noise"]
+        assert math.hypot(*stated) == pytest.approx(c.u_stated, rel=1e-9)
 
 
 def test_given_noise_is_all_of_it(tmp_path):
@@ -323,7 +321,7 @@ def test_degrees_of_freedom_grow_with_what_is_not_from_residuals(tmp_path):
     # GUM G.4.1: u^4 over the sum of u_i^4/dof_i, here of the noise alone.
     alone = c.dof * (c.u_noise / c.u) ** 4
     assert 17 <= alone <= 51
-    assert c.u_considered > 0.1 * c.u_noise
+    assert c.u_stated > 0.1 * c.u_noise
 
 
 @pytest.mark.parametrize(
@@ -331,10 +329,10 @@ def test_degrees_of_freedom_grow_with_what_is_not_from_residuals(tmp_path):
     [
         PRIORS,
         modelled('terms = ["K_F", "K_II", "K_OO"]'),  # which cannot be told apart
-        modelled('considered = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }'),
+        modelled('hold = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }'),
         ('angle = { column = "angle_rad", unit = "rad" }\n', ""),
     ],
-    ids=["plain", "alike", "considered", "nominal angle"],
+    ids=["plain", "alike", "held", "nominal angle"],
 )
 def test_k_ii_alone_is_that_of_the_whole_result(tmp_path, asked):
     campaign = read_campaign(made(tmp_path, asked))
@@ -345,7 +343,7 @@ def test_k_ii_alone_is_that_of_the_whole_result(tmp_path, asked):
         expected = whole.result.coefficients["K_II"]
         assert view.assessment.determined[f"{accelerometer.name}.K_II"] == expected.estimated
         assert second.estimate("K_II") == pytest.approx(whole.second.estimate("K_II"), rel=1e-9)
-        assert len(second.fit.model.considered) < len(whole.second.fit.model.considered)
+        assert len(second.fit.model.considered) == len(whole.second.fit.model.considered)
 
 
 # --- what cannot be told apart --------------------------------------------------------------------
@@ -367,13 +365,23 @@ def test_terms_that_act_alike_are_said_with_their_combination(tmp_path, capsys):
         assert (item.value, item.u) == (c.value, c.u)
         assert item.correlation == -1.0
         assert f"determined: {item.determined} = " in text
-    assert found.left_out["K_OO"].sensitivity == pytest.approx(1.0, rel=1e-6)
-    assert set(found.left_out) >= {"K_PP", "platform.drift.north", "platform.g_sensitivity.zx"}
+
+
+def test_what_nothing_states_is_in_u_at_its_typical_size(tmp_path):
+    unassumed = (MODEL, "")
+    found = qx(result_of(tmp_path, PRIORS, unassumed))
+    c = found.coefficients["K_II"]
+    lines = {line.source: line for line in found.budget["K_II"]}
+    assert {line.kind for line in lines.values()} == {"noise", "stated", "unstated", "held"} - {
+        "unstated",
+    }
+    assert lines["K_OO"].contribution == pytest.approx(2e-6, rel=1e-6)
     # Equivalent K_II of 1 deg/h/g, at the fast run 0.77e-6 (physics.md, section 7).
     per_degree = math.radians(1) / 3600
-    assert found.left_out["platform.g_sensitivity.zx"].sensitivity * per_degree == pytest.approx(
-        0.78e-6, rel=0.03
-    )
+    g_sensitive = lines["platform.g_sensitivity.zx"]
+    assert abs(g_sensitive.sensitivity) * per_degree == pytest.approx(0.78e-6, rel=0.03)
+    assert c.u == pytest.approx(math.hypot(c.u_noise, c.u_stated, c.u_unstated), rel=1e-12)
+    assert c.u_unstated > 2e-6
 
 
 def test_combination_holds_what_the_simulation_put_into_its_terms(tmp_path):
@@ -399,13 +407,13 @@ def test_two_terms_that_were_asked_for_and_act_alike_are_both_undetermined(tmp_p
 
 
 def test_what_is_known_of_a_term_that_acts_alike_is_in_u(tmp_path):
-    known = modelled('considered = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }')
+    known = modelled('hold = ["K_OO"]\npriors = { "K_OO" = "1e-6 ± 2e-6 g/g^2" }')
     plain = qx(result_of(tmp_path / "a"))
     found = qx(result_of(tmp_path / "b", known))
     # The platform's compliance acts like K_OO, and still nothing is known of it.
     assert found.confounded[0].terms == ["K_II", "K_F.heating", "platform.compliance.zy"]
     c = found.coefficients["K_II"]
-    assert c.u_considered == pytest.approx(2e-6, rel=1e-4)
+    assert c.u_stated == pytest.approx(2e-6, rel=1e-4)
     assert c.value == pytest.approx(plain.coefficients["K_II"].value - 1e-6, rel=1e-6)
 
 
@@ -446,7 +454,6 @@ def test_as_printed_is_half_and_says_so(tmp_path):
         assert abs(c.value - 2.7e-5) > 10 * c.u
         assert found.second_unknown["spindle.ripple"].unit == unit
         assert "K_II is half of what" in found.warnings[0]
-        assert found.left_out == {}
 
 
 def test_without_an_angle_the_drift_is_an_unknown(tmp_path, capsys):
@@ -461,9 +468,8 @@ def test_without_an_angle_the_drift_is_an_unknown(tmp_path, capsys):
     assert any("K_F and spindle.drift" in warning for warning in qx(result).warnings)
 
 
-@pytest.mark.parametrize("terms", ['["K_F", "K_II", "K_III"]', '["K_F", "K_II"]'])
-def test_strong_ripple_is_warned_of_unless_k_iii_is_known(tmp_path, terms):
-    model = modelled(f'terms = {terms}\ntypical = {{ K_III = "1e-4 g/g^3" }}')
+def test_strong_ripple_is_warned_of_unless_k_iii_is_known(tmp_path):
+    model = modelled('terms = ["K_F", "K_II", "K_III"]\ntypical = { K_III = "1e-4 g/g^3" }')
     strong = ("ratio = 1e-5", "ratio = 1e-2")
     (warning,) = qx(result_of(tmp_path / "a", model, strong)).warnings
     assert warning.startswith("Qx: K_III is neither estimated nor known beforehand")
@@ -474,7 +480,7 @@ def test_strong_ripple_is_warned_of_unless_k_iii_is_known(tmp_path, terms):
     prior = ('scale_factor = "1.002 g/g"', 'scale_factor = "1.002 g/g"\nK_III = "0 ± 1e-6 g/g^3"')
     known = qx(result_of(tmp_path / "c", model, strong, prior))
     assert known.warnings == []
-    assert known.coefficients["K_II"].u_considered > 1e-9
+    assert known.coefficients["K_II"].u_stated > 1e-9
 
 
 def test_runs_that_do_not_agree_are_named(tmp_path):

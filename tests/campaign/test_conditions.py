@@ -1,11 +1,14 @@
 """RunConditions of runs in a campaign: what is read, and what the model's slopes need."""
 
 import pytest
-from campaigns import SMALL, campaign_of, changed
+from campaigns import SMALL, campaign_of, changed, without
 
 from counterspin.campaign.conditions import conditions_of, origin_of
 from counterspin.errors import CampaignError
 from counterspin.physics.effects import RunConditions
+
+#: To which a test adds a model of its own.
+BARE = without(SMALL, "model")
 
 STATED = {
     "slow": ("21 degC", "90 s"),
@@ -22,9 +25,9 @@ def with_conditions(text, keys=("temperature", "time"), runs=STATED):
     return text
 
 
-def model(terms="", considered="", priors=""):
+def model(terms="", hold="", priors=""):
     return (
-        f'[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"{terms}]\nconsidered = [{considered}]\n'
+        f'[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"{terms}]\nhold = [{hold}]\n'
         f"[model.priors]\n{priors}\n"
     )
 
@@ -71,7 +74,7 @@ def test_where_nobody_took_a_temperature_it_rises_by_a_kelvin_from_run_to_run(tm
 
 
 def test_slopes_need_the_conditions_of_every_run(tmp_path):
-    text = with_conditions(SMALL, runs=("slow",)) + model(', "K_F.trend", "K_I.temperature"')
+    text = with_conditions(BARE, runs=("slow",)) + model(', "K_F.trend", "K_I.temperature"')
     assert problems(tmp_path, text) == [
         f"runs[{place}].{key}: is missing: {symbol} is in the model; write {key} = {example}, "
         f'or the like (run "{name}")'
@@ -89,7 +92,7 @@ def test_times_of_some_runs_only(tmp_path):
 
 
 def test_a_slope_at_one_temperature_needs_a_reference(tmp_path):
-    text = with_conditions(SMALL).replace("296.15 K", "21 degC").replace("22 degC", "21 degC")
+    text = with_conditions(BARE).replace("296.15 K", "21 degC").replace("22 degC", "21 degC")
     (problem,) = problems(tmp_path, text + model(', "K_F.temperature"'))
     assert problem.startswith("centrifuge.reference_temperature: is missing")
 
@@ -103,20 +106,21 @@ def test_a_reference_that_is_no_temperature_is_told(stated, tmp_path):
         assert f"'{stated}' is not a temperature" in told
 
 
-def test_heating_is_only_considered(tmp_path):
-    (problem,) = problems(tmp_path, SMALL + model(', "K_F.heating"'))
+def test_heating_is_never_asked_for(tmp_path):
+    (problem,) = problems(tmp_path, BARE + model(', "K_F.heating"'))
     assert '"K_F.heating" cannot be told from K_II' in problem
-    considered = model(considered='"K_F.heating"', priors='"K_F.heating" = "0 ± 0.1 ug/g^2"')
-    campaign = campaign_of(tmp_path, SMALL + considered)
-    for accelerometer in campaign.accelerometers.values():
-        assert accelerometer.priors["K_F.heating"].u == pytest.approx(1e-7)
-    (problem,) = problems(tmp_path, SMALL + model(considered='"K_F.heating"'))
+    known = '"K_F.heating" = "0 ± 0.1 ug/g^2"'
+    for hold in ("", '"K_F.heating"'):
+        campaign = campaign_of(tmp_path, BARE + model(hold=hold, priors=known))
+        for accelerometer in campaign.accelerometers.values():
+            assert accelerometer.priors["K_F.heating"].u == pytest.approx(1e-7)
+    (problem,) = problems(tmp_path, BARE + model(hold='"K_F.heating"'))
     assert "there is no prior for Qx, Qy" in problem
 
 
 def test_a_prior_of_one_accelerometer_s_slope(tmp_path):
     priors = '"K_F.trend" = "0 ± 1e-9 g/s"\n"Qy.K_F.trend" = "1e-9 ± 2e-9 g/s"'
-    text = with_conditions(SMALL) + model(', "K_F.trend"', priors=priors)
+    text = with_conditions(BARE) + model(', "K_F.trend"', priors=priors)
     campaign = campaign_of(tmp_path, text)
     known = {name: a.priors["K_F.trend"] for name, a in campaign.accelerometers.items()}
     assert (known["Qx"].value, known["Qx"].u) == (0.0, 1e-9)

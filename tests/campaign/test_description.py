@@ -48,7 +48,7 @@ timing = "estimate"
 [model]
 assume = "all"
 terms = ["K_F", "K_I", "K_II", "K_III"]
-considered = []
+hold = []
 
 [model.priors]
 
@@ -267,13 +267,20 @@ EXACT_PATHS = [
     ('"K_III"]', '"zzz"]', 'model.terms[3]: no term is called "zzz"; known: K_F, K_I,'),
     ('"K_III"]', '"K_F"]', 'model.terms[3]: "K_F" is listed twice'),
     ('"K_III"]', "3]", "model.terms[3]: must be text"),
-    ("considered = []", 'considered = ["K_II"]', 'model.considered: "K_II" is in model.terms too'),
-    ("considered = []", 'considered = ["K_OO"]', 'model.considered: "K_OO" is considered, but'),
-    ("considered = []", 'considered = ["platform.tilt"]', 'model.considered: "platform.tilt.eas'),
+    ("hold = []", 'hold = ["K_II"]', 'model.hold: "K_II" is in model.terms too'),
+    ("hold = []", 'hold = ["K_OO"]', 'model.hold: "K_OO" is held, but'),
+    ("hold = []", 'hold = ["platform.tilt"]', 'model.hold: "platform.tilt.eas'),
     ("[model.priors]", '[model.priors]\nK_II = "1 g"', "model.priors.K_II: 'g' is not a unit of"),
     ("[model.priors]", "[model.priors]\nK_II = 1", "model.priors.K_II: a number without its"),
     ("[model.priors]", '[model.priors]\nK_Q = "1 g"', 'model.priors.K_Q: no term is called "K_Q"'),
-    ("[model.priors]", '[model.priors]\nK_OO = "0 g/g^2"', "model.priors.K_OO: is not used; add"),
+    ("[model.priors]", '[model.priors]\nK_OO = "0 g"', "model.priors.K_OO: 'g' is not a unit of"),
+    (
+        'assume = "all"',
+        'assume = "al"',
+        'model.assume[0]: no term is called "al"; did you mean "all"?',
+    ),
+    ('assume = "all"', 'assume = ["K_OOO"]', 'model.assume[0]: no term is called "K_OOO"; did you'),
+    ('assume = "all"', "assume = 3", "model.assume: must be a list"),
     (
         "[model.priors]",
         '[model.priors]\nK_F = "0 ± 1 g"',
@@ -613,10 +620,10 @@ def test_a_record_given_for_a_campaign_is_named(tmp_path):
 # --- errors of the path ---------------------------------------------------------------------------
 
 
-def test_a_stretch_of_the_centrifuge_is_considered_unless_it_is_estimated(tmp_path):
+def test_a_stretch_of_the_centrifuge_is_known_asked_for_or_not(tmp_path):
     stretched = ('radius = "2.5 ± 1e-5 m"', 'radius = "2.5 ± 1e-5 m"\nstretch = "0 ± 5e-9 s^2/m"')
     model = read_campaign(write(tmp_path, edited(stretched))).model
-    assert model.considered == ("centrifuge.stretch",)
+    assert "centrifuge.stretch" not in (*model.terms, *model.considered)
     assert model.priors["centrifuge.stretch"].u == 5e-9
     asked = ('"K_III"]', '"K_III", "centrifuge.stretch"]')
     model = read_campaign(write(tmp_path, edited(stretched, asked))).model

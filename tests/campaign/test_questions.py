@@ -115,16 +115,20 @@ def test_own_velocity_does_nothing_to_a_recorded_force(tmp_path):
 
 def test_values_without_an_uncertainty(tmp_path):
     text = changed(SMALL, ('"1.002 g/g"\ndisp', '"1.002 g/g"\nbias = "0.005 g"\ndisp'))
-    priors = '[model]\nassume = "all"\nconsidered = ["platform.tilt.north"]\n[model.priors]\n'
-    text = changed(text, ("[noise]\n", f'{priors}"platform.tilt.north" = "0 arcsec"\n[noise]\n'))
+    priors = '[model.priors]\n"platform.tilt.north" = "0 arcsec"\n'
+    text = changed(text, ('assume = "all"\n', f'assume = ["K_I", "platform.*"]\n{priors}'))
     assert asked(tmp_path, text) == [
         ("exact-prior", "Qx.K_F"),
         ("exact-prior", "Qx.K_I"),
         ("exact-prior", "Qy.K_I"),
         ("exact-prior", "platform.tilt.north"),
     ]
-    first = questions(campaign_of(tmp_path / "again", text))[0].text
-    assert first.endswith('How well is it known? Write "0.005 ± U g".')
+    bias, scale_factor, *_ = questions(campaign_of(tmp_path / "again", text))
+    assert bias.text == (
+        "Qx.K_F is stated as 0.005 g without an uncertainty, and so taken with its "
+        'typical uncertainty. How well is it known? Write "0.005 ± U g".'
+    )
+    assert "and so taken as exact, as model.assume has it. How well" in scale_factor.text
 
 
 def test_simulate_and_plan_warn_and_calibrate_finds(tmp_path, capsys):

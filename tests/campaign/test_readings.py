@@ -97,9 +97,9 @@ SLIPS = {
         HEAD + ARM + '[model]\nassume = "all"\nterms = ["K_F", "centrifuge.radius.inn"]\n' + ON_ARM,
         'did you mean "centrifuge.radius.in"?',
     ),
-    "considered without a prior": (
-        HEAD + '[model]\nassume = "all"\nterms = ["K_F"]\nconsidered = ["head.zero"]\n' + RUN,
-        '"head.zero" is considered, but there is no prior for it',
+    "held without a prior": (
+        HEAD + '[model]\nassume = "all"\nterms = ["K_F"]\nhold = ["head.zero"]\n' + RUN,
+        '"head.zero" is held, but there is no prior for it',
     ),
     "no temperature": (
         HEAD + RUN + 'temperature = "warm"\n',
@@ -158,7 +158,7 @@ def test_errors_of_the_path_count_beside_readings_at_rest(tmp_path):
     machine = read(tmp_path, HEAD + displacement + ARM + more + model + turntable + RUN).machine
     assert machine.terms == ("centrifuge.stretch",)
     assert machine.prior("centrifuge.stretch") == (0.0, 5e-9)
-    assert machine.considered == ("centrifuge.axis_tilt.east", "centrifuge.axis_tilt.north")
+    assert machine.considered == ()
     assert machine.prior("centrifuge.axis_tilt.east")[1] == pytest.approx(math.radians(5 / 3600))
     terms = model.replace("stretch", "axis_tilt")
     machine = read(tmp_path, HEAD + ARM + more + terms + ON_ARM).machine

@@ -65,7 +65,8 @@ def test_each_example_goes_the_whole_way(tmp_path, test, capsys):
     assert {"K_F", "K_I", "K_II"} <= set(checked)
     for symbol, value in checked.items():
         c = found.coefficients[symbol]
-        assert c.estimated or symbol == "K_I"  # which displacement alone does not tell from K_IP
+        # Beside unstated K_IP, tilt and drift, the records add nothing to what was known of these.
+        assert c.estimated or symbol in ("K_F", "K_I")
         assert abs(c.value - value) < 4.0 * c.u
     assert main(["report", str(saved), "-o", str(page)]) == 0
     lab = write_lab(tmp_path)

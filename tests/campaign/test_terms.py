@@ -99,14 +99,14 @@ def test_a_component_prior_overrides_that_of_the_bare_name():
     assert problems == []
     assert model.priors["platform.tilt.east"].u == pytest.approx(ARCSEC, rel=1e-14)
     assert model.priors["platform.tilt.north"].u == pytest.approx(2 * ARCSEC, rel=1e-14)
-    assert set(model.priors) == set(model.terms) - {"K_II"}
+    assert set(model.priors) == {f"platform.tilt.{axis}" for axis in ("east", "north", "up")}
 
 
 def test_one_accelerometer_prior_overrides_that_of_all():
     _, priors, problems = resolve(
         {"Qx": QX, "Qy": QY},
         terms=["K_II"],
-        considered=["K_OO"],
+        hold=["K_OO"],
         priors={"Qx.K_OO": "1 ± 2 ug/g^2", "K_OO": "0 ± 1 ug/g^2"},
     )
     assert problems == []
@@ -129,15 +129,99 @@ def test_keys_without_quotation_marks_nest_and_are_understood():
     assert model.limits["K_II"] == 1e-3
 
 
-def test_considered_terms_need_a_prior_for_every_accelerometer():
+def test_held_terms_need_a_prior_for_every_accelerometer():
     given = {"Qx": {"K_OO": Quantity(0.0, 1e-6, "g/g^2")}}
-    _, _, (problem,) = resolve(
-        {"Qx": QX, "Qy": QY}, given=given, terms=["K_II"], considered=["K_OO"]
-    )
+    _, _, (problem,) = resolve({"Qx": QX, "Qy": QY}, given=given, terms=["K_II"], hold=["K_OO"])
     assert problem == (
-        'model.considered: "K_OO" is considered, but there is no prior for Qy; '
+        'model.hold: "K_OO" is held, but there is no prior for Qy; '
         'add "K_OO" = "VALUE ± U g/g^2" to [model.priors]'
     )
+
+
+@pytest.mark.parametrize(
+    ("assume", "taken", "not_taken"),
+    [
+        (["K_OO"], "K_OO", "K_PP K_IO K_F.trend centrifuge.radius platform.tilt.north"),
+        (["K_F"], "K_F K_F.trend K_F.heating", "K_I K_II"),
+        (
+            ["platform.*"],
+            "platform.tilt.north platform.drift.up platform.g_sensitivity.zx",
+            "K_OO centrifuge.stretch encoder.harmonic.1.cos",
+        ),
+        (
+            ["platform.tilt"],
+            "platform.tilt.east platform.tilt.north platform.tilt.up",
+            "platform.drift.north platform.tilting",
+        ),
+        (
+            ["centrifuge.radius", "records.timing_offset"],
+            "centrifuge.radius centrifuge.radius.in records.timing_offset",
+            "centrifuge.stretch site.gravity",
+        ),
+        ("all", "K_OO platform.tilt.north centrifuge.radius head.zero", ""),
+        (["K_PP", "all"], "K_OO platform.tilt.north centrifuge.radius head.zero", ""),
+        ([], "", "K_OO platform.tilt.north centrifuge.radius"),
+    ],
+)
+def test_what_is_assumed_to_be_perfect(assume, taken, not_taken):
+    model, _, problems = resolve({"Qx": QX}, terms=["K_II"], assume=assume)
+    assert problems == []
+    assert [symbol for symbol in taken.split() if not model.assumes(symbol)] == []
+    assert [symbol for symbol in not_taken.split() if model.assumes(symbol)] == []
+
+
+@pytest.mark.parametrize(
+    ("assume", "problem"),
+    [
+        (["K_II", "K_OOO"], 'model.assume[1]: no term is called "K_OOO"; did you mean "K_OO"?'),
+        (
+            ["plattform.*"],
+            'model.assume[0]: no term is called "plattform.*"; did you mean "platform"?',
+        ),
+        ("al", 'model.assume[0]: no term is called "al"; did you mean "all"?'),
+        (["platform.tlt"], 'no term is called "platform.tlt"; did you mean "platform.tilt"?'),
+    ],
+)
+def test_what_is_assumed_must_be_there(assume, problem):
+    _, _, (told,) = resolve({"Qx": QX}, terms=["K_F"], assume=assume)
+    assert told.endswith(problem)
+
+
+@pytest.mark.parametrize("key", ["hold", "considered"])
+@pytest.mark.parametrize("name", ["K_OO", "platform.tilt"])
+def test_what_is_held_is_not_assumed(key, name):
+    known = {"K_OO": "0 ± 1e-6 g/g^2", "platform.tilt": "0 ± 1 arcsec"}
+    held = {"terms": ["K_II"], key: [name], "priors": known}
+    _, _, (told,) = resolve({"Qx": QX}, assume=["K_PP", name], **held)
+    assert told == f'model.assume[1]: "{name}" is in model.{key} too; keep one'
+    # Of a family only what is not stated is assumed.
+    assert resolve({"Qx": QX}, assume="all", **held)[2] == []
+
+
+def test_considered_is_the_old_name_of_hold():
+    known = {"K_OO": "0 ± 1e-6 g/g^2", "K_PP": "0 ± 1e-6 g/g^2"}
+    old, new = (
+        resolve({"Qx": QX}, terms=["K_II"], priors=known, **{key: ["K_OO"]})
+        for key in ("considered", "hold")
+    )
+    assert old == new
+    assert new[0].considered == ("K_OO",)
+    _, _, (told,) = resolve(
+        {"Qx": QX}, terms=["K_II"], priors=known, hold=["K_OO"], considered=["K_PP"]
+    )
+    assert told == "model.considered: is the old name of hold; keep hold alone"
+
+
+def test_what_is_neither_asked_for_nor_held_may_have_a_prior():
+    model, priors, problems = resolve(
+        {"Qx": QX},
+        terms=["K_II"],
+        priors={"K_OO": "1 ± 2 ug/g^2", "platform.drift.up": "0 ± 0.01 deg/h"},
+    )
+    assert problems == []
+    assert priors["Qx"] == {"K_OO": Quantity(1e-6, 2e-6, "g/g^2")}
+    assert set(model.priors) == {"platform.drift.up"}
+    assert model.considered == ()
 
 
 def test_terms_must_name_an_accelerometer_coefficient():
@@ -188,6 +272,28 @@ def test_typical_sizes_may_be_changed():
     assert model.typical["platform.tilt.north"] == pytest.approx(2 * ARCSEC, rel=1e-14)
     assert model.typical["platform.tilt.up"] == pytest.approx(np.radians(1.0), rel=1e-14)
     assert "K_PP" not in model.typical
+
+
+def test_sizes_of_every_row_of_the_table():
+    """Those of inputs and of the machine too, a mounting's own among them."""
+    sizes = {
+        "site.gravity": ("1e-3 m/s^2", 1e-3),
+        "centrifuge.radius": ("0.1 mm", 1e-4),
+        "centrifuge.radius.in": ("2 mm", 2e-3),
+        "centrifuge.droop": ("2e-9 rad s^2", 2e-9),
+        "head.zero": ("1 arcsec", ARCSEC),
+        "records.timing_offset": ("1 us", 1e-6),
+        "K_F.trend": ("1e-9 g/s", 1e-9),
+    }
+    written = {symbol: text for symbol, (text, _) in sizes.items()}
+    model, _, problems = resolve({"Qx": QX}, terms=["K_II"], typical=written, limits=written)
+    assert problems == []
+    for symbol, (_, size) in sizes.items():
+        assert model.typical[symbol] == pytest.approx(size, rel=1e-14)
+        assert model.limits[symbol] == pytest.approx(size, rel=1e-14)
+    assert set(model.typical) == set(model.limits) == set(sizes)
+    _, _, (told,) = resolve({"Qx": QX}, terms=["K_II"], typical={"centrifuge.radios": "1 mm"})
+    assert told.startswith('model.typical."centrifuge.radios": no term is called')
 
 
 def test_names_of_the_path_mean_harmonics_and_their_quadratures():

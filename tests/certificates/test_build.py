@@ -229,9 +229,16 @@ def test_what_is_not_determined_is_left_out_and_said(tmp_path):
 
 def test_what_the_result_rests_on_is_stated(tmp_path):
     together = {"terms": ["K_II", "K_OO"], "correlation": -1.0, "determined": "K_II + K_OO"}
+    unstated = {"source": "K_OO", "kind": "unstated", "unit": "g/g^2", "u": 2e-6}
+    small = {**unstated, "source": "K_PP", "sensitivity": 1e-5, "contribution": 2e-11}
     given = result(
         confounded=[{**together, "value": 2.7e-5, "u": 1e-9}],
-        left_out={"platform.tilt.north": {"sensitivity": 0.06, "unit": "rad"}},
+        budget={
+            "K_II": [
+                {**unstated, "sensitivity": -3e-4, "contribution": 6e-10, "share": 0.36},
+                {**small, "share": 4e-4},
+            ]
+        },
     )
     (statement,) = find(
         document(tmp_path, given),
@@ -240,11 +247,12 @@ def test_what_the_result_rests_on_is_stated(tmp_path):
     assert statement.get("refId") == "item-1"
     path = "dcc:declaration/dcc:content"
     (content,) = statement.xpath(path, namespaces=NAMESPACES)
-    apart, zero = content.text.splitlines()
+    apart, unknown = content.text.splitlines()
     # ± precedes U alone.
     assert apart.endswith("determined: K_II + K_OO = 27.0000, u = 0.0010 ug/g^2.")
-    # Half an arcsec is 2.424e-6 rad.
-    assert zero.endswith("move K_II by 0.15 ug/g^2 (platform.tilt.north, 0.5 arcsec).")
+    assert unknown == (
+        "Not stated, and so in U with a typical standard uncertainty: K_OO, 2.0 ug/g^2."
+    )
 
 
 def test_a_result_that_nobody_may_certify_is_refused():

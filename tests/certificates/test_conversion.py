@@ -87,7 +87,7 @@ def test_own_units_have_what_another_gravity_would_do(tmp_path):
     }
     step = 30.0 * U_G
     up, down = (
-        calibrated_readings(tmp_path, repr(G + way * step)).accelerometers["A"].output
+        calibrated_readings(tmp_path, f"{G + way * step!r} ± {U_G}").accelerometers["A"].output
         for way in (1, -1)
     )
     for key, power in (("bias", 0), ("scale_factor", -1)):
@@ -150,7 +150,13 @@ def test_covariance_follows(records):
 def test_degrees_of_freedom_are_those_of_what_remains():
     # Half of u^2 of K_F is that of g, and cancels: -K_F/g per m/s^2.
     u_gravity = 1e-6 * math.sqrt(0.5) / (0.005 / 9.8)
-    line = {"source": "site.gravity (input)", "u": u_gravity, "unit": "m/s^2", "share": 0.5}
+    line = {
+        "source": "site.gravity",
+        "kind": "stated",
+        "u": u_gravity,
+        "unit": "m/s^2",
+        "share": 0.5,
+    }
     line |= {"sensitivity": -0.005 / 9.8, "contribution": 1e-6 * math.sqrt(0.5)}
     known = {"K_F": coefficient(0.005, 1e-6, "g", dof=100.0)}
     given = result(coefficients=known, budget={"K_F": [line]})

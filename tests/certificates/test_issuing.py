@@ -225,7 +225,7 @@ def test_a_reason_may_be_given_with_the_certificate(desk, capsys):
 def test_a_mistake_leaves_nothing_behind(desk, capsys, words, status, told):
     printed = result().model_copy(update={"model": "as-printed"})
     (desk / "printed.json").write_text(printed.to_json(), encoding="utf-8")
-    (desk / "newer.json").write_text('{"schema": 2}', encoding="utf-8")
+    (desk / "newer.json").write_text('{"schema": 3}', encoding="utf-8")
     before = sorted(desk.iterdir())
     got, out, err = command(capsys, *words)
     assert (got, out) == (status, "")

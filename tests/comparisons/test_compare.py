@@ -11,6 +11,7 @@ import frames
 import numpy as np
 import pytest
 import results as by_hand
+from scipy.stats import binom
 from scipy.stats import chi2 as chi2_distribution
 
 import counterspin as cs
@@ -19,6 +20,7 @@ from counterspin.comparisons import result as comparison_result
 from counterspin.comparisons.page import comparison_blocks
 from counterspin.comparisons.result import Compared
 from counterspin.errors import CampaignError
+from counterspin.physics.terms import term
 from counterspin.reports.blocks import Paragraph, Table
 
 TERMS = ["K_F", "K_I", "K_II"]
@@ -33,7 +35,8 @@ def description():
     return document | {
         "model": {
             "terms": TERMS,
-            "considered": ["K_IP"],
+            "assume": "all",
+            "hold": ["K_IP"],
             "priors": {"K_I": "1.002 ± 1e-5 g/g", "K_IP": "0 ± 1e-5 g/g^2"},
         },
         "truth": {"Qx": {"K_F": "0.005 g", "K_I": "1.002 g/g", "K_II": "2.7e-5 g/g^2"}},
@@ -80,7 +83,7 @@ def test_one_more_term_differs_by_what_that_term_is(one):
     # All that the estimates can differ by is the new term's size: closed form.
     k_iii = large.coefficient("Qx.K_III")
     assert (agreement.records, agreement.dof, agreement.assumed) == ("same", 1, [])
-    assert agreement.shared == ["K_IP", "centrifuge.radius"]
+    assert agreement.shared == ["K_IP"]
     assert agreement.chi2 == pytest.approx((k_iii.value / k_iii.u) ** 2, rel=1e-4)
     assert k_ii(compared).u_difference < 0.1 * small.coefficient("Qx.K_II").u
     back = cs.compare(large, small)
@@ -96,6 +99,23 @@ def test_a_run_left_out_is_as_the_fit_itself_has_it(one):
     assert compared.agreements[0].records == "part"
     assert found.difference == pytest.approx(left_out.shift, rel=1e-6)
     assert abs(found.z) == pytest.approx(abs(left_out.z), rel=1e-3)
+
+
+def test_what_is_assumed_and_what_is_not_stated_is_told(one):
+    records, result, _, _ = one
+    but_k_oo = [name for name in result.assumed if name != "K_OO"]
+    part, tuned = (
+        cs.calibrate(records.change(assume=but_k_oo, **more))
+        for more in ({}, {"model.typical": {"K_OO": "1e-6 g/g^2"}})
+    )
+    compared = cs.compare(result, part, tuned)
+    told = {change.subject: change.values for change in compared.changes}
+    assert set(told) == {"assumed", "not stated", "campaign.toml"}
+    assert [text.split(", ") for text in told["assumed"]] == [result.assumed, but_k_oo, but_k_oo]
+    assert told["not stated"] == ["-", "K_OO ± 2 ug/g^2", "K_OO ± 1 ug/g^2"]
+    # The same records: what K_OO adds to u is what the two can differ by.
+    u = [r.coefficient("Qx.K_II").u for r in (result, part)]
+    assert k_ii(compared).u_difference == pytest.approx(math.sqrt(u[1] ** 2 - u[0] ** 2), rel=1e-3)
 
 
 def test_the_two_methods_are_as_the_joint_fit_has_them(one):
@@ -133,7 +153,7 @@ def test_a_changed_input_differs_by_no_chance(one):
     (line,) = (
         line
         for line in result.accelerometers["Qx"].budget["K_II"]
-        if line.source == "centrifuge.radius (input)"
+        if line.source == "centrifuge.radius"
     )
     expected = math.sqrt(2.0) * line.contribution
     assert k_ii(twice).u_difference == pytest.approx(expected, rel=1e-3)
@@ -158,6 +178,63 @@ def test_what_is_known_beforehand_is_counted_once():
     assert found.u_difference == pytest.approx(math.sqrt(2.0 * (1e-18 - 0.36e-18)), rel=1e-12)
     agreement = cs.compare(first, second).agreements[0]
     assert (agreement.records, agreement.shared) == ("independent", ["K_I"])
+
+
+#: All that acts on readings at rest but K_OO.
+PERFECT = [
+    *(f"K_{name}" for name in ("F", "I", "II", "III", "4", "IP", "IO", "PO", "PP", "OQ")),
+    *("delta_O", "delta_P", "head.zero", "site.*"),
+]
+
+
+def tumble(k_oo, roll, generator, noise):
+    """Return a result of twelve positions; `roll` is from the pendulous axis to the plane."""
+    runs = []
+    for place, angle in enumerate(2.0 * np.pi * (np.arange(12) + 0.3) / 12):
+        # The vertical and the axis of the turn in the instrument's axes: input, pendulous, output.
+        side = math.sin(angle)
+        up = np.array([math.cos(angle), side * math.cos(roll), side * math.sin(roll)])
+        east = np.array([0.0, -math.sin(roll), math.cos(roll)])
+        rows = np.column_stack([east, np.cross(up, east), up])
+        f = 1e-3 + up[0] + 1e-5 * up[0] ** 2 + k_oo * up[2] ** 2
+        f += noise * generator.standard_normal()
+        axes = {"input": rows[0].tolist(), "pendulous": rows[1].tolist()}
+        run = {"name": f"p{place}", "motion": "static", "axes": axes}
+        runs.append({**run, "reading": f"{float(f)!r} ± {noise!r} g"})
+    return cs.calibrate(
+        cs.make_campaign(
+            {
+                "schema": 1,
+                "site": {"gravity": "9.81 m/s^2", "latitude": "52 deg"},
+                "accelerometers": {"A": {"input_axis": "up", "pendulous_axis": "east"}},
+                "model": {"terms": ["K_F", "K_I", "K_II"], "assume": PERFECT},
+                "runs": runs,
+            }
+        )
+    )
+
+
+def test_what_nobody_states_of_an_instrument_is_counted_once():
+    """True K_OO is drawn once for each instrument, of which there are two results."""
+    instruments, noise = 16, 2e-7
+    generator = np.random.default_rng(11)
+    z = []
+    for _ in range(instruments):
+        k_oo = term("K_OO").typical * generator.standard_normal()
+        first, second = (
+            tumble(k_oo, math.radians(roll), generator, noise) for roll in (75.0, 60.0)
+        )
+        compared = cs.compare(first, second)
+        (agreement,) = compared.agreements
+        assert (agreement.records, agreement.shared) == ("independent", ["K_OO"])
+        z.append(k_ii(compared).z)
+        # Counted twice, it would be most of u.
+        apart = math.hypot(*(r.coefficient("A.K_II").u for r in (first, second)))
+        assert k_ii(compared).u_difference < 0.5 * apart
+    low, high = chi2_distribution.interval(1.0 - 1e-4, instruments)
+    assert low < np.sum(np.square(z)) < high
+    least, _ = binom.interval(1.0 - 1e-4, instruments, 0.95)
+    assert np.count_nonzero(np.abs(z) < 1.96) >= least
 
 
 def test_what_is_stated_otherwise_is_independent():

@@ -112,7 +112,7 @@ def test_example_of_the_page_gives_back_the_truth(tmp_path, monkeypatch, capsys)
         assert cli.main(words) == 0, line
     report = capsys.readouterr().out
     assert "4 rows of Qx, from -1.0005 to 9.5213 g" in report
-    assert "applied as estimated: K_F" in report
+    assert "applied as estimated: K_II, K_III; as known beforehand: K_F, K_I" in report
     found = cs.read_result(tmp_path / "result.json").accelerometers["Qx"]
     assert found.axes == list(QX.axes)
     assert found.observable == "displacement"
@@ -401,9 +401,10 @@ def test_results_repeat_what_the_campaign_knows_beforehand(tmp_path):
 
 
 def test_errors_that_cancel_are_seen_to_cancel():
-    """K_F was estimated with K_PP considered, both seen as one: K_F + K_PP is what is known."""
+    """K_F was estimated with K_PP held, both seen as one: K_F + K_PP is what is known."""
     line = BudgetLine(
-        source="K_PP (considered)",
+        source="K_PP",
+        kind="held",
         u=2e-6,
         unit="g/g^2",
         sensitivity=-1.0,

@@ -50,11 +50,12 @@ def test_what_two_share_cancels_in_their_difference():
     assert en_score(first, second) == pytest.approx(1.0 / (1.959964 * math.sqrt(50.0)))
 
 
-def line(source, u, sensitivity, total=1e-9):
+def line(source, u, sensitivity, total=1e-9, kind="stated"):
     part = abs(sensitivity * u)
     share = (part / total) ** 2
     return {
         "source": source,
+        "kind": kind,
         "u": u,
         "unit": "",
         "sensitivity": sensitivity,
@@ -63,10 +64,35 @@ def line(source, u, sensitivity, total=1e-9):
     }
 
 
+def test_what_nobody_states_is_the_same_in_all_results_of_an_instrument():
+    lines = [
+        line("K_OO", 2e-6, -3e-4, kind="unstated"),
+        line("centrifuge.stretch", 5e-9, 4e-2, kind="unstated"),
+        line("centrifuge.radius", 1e-5, -3e-5, kind="unstated"),
+        line("records.timing_offset", 1e-6, 1e-4, kind="unstated"),
+        line("fixture.misalignment.in.forward", 1e-5, 1e-5, kind="unstated"),
+        line("slow.platform.tilt.north", 1e-6, 1e-4, kind="unstated"),
+        line("slow.ripple1", 1e-6, 1e-4, kind="noise"),
+    ]
+    first = shared_sources(result(budget={"K_II": lines}), "Qx", "K_II")
+    assert {source for source, _ in first} == {
+        "K_OO",
+        "centrifuge.stretch",
+        "centrifuge.radius",
+        "records.timing_offset",
+    }
+    # (6e-10)^2 + (2e-10)^2 + (3e-10)^2 + (1e-10)^2 over (1e-9)^2.
+    assert in_common([1e-9, 1e-9], [first, first]).largest == pytest.approx(0.50)
+    # Taken at another size it is not known to be the same: less is then shared, never more.
+    lines[0] = line("K_OO", 1e-6, -3e-4, kind="unstated")
+    other = shared_sources(result(budget={"K_II": lines}), "Qx", "K_II")
+    assert in_common([1e-9, 1e-9], [first, other]).largest == pytest.approx(0.14)
+
+
 LINES = [
-    line("centrifuge.radius (input)", 1e-5, -6e-5),
-    line("K_I (prior)", 5e-6, 4e-5),
-    line("slow.platform.tilt.north (prior)", 1e-6, 1e-4),
+    line("centrifuge.radius", 1e-5, -6e-5),
+    line("K_I", 5e-6, 4e-5),
+    line("slow.platform.tilt.north", 1e-6, 1e-4),
 ]
 
 

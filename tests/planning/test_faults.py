@@ -72,15 +72,15 @@ def fault(prediction, symbol):
     ("symbol", "size"),
     [("K_OO", "2e-6 g/g^2"), ("delta_O", "5e-5 rad"), ("platform.tilt.north", "0.5 arcsec")],
 )
-def test_shift_is_what_the_term_adds_to_u_when_it_is_considered(symbol, size, predict):
+def test_shift_is_what_the_term_adds_to_u_when_it_is_held(symbol, size, predict):
     name = symbol.rpartition(".")[0] or symbol
     out = [('"platform.tilt", ', ""), ('"platform.tilt" = "0 ± 0.5 arcsec"', "")]
     known = f'[model.priors]\n"{name}" = "0 ± {size}"'
-    named = ('# considered = ["K_PP"]  ', f'considered = ["{name}"]')
-    considered = [named, ("[model.priors]", known)]
+    named = ('# hold = ["K_PP"]  ', f'hold = ["{name}"]')
+    held = [named, ("[model.priors]", known)]
     left_out = predict(*out)
     watched, index = fault(left_out, symbol)
-    told = predict(*out, *considered).fit.solution
+    told = predict(*out, *held).fit.solution
     place = place_of(left_out)
     added = math.sqrt(told.u[place] ** 2 - left_out.fit.solution.u[place] ** 2)
     assert watched.shift(index, place) == pytest.approx(added, rel=1e-6)

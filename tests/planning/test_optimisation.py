@@ -54,8 +54,7 @@ def considering(*considered):
     """Return a set-up in which some terms and an input are considered."""
     return make_setup(
         platform=("platform.drift.north",),
-        considered=considered,
-        inputs={"centrifuge.radius": 1e-4},
+        considered=(*considered, "centrifuge.radius"),
     )
 
 

@@ -16,8 +16,8 @@ from counterspin import cli
 from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.simulation import simulate
-from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
+from counterspin.physics.terms import CONDITION_TERMS
 from counterspin.planning.design import Design
 from counterspin.planning.figures import FIGURES, save_figures
 from counterspin.planning.forecast import forecast, planned_series
@@ -27,6 +27,7 @@ from counterspin.planning.plan_file import read_plan
 from counterspin.planning.result import PlanResult
 from counterspin.planning.search import Search
 from counterspin.reports.text import report_console
+from counterspin.toml_text import write_document
 
 DOCS = Path(__file__).parents[2] / "docs"
 GOAL = 'minimise = ["K_II"]  '
@@ -51,7 +52,7 @@ PLANS = {
         SMALL,
         ('"2.5 m"  ', '"2.5 ± 2e-4 m"  '),
         ('"platform.tilt", ', ""),
-        ('# considered = ["K_PP"]  ', 'considered = ["platform.tilt", "K_PP"]'),
+        ('# hold = ["K_PP"]  ', 'hold = ["platform.tilt", "K_PP"]'),
         ("[model.priors]", '[model.priors]\nK_PP = "0 ± 1e-7 g/g^2"'),
         ('# [truth.Qx] ', "[truth.Qx]"),
         ('# K_II = "2e-5 g/g^2"', 'K_II = "2e-5 g/g^2"'),
@@ -94,7 +95,7 @@ acceleration = "3e-6 g/Hz^0.5"
 [model]
 assume = "all"
 terms = ["K_F","K_I","K_II","K_III","platform.tilt","platform.drift"]
-considered = ["platform.g_sensitivity"]
+hold = ["platform.g_sensitivity"]
 [model.priors]
 "platform.tilt" = "0 ± 0.5 arcsec"
 "platform.drift" = "0 ± 0.01 deg/h"
@@ -230,6 +231,9 @@ RECORDS = {
     "random walk": PLANS["random walk"][1:],
     "velocity": PLANS["dense velocity records"][1:3],
     "considered": PLANS["considered terms and an uncertain radius"][1:],
+    "only what depends on when is assumed": [
+        ('assume = "all"', f"assume = {[s for s in CONDITION_TERMS if s != 'K_F.heating']}"),
+    ],
 }
 
 
@@ -322,7 +326,7 @@ def test_report_says_what_the_issue_asks_for(plan_of, capsys):
         "u(K_II of Qx) =",
         "Starts at, s",
         "Where u(K_II) of Qx will come from",
-        "platform.tilt.north (prior), all runs",
+        "platform.tilt.north, all runs",
         "relaxed by 10 %",
         "both senses instead",
         "the paper's plan",
@@ -456,7 +460,7 @@ MISTAKES = {
     "no rate": ([('highest_rate = "1 rev/s"', "")], "give highest_rate, specific_force or rates"),
     "flicker": ([('displacement = "0.01 m"', 'displacement = "0.01 m"\nflicker = "1 ug"')],
                 "noise.flicker: a search for runs knows nothing of a bias that wanders"),
-    "trend": ([('# considered = ["K_PP"]', 'considered = ["K_F.trend"]')],
+    "trend": ([('# hold = ["K_PP"]', 'hold = ["K_F.trend"]')],
               '"K_F.trend" depends on the time of each run, which a plan does not know'),
     "prior": ([('"platform.tilt" = "0 ± 0.5 arcsec"', '"platform.tilt" = "0 ± 0.5 m"')],
               "platform.tilt"),

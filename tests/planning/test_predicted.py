@@ -1,7 +1,9 @@
-"""A forecast says both uncertainties: those that the calibration of its records will state."""
+"""A forecast states the uncertainty that the calibration of its records will state."""
+
+import math
 
 import pytest
-from campaigns import SMALL, write
+from campaigns import SMALL, changed, write
 from reading_descriptions import on_arm
 
 from counterspin.calibration.calibrate import calibrate
@@ -9,28 +11,51 @@ from counterspin.campaign.simulation import simulate
 from counterspin.planning.page import plan_blocks
 from counterspin.planning.plan import check
 
+ASSUMED = 'assume = "all"\n'
 
-def test_the_second_uncertainty_is_the_calibration_s(tmp_path):
-    simulate(write(tmp_path, SMALL), tmp_path)
+
+@pytest.mark.parametrize("assume", [ASSUMED, ""], ids=["all assumed", "nothing assumed"])
+def test_u_is_the_calibration_s(assume, tmp_path):
+    simulate(write(tmp_path, changed(SMALL, (ASSUMED, assume))), tmp_path)
     forecast, found = check(tmp_path), calibrate(tmp_path)
+    assert forecast.assumed == found.assumed
+    assert bool(found.assumed) == bool(assume)
     compared = 0
     for name, planned in forecast.accelerometers.items():
         for symbol, predicted in planned.coefficients.items():
             c = found.accelerometers[name].coefficients[symbol]
+            assert predicted.estimated == c.estimated, symbol
             if not predicted.estimated:
                 continue
             compared += 1
-            assert predicted.u_typical == pytest.approx(c.u_typical, rel=0.02), symbol
-            assert predicted.u_typical > predicted.u
-    assert compared == 6
+            assert predicted.u == pytest.approx(c.u, rel=0.02), symbol
+            for part in ("u_noise", "u_stated", "u_unstated"):
+                one, other = getattr(predicted, part), getattr(c, part)
+                assert one == pytest.approx(other, rel=0.02, abs=1e-3 * c.u), (symbol, part)
+            square = math.hypot(predicted.u_noise, predicted.u_stated, predicted.u_unstated)
+            assert predicted.u == pytest.approx(square, rel=1e-9)
+    # A scale factor without ± is exact if everything is.
+    assert compared == (6 if assume else 8)
 
 
-def test_no_plan_promises_u_alone(tmp_path):
-    result = check(write(tmp_path, SMALL))
-    k_ii = result.accelerometers["Qx"].coefficients["K_II"]
-    assert k_ii.u_typical > 10.0 * k_ii.u
-    answer = next(b.text for b in plan_blocks(result) if getattr(b, "style", "") == "answer")
-    assert "(2.1 ug/g^2 with what the model leaves out at typical sizes)" in answer
+def sentences(result):
+    """Return what a plan's page says in paragraphs."""
+    return [block.text for block in plan_blocks(result) if hasattr(block, "text")]
+
+
+def test_the_first_lines_say_what_decides_u_and_what_is_assumed(tmp_path):
+    honest = check(write(tmp_path / "honest", changed(SMALL, (ASSUMED, ""))))
+    taken = check(write(tmp_path / "taken", SMALL))
+    u = [r.accelerometers["Qx"].coefficients["K_II"].u for r in (honest, taken)]
+    # One attitude cannot tell K_OO, 2 ug/g^2, from K_II.
+    assert u[0] > 10.0 * u[1]
+    assert u[0] == pytest.approx(2e-6, rel=0.1)
+    _, answer, decides = sentences(honest)[:3]
+    assert answer.startswith("u(K_II of Qx) = 2.")
+    assert "of u(K_II)^2 is K_OO, which nothing states (typical 2 ug/g^2)" in decides
+    assert any("Nothing is assumed to be perfect" in text for text in sentences(honest))
+    assert sentences(taken)[2].startswith("Taken as perfect, and so no part of u: ")
+    assert not any("which nothing states" in text for text in sentences(taken))
 
 
 READ = """schema = 1
@@ -54,34 +79,14 @@ MODEL
 )
 
 
-@pytest.fixture(scope="module")
-def plain(tmp_path_factory):
-    return calibrate(write(tmp_path_factory.mktemp("plain"), READ.replace("MODEL", "")))
-
-
-def test_readings_have_the_second_uncertainty_too(plain, tmp_path):
-    left_out = plain.accelerometers["A"].left_out
-    assert {"K_III", "delta_O", "centrifuge.stretch", "fixture.misalignment.inward.up"} <= {
-        *left_out
-    }
-    assert "centrifuge.radius.inward" not in left_out  # the stated radius is that of both
-    priors = [
-        f'"{symbol}" = "0 ± {omitted.typical!r} {omitted.unit}"'
-        for symbol, omitted in left_out.items()
-    ]
-    model = (
-        f'[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"]\nconsidered = {list(left_out)!r}\n[model.priors]'
-    ).replace("'", '"')
-    text = READ.replace("MODEL", "\n".join([model, *priors]))
-    full = calibrate(write(tmp_path, text))
-    for symbol, c in plain.accelerometers["A"].coefficients.items():
-        considered = full.accelerometers["A"].coefficients[symbol]
-        assert c.u_typical == pytest.approx(considered.u, rel=1e-3), symbol
-        assert c.u_typical > c.u
-
-
-def test_so_has_their_forecast(plain, tmp_path):
-    forecast = check(write(tmp_path, READ.replace("MODEL", "")))
+@pytest.mark.parametrize("assume", [ASSUMED, ""], ids=["all assumed", "nothing assumed"])
+def test_so_it_is_for_readings(assume, tmp_path):
+    text = READ.replace("MODEL", f'[model]\nterms = ["K_F", "K_I", "K_II"]\n{assume}')
+    forecast, found = check(write(tmp_path, text)), calibrate(tmp_path)
     for symbol, predicted in forecast.accelerometers["A"].coefficients.items():
-        c = plain.accelerometers["A"].coefficients[symbol]
-        assert predicted.u_typical == pytest.approx(c.u_typical, rel=1e-3), symbol
+        c = found.accelerometers["A"].coefficients[symbol]
+        assert predicted.u == pytest.approx(c.u, rel=1e-3), symbol
+    sources = {line.source for line in forecast.accelerometers["A"].budget["K_II"]}
+    unstated = {"K_F.heating", "K_IO"}
+    assert unstated <= sources if not assume else not unstated & sources
+    assert "centrifuge.radius.inward" not in sources  # the stated radius is that of both

@@ -3,16 +3,17 @@
 import tomllib
 
 import pytest
+from campaigns import changed
 
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.starter import init
-from counterspin.campaign.toml_text import write_document
 from counterspin.planning.faults import of_path
 from counterspin.planning.forecast import forecast
 from counterspin.planning.page import render_plan
 from counterspin.planning.plan import check, plan
 from counterspin.planning.watching import watch
 from counterspin.reports.text import report_console
+from counterspin.toml_text import write_document
 
 SMALL = ('total_time = "700 s"', 'total_time = "240 s"')
 
@@ -58,7 +59,10 @@ def planned_campaign(planned, starter):
 
 
 def test_sizes_that_cannot_occur_are_no_limit(tmp_path, capsys):
-    result = check(init(tmp_path / "example").parent)
+    file = init(tmp_path / "example")
+    text = changed(file.read_text(encoding="utf-8"), ("\n[model] ", '\n[model]\nassume = "all" #'))
+    file.write_text(text, encoding="utf-8")
+    result = check(file)
     sizes = {line.words: line.size for line in result.requirements}
     # Of 1.8e6 rad and 1.7e5 s these runs need to know nothing.
     assert sizes["angle's zero, a new one in each run"] is None

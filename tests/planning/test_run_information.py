@@ -11,6 +11,7 @@ from counterspin.planning.angle_functions import functions, integration, prefix_
 from counterspin.planning.design import Design, Predictor, RunType
 from counterspin.planning.run_information import RunInformation
 
+INPUTS = ("centrifuge.radius", "site.gravity", "records.timing_offset")
 RATES, TURNS = (1.0, 7.0), (5.0, 120.0)
 
 CASES = {
@@ -30,10 +31,10 @@ CASES = {
         "priors": PRIORS | {"platform.tilt.east": 1e-6},
     },
     "jitter": {"jitter": 1e-3},
+    "inputs as unknowns": {"platform": (*PLATFORM, *INPUTS)},
     "considered terms and inputs": {
         "platform": ("platform.drift.north",),
-        "considered": ("platform.tilt.north", "platform.g_sensitivity.zx"),
-        "inputs": {"centrifuge.radius": 1e-4, "site.gravity": 1e-5, "records.timing_offset": 1e-3},
+        "considered": ("platform.tilt.north", "platform.g_sensitivity.zx", *INPUTS),
     },
 }
 

@@ -9,8 +9,8 @@ nanometres. What was written is then read as exact and fitted by generalised lea
     x = (A' V^-1 A + P)^-1 (A' V^-1 y + P m),  G = (A' V^-1 A + P)^-1 A' V^-1
 
 A are the double integrals of the products of specific force and, for each run, start offset and
-velocity; P and m are the prior of K_III. u_noise^2 is the diagonal of G V G', u_prior^2 that of
-(A' V^-1 A + P)^-1 P (A' V^-1 A + P)^-1, and u_considered is G times the column of K_PP times its u.
+velocity; P and m are the prior of K_III. u_noise^2 is the diagonal of G V G', u_stated^2 that of
+(A' V^-1 A + P)^-1 P (A' V^-1 A + P)^-1 and of B B', B being G times the column of K_PP times its u.
 """
 
 import itertools
@@ -62,7 +62,7 @@ acceleration = "1e-6 g/Hz^0.5"
 [model]
 assume = "all"
 terms = ["K_F", "K_I", "K_II", "K_III"]
-considered = ["K_PP"]
+hold = ["K_PP"]
 
 [model.priors]
 K_III = "0 ± 1e-5 g/g^3"
@@ -174,7 +174,7 @@ def fitted(runs):
     whole = of_noise + of_prior + by_k_pp * by_k_pp.T
     expected = {}
     for j, symbol in enumerate(TERMS):
-        parts = [of_noise[j, j], of_prior[j, j], by_k_pp[j] ** 2]
+        parts = [of_noise[j, j], of_prior[j, j] + by_k_pp[j] ** 2]
         numbers = [estimate[j], sqrt(whole[j, j]), *map(sqrt, parts)]
         expected[symbol] = [nstr(number, DIGITS) for number in numbers]
     correlation = [
@@ -201,9 +201,8 @@ def main():
         (folder / f"{name}.csv").write_text(text, encoding="utf-8")
     document = {
         "about": (
-            "Estimate, u, u_noise, u_prior and u_considered of each term of the campaign in the "
-            "folder campaign, and their correlations; made by make_joint_fit.py in 40-digit "
-            "arithmetic"
+            "Estimate, u, u_noise and u_stated of each term of the campaign in the folder "
+            "campaign, and their correlations; made by make_joint_fit.py in 40-digit arithmetic"
         ),
         **fitted(runs),
     }

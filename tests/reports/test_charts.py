@@ -14,7 +14,7 @@ from counterspin.errors import CounterspinError
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
 from counterspin.reports.chart_layout import date_ticks, shortened, text_width, thinned
 from counterspin.reports.charts import save, svg
-from counterspin.reports.drawing import COLOURS_OF_PAPER
+from counterspin.reports.drawing import COLOURS_OF_PAPER, drawn, settings
 
 LINE = Plot(
     "Drift <&> $x$",
@@ -448,6 +448,16 @@ def test_bars_are_as_long_as_their_values_and_texts_stay_inside():
     }
     assert max(first) < ends["0.04 ug/g^2, 80 %"]
     assert ends["0.04 ug/g^2, 80 %"] + text_width("0.04 ug/g^2, 80 %") <= 504.0
+
+
+def test_stacked_bars_begin_where_the_one_above_ends():
+    bars = Bars("", ("first", "second"), (40.0, 10.0), ("a", "b"), stacked=True, colours=(0, 2))
+    with settings(COLOURS_OF_PAPER):
+        figure = drawn([bars], COLOURS_OF_PAPER, titled=False)
+    first, second = figure.axes[0].patches
+    assert (first.get_x(), first.get_width()) == (0.0, 40.0)
+    assert (second.get_x(), second.get_width()) == (40.0, 10.0)
+    assert first.get_facecolor() != second.get_facecolor()
 
 
 def test_long_names_are_shortened():

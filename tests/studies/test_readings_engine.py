@@ -107,6 +107,20 @@ def test_estimates_are_unbiased_and_intervals_hold_the_truth(tmp_path, name):
     holds_the_truth(result.analyses["joint"], "readings")
 
 
+def test_what_nobody_states_of_readings_is_covered(tmp_path):
+    text = AT_REST.replace('assume = "all"\n', "").partition("[study.vary]")[0]
+    folder = described(tmp_path, text.replace('considered = ["head.zero", "K_PP"]\n', ""), tumble())
+    drawn = {v.symbol for v in read_study(folder).varying}
+    assert {"K_OO", "K_IP", "K_IO", "delta_P"} <= drawn
+    assert not {"head.zero", "K_PP", "K_II"} & drawn  # stated, or asked for
+    known = '[study.vary]\n"head.zero" = { normal = "0 ± 1 arcsec" }\n'
+    known += '"K_PP" = { normal = "0 ± 2 ug/g^2" }\n'
+    path = folder / "campaign.toml"
+    path.write_text(path.read_text(encoding="utf-8") + known, encoding="utf-8")
+    result = study(folder, trials=TRIALS, seed=5)
+    holds_the_truth(result.analyses["joint"], "readings")
+
+
 def holds_the_truth(analysis, engine):
     """Check bias, both intervals and efficiency of the coefficients, each by its own scatter."""
     assert analysis.engine == engine
@@ -176,7 +190,10 @@ def test_records_of_readings_have_the_uncertainty_of_their_mean(tmp_path):
 
 
 def test_the_radius_of_the_machine_may_vary(tmp_path):
-    vary = '[model]\nassume = "all"\nterms = ["K_I"]\n[study.vary]\n"centrifuge.radius" = { fixed = "1.001 m" }\n'
+    vary = (
+        '[model]\nassume = "all"\nterms = ["K_I"]\n'
+        '[study.vary]\n"centrifuge.radius" = { fixed = "1.001 m" }\n'
+    )
     text = HEAD.replace('K_F = "2e-3 g"\n', "").replace('K_II = "15 ug/g^2"\n', "")
     (tmp_path / "campaign.toml").write_text(text + vary + arm(), encoding="utf-8")
     coefficient = study(tmp_path, trials=4).analyses["joint"].coefficients["A.K_I"]

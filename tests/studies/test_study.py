@@ -13,10 +13,13 @@ from clusters import dask_cluster
 from scipy import stats
 
 from counterspin import workers
+from counterspin.calibration.calibrate import calibrate
 from counterspin.campaign.description import read_campaign
+from counterspin.campaign.simulation import simulate
 from counterspin.cli import main
 from counterspin.errors import CampaignError, CounterspinError, NotIdentifiableError
 from counterspin.inference.joint.estimation import estimate
+from counterspin.physics.terms import term
 from counterspin.studies import full_engine
 from counterspin.studies import work as study_work
 from counterspin.studies.analyses import analyses_of
@@ -314,9 +317,9 @@ def engine(varying):
     return prepare(read_study(varying), 3)
 
 
-def test_heating_that_is_considered_is_covered(tmp_path):
+def test_heating_that_is_held_is_covered(tmp_path):
     """Its spread is in u of both methods, by whole records and by sufficient statistics."""
-    text = SHORT.replace('considered = ["K_IP"]', 'considered = ["K_IP", "K_F.heating"]')
+    text = SHORT.replace('hold = ["K_IP"]', 'hold = ["K_IP", "K_F.heating"]')
     text = text.replace("[[runs]]", '[model.priors]\n"K_F.heating" = "0 ± 2e-6 g/g^2"\n[[runs]]', 1)
     varying = '\n[study.vary]\n"Qx.K_F.heating" = { normal = "0 ± 2e-6 g/g^2" }\n'
     result = study(write(tmp_path / "heated", text + varying), trials=100)
@@ -325,6 +328,70 @@ def test_heating_that_is_considered_is_covered(tmp_path):
         # u is all but that of the heating, twice: 100 trials know a scatter to 7 %.
         assert k_ii.u == pytest.approx(4e-6, rel=0.05)
         assert k_ii.sd / k_ii.u == pytest.approx(1.0, abs=0.28)
+
+
+#: The same without anything that is assumed to be perfect.
+UNSTATED = SHORT.replace('assume = "all" ', "# ") + '\n[study.analyses.joint]\nmethod = "joint"\n'
+
+
+def test_what_nobody_states_is_covered(tmp_path):
+    """Every unknown that nobody states is drawn anew in each trial, and u is that of calibrate."""
+    n = 200_000 if FULL else 20_000
+    folder = write(tmp_path / "unstated", UNSTATED)
+    result = study(folder, trials=n)
+    assert result.analyses["joint"].engine == "sufficient statistics"
+    found = {name: coefficient(result, "joint", f"Qx.{name}") for name in ("K_II", "K_III")}
+    for c in found.values():
+        assert c.covered[1] == pytest.approx(0.95, abs=4.0 * np.sqrt(0.95 * 0.05 / n))
+        assert c.sd == pytest.approx(c.u, rel=5.0 / np.sqrt(2 * n))
+        assert abs(c.bias) < 4.0 * c.se_bias
+    simulate(read_study(folder).campaign, tmp_path / "made")
+    calibrated = calibrate(tmp_path / "made")
+    assert calibrated.coefficient("Qx.K_II").u == pytest.approx(found["K_II"].u, rel=1e-4)
+    # Whole records, without any shortcut, scatter alike: 40 trials know that to 11 %.
+    whole = coefficient(study(folder, trials=40, engine="full"), "joint", "Qx.K_II")
+    assert whole.u == pytest.approx(found["K_II"].u, rel=1e-4)
+    assert whole.sd / whole.u == pytest.approx(1.0, abs=0.45)
+
+
+def test_what_is_stated_or_true_is_not_drawn(tmp_path):
+    def drawn(name, text):
+        return {(v.owner, v.symbol): v for v in read_study(write(tmp_path / name, text)).varying}
+
+    assert drawn("assumed", SHORT) == {}
+    varying = drawn("unstated", UNSTATED)
+    assert {"K_OO", "K_OQ", "K_F.trend"} <= {symbol for owner, symbol in varying if owner == "Qx"}
+    k_oo = varying["Qx", "K_OO"]
+    assert (k_oo.kind, k_oo.first, k_oo.second) == ("normal", 0.0, term("K_OO").typical)
+    radius = varying["", "centrifuge.radius"]
+    assert (radius.first, radius.second) == (2.5, term("centrifuge.radius").typical)
+    assert varying["", "platform.tilt.north"].per_run
+    # Asked for, stated, or of inputs that records are simulated with.
+    assert not {"K_F", "K_I", "K_II", "K_III", "K_IP", "site.gravity", "site.latitude"} & {
+        symbol for _, symbol in varying
+    }
+    stated = UNSTATED.replace('K_IP = "6e-6 g/g^2"', 'K_IP = "6e-6 g/g^2"\nK_OO = "1e-6 g/g^2"')
+    stated = stated.replace(
+        "[[runs]]",
+        '[model.priors]\nK_PP = "0 ± 1e-6 g/g^2"\n[model.typical]\nK_IO = "1e-7 g/g^2"\n[[runs]]',
+        1,
+    )
+    stated += '[study.vary]\nK_PO = { uniform = ["0 g/g^2", "1e-6 g/g^2"] }\n'
+    changed = drawn("stated", stated)
+    assert {symbol for _, symbol in set(varying) - set(changed)} == {"K_OO", "K_PP"}
+    assert changed["Qx", "K_PO"].kind == "uniform"
+    assert changed["Qx", "K_IO"].second == 1e-7
+
+
+def test_an_analysis_may_assume_and_hold_something_else(tmp_path):
+    text = SHORT + (
+        '\n[study.analyses.perfect]\nmethod = "joint"\nterms = ["K_F", "K_II"]\nassume = ["K_OO"]\n'
+        '[study.analyses.held]\nmethod = "joint"\nconsidered = ["K_I"]\n'
+        'terms = ["K_F", "K_II"]\nassume = "all"\n'
+    )
+    perfect, held = (a.campaign.model for a in read_study(write(tmp_path / "a", text)).analyses)
+    assert (perfect.terms, perfect.assume, perfect.considered) == (("K_F", "K_II"), ("K_OO",), ())
+    assert (held.assume, held.considered) == (("all",), ("K_I",))
 
 
 def test_a_wandering_bias_is_covered_by_whole_records(tmp_path):

@@ -4,7 +4,8 @@
 - `options`: how a calibration is made
 - `observed`: records brought together with the rotation they were taken on
 - `assembly`: from observed runs to a `Result`, by either method
-- `joint_problem`, `joint`: the joint fit's unknowns, priors and noise; its outcome
+- `model`: what is asked for, held, stated and unstated; what is assumed to be perfect
+- `joint_problem`, `joint`: the joint fit's data and noise; its outcome
 - `joint_view`: what the fit holds of one accelerometer
 - `joint_parts`, `joint_checks`, `joint_traces`: its values and budgets; its checks; its residuals,
   thinned for pictures
@@ -12,10 +13,9 @@
   outcome; what its result must say beside
 - `conformity`: whether coefficients meet their specifications
 - `result`, `result_parts`: what a calibration found, its JSON; what it is made of
+- `schema_1`: results of earlier versions
 - `findings`: what speaks against a result, and its state
-- `attitude_findings`: whether drift and tilts are small enough for the theory
 - `diagnosis`: the cause of a misfit
-- `left_out`: what the model leaves out, at typical sizes
 - `readings`: single values beside records, or alone
 - `kinds`: each kind of test (at rest, arm, double turntable) beside the others
 - `notebook`: what else a researcher asks of a result

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from counterspin.calibration.attitude_findings import large_tilts, shared_findings
+from counterspin.calibration.diagnosis.attitude_findings import large_tilts, shared_findings
 from counterspin.calibration.diagnosis.causes import Cause
 from counterspin.calibration.diagnosis.credible import (
     beyond_typical,

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Sequence, Sized
-from typing import TYPE_CHECKING, Annotated, Any, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self
 
 import numpy as np
-from pydantic import Field, PrivateAttr, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, PrivateAttr, model_validator
 
 from counterspin.calibration.notebook.labelled import Covariance
 from counterspin.calibration.notebook.si_estimate import StatedGravity
@@ -89,14 +89,22 @@ class Result(ShownResult):
     provenance: Provenance
 
     _residuals: tuple[RunResiduals, ...] = PrivateAttr(default=())
+    _assumes_all: bool = PrivateAttr(default=False)
 
-    @model_validator(mode="before")
+    @model_validator(mode="wrap")
     @classmethod
-    def _of_schema_1(cls, document: Any) -> Any:
+    def _of_schema_1(cls, document: Any, read: ModelWrapValidatorHandler[Self]) -> Self:
         """Read what earlier versions have written."""
-        if isinstance(document, dict) and document.get("schema") == 1:
-            return upgraded(document)
-        return document
+        earlier = isinstance(document, dict) and document.get("schema") == 1
+        result = read(upgraded(document) if earlier else document)
+        if earlier:
+            result._assumes_all = True
+        return result
+
+    @property
+    def assumes_all(self) -> bool:
+        """Whether it was read from a file of schema 1, which took what is not stated as perfect."""
+        return self._assumes_all
 
     def model_post_init(self, context: Any, /) -> None:  # noqa: ARG002 -- pydantic's signature
         """Tell each coefficient the gravity in whose units it is."""

@@ -214,15 +214,12 @@ class Knowledge(ResultPart):
 
     Attributes
     ----------
-    name
-        Such as ``Qx.K_OO``, ``run1.platform.tilt.north`` or ``centrifuge.radius``.
+    name, unit
+        Such as ``Qx.K_OO`` or ``run1.platform.tilt.north``; SI, or g-units.
     kind
         Whether it is stated, unstated or held.
-    unit
-        SI, or g-units.
     value, u
-        Before the data: as the description states it, or nominal and typical. Of an input, what is
-        stated.
+        Before the data: as the description states it, or nominal and typical.
     found, u_found
         After them, in the same fit; None where it was held.
     """
@@ -460,8 +457,7 @@ class AccelerometerResult(ResultPart):
     Attributes
     ----------
     state, findings
-        Whether it may be relied on, and what speaks against it, the gravest first; None in
-        results of versions that did not say.
+        Whether it may be relied on, and what speaks against it, the gravest first.
     serial_number
         As the campaign states it.
     coefficients

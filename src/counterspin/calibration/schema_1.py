@@ -13,7 +13,9 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 _LINE: Final = re.compile(r"(?P<name>.+) \((?P<kind>prior|considered|input|encoder)\)")
-_KINDS: Final = {"prior": "stated", "considered": "held", "input": "stated", "encoder": "noise"}
+
+#: What was considered, inputs among it, was not adjusted by the data.
+_KINDS: Final = {"prior": "stated", "considered": "held", "input": "held", "encoder": "noise"}
 
 
 def upgraded(document: Mapping[str, Any]) -> dict[str, Any]:

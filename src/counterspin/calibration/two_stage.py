@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from counterspin.calibration.diagnosis.credible import incredible
 from counterspin.calibration.joint_parts import (
     budget_lines,
     coefficient,
@@ -120,7 +121,10 @@ def two_stage(
             for index, unknown in enumerate(model.unknowns)
             if coefficients[unknown.symbol].estimated
         },
-        findings=findings(view, second, coefficients, options.model),
+        findings=[
+            *findings(view, second, coefficients, options.model),
+            *incredible(campaign, name, coefficients),
+        ],
         **described(accelerometer, coefficients),
     )
     parabolas = {

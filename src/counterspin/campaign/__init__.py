@@ -6,11 +6,12 @@ A campaign is a folder: ``campaign.toml`` beside its record files.
 - `attitude`: directions and platform attitudes
 - `settings`: the keys of ``campaign.toml``, section by section
 - `checking`: mistakes in the file, collected and reported with their keys
+- `error_model`: which error terms are asked for, held and assumed to be perfect
 - `terms`: the error terms of a campaign's model, and their priors
 - `truth`: the true values of a simulated campaign; a calibration does not read them
 - `specification`: tolerance limits of coefficients, and the decision rule
 - `resolved`: the campaign as the calculation sees it, in SI
-- `toml_file`, `toml_text`: files in TOML, read and written
+- `toml_file`: files in TOML, read
 - `description`: `read_campaign`, from the file to the resolved campaign
 - `readings`, `readings_table`: single values, at rest or on a machine, in runs or in a table
 - `machine`: what the machine does to them

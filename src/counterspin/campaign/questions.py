@@ -17,6 +17,7 @@ from counterspin.campaign.resolved import Campaign
 from counterspin.frozen import frozen
 from counterspin.physics.gravity import HEIGHTS, gravity_range
 from counterspin.physics.own_velocity import NAVIGATED, AxisError, coriolis, unseen
+from counterspin.physics.terms import symbol_of
 
 #: Standard gravity, which a computer may take away at any place, m/s^2.
 _STANDARD_GRAVITIES: Final = (9.80665, 9.8066, 9.8)
@@ -156,9 +157,13 @@ def _exact_priors(campaign: Campaign) -> Iterator[Question]:
     for subject, prior in {**stated, **campaign.model.priors, **campaign.machine.priors}.items():
         if prior.u == 0.0:
             value = f"{prior.value:.9g}"
+            assumed = campaign.model.assumes(symbol_of(subject))
+            taken = (
+                "as exact, as model.assume has it" if assumed else "with its typical uncertainty"
+            )
             yield Question(
                 code="exact-prior",
                 subject=subject,
                 text=f"{subject} is stated as {value} {prior.unit} without an uncertainty, and so "
-                f'taken as exact. How well is it known? Write "{value} ± U {prior.unit}".',
+                f'taken {taken}. How well is it known? Write "{value} ± U {prior.unit}".',
             )

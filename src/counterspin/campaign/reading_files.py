@@ -27,9 +27,9 @@ from counterspin.campaign.readings_table import (
 )
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import load_document
-from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CampaignError
 from counterspin.input import read_file
+from counterspin.toml_text import write_document
 from counterspin.units import unit_factor
 
 #: Simulated readings are written with so many digits beyond their standard uncertainty.

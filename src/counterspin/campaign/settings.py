@@ -30,7 +30,7 @@ from pydantic import (
 )
 
 from counterspin.campaign.attitude import attitude_rows, read_direction
-from counterspin.campaign.quantity import BARE, Quantity, parse
+from counterspin.campaign.quantity import Quantity, parse
 from counterspin.physics.terms import CONDITION_TERMS, SHARED_TERMS, TERMS
 from counterspin.records.dialect import Dialect
 from counterspin.records.formats import RECORD_FORMATS
@@ -443,11 +443,16 @@ class NoiseSettings(SettingsSection):
     timing: Annotated[float | str, _noise_size("s")] = 0.0
 
 
+def several(value: Any) -> Any:
+    """Return a text by itself as a list of one."""
+    return [value] if isinstance(value, str) else value
+
+
 class ModelSettings(SettingsSection):
     """[model]; names and values are resolved in `terms`."""
 
     terms: list[Text] | None = None
-    assume: list[Text] | Text = []
+    assume: Annotated[list[Text], BeforeValidator(several)] = []
     hold: list[Text] = []
     considered: list[Text] = []
     priors: dict[str, Any] = {}

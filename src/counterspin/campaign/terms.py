@@ -205,24 +205,21 @@ def resolve_model(
     assume = _assumed(settings.assume, problems)
     model = ErrorModel(terms, held, platform, limits, typical, assume)
     for place, name in enumerate(assume):
-        if name in held:
+        if name in (*names, *held):
             problems.add(("model", "assume", place), f'"{name}" is in model.{key} too; keep one')
     return model, accelerometers
 
 
-def _assumed(names: Sequence[str] | str, problems: Problems) -> tuple[str, ...]:
+def _assumed(names: Sequence[str], problems: Problems) -> tuple[str, ...]:
     """Return what is taken as perfect; each name stands for a term or for a family of them."""
-    assume = (names,) if isinstance(names, str) else tuple(names)
     families = {".".join(s.split(".")[:n]) for s in TABLE for n in range(1, s.count(".") + 2)}
-    for place, name in enumerate(assume):
+    for place, name in enumerate(names):
         bare = name.removesuffix("*").removesuffix(".")
         if bare not in ("", EVERYTHING) and bare not in families and not is_term(bare):
             known = [EVERYTHING, *TABLE, *families]
-            path: Path = (
-                ("model", "assume", place) if not isinstance(names, str) else ("model", "assume")
-            )
-            problems.add(path, f'no term is called "{name}"' + did_you_mean(bare, known))
-    return assume
+            message = f'no term is called "{name}"' + did_you_mean(bare, known)
+            problems.add(("model", "assume", place), message)
+    return tuple(names)
 
 
 def with_errors_of_the_path(
@@ -248,7 +245,7 @@ def with_errors_of_the_path(
 
 def refuse_encoder(model: ErrorModel, problems: Problems) -> None:
     """Note terms of an encoder that records nothing."""
-    for key, symbols in (("terms", model.terms), ("considered", model.considered)):
+    for key, symbols in (("terms", model.terms), ("hold", model.considered)):
         if any(symbol.startswith("encoder.") for symbol in symbols):
             problems.add(("model", key), "has errors of the encoder, but no angle is recorded")
 

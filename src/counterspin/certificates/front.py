@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping
 from typing import Final
 
 from counterspin.calibration.notebook.si_estimate import SiEstimate
-from counterspin.calibration.pages.accelerometer import rests_on
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.certificates import wording
@@ -130,8 +129,8 @@ def _results(lab: Lab, result: Result, stated: Result) -> Iterator[Block]:
     yield from _part(wording.CAPABILITY, *map(typeset, capability_lines(result, stated, lab)))
     rests = list[Paragraph]()
     for name in names:
-        for line in rests_on(result.accelerometers[name]):
-            rests.append(Paragraph(typeset(wording.plainly(f"{name}: {line}"))))
+        for line in wording.rest_lines(name, result):
+            rests.append(Paragraph(typeset(f"{name}: {line}")))
         for line in result.accelerometers[name].warnings:
             rests.append(Paragraph(typeset(f"Warning: {wording.plainly(line)}"), "warning"))
     if rests:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from counterspin.calibration.pages.accelerometer import rests_on
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Conformity
 from counterspin.certificates import wording
@@ -142,11 +141,11 @@ def _missing(lab: Lab, result: Result) -> Iterator[Element]:
 
 def _assumptions(lab: Lab, result: Result) -> Iterator[Element]:
     for name in lab.certified(result):
-        if lines := list(rests_on(result.accelerometers[name])):
+        if lines := wording.rest_lines(name, result):
             yield dcc(
                 "statement",
                 text("name", f"{wording.RESTS_ON}, accelerometer {name}"),
-                rich("declaration", *map(wording.plainly, lines)),
+                rich("declaration", *lines),
                 refId=item_id(lab, result, name),
             )
 

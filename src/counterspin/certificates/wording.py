@@ -19,6 +19,7 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
+from counterspin.calibration.pages.accelerometer import rests_on
 from counterspin.calibration.pages.basis import model_blocks
 from counterspin.calibration.pages.motions import lines_of_tests, readings_of
 from counterspin.calibration.result import Result
@@ -41,6 +42,9 @@ from counterspin.reports.numbers import (
 
 #: ``(a ± b) x 1e4``: value, uncertainty, power.
 _TIMES_POWER: Final = re.compile(r"\((\S+) ± (\S+)\) (x 1e-?\d+)")
+
+#: Part of a u^2 from which a source is named.
+_LEAST_SHARE: Final = 0.01
 
 _METHODS: Final = {
     "joint": "Joint weighted least squares",
@@ -107,9 +111,9 @@ def uncertainty_statement() -> str:
         "(Welch-Satterthwaite), or of the normal distribution where these are infinite, for a "
         f"coverage probability of {format_share(COVERAGE)}. What the campaign does not state is in "
         "U and in probabilities of conforming at the typical size of its kind; what is taken as "
-        f'perfect is in neither, and is named under "{RESTS_ON}". In the XML, numbers have all '
-        "digits of the computation; "
-        "significantDigit is the power of ten of the last digit that the uncertainty supports. "
+        f'perfect is in neither, and is named under "{ASSUMED}". In the XML, numbers have all '
+        "digits of the computation; significantDigit is the power of ten of the last digit that "
+        "the uncertainty supports. "
         "The ellipsoidal region is the set of all d with d' V^-1 d <= k^2 about the estimates, V "
         "being the covariance matrix of the standard uncertainties, for the same probability of "
         "all quantities together."
@@ -204,6 +208,26 @@ def known_beforehand(name: str, result: Result, settings: CertificateSettings) -
             size = f", standard uncertainty {format_uncertainty(line.u * scale)} {unit}"
         whose = ", supplied by the customer" if symbol.rpartition(" ")[2] in supplied else ""
         said.append(f"Known beforehand, for {name}: {symbol}{size}{whose}.")
+    return said
+
+
+def rest_lines(name: str, result: Result) -> list[str]:
+    """Return what u of an accelerometer's coefficients rests on that nobody has measured.
+
+    Beside what the records cannot tell apart: what is not stated and counts at its typical size.
+    """
+    accelerometer = result.accelerometers[name]
+    said = [plainly(line) for line in rests_on(accelerometer)]
+    sizes = dict[str, str]()
+    for line in (line for lines in accelerometer.budget.values() for line in lines):
+        if line.kind == "unstated" and line.u and line.share >= _LEAST_SHARE:
+            unit, scale = field_unit(line.unit)
+            sizes[line.source] = f"{line.source}, {format_uncertainty(line.u * scale)} {unit}"
+    if sizes:
+        said.append(
+            "Not stated, and so in U with a typical standard uncertainty: "
+            f"{'; '.join(sizes.values())}."
+        )
     return said
 
 

@@ -11,6 +11,7 @@ from typing import Final
 
 from counterspin.calibration.result import Result
 from counterspin.comparisons.result import Change
+from counterspin.physics.terms import symbol_of
 from counterspin.reports.numbers import field_unit, format_estimate, format_number
 
 #: Characters of a checksum by which two files are told apart.
@@ -81,6 +82,7 @@ def _model(result: Result) -> Iterator[tuple[str, str]]:
             size = _quantity(line.value, 0.0, line.unit)
             yield f"noise of {name}, {part}", "estimated" if line.estimated else size
     yield "assumed", ", ".join(result.assumed) or _NOTHING
+    yield "not stated", ", ".join(_unstated(result)) or _NOTHING
     yield "terms of the platform", ", ".join(result.platform) or _NOTHING
     own = dict.fromkeys(symbol for run in result.runs.values() for symbol in run.terms)
     yield "terms of runs", ", ".join(own) or _NOTHING
@@ -88,15 +90,25 @@ def _model(result: Result) -> Iterator[tuple[str, str]]:
 
 
 def _known(result: Result, name: str) -> tuple[list[str], Mapping[str, str]]:
-    """Return what is held, and the size of what is known beforehand of the unknowns."""
+    """Return what is held, and the size of what is stated of the unknowns."""
     held, priors = dict[str, None](), dict[str, str]()
     for lines in result.accelerometers[name].budget.values():
         for line in lines:
             if line.kind == "held":
                 held[line.source] = None
-            elif line.kind != "noise" and line.u is not None:
+            elif line.kind == "stated" and line.u is not None:
                 priors[f"u of the prior of {line.source}"] = _quantity(line.u, 0.0, line.unit)
     return sorted(held), priors
+
+
+def _unstated(result: Result) -> list[str]:
+    """Return what nobody states with its typical size, of all runs and accelerometers once."""
+    sizes = (
+        f"{symbol_of(known.name)} ± {_quantity(known.u, 0.0, known.unit)}"
+        for known in result.rests_on
+        if known.kind == "unstated"
+    )
+    return list(dict.fromkeys(sizes))
 
 
 def _quantity(value: float | None, u: float | None, unit: str) -> str:

@@ -3,9 +3,10 @@
 Two estimates of the same records have most of their error in common. Where one of them is the best
 linear unbiased estimate of what both rest on (the smaller of two nested models, or all of the
 records beside some of them), the covariance of the two is its own variance, so that variances
-subtract (J. A. Hausman, Econometrica 46 (1978) 1251, lemma 2.1). What is considered moves each
-estimate by its own sensitivity. Results of other records have in common what is stated alike: the
-radius, gravity, what is known beforehand.
+subtract (J. A. Hausman, Econometrica 46 (1978) 1251, lemma 2.1). What is held moves each estimate
+by its own sensitivity. Results of other records have in common what is stated alike: the
+radius, gravity, what is known beforehand. What nobody states is the same for an instrument and its
+machine in all their results, and so is shared by those that take it at the same typical size.
 
 - `Relation`: what two results share, and what has to be assumed for want of knowing
 - `covariance_of_difference`: from the estimates and their relation
@@ -26,6 +27,9 @@ from counterspin.inference.distributions import chi_square_tail
 
 #: Part of a variance below which a difference of variances is rounding.
 NEGLIGIBLE: Final = 1e-9
+
+#: Part of a variance from which a source that both results share is named.
+_SAID: Final = 1e-3
 
 
 @frozen
@@ -67,6 +71,7 @@ def covariance_of_difference(
     -------
     covariance : array, shape (p, p)
     shared : list of str
+        Of the same records, what is held; else what is much of a variance.
     """
     apart = relation.records == "part" and relation.better is None
     if relation.records == "independent" or apart:
@@ -82,7 +87,8 @@ def _of_independent(first: Estimates, second: Estimates) -> tuple[Array, list[st
         if other is not None and not source.of_run and source.is_as(other):
             cross = np.outer(source.moves, other.moves)
             covariance = covariance - cross - cross.T
-            shared.append(name)
+            if np.any(np.abs(np.diag(cross)) > _SAID * np.diag(first.covariance)):
+                shared.append(name)
     return covariance, shared
 
 
@@ -99,12 +105,15 @@ def _of_common_records(
         difference = np.abs(rest[0] - rest[1]) + (first.held - second.held) ** 2
         return np.diag(difference), []
     in_both, apart = list[tuple[SharedSource, SharedSource]](), list[Array]()
+    anew = list[tuple[Array, Array]]()
     shared = []
     for name, source in better.sources.items():
         its = other.sources.get(name)
         if source.estimated:
-            continue
-        if its is not None and source.is_as(its):
+            # Measured anew, it is no part of what both rest on.
+            if its is not None and its.estimated and source.is_another(its):
+                anew.append((source.moves, its.moves))
+        elif its is not None and source.is_as(its):
             in_both.append((source, its))
             shared.append(name)
         else:
@@ -115,18 +124,20 @@ def _of_common_records(
         for name, source in other.sources.items()
         if not (source.estimated or name in shared or _estimated(better, name))
     ]
-    theirs = other.covariance - squares([*(its.moves for _, its in in_both), *alone], size)
-    own = better.covariance - better.part(estimated=False)
+    own_anew, their_anew = (squares([moves[i] for moves in anew], size) for i in (0, 1))
+    theirs = other.covariance - their_anew
+    theirs = theirs - squares([*(its.moves for _, its in in_both), *alone], size)
+    own = better.covariance - own_anew - better.part(estimated=False)
     if relation.noise_ratio != 1.0:
         ratio = relation.noise_ratio if better is second else 1.0 / relation.noise_ratio
-        priors = better.part(estimated=True)
+        priors = better.part(estimated=True) - own_anew
         own = priors + ratio**2 * (own - priors)
     scale = np.sqrt(np.diag(first.covariance) + np.diag(second.covariance))
     excess = np.zeros((size, size))
     if not relation.alike:
         excess = _size_of((theirs - own) / np.outer(scale, scale)) * np.outer(scale, scale)
     moved = squares([its.moves - source.moves for source, its in in_both], size)
-    return excess + moved + squares([*apart, *alone], size), shared
+    return excess + moved + squares([*apart, *alone], size) + own_anew + their_anew, shared
 
 
 def _estimated(estimates: Estimates, name: str) -> bool:

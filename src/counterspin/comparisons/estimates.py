@@ -16,7 +16,7 @@ from counterspin.arrays import Array
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.frozen import frozen
-from counterspin.physics.terms import TERMS
+from counterspin.physics.terms import TERMS, mounting_of
 
 
 @frozen(eq=False)
@@ -32,7 +32,7 @@ class SharedSource:
     moves
         Signed: what its standard uncertainty moves each estimate by, shape (p,).
     of_run
-        Whether it belongs to one run, as its tilt does.
+        Whether it belongs to one run or mounting, as a tilt or a misalignment does.
     """
 
     estimated: bool
@@ -42,9 +42,15 @@ class SharedSource:
 
     def is_as(self, other: SharedSource) -> bool:
         """Return whether another is stated alike, as far as the results say it."""
-        (value, u), (its_value, its_u) = self.stated, other.stated
-        known = value is not None and its_value is not None
-        return bool(np.isclose(u, its_u, rtol=1e-9, atol=0.0)) and (not known or value == its_value)
+        return self.is_as_sure_as(other) and not self.is_another(other)
+
+    def is_as_sure_as(self, other: SharedSource) -> bool:
+        """Return whether another has the same standard uncertainty."""
+        return bool(np.isclose(self.stated[1], other.stated[1], rtol=1e-9, atol=0.0))
+
+    def is_another(self, other: SharedSource) -> bool:
+        """Return whether another is stated with another value, and so was measured anew."""
+        return None not in (self.stated[0], other.stated[0]) and self.stated[0] != other.stated[0]
 
 
 @frozen(eq=False)
@@ -162,10 +168,12 @@ def _sources(result: Result, name: str, symbols: Sequence[str]) -> dict[str, Sha
             source = sources.get(line.source)
             if source is None:
                 source = sources[line.source] = SharedSource(
-                    estimated=line.kind != "held",
+                    # What the encoder leaves open of a rotation is the same in every fit.
+                    estimated=line.kind in ("stated", "unstated"),
                     stated=(_value(result, name, line.source), line.u),
                     moves=np.zeros(len(symbols)),
-                    of_run=any(line.source.startswith(f"{run}.") for run in result.runs),
+                    of_run=bool(mounting_of(line.source))
+                    or any(line.source.startswith(f"{run}.") for run in result.runs),
                 )
             source.moves[place] = line.sensitivity * line.u
     return sources
@@ -183,5 +191,8 @@ def _value(result: Result, name: str, source: str) -> float | None:
         return stated[source]
     if source in accelerometer.known:
         return accelerometer.known[source].value
+    for known in result.rests_on:
+        if known.name in (source, f"{name}.{source}"):
+            return known.value
     coefficient = accelerometer.coefficients.get(source)
     return None if coefficient is None or coefficient.estimated else coefficient.value

@@ -107,7 +107,8 @@ def _better(
 def _same_prior(
     name: str, one: Mapping[str, SharedSource], two: Mapping[str, SharedSource]
 ) -> bool:
-    return not two[name].estimated or one[name].is_as(two[name])
+    its = two[name]
+    return not its.estimated or one[name].is_as(its) or one[name].is_another(its)
 
 
 def _alike(
@@ -122,6 +123,7 @@ def _alike(
         and first.provenance.options == second.provenance.options
         and terms_of(first) == terms_of(second)
         and estimated[0] == estimated[1]
+        and all(one[n].is_as_sure_as(two[n]) for n in estimated[0])
         and _noise(name, first) == _noise(name, second)
     )
 

@@ -10,6 +10,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +20,10 @@ from counterspin.calibration.options import asked_by
 from counterspin.calibration.result import Result
 from counterspin.calibration.result_parts import Coefficient
 from counterspin.campaign.checksums import Checksums
+from counterspin.campaign.description import read_campaign
+from counterspin.campaign.error_model import EVERYTHING
+from counterspin.campaign.memory.source import keep, source_of
+from counterspin.campaign.resolved import Campaign
 from counterspin.comparisons.changes import changes
 from counterspin.comparisons.result import Repeated, RepeatedCoefficient
 from counterspin.errors import RecordError
@@ -79,7 +84,7 @@ def rerun(
                 _stage(file, staged / name)
             place = staged
         again = calibrate(
-            place / next(iter(found)),
+            _described(before, place / next(iter(found))),
             method=method,
             options=options,
             accept_misfit=before.accepted_misfit,
@@ -87,6 +92,15 @@ def rerun(
             progress=progress,
         )
     return _repeated(called, before, again, moved)
+
+
+def _described(before: Result, path: Path) -> Path | Campaign:
+    """Return what is to be calibrated; for a result of schema 1 as descriptions were read then."""
+    if not before.assumes_all:
+        return path
+    campaign = read_campaign(path)
+    model = replace(campaign.model, assume=(EVERYTHING,))
+    return keep(replace(campaign, model=model), source_of(campaign))
 
 
 def _find(

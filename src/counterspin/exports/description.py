@@ -21,12 +21,12 @@ from counterspin.campaign.memory.making import record_name
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.settings import COMPASS
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
-from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.exports.guessing import FileGuess, SignalGuess, agreed, guess_file
 from counterspin.exports.looking import look
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
+from counterspin.toml_text import write_document
 from counterspin.units import unit_factor
 
 #: Directions of horizontal axes, rad from east towards north.

@@ -16,11 +16,11 @@ from counterspin.calibration.result import Result
 from counterspin.frozen import frozen
 from counterspin.physics.terms import is_term, term
 
-#: How a budget names what is common: an input of the campaign -> where the result states it.
+#: How a budget names what is common: an input of the campaign -> where the result has its value.
 _INPUTS: Final = {
-    "site.gravity": ("gravity", "u_gravity"),
-    "site.latitude": ("latitude", "u_latitude"),
-    "centrifuge.radius": ("radius", "u_radius"),
+    "site.gravity": "gravity",
+    "site.latitude": "latitude",
+    "centrifuge.radius": "radius",
 }
 
 #: Correlations below this change nothing that is printed.
@@ -57,8 +57,8 @@ def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, st
 
     Two results share an input if both have the same value and uncertainty of it, and a term of the
     accelerometer, the platform or the machine if both have the same uncertainty, stated or not: it
-    is then taken to be the same measurement, or the same lack of one. What belongs to a run is not
-    shared.
+    is then taken to be the same measurement, or the same lack of one. What belongs to a run or
+    to a mounting is not shared.
 
     Parameters
     ----------
@@ -83,9 +83,8 @@ def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, st
         if line.kind == "noise" or line.u is None or line.sensitivity is None:
             continue
         if source in _INPUTS:
-            stated = [getattr(result.inputs, key) for key in _INPUTS[source]]
-            identity = f"{stated[0]!r} ± {stated[1]!r}"
-        elif is_term(source) and not term(source).per_run:
+            identity = f"{getattr(result.inputs, _INPUTS[source])!r} ± {line.u!r}"
+        elif is_term(source) and not (term(source).per_run or term(source).per_mounting):
             identity = repr(line.u)
         else:
             continue

@@ -46,7 +46,7 @@ class Fitted:
     @cached_property
     def assessment(self) -> Assessment:
         """Which unknowns are determined."""
-        unknowns = self.estimate.fit.model.unknowns
+        unknowns = self.estimate.fit.model.asked
         return assess(
             self.estimate.fit.solution,
             [unknown.name for unknown in unknowns],
@@ -122,13 +122,13 @@ def _with_unit(campaign: Campaign, name: str, u: float | str) -> str:
         number = float(u)
     except ValueError:
         return str(u)
-    symbols = [u.symbol for u in model_of(campaign).unknowns if name in (u.name, u.symbol)]
+    symbols = [u.symbol for u in model_of(campaign).asked if name in (u.name, u.symbol)]
     return f"{number!r} {unit_of(symbols[0])}" if symbols else str(u)
 
 
 def reached(fit: Fitted, names: Sequence[str]) -> list[ReachedCoefficient]:
     """Return what a fit says of unknowns, None where it does not determine them."""
-    places = {u.name: i for i, u in enumerate(fit.estimate.fit.model.unknowns)}
+    places = {u.name: i for i, u in enumerate(fit.estimate.fit.model.asked)}
     found = []
     for name in names:
         if name not in places:
@@ -146,8 +146,8 @@ def reached(fit: Fitted, names: Sequence[str]) -> list[ReachedCoefficient]:
 
 
 def nothing_reached(campaign: Campaign, names: Sequence[str]) -> list[ReachedCoefficient]:
-    """Return the coefficients of the names that are unknowns, none of them determined."""
-    symbols = {unknown.name: unknown.symbol for unknown in model_of(campaign).unknowns}
+    """Return the coefficients of the names that are asked for, none of them determined."""
+    symbols = {unknown.name: unknown.symbol for unknown in model_of(campaign).asked}
     return [
         ReachedCoefficient(name=name, value=None, u=None, unit=unit_of(symbols[name]))
         for name in names

@@ -1,6 +1,6 @@
-"""Faults that a campaign's model leaves out, and what each would do to its estimates unseen.
+"""Faults that a campaign's model takes no account of, and what each would do unseen.
 
-A fault is a term of the table that is neither estimated nor considered, at its typical size. Each
+A fault is a term of the table that is assumed to be perfect, at its typical size. Each
 moves the estimates, and leaves something in the residuals; where that is too little, the plan
 cannot notice it.
 

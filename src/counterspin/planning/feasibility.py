@@ -103,7 +103,7 @@ def assess_blocks(predictor: Predictor, blocks: Array) -> Assessment:
         considered_sd=predictor.common,
         limits=[unknown.limit for unknown in shared],
     )
-    return assess(solution, predictor.names)
+    return assess(solution, [unknown.name for unknown in shared if unknown.asked])
 
 
 def _helpful(search: Search, missing: list[str]) -> str | None:

@@ -237,7 +237,8 @@ def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float
     if not series.in_g:
         return series
     # Of a record in g the size depends on the gravity assumed, errors included.
-    own = [u for u in model_of(campaign).unknowns if u.concerns(series)]
+    model = model_of(campaign).without_inputs()
+    own = [u for u in model.unknowns if u.concerns(series)]
     columns = series.columns([u.symbol for u in own], scale_factors(campaign)[name])
     return replace(series, error=columns @ expected_values(campaign, own))
 

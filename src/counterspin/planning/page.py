@@ -12,6 +12,7 @@ from typing import Final
 
 from counterspin.calibration.joint_parts import unit_of
 from counterspin.calibration.pages.accelerometer import not_apart
+from counterspin.calibration.pages.uncertainty import assumption, dominance
 from counterspin.calibration.result_parts import BudgetLine
 from counterspin.physics.terms import SHARED_TERMS, TERMS, symbol_of
 from counterspin.planning.result import (
@@ -29,7 +30,6 @@ _LINES: Final = 6  #: of a budget
 
 #: Deviations above which a fit that estimates a fault nearly always finds it (5 % each way).
 _DETECTION_DEVIATIONS: Final = 4.0
-
 
 #: How limits are changed that are no sizes.
 _CHANGES: Final = {"senses": "both senses instead", "fewest_rates": "one fewer"}
@@ -57,7 +57,7 @@ def plan_blocks(result: PlanResult) -> list[Block]:
 def _answer(result: PlanResult) -> Iterator[Block]:
     goal = result.goal
     sought = goal.sizes if goal else {_first(result): 1.0}
-    parts = []
+    parts, dominated = [], []
     for name in sought:
         owner, _, symbol = name.partition(".")
         predicted = (
@@ -66,6 +66,8 @@ def _answer(result: PlanResult) -> Iterator[Block]:
             else result.platform[name]
         )
         parts.append(f"u({_spoken(name)}) = {_u(predicted)}")
+        if owner in result.accelerometers:
+            dominated.append(dominance(result.accelerometers[owner], symbol))
     amounts = [
         f"{count} {word}{'s' * (count > 1)}"
         for count, word in ((len(result.runs), "run"), (len(result.readings), "reading"))
@@ -73,6 +75,9 @@ def _answer(result: PlanResult) -> Iterator[Block]:
     ]
     amounts += [_time(result.total_time)] if result.total_time > 0.0 else []
     yield Paragraph(f"{'; '.join(parts)}: {', '.join(amounts)}.", "answer")
+    for sentence in (*dominated, assumption(result)):
+        if sentence:
+            yield Paragraph(sentence)
     if goal is not None:
         yield Paragraph(_optimality(goal, result.total_time > 0.0))
     gravity = format_number(result.gravity, 9)
@@ -195,7 +200,7 @@ def _accelerometer(
     for symbol, lines in accelerometer.budget.items():
         if f"{name}.{symbol}" in sought:
             yield from _budget(result, name, symbol, lines)
-    yield from _faults(name, accelerometer)
+    yield from _faults(result, name, accelerometer)
 
 
 def _advice(result: PlanResult, terms: list[str]) -> str:
@@ -252,7 +257,7 @@ def _budget(result: PlanResult, name: str, symbol: str, lines: list[BudgetLine])
     )
 
 
-def _faults(name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
+def _faults(result: PlanResult, name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
     """Say what would move K_II unseen, and how much of it rests on a harmonic."""
     if accelerometer.faults is None:
         return
@@ -261,8 +266,8 @@ def _faults(name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
     seen = [effect for effect in accelerometer.faults if effect.noticed]
     if unseen:
         yield Paragraph(
-            "Outside the model, at typical sizes, each by itself: it moves K_II by more than its "
-            "u, and the residuals look like noise. Found or open: if it were a term of the fit."
+            "Assumed to be perfect; at typical sizes, each by itself, it moves K_II by more than "
+            "its u, and the residuals look like noise. Found or open: if it were a term of the fit."
         )
         yield Table(
             (
@@ -286,7 +291,11 @@ def _faults(name: str, accelerometer: PlannedAccelerometer) -> Iterator[Block]:
             "plan again."
         )
     else:
-        yield Paragraph("Nothing outside the model moves K_II by more than its u unnoticed.")
+        yield Paragraph(
+            "Nothing that is assumed to be perfect moves K_II by more than its u unnoticed."
+            if result.assumed
+            else "Nothing is assumed to be perfect: what is not stated is in u at a typical size."
+        )
     if seen:
         named = ", ".join(effect.symbol for effect in seen)
         yield Paragraph(f"The residuals would show: {named}.")

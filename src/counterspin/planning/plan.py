@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from counterspin._version import __version__
+from counterspin.calibration.model import assumed
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.attitude import attitude_words
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.questions import questions
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
-from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CampaignError, CounterspinError
 from counterspin.frozen import frozen
 from counterspin.output import make_folder, write_text
@@ -43,6 +43,7 @@ from counterspin.planning.readings.stations import read_reading_plan
 from counterspin.planning.requirements import requirements_of
 from counterspin.planning.result import GoalResult, LimitResult, OtherPlan, PlanResult, Requirement
 from counterspin.planning.search import Search
+from counterspin.toml_text import write_document
 from counterspin.workers import one_blas_thread
 
 #: Smallest relative gain of u that is reported.
@@ -283,6 +284,7 @@ def _result(
         readings=planned_readings(campaign),
         accelerometers=accelerometers_of(prediction),
         platform=platform_of(prediction),
+        assumed=list(assumed(campaign)),
         warnings=[question.text for question in questions(campaign)],
         provenance=Provenance(version=__version__, inputs={}),
     )

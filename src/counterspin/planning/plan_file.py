@@ -169,7 +169,7 @@ def _refuse_dated(document: Mapping[str, Any], problems: Problems) -> bool:
     Returns whether there are any.
     """
     model, before = _table(document, "model"), len(problems.lines)
-    for key in ("terms", "considered"):
+    for key in ("terms", "hold", "considered"):
         listed = model.get(key)
         for index, name in enumerate(listed if isinstance(listed, list) else ()):
             row = CONDITION_TERMS.get(name) if isinstance(name, str) else None
@@ -391,7 +391,7 @@ def resolve_goal(settings: GoalSettings, campaign: Campaign, problems: Problems)
     wanted = settings.target if settings.target is not None else settings.minimise
     if wanted is None:
         wanted = ["K_II"]
-    shared = [u for u in model_of(campaign).unknowns if u.owner not in _run_names(campaign)]
+    shared = [u for u in model_of(campaign).asked if u.owner not in _run_names(campaign)]
     before = len(problems.lines)
     sizes: dict[str, float] = {}
     units: set[str] = set()

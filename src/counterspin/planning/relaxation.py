@@ -18,6 +18,7 @@ than one that leaves them out, so the bound holds, and the problem stays convex.
 
 References
 ----------
+Silvey, Titterington and Torsney, Commun. Stat. A 7 (1978) 1379, the multiplicative algorithm;
 Kiefer and Wolfowitz, The equivalence of two extremum problems, Canad. J. Math. 12 (1960) 363;
 Cook and Fedorov, Constrained optimization of experimental design, Statistics 26 (1995) 129.
 """
@@ -41,6 +42,12 @@ _GRID_RATES: Final = 9
 _GRID_LENGTHS: Final = 12
 #: How many times the grid is made finer about the runs that are in use.
 _REFINEMENTS: Final = 4
+#: Steps of the multiplicative algorithm before the first gradient step, and the least part of the
+#: largest weight that is kept of them.
+_FIRST_STEPS: Final = 20
+_FIRST_PART: Final = 0.03
+#: Part of everything that is mixed into weights where their gains are taken.
+_MIXED_IN: Final = 1e-4
 #: Largest number of gradient steps on one grid.
 _GRADIENT_STEPS: Final = 30
 #: Smaller weights, in runs, count as zero.
@@ -168,19 +175,22 @@ def allocate(
 
 def _solve(solved: _Weights, weight: Array) -> tuple[Array, tuple[float, float, float]]:
     """Return the best weights; their criterion, the bound and the price of a run."""
-    value, phi = solved.gain(weight)
+    value = solved.value(weight)
     bound, price_run = -math.inf, 0.0
     for _ in range(_GRADIENT_STEPS):
-        best, price_run = solved.most(phi)
-        bound = max(bound, value + float(phi @ weight) - float(phi @ best))
+        # With a little of everything no gain is infinite at nothing: the bound holds anywhere.
+        mixed = weight + _MIXED_IN * (solved.even() - weight)
+        here, gains = solved.gain(mixed)
+        best, price_run = solved.most(gains)
+        bound = max(bound, here + float(gains @ mixed) - float(gains @ best))
         if value - bound < _GAP_OF_U:
             break
         support = np.flatnonzero((weight > _ZERO_WEIGHT) | (best > _ZERO_WEIGHT))
         better = solved.improved(support, weight, best)
-        after, phi_after = solved.gain(better)
+        after = solved.value(better)
         if after > value - 0.01 * _GAP_OF_U:
             break  # rounding is all that is left to gain
-        weight, value, phi = better, after, phi_after
+        weight, value = better, after
     return weight, (value, bound, price_run)
 
 
@@ -266,6 +276,11 @@ class _Weights:
         self.root, self.cost = root, cost
         self.total, self.runs = total, count
 
+    def value(self, weight: Array) -> float:
+        """Return the criterion."""
+        used = np.flatnonzero(weight > 0.0)
+        return self._solve(used, weight[used])[0]
+
     def gain(self, weight: Array) -> tuple[float, Array]:
         """Return the criterion and what each possible run would take off it, shape (n,)."""
         used = np.flatnonzero(weight > 0.0)
@@ -281,13 +296,28 @@ class _Weights:
         return float(self.criterion.value(covariance)), covariance
 
     def start(self) -> Array:
-        """Return weights to start from: some of the shortest and of the longest, evenly."""
-        order = np.argsort(self.cost)
-        support = np.unique(np.concatenate([order[:4], order[-4:]]))
-        cost = self.cost[support]
-        weight = np.zeros(order.size)
-        weight[support] = min(self.total / float(cost.sum()), self.runs / support.size)
-        return weight
+        """Return weights to start from: all alike, then by what each gains for what it takes.
+
+        From all of them everything is determined that can be, and the gains are finite: where a
+        few leave something open, its price hides all else.
+        """
+        taken, weight = self._taken(), self.even()
+        for _ in range(_FIRST_STEPS):
+            _, phi = self.gain(weight)
+            weight = self._within(weight * np.sqrt(phi / taken))
+        return self._within(np.where(weight > _FIRST_PART * weight.max(), weight, 0.0))
+
+    def even(self) -> Array:
+        """Return weights by which everything takes as much of the limits."""
+        return self._within(1.0 / self._taken())
+
+    def _taken(self) -> Array:
+        return self.cost / self.total + 1.0 / self.runs
+
+    def _within(self, weight: Array) -> Array:
+        """Return weights of the same ratios that touch a limit."""
+        over = max(float(self.cost @ weight) / self.total, float(weight.sum()) / self.runs)
+        return weight / over
 
     def most(self, phi: Array) -> tuple[Array, float]:
         """Return the weights that gain most by the gradient, and the price of a run."""

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -15,7 +16,7 @@ from counterspin.calibration.joint_parts import unit_of
 from counterspin.campaign.resolved import Campaign, sample_count
 from counterspin.inference.joint.fit import blocks_of, solve_blocks
 from counterspin.inference.joint.inputs import INPUTS, TIMING
-from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint.prepared import prepare_columns, prepared_for
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknowns
 from counterspin.planning.faults import of_path
 from counterspin.planning.forecast import Forecast, expected_values, scale_factors
@@ -50,7 +51,11 @@ def requirements_of(
     str, list of Requirement
         At what value of the coefficient, in words; the requirements.
     """
-    campaign, model = prediction.campaign, prediction.fit.model.without_inputs()
+    campaign = prediction.campaign
+    faults = [of_path(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]
+    # A fit that has a fault among its unknowns gives way to it: it says nothing of its own need.
+    symbols = {part.term.symbol for fault in faults for part in fault.parts}
+    model = prediction.fit.model.without({*symbols, *INPUTS, TIMING})
     place = [unknown.name for unknown in model.unknowns].index(name)
     unknown = model.unknowns[place]
     expected = expected_values(campaign, model.unknowns)
@@ -81,8 +86,10 @@ def requirements_of(
     of_run = row[: len(rotation)].reshape(len(campaign.runs), len(ROTATION))
     of_input = dict(zip((*INPUTS, TIMING), row[len(rotation) :], strict=True))
     rates = np.array([run.rate for run in campaign.runs])
-    faults = [of_path(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]
-    machine = watch(prediction, faults)
+    before = prediction.fit
+    without = prepared_for(before.prepared, before.model, model, factors, {})
+    fit = replace(before, model=model, prepared=without)
+    machine = watch(replace(prediction, fit=fit), faults)
     eccentricity, imbalance = (machine.sensitivity(fault, place) for fault in range(2))
     lines = [
         ("radius known to", of_input["centrifuge.radius"], "m"),

@@ -59,14 +59,14 @@ class Predicted(ResultPart):
 
 
 class FaultEffect(ResultPart):
-    """Something that the model leaves out, and that would move K_II by more than its u.
+    """Something assumed to be perfect that would move K_II by more than its u.
 
     Attributes
     ----------
     symbol, words
         As in the table of terms, or as it would stand there; what it is called.
     size, unit
-        At which it is taken: a typical one where nothing is known.
+        At which it is taken: a typical one.
     shift
         Of K_II, g/g^2, without sign; of parts with unknown phase the largest, of those that each
         run has anew the root of the sum of squares.
@@ -75,7 +75,7 @@ class FaultEffect(ResultPart):
     deviation
         Standard deviations that the best test for it would see: a fit that estimates it.
     detection
-        Probability that the residuals of the fit that leaves it out fail their test.
+        Probability that the residuals of the fit without it fail their test.
     noticed
         Whether they nearly always do.
     """
@@ -174,7 +174,10 @@ class Curves(ResultPart):
 
 
 class PlanResult(ShownResult):
-    """A plan, or the forecast of a campaign that exists (then without goal and limits)."""
+    """A plan, or the forecast of a campaign that exists (then without goal and limits).
+
+    `assumed` are the terms and inputs that are taken as perfect, and so no part of u.
+    """
 
     KIND: ClassVar[str] = "plan's result"
 
@@ -193,6 +196,7 @@ class PlanResult(ShownResult):
     limits: list[LimitResult] = []
     requirements: list[Requirement] = []
     requirements_for: str = ""
+    assumed: list[str] = []
     curves: Curves | None = None
     warnings: list[str] = []
     provenance: Provenance

@@ -1,4 +1,4 @@
-"""What a campaign's fit would make of faults that its model leaves out.
+"""What a campaign's fit would make of faults that its model does not know.
 
 - `watch`, `Watched`: shifts of the estimates, and what is left in the residuals
 """

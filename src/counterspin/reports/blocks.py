@@ -169,12 +169,18 @@ class Plot(_Words):
 
 @frozen
 class Bars(_Words):
-    """Horizontal bars, the first on top; `texts` stand at their ends."""
+    """Horizontal bars, the first on top; `texts` stand at their ends.
+
+    Where `stacked`, each begins where the one above it ends: a stacked bar with a row for each
+    part. `colours` are places in the row of colours; absent: the first for all.
+    """
 
     title: str
     labels: tuple[str, ...]
     values: tuple[float, ...]
     texts: tuple[str, ...]
+    stacked: bool = False
+    colours: tuple[int, ...] = ()
 
 
 @frozen

@@ -291,7 +291,10 @@ def _draw_series(
 def _draw_bars(axes: Any, bars: Bars, palette: Palette, title: str) -> Margins:
     place = range(len(bars.labels))
     values = np.asarray(bars.values, dtype=float)
-    axes.barh(place, values, 0.62, color=palette["series-1"])
+    chosen = [palette[f"series-{k + 1}"] for k in bars.colours or (0,) * len(bars.labels)]
+    starts = np.cumsum(values) - values if bars.stacked else np.zeros(values.size)
+    axes.barh(place, values, 0.62, left=starts, color=chosen)
+    values = values + starts
     largest = float(np.max(np.abs(values), initial=0.0)) or 1.0
     left = 0.45 * WIDTH
     labels = [shortened(label, left) for label in bars.labels]

@@ -13,13 +13,14 @@ It stands in ``campaign.toml`` beside [truth], or in a file of its own that name
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, BeforeValidator, Field
 
 from counterspin.calibration.joint_parts import unit_of
+from counterspin.calibration.model import model_of
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.campaign.checking import Path as KeyPath
 from counterspin.campaign.checking import Problems, did_you_mean
@@ -29,19 +30,18 @@ from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.quantity import parse
 from counterspin.campaign.reading_truth import unfit_readings
 from counterspin.campaign.resolved import Campaign, require_room
-from counterspin.campaign.settings import SettingsSection, Text, exact
+from counterspin.campaign.settings import SettingsSection, Text, exact, several
 from counterspin.campaign.terms import BARE_NAMES, rows_of
 from counterspin.campaign.toml_file import (
     CAMPAIGN_ADVICE,
     DESCRIPTION_NAME,
     description_file,
-    flat_keys,
     load_document,
 )
 from counterspin.campaign.truth import unfit
 from counterspin.errors import CampaignError
 from counterspin.frozen import frozen
-from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS
+from counterspin.physics.terms import INPUTS, OWN_TERMS, SHARED_TERMS, term
 from counterspin.studies.draws import OTHERS, RADIUS, Varying
 from counterspin.studies.noise import NOISE_LEVELS, WHITE
 
@@ -79,6 +79,8 @@ class AnalysisSettings(SettingsSection):
     fit_bias: bool = True
     sigma: Literal["given", "residuals"] = "given"
     terms: list[Text] | None = None
+    assume: Annotated[list[Text], BeforeValidator(several)] | None = None
+    hold: list[Text] | None = None
     considered: list[Text] | None = None
 
 
@@ -102,7 +104,7 @@ class AnalysisDescription:
     two_stage
         How the two-stage method is applied; None: the joint fit.
     campaign
-        The campaign with the terms that this analysis estimates and considers.
+        The campaign with the terms that this analysis asks for, assumes and holds.
     """
 
     name: str
@@ -208,9 +210,34 @@ def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> 
             analyses.append(analysis)
     if problems.lines:
         raise CampaignError(str(file), problems.lines)
+    varying += _unstated(campaign, varying)
     return StudyDescription(
         campaign, settings.trials, settings.seed, tuple(varying), tuple(analyses)
     )
+
+
+def _unstated(campaign: Campaign, varying: Sequence[Varying]) -> Iterator[Varying]:
+    """Yield what acts and nobody states, each about its prior with its typical size.
+
+    What [truth] gives a value has that one, and the inputs but the radius are what the description
+    says: records are simulated with them.
+    """
+    assert campaign.simulation is not None
+    truth = campaign.simulation.truth
+    there = {(quantity.owner, quantity.symbol) for quantity in varying}
+    there |= {(name, symbol) for name, own in truth.coefficients.items() for symbol in own}
+    there |= {("", symbol) for symbol in truth.machine}
+    there |= {("", symbol) for run in campaign.runs if run.truth for symbol in run.truth.shared}
+    there |= {("", symbol) for symbol in INPUTS if symbol != RADIUS}
+    model = model_of(campaign)
+    for other in (*model.unknowns, *model.considered):
+        owner = other.owner if other.symbol in OWN_TERMS else ""
+        if other.asked or not other.unstated or (owner, other.symbol) in there:
+            continue
+        there.add((owner, other.symbol))
+        value, u = other.prior
+        middle = value + campaign.radius.value if other.symbol == RADIUS else value
+        yield Varying(owner, other.symbol, "normal", middle, u, term(other.symbol).per_run)
 
 
 def _document(
@@ -374,26 +401,12 @@ def _analysis(
 
 
 def _with_terms(document: Mapping[str, Any], settings: AnalysisSettings) -> dict[str, Any]:
-    """Return the campaign's document with the terms of one analysis, and no idle priors."""
-    if settings.terms is None and settings.considered is None:
-        return dict(document)
+    """Return the campaign's document with the terms of one analysis."""
     model = dict(document.get("model", {}))
-    if settings.terms is not None:
-        model["terms"] = settings.terms
-        model["considered"] = settings.considered or []
-    elif settings.considered is not None:
-        model["considered"] = settings.considered
-    used = [*model.get("terms", []), *model.get("considered", [])]
-    priors = flat_keys(model.get("priors", {}))
-    model["priors"] = {key: text for key, text in priors.items() if _is_used(key, used)}
-    return {**document, "model": model}
-
-
-def _is_used(prior: str, used: list[str]) -> bool:
-    last = prior.rpartition(".")[2]
-    return any(
-        name in (prior, last, prior.partition(".")[2])
-        or prior.startswith(f"{name}.")
-        or (name.startswith(f"{prior}.") and name not in OWN_TERMS)
-        for name in used
-    )
+    if not (settings.terms is settings.hold is settings.considered is None):
+        # What was held is so no longer: it may be among the terms.
+        model = {k: v for k, v in model.items() if k not in ("hold", "considered")}
+    for key in ("terms", "assume", "hold", "considered"):
+        if (names := getattr(settings, key)) is not None:
+            model[key] = names
+    return {**document, "model": model} if model else dict(document)

@@ -65,8 +65,7 @@ def joint_fit(module: Any, given: Mapping[str, Any]) -> dict[str, Any]:
     """Return estimate and uncertainties of each term of a campaign's accelerometer."""
     found = module.calibrate(DATA / given["folder"]).accelerometers[given["accelerometer"]]
     parts = {
-        symbol: [c.value, c.u, c.u_noise, c.u_stated, c.u_unstated]
-        for symbol, c in found.coefficients.items()
+        symbol: [c.value, c.u, c.u_noise, c.u_stated] for symbol, c in found.coefficients.items()
     }
     return {**parts, "correlation": found.correlation.matrix}
 

@@ -300,7 +300,7 @@ def _forecast(module: Any, given: Given) -> Found:
         {
             "site": {"gravity": "9.8 m/s^2", "latitude": "0 deg"},
             "accelerometers": {"A": {"input_axis": "up", "pendulous_axis": "east"}},
-            "model": {"terms": ["K_F", "K_I"]},
+            "model": {"terms": ["K_F", "K_I"], "assume": "all"},
             "runs": runs,
         }
     )

@@ -29,7 +29,7 @@ def tumbled(folder, change, *, turned=0.0, terms=tuple(TRUTH), more="", accelero
         )
         for i, value in enumerate(values)
     )
-    model = f"[model]\nterms = {list(terms)}\n{more}".replace("'", '"')
+    model = f"[model]\nassume = 'all'\nterms = {list(terms)}\n{more}".replace("'", '"')
     head = place("1.0 ± 1e-6 m", "9.80665 m/s^2", "0.8 rad") + ACCELEROMETER + accelerometer
     (folder / "campaign.toml").write_text(head + "\n" + model + runs, encoding="utf-8")
     return calibrate(folder)

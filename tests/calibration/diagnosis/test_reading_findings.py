@@ -36,7 +36,7 @@ def calibrated(folder, angles, values, *, u=None, head="", terms=LEVEL):
         reading = written[0] if len(written) == 1 else f"[{', '.join(written)}]"
         run = at_rest(f"at {k}", f"{angle!r}{head} deg about north", "?")
         runs.append(run.replace('reading = "?"', f"reading = {reading}"))
-    model = f"[model]\nterms = {list(terms)}\n".replace("'", '"')
+    model = f"[model]\nassume = 'all'\nterms = {list(terms)}\n".replace("'", '"')
     (folder / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
     return calibrate(folder)
 
@@ -112,7 +112,7 @@ def test_a_cubic_term_on_the_arm_is_named(tmp_path):
         on_arm(f"{k}", f"{station.rate!r} rad/s", f"{1.25 * value!r} mA", side=side)
         for k, (station, side, value) in enumerate(zip(*test[:2], values.tolist(), strict=True))
     ]
-    model = '[model]\nterms = ["K_F", "K_I", "K_II"]\n'
+    model = '[model]\nassume = "all"\nterms = ["K_F", "K_I", "K_II"]\n'
     (tmp_path / "campaign.toml").write_text("".join([HEAD, model, *runs]), encoding="utf-8")
     (found,) = misfits(calibrate(tmp_path))
     assert found.text.startswith("The residuals of the readings on the arm are what K_III makes")

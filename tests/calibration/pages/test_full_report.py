@@ -263,7 +263,10 @@ def test_the_jackknife_shows_what_each_shift_may_be():
 def test_budget_and_correlation():
     found = result().accelerometers["Qx"]
     bars = budget_bars("Qx", found)
-    assert bars.values == pytest.approx((0.0008, 0.0006))
+    assert bars.stacked
+    assert bars.values == pytest.approx((64.0, 36.0))
+    assert bars.labels == ("noise of Qx", "K_I (stated)")
+    assert bars.colours[0] != bars.colours[1]
     assert bars.texts == ("0.00080 (64 %)", "0.00060 (36 %)")
     assert correlation_map("Qx", found).values == ((1.0, 0.25), (0.25, 1.0))
 

@@ -4,8 +4,13 @@ import math
 
 from results import coefficient, result
 
-from counterspin.calibration.pages.uncertainty import assumption, dominance, knowledge_blocks
-from counterspin.calibration.result_parts import Knowledge
+from counterspin.calibration.pages.uncertainty import (
+    assumption,
+    dominance,
+    knowledge_blocks,
+    telling,
+)
+from counterspin.calibration.result_parts import BudgetLine, Knowledge
 from counterspin.reports.blocks import Paragraph, Table
 
 
@@ -46,6 +51,15 @@ def test_where_noise_or_what_is_stated_decides_there_is_nothing_to_say():
     stated = result().accelerometers["Qx"]
     assert dominance(stated) == ""
     assert dominance(stated, "K_I") == ""
+
+
+def test_lines_that_add_next_to_nothing_are_said_together():
+    lines = [BudgetLine(**line(f"K_{k}", "stated", 10.0**-k, 1.0)) for k in range(7)]
+    shown, rest = telling(lines)
+    # Shares are 1, 1e-2, 1e-4 and then less: of four lines it pays to say how many they are.
+    assert [one.source for one in shown] == ["K_0", "K_1", "K_2"]
+    assert len(rest) == 4
+    assert telling(lines[:6]) == (lines[:6], ())
 
 
 def test_what_is_assumed_is_named():

@@ -60,14 +60,31 @@ def test_terms_and_priors(campaign):
     assert "K_I" not in campaign.change(priors={"K_I": None}).accelerometers["Qx"].priors
 
 
-def test_priors_of_terms_that_go_go_with_them(campaign):
+def test_priors_of_terms_that_are_asked_for_no_more_are_kept(campaign):
     tilt = {"platform.tilt": "0 ± 1 arcsec", "Qx.K_II": "0 ± 1e-4 g/g^2"}
     wide = campaign.change(terms=["K_F", "K_I", "K_II", "platform.tilt"], priors=tilt)
     narrow = wide.change(terms=["K_F", "K_I", "K_II", "platform.tilt.north"])
-    assert set(narrow.model.priors) == {"platform.tilt.north"}
+    assert narrow.model.priors == wide.model.priors
+    assert set(narrow.model.priors) == {f"platform.tilt.{axis}" for axis in ("east", "north", "up")}
     bare = wide.change(terms=["K_F", "K_I", "K_III"])
-    assert bare.model.priors == {}
-    assert "K_II" not in bare.accelerometers["Qx"].priors
+    assert bare.model.priors == wide.model.priors
+    assert bare.accelerometers["Qx"].priors["K_II"].u == 1e-4
+    gone = wide.change(terms=["K_F", "K_I", "K_III"], priors=dict.fromkeys(tilt))
+    assert gone.model.priors == {}
+    assert "K_II" not in gone.accelerometers["Qx"].priors
+
+
+def test_what_is_assumed_and_what_is_held(campaign):
+    assert campaign.model.assume == ("all",)
+    some = campaign.change(assume=["K_OO", "platform.*"])
+    assert some.model.assume == ("K_OO", "platform.*")
+    assert campaign.change(assume=None).model.assume == ()
+    known = {"K_PP": "0 ± 1e-6 g/g^2"}
+    held = some.change(hold=["K_PP"], priors=known)
+    assert held.model.considered == ("K_PP",)
+    assert some.change(considered=["K_PP"], priors=known).model == held.model
+    with pytest.raises(CampaignError, match="is the old name of hold; keep hold alone"):
+        held.change(considered=["K_PP"])
 
 
 def test_one_accelerometer_of_two(campaign):

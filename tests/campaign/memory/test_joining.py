@@ -52,6 +52,21 @@ def test_a_record_counts_once():
         one.join(one)
 
 
+def test_what_is_assumed_and_held_is_the_same_in_all(tmp_path):
+    model = {"assume": ["platform.*"], "hold": ["K_PP"], "priors": {"K_PP": "0 ± 1e-6 g/g^2"}}
+    one, other = (
+        make_campaign(frames.small(), folder=tmp_path / name).change(**model) for name in "ab"
+    )
+    joined = one.join(other)
+    assert (joined.model.assume, joined.model.considered) == (("platform.*",), ("K_PP",))
+    with pytest.raises(CampaignError) as wrong:
+        one.join(other.change(assume="all", hold=None))
+    assert wrong.value.problems == (
+        "model.assume: is not the same in campaign 2",
+        "model.hold: is not the same in campaign 2",
+    )
+
+
 def test_what_differs_is_told_with_what_both_say():
     one = make_campaign(frames.small())
     other = one.change(

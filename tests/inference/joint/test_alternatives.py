@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import ARCSEC, noisy, three_rates, unknowns
+from joint_campaign import ARCSEC, held_inputs, noisy, three_rates, unknowns
 
-from counterspin.inference.joint.alternatives import Alternative, of_priors, scores
+from counterspin.inference.joint.alternatives import Alternative, of_priors, of_unstated, scores
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
 from counterspin.inference.joint.relaxed import extended, relax
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
@@ -19,8 +19,7 @@ PRIORS = {"K_F": (0.005, 2e-6), "K_I": (1.002, 5e-6), "K_III": (0.0, 0.0)}
 TILTS = tuple(Unknown(f"run{i}", "platform.tilt.north", (0.0, ARCSEC), 1e-2) for i in (1, 2, 3))
 MODEL = Unknowns(
     (*unknowns(["K_F", "K_I", "K_II", "K_III"], PRIORS), *TILTS),
-    (Considered("Qx", "K_PP", (0.0, 1e-6), 1e-4),),
-    {"centrifuge.radius": 1e-5},
+    (Considered("Qx", "K_PP", (0.0, 1e-6), 1e-4), *held_inputs({"centrifuge.radius": 1e-5})),
 )
 
 
@@ -112,6 +111,35 @@ def test_what_the_unknowns_follow_cannot_be_told(relaxed):
     assert math.isinf(held.u[0])
     assert held.size[0] == 0.0
     assert held.tested == 0
+
+
+def test_what_is_unstated_is_no_prior_but_a_term_or_an_input_of_another_size(series):
+    """Stated priors and unstated sizes are two lists; each alternative is the fit without it."""
+    model = Unknowns(
+        (*MODEL.unknowns[:4], replace(TILTS[0], unstated=True), *TILTS[1:]),
+        tuple(replace(other, unstated=True) for other in MODEL.considered),
+    )
+    relaxed = relax(fitted(series, model).fit)
+    alternatives = of_unstated(relaxed)
+    assert [(other.kind, other.name) for other in alternatives] == [
+        ("term", "run1.platform.tilt.north"),
+        ("term", "Qx.K_PP"),
+        ("input", "centrifuge.radius"),
+    ]
+    stated = {other.name for other in of_priors(relaxed)}
+    assert stated == {
+        *("Qx.K_F", "Qx.K_I", "Qx.K_III", "run2.platform.tilt.north", "run3.platform.tilt.north"),
+        "platform.tilt.north",
+    }
+    assert [other.limit for other in alternatives] == [1e-2, 1e-4, math.inf]
+    held = scores(relaxed, alternatives, noise_given=True)
+    for k, other in enumerate(alternatives):
+        (place,) = other.priors
+        without = without_prior(relaxed, [place]).solution
+        spread = math.hypot(float(without.u[place]), relaxed.model.unknowns[place].prior[1])
+        scale = max(1.0, without.chi2 / without.dof)
+        apart = abs(float(without.estimate[place]))
+        assert held.size[k] == pytest.approx(apart / spread / math.sqrt(scale), rel=1e-6, abs=1e-6)
 
 
 def test_all_runs_are_off_alike(series):

@@ -5,9 +5,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from joint_campaign import ARCSEC, DEG_H, RATES, SITE, noisy, simulated, three_rates, unknowns
+from joint_campaign import (
+    ARCSEC,
+    DEG_H,
+    RATES,
+    SITE,
+    held_inputs,
+    noisy,
+    simulated,
+    three_rates,
+    unknowns,
+)
 
-from counterspin.inference.joint.budget import NOISE, budget
+from counterspin.inference.joint.budget import HELD, NOISE, STATED, UNSTATED, budget, by_kind
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.inputs import INPUTS, TIMING
 from counterspin.inference.joint.prepared import prepare_columns
@@ -36,7 +46,14 @@ def series():
 @pytest.fixture(scope="module")
 def model():
     tilts = tuple(
-        Unknown(f"run{i}", f"platform.tilt.{axis}", (0.0, 0.5 * ARCSEC), 1e-2)
+        Unknown(
+            f"run{i}",
+            f"platform.tilt.{axis}",
+            (0.0, 0.5 * ARCSEC),
+            1e-2,
+            asked=False,
+            unstated=axis == "north",
+        )
         for i in (1, 2, 3)
         for axis in ("north", "east")
     )
@@ -45,14 +62,14 @@ def model():
     considered = (
         Considered("Qx", "K_PP", (0.0, 2e-6), 1e-4),
         Considered("Qy", "K_IO", (1e-6, 3e-6), 1e-4),
-        Considered("", "platform.g_sensitivity.zx", (0.0, 0.02 * DEG_H), 10 * DEG_H),
+        Considered("", "platform.g_sensitivity.zx", (0.0, 0.02 * DEG_H), 10 * DEG_H, unstated=True),
     )
-    return Unknowns((*own, *tilts, drift), considered, SIZES)
+    return Unknowns((*own, drift, *tilts), (*considered, *held_inputs(SIZES)))
 
 
 @pytest.fixture(scope="module")
 def fit(series, model):
-    plain = replace(model, inputs=None)
+    plain = model.without_inputs()
     first = solve_joint(prepare_columns(series, plain, SCALES), plain, NOISES)
     return solve_joint(
         prepare_columns(series, model, SCALES, first.solution.estimate), model, NOISES
@@ -81,18 +98,34 @@ def test_the_lines_are_the_whole(fit, model):
 
 def test_kinds_add_up_to_the_parts_of_u(fit, model):
     parts = {
-        "noise": fit.solution.covariance_noise,
-        "prior": fit.solution.covariance_prior,
-        "considered": fit.solution.covariance_considered,
+        (NOISE,): fit.solution.covariance_noise,
+        (STATED, UNSTATED): fit.solution.covariance_prior,
+        (HELD,): fit.solution.covariance_considered,
     }
     for index in range(len(model.unknowns)):
         lines = budget(fit, index)
-        for kind, covariance in parts.items():
-            kinds = (kind, "input") if kind == "considered" else (kind,)
+        for kinds, covariance in parts.items():
             squares = sum(line.contribution**2 for line in lines if line.kind in kinds)
             assert squares == pytest.approx(
                 covariance[index, index], rel=1e-8, abs=1e-8 * fit.solution.u[index] ** 2
             )
+
+
+def test_u_by_kind_is_that_of_the_lines_and_adds_up(fit, model):
+    """What is held counts as stated or not, as it is; of Qx's K_II all three parts matter."""
+    for index, unknown in enumerate(model.unknowns):
+        lines = budget(fit, index)
+        u = fit.solution.u[index]
+        squares = [
+            sum(line.contribution**2 for line in lines if line.kind == NOISE),
+            sum(x.contribution**2 for x in lines if x.kind in (STATED, HELD) and not x.unstated),
+            sum(line.contribution**2 for line in lines if line.unstated),
+        ]
+        parts = by_kind(fit, index)
+        assert math.hypot(*parts) == pytest.approx(u, rel=1e-10), unknown.name
+        assert np.square(parts) == pytest.approx(squares, rel=1e-8, abs=1e-8 * u**2), unknown.name
+        if unknown.name == "Qx.K_II":
+            assert min(parts) > 1e-3 * u
 
 
 def test_each_accelerometer_s_noise_has_its_own_line(series, fit, model):
@@ -111,7 +144,7 @@ def test_each_accelerometer_s_noise_has_its_own_line(series, fit, model):
 def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
     """Priors, considered terms and inputs moved one by one, and all estimated again."""
     index = [u.name for u in model.unknowns].index("Qx.K_II")
-    plain = replace(model, inputs=None)
+    plain = model.without_inputs()
 
     def estimate(changed, chosen=series):
         found = solve_joint(prepare_columns(chosen, changed, SCALES), changed, NOISES)
@@ -130,12 +163,12 @@ def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
                 for u in group
             )
 
-        if line.kind == "prior":
-            changed = estimate(replace(plain, unknowns=shifted(model.unknowns)))
-        elif line.kind == "considered":
-            changed = estimate(replace(plain, considered=shifted(model.considered)))
+        if line.kind in (STATED, UNSTATED):
+            changed = estimate(replace(plain, unknowns=shifted(plain.unknowns)))
         elif line.source == TIMING:
             continue  # its own test goes through the records' angles
+        elif line.source not in SIZES:
+            changed = estimate(replace(plain, considered=shifted(plain.considered)))
         else:
             step = line.u
             moved = []
@@ -144,11 +177,11 @@ def test_every_sensitivity_is_what_the_estimate_does(series, fit, model):
                 error = one.error + one.reference() - one.reference(motion)
                 moved.append(replace(one, trajectory=motion, error=error))
             changed = estimate(plain, moved)
-        compared.add(line.kind)
+        compared.add("input" if line.source in SIZES else line.kind)
         derivative = (changed - base) / step
         small = 1e-3 * fit.solution.u[index] / step
         assert derivative == pytest.approx(line.sensitivity, rel=2e-3, abs=small), line.source
-    assert compared == {"prior", "considered", "input"}
+    assert compared == {STATED, UNSTATED, HELD, "input"}
 
 
 def test_a_record_in_g_depends_on_the_gravity_assumed():
@@ -157,8 +190,8 @@ def test_a_record_in_g_depends_on_the_gravity_assumed():
         replace(simulated(f"run{i}", r, TRUTH, observable="specific_force"), in_g=True)
         for i, r in enumerate(RATES)
     ]
-    model = Unknowns(unknowns(TRUTH), inputs={"site.gravity": 1e-4})
-    plain = replace(model, inputs=None)
+    model = Unknowns(unknowns(TRUTH), held_inputs({"site.gravity": 1e-4}))
+    plain = model.without_inputs()
     noise = {"Qx": NoiseModel(1e-3)}
     first = solve_joint(prepare_columns(one, plain, SCALES), plain, noise).solution
     fit = solve_joint(prepare_columns(one, model, SCALES, first.estimate), model, noise)

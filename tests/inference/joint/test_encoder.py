@@ -10,7 +10,7 @@ from joint_campaign import LEVEL, RATES, noisy, simulated, unknowns
 from scipy.special import stdtrit
 
 from counterspin.inference.joint import encoder
-from counterspin.inference.joint.budget import ENCODER, budget
+from counterspin.inference.joint.budget import NOISE, budget
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.prepared import prepare_columns
@@ -251,13 +251,13 @@ def test_the_budget_names_the_parts_of_the_rotation():
         lines = budget(found.fit, index)
         assert math.fsum(x.contribution**2 for x in lines) == pytest.approx(u**2, rel=1e-10)
         for line in lines:
-            if line.kind == ENCODER:
+            if line.source.startswith("run"):
                 product = abs(line.sensitivity) * line.u
                 assert line.contribution == pytest.approx(product, rel=1e-12)
     lines = {line.source: line for line in budget(found.fit, 2)}
     # The fastest run decides K_II, and its ripple of twice the angle stands where K_II does.
     ripples = lines["run3.ripple1"], lines["run3.ripple3"]
-    assert all(line.kind == ENCODER for line in ripples)
+    assert all(line.kind == NOISE for line in ripples)
     for n, line in zip((1, 3), ripples, strict=True):
         expected = n * RATES[2] * 1e-5 * math.sqrt(2 / 385)
         assert line.u == pytest.approx(expected, rel=0.15)

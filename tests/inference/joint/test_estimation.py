@@ -11,6 +11,7 @@ from joint_campaign import (
     NOTHING,
     RATES,
     SITE,
+    held_inputs,
     noisy,
     simulated,
     three_rates,
@@ -153,7 +154,8 @@ def test_what_is_known_of_a_considered_term_is_taken_away_before_the_noise_is_es
     assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=4 / math.sqrt(2 * 570))
 
 
-def test_a_delay_within_its_uncertainty_is_no_noise_and_hides_no_outlier(clean):
+@pytest.mark.parametrize("held", [False, True], ids=["unknown", "held"])
+def test_a_delay_within_its_uncertainty_is_no_noise_and_hides_no_outlier(clean, held):
     """Angles are taken 6 ms late, known to 5 ms: 0.1 m at the highest rate, ten times the noise."""
     rng = np.random.default_rng(20)
     late = [
@@ -161,7 +163,8 @@ def test_a_delay_within_its_uncertainty_is_no_noise_and_hides_no_outlier(clean):
     ]
     drawn = [noisy(one, WHITE, rng) for one in late]
     drawn[2].error[100] += 0.15
-    model = replace(MODEL, inputs={TIMING: 5e-3})
+    delay = held_inputs({TIMING: 5e-3})
+    model = Unknowns(MODEL.unknowns, delay) if held else Unknowns((*MODEL.unknowns, *delay))
     found = estimate(drawn, model, {"Qx": NoiseRequest(None, 0.0)})
     assert found.fit.noise["Qx"].white == pytest.approx(0.01, rel=4 / math.sqrt(2 * 570))
     assert [np.flatnonzero(mask).tolist() for mask in found.outliers] == [[], [], [100]]
@@ -391,7 +394,7 @@ def test_good_samples_that_an_earlier_model_made_stand_out_are_taken_back(clean)
     prepared = prepare_columns(drawn, MODEL, {"Qx": TRUTH["K_I"]})
     kept = [part.without(mask) for part, mask in zip(prepared, outliers, strict=True)]
     fit = solve_joint(kept, MODEL, {"Qx": WHITE})
-    again = _with_all(fit, drawn, {"Qx": NoiseRequest(0.01, 0.0)}, outliers)
+    again = _with_all(fit, kept, drawn, MODEL, {"Qx": NoiseRequest(0.01, 0.0)}, outliers)
     assert [np.flatnonzero(mask).tolist() for mask in outliers] == [[], [], [100]]
     only = [part.without(mask) for part, mask in zip(prepared, outliers, strict=True)]
     expected = solve_joint(only, MODEL, {"Qx": WHITE}).solution

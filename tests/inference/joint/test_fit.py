@@ -12,6 +12,8 @@ from joint_campaign import (
     NOTHING,
     RATES,
     SITE,
+    held_inputs,
+    noisy,
     redrawn,
     simulated,
     three_rates,
@@ -24,9 +26,10 @@ from counterspin.errors import NotIdentifiableError
 from counterspin.inference.diagnostics import SIGNIFICANCE, diagnose
 from counterspin.inference.distributions import chi_square_tail
 from counterspin.inference.identifiability import assess
+from counterspin.inference.joint.estimation import NoiseRequest, estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.inputs import INPUTS, TIMING
-from counterspin.inference.joint.prepared import prepare_columns
+from counterspin.inference.joint.prepared import prepare_columns, prepared_for
 from counterspin.inference.joint.unknowns import Considered, Unknown, Unknowns
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.spindle import Spindle
@@ -516,10 +519,11 @@ def test_preparing_again_gives_what_preparing_anew_does():
     tilt = Unknown("run1", "platform.tilt.north", (0.0, 1e-5), 1e-2)
     series = three_rates(TRUTH)
     before = Unknowns((*unknowns(TRUTH, PRIORS), tilt), (gyro,))
-    after = replace(before, considered=(k_oo, gyro), inputs={"centrifuge.radius": 1e-4})
+    after = replace(before, considered=(k_oo, gyro, *held_inputs({"centrifuge.radius": 1e-4})))
     fit = solve_joint(prepare_columns(series, before, SCALES), before, {"Qx": WHITE})
     other = {"Qx": 1.5}
-    again = fit.prepared_for(after, other)
+    known = dict(zip(before.unknowns, fit.solution.estimate.tolist(), strict=True))
+    again = prepared_for(fit.prepared, before, after, other, known)
     anew = prepare_columns(series, after, other, fit.solution.estimate)
     for one, two in zip(again, anew, strict=True):
         assert (one.scale_factor, one.unknowns, one.considered) == (
@@ -543,8 +547,8 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
         "site.latitude": 1e-3,
         TIMING: 1e-6,
     }
-    model = Unknowns(unknowns(TRUTH, PRIORS), inputs=sizes)
-    plain = replace(model, inputs=None)
+    model = Unknowns(unknowns(TRUTH, PRIORS), held_inputs(sizes))
+    plain = model.without_inputs()
     noise = {"Qx": WHITE}
     first = solve_joint(prepare_columns(series, plain, SCALES), plain, noise).solution
     fit = solve_joint(prepare_columns(series, model, SCALES, first.estimate), model, noise)
@@ -580,10 +584,74 @@ def test_sensitivity_to_an_input_is_what_the_estimate_does_when_it_changes():
         )
 
 
+@pytest.mark.parametrize(
+    "noise", [NoiseModel(5e-4), NoiseModel(5e-4, 1.5e-5)], ids=["white", "mixed"]
+)
+def test_an_input_with_a_prior_is_estimated_as_by_dense_least_squares(noise):
+    """Covariances n x n, priors as further observations, the radius' column by simulation."""
+    radius, u = 2.5, 1e-4
+    sizes = {"site.gravity": 1e-4, "centrifuge.radius": u}
+    true_radius = radius + 1.5 * u
+    rng = np.random.default_rng(41)
+    series, rows, values = [], [], []
+    for i, rate in enumerate(RATES):
+        nominal = simulated(f"run{i}", rate, TRUTH)
+
+        def output(of_run=(f"run{i}", rate), nominal=nominal, **changed):
+            """What is recorded in another world, less what this one would show."""
+            one = simulated(*of_run, TRUTH, **changed)
+            return one.error + one.reference() - nominal.reference()
+
+        one = noisy(replace(nominal, error=output(radius=true_radius)), noise, rng)
+        columns = [
+            *one.columns(list(TRUTH), 1.0).T,
+            (output(site=replace(SITE, gravity=SITE.gravity + 1e-3)) - nominal.error) / 1e-3,
+            (output(radius=radius + 1e-3) - output(radius=radius - 1e-3)) / 2e-3,
+        ]
+        t = one.time
+        early, late = np.minimum.outer(t, t), np.maximum.outer(t, t)
+        walk = noise.random_walk**2 * early**2 * (3 * late - early) / 6
+        root = np.linalg.cholesky(noise.white**2 * np.eye(t.size) + walk)
+        start = np.zeros((t.size, 2 * len(RATES)))
+        start[:, 2 * i : 2 * i + 2] = np.column_stack([np.ones(t.size), t])
+        rows.append(np.linalg.solve(root, np.column_stack([*columns, start])))
+        values.append(np.linalg.solve(root, one.error))
+        series.append(one)
+    known = [*(PRIORS.get(s, NOTHING) for s in TRUTH), *((0.0, size) for size in sizes.values())]
+    for place, (value, size) in enumerate(known):
+        if math.isfinite(size):
+            row = np.zeros((1, rows[0].shape[1]))
+            row[0, place] = 1.0 / size
+            rows.append(row)
+            values.append([(value - (1.0 if place == 1 else 0.0)) / size])
+    design, observed = np.vstack(rows), np.concatenate(values)
+    scale = np.linalg.norm(design, axis=0)
+    normal = np.linalg.inv((design / scale).T @ (design / scale))
+    expected = normal @ ((design / scale).T @ observed) / scale
+    p = len(known)
+    covariance = (normal / scale / scale[:, None])[:p, :p]
+
+    inputs = [Unknown("", s, (0.0, u), 0.1, asked=False) for s, u in sizes.items()]
+    model = Unknowns((*unknowns(TRUTH, PRIORS), *inputs))
+    request = {"Qx": NoiseRequest(noise.white, noise.random_walk)}
+    solution = estimate(series, model, request, reject=False).fit.solution
+    spread = np.sqrt(np.diag(covariance))
+    # Derivatives are taken at the estimate here, at the truth there.
+    np.testing.assert_allclose(solution.estimate / spread, expected[:p] / spread, atol=2e-3)
+    np.testing.assert_allclose(
+        solution.covariance / np.outer(spread, spread),
+        covariance / np.outer(spread, spread),
+        atol=1e-3,
+    )
+    # The records tell of the radius, with K_I known beforehand, what its prior does not.
+    assert solution.u[-1] < 0.5 * u
+    assert solution.estimate[-1] == pytest.approx(1.5 * u, abs=4 * solution.u[-1])
+
+
 def test_what_gravity_does_to_a_record_in_g_has_none_of_its_noise():
     """Else a gravity of zero explains all of the record: its noise is then as small as it is."""
     truth = {"K_F": 5e-3, "K_II": 2.7e-5}
-    model = Unknowns(unknowns(truth), inputs={"site.gravity": 1e-5})
+    model = Unknowns(unknowns(truth), held_inputs({"site.gravity": 1e-5}))
     true = np.array(list(truth.values()))
     clean = [
         replace(one, in_g=True)

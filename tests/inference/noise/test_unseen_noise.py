@@ -9,7 +9,7 @@ import pytest
 from joint_campaign import RATES, noisy, simulated, three_rates, unknowns
 from scipy.special import ndtr, stdtr, stdtrit
 
-from counterspin.inference.joint.budget import UNSEEN, budget
+from counterspin.inference.joint.budget import NOISE, budget
 from counterspin.inference.joint.estimation import NoiseRequest, estimate
 from counterspin.inference.joint.fit import solve_joint
 from counterspin.inference.joint.unknowns import Considered, Unknowns
@@ -284,7 +284,8 @@ def test_the_budget_says_what_does_not_show(dropped):
     for index, u in enumerate(found.fit.solution.u):
         lines = budget(found.fit, index)
         assert math.fsum(x.contribution**2 for x in lines) == pytest.approx(u**2, rel=1e-10)
-    (line,) = (x for x in budget(found.fit, 0) if x.kind == UNSEEN)
+    (line,) = (x for x in budget(found.fit, 0) if x.hidden)
+    assert line.kind == NOISE
     assert line.source == "Qx"
     assert line.u == found.fit.unseen["Qx"][0]
     assert line.contribution == pytest.approx(line.sensitivity * line.u, rel=1e-12)

@@ -4,6 +4,7 @@
 - `causes`: one finding for each cause, the others below it
 - `words`: what is said of a cause
 - `credible`: estimates that no instrument has, whatever the fit
+- `attitude_findings`: whether drift and tilts are small enough for the theory
 - `reading_findings`: what speaks against readings
 - `record_counts`: how many rows of a record were left out, and whether they are too many
 """

@@ -2,7 +2,7 @@
 
 - `terminal`: a result in the terminal; `sections`: its blocks
 - `full_report`: the whole report for paper and screen; `publishing`: as a file
-- `verdict`, `accelerometer`, `left_out`, `motions`, `records`, `kinds`, `conformity`, `pictures`,
-  `basis`: its chapters
+- `verdict`, `accelerometer`, `uncertainty`, `motions`, `records`, `kinds`, `conformity`, `basis`,
+  `pictures`: its chapters
 - `batch`: many campaigns in one table
 """

@@ -17,7 +17,7 @@ from counterspin.calibration.findings import methods_agree
 from counterspin.calibration.pages.kinds import kind_blocks
 from counterspin.calibration.pages.motions import table_of_tests
 from counterspin.calibration.pages.records import count_blocks, note_blocks
-from counterspin.calibration.pages.uncertainty import dominance
+from counterspin.calibration.pages.uncertainty import dominance, telling
 from counterspin.calibration.result_parts import (
     AccelerometerResult,
     BudgetLine,
@@ -330,7 +330,13 @@ def budget_blocks(name: str, accelerometer: AccelerometerResult) -> Iterator[Blo
         unit, factor = field_unit(coefficient.unit if coefficient else "")
         yield Heading(f"Uncertainty budget of {symbol}, {name}", 3)
         total = math.sqrt(sum(line.contribution**2 for line in lines))
-        rows = [_budget_row(line, factor) for line in lines]
+        shown, rest = telling(lines)
+        rows = [_budget_row(line, factor) for line in shown]
+        if rest:
+            size = math.hypot(*(line.contribution for line in rest))
+            share = sum(line.share for line in rest)
+            more = f"{len(rest)} more"
+            rows.append((more, "", "", "", format_uncertainty(size * factor), format_share(share)))
         rows.append(("combined", "", "", "", format_uncertainty(total * factor), ""))
         yield Table(
             columns=(

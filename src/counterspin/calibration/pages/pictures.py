@@ -11,6 +11,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Final
 
+from counterspin.calibration.pages.uncertainty import telling
 from counterspin.calibration.result_parts import AccelerometerResult, RunResult, Trace
 from counterspin.frozen import frozen
 from counterspin.reports.blocks import Bars, HeatMap, Plot, PlotSeries
@@ -23,6 +24,10 @@ _MAX_CURVES: Final = 6
 _SMALL: Final = {"m": ("mm", 1e3), "m/s": ("mm/s", 1e3), "m/s^2": ("mm/s^2", 1e3)}
 
 _COVERAGE_FACTOR: Final = 1.96
+
+#: Places in the row of colours.
+_COLOUR_OF_KIND: Final = {"noise": 0, "unstated": 1, "stated": 2, "held": 3}
+_COLOUR_OF_REST: Final = 5
 
 
 def correlation_map(name: str, accelerometer: AccelerometerResult) -> HeatMap | None:
@@ -37,22 +42,30 @@ def correlation_map(name: str, accelerometer: AccelerometerResult) -> HeatMap | 
 
 
 def budget_bars(name: str, accelerometer: AccelerometerResult, symbol: str = "K_II") -> Bars | None:
-    """Return each source's contribution to the uncertainty of a coefficient; None without one."""
-    lines, coefficient = (
-        accelerometer.budget.get(symbol, []),
-        accelerometer.coefficients.get(symbol),
-    )
+    """Return u^2 of a coefficient as a stacked bar by source, in %; None without a budget."""
+    lines, rest = telling(accelerometer.budget.get(symbol, []))
+    coefficient = accelerometer.coefficients.get(symbol)
     if not lines or coefficient is None:
         return None
     unit, factor = field_unit(coefficient.unit)
+    labels = [
+        line.source if line.kind == "noise" else f"{line.source} ({line.kind})" for line in lines
+    ]
+    colours = [_COLOUR_OF_KIND[line.kind] for line in lines]
+    parts = [(line.contribution, line.share) for line in lines]
+    if rest:
+        labels.append(f"{len(rest)} more")
+        colours.append(_COLOUR_OF_REST)
+        parts.append((math.hypot(*(r.contribution for r in rest)), sum(r.share for r in rest)))
     return Bars(
-        title=f"Contributions to u({symbol}) of {name}, {unit}",
-        labels=tuple(line.source for line in lines),
-        values=tuple(line.contribution * factor for line in lines),
+        title=f"What u({symbol})^2 of {name} consists of; contributions in {unit}",
+        labels=tuple(labels),
+        values=tuple(100.0 * share for _, share in parts),
         texts=tuple(
-            f"{format_uncertainty(line.contribution * factor)} ({format_share(line.share)})"
-            for line in lines
+            f"{format_uncertainty(size * factor)} ({format_share(share)})" for size, share in parts
         ),
+        stacked=True,
+        colours=tuple(colours),
     )
 
 

@@ -2,17 +2,18 @@
 
 - `dominance`: one sentence on what decides the u of a coefficient
 - `assumption`: one sentence on what is taken as perfect
+- `telling`: the lines of a budget that matter
 - `knowledge_blocks`: the table of what a result rests on beside its data
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from typing import Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Final, Protocol
 
 from counterspin.calibration.result import Result
-from counterspin.calibration.result_parts import AccelerometerResult, BudgetLine, Knowledge
+from counterspin.calibration.result_parts import BudgetLine, Knowledge
 from counterspin.physics.terms import is_term, symbol_of, term
 from counterspin.reports.blocks import Block, Column, Heading, Paragraph, Table
 from counterspin.reports.numbers import (
@@ -32,17 +33,59 @@ _KNOWN_BETTER: Final = 0.1
 #: Sources below this part of any u^2 are not in the table.
 _LEAST_SHARE: Final = 1e-3
 
+#: Lines of a budget below this share are said together, where they are more than a few.
+_LEAST_LINE: Final = 1e-4
+_FEW_LINES: Final = 3
+
 #: So many names of what is assumed are listed.
 _MOST_NAMES: Final = 8
 
 
-def dominance(accelerometer: AccelerometerResult, symbol: str = "K_II") -> str:
+class Uncertain(Protocol):
+    """A coefficient's uncertainty, found or forecast."""
+
+    @property
+    def u(self) -> float | None:
+        """Standard uncertainty."""
+
+    @property
+    def unit(self) -> str:
+        """Of `u`."""
+
+
+class Answered(Protocol):
+    """What is told of an accelerometer, found or forecast."""
+
+    @property
+    def coefficients(self) -> Mapping[str, Uncertain]:
+        """By symbol."""
+
+    @property
+    def budget(self) -> Mapping[str, Sequence[BudgetLine]]:
+        """By symbol."""
+
+
+class Assuming(Protocol):
+    """A result, or a plan."""
+
+    @property
+    def assumed(self) -> Sequence[str]:
+        """What is taken as perfect."""
+
+
+def telling(lines: Sequence[BudgetLine]) -> tuple[Sequence[BudgetLine], Sequence[BudgetLine]]:
+    """Return the lines of a budget that make up u, and those that together add next to nothing."""
+    count = next((k for k, line in enumerate(lines) if line.share < _LEAST_LINE), len(lines))
+    return (lines, ()) if len(lines) - count <= _FEW_LINES else (lines[:count], lines[count:])
+
+
+def dominance(accelerometer: Answered, symbol: str = "K_II") -> str:
     """Return what decides the u of a coefficient, where unstated sources do; else empty.
 
     Parameters
     ----------
     accelerometer
-        The result.
+        The result, or what is planned.
     symbol
         The coefficient.
     """
@@ -69,7 +112,7 @@ def _size(line: BudgetLine, part: float) -> str:
     return f"{format_number((line.u or 0.0) * factor * part, 2)} {unit}".strip()
 
 
-def assumption(result: Result) -> str:
+def assumption(result: Assuming) -> str:
     """Return what is taken as perfect, in a sentence; empty if nothing is."""
     names = result.assumed
     if not names:

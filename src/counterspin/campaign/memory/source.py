@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from counterspin.campaign.memory.documents import differences
-from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CounterspinError
 from counterspin.frozen import frozen
+from counterspin.toml_text import write_document
 
 if TYPE_CHECKING:
     from counterspin.campaign.resolved import Campaign

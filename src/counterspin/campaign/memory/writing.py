@@ -15,10 +15,10 @@ from counterspin.campaign.memory.source import source_of
 from counterspin.campaign.resolved import Campaign
 from counterspin.campaign.simulation import WRITERS
 from counterspin.campaign.toml_file import DESCRIPTION_NAME
-from counterspin.campaign.toml_text import write_document
 from counterspin.errors import CounterspinError
 from counterspin.output import make_folder, write_text, write_whole
 from counterspin.records.memory import MemoryTable
+from counterspin.toml_text import write_document
 
 
 def write_campaign(campaign: Campaign, folder: Path | str, *, overwrite: bool = False) -> Path:

@@ -7,7 +7,8 @@
 - `fit`: one weighted fit of everything
 - `estimation`: the joint estimate step by step
 - `outliers`, `rotation`: samples that noise does not explain; how runs without angles turned
-- `budget`, `omitted_terms`: where the uncertainty of a coefficient comes from; what is not in it
+- `condensed`: what nobody asks for, in as few columns as the records can tell from nothing
+- `budget`: where the uncertainty of a coefficient comes from
 - `kinds`: whether data of several kinds agree; `runs_left_out`: what becomes of an estimate
   without a run
 - `relaxed`, `alternatives`, `mistakes`: what is assumed taken as unknown; what else would explain

@@ -52,6 +52,9 @@ def condense(
     for part in prepared:
         if not noise.get(part.accelerometer):
             floors[part.accelerometer] = min(floors[part.accelerometer], white_level(part))
+    if min(floors.values(), default=0.0) == 0.0:
+        # Nothing hides anything.
+        return tuple(prepared), model
     weighted: list[Array] = []
     shown: list[Array] = []
     for part in prepared:

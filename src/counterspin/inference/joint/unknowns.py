@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import Final
 
 from counterspin.frozen import frozen
@@ -109,9 +110,13 @@ class Unknowns:
 
     def without_inputs(self) -> Unknowns:
         """Return the model with every input as the description states it."""
+        return self.without(INPUTS)
+
+    def without(self, symbols: Collection[str]) -> Unknowns:
+        """Return the model with terms and inputs of these symbols as they should be."""
         return Unknowns(
-            tuple(unknown for unknown in self.unknowns if unknown.symbol not in INPUTS),
-            tuple(other for other in self.considered if other.symbol not in INPUTS),
+            tuple(unknown for unknown in self.unknowns if unknown.symbol not in symbols),
+            tuple(other for other in self.considered if other.symbol not in symbols),
         )
 
     @property

@@ -16,7 +16,7 @@ import numpy as np
 from counterspin._version import __version__
 from counterspin.arrays import Array
 from counterspin.calibration.joint_parts import unit_of
-from counterspin.calibration.model import model_of
+from counterspin.calibration.model import assumed, model_of
 from counterspin.calibration.result_parts import Provenance
 from counterspin.campaign.questions import questions
 from counterspin.campaign.reading_groups import groups_of
@@ -99,6 +99,7 @@ def plan_readings(described: ReadingPlan) -> tuple[PlanResult, list[PossibleRead
             order=described.order,
             accelerometers=accelerometers_of(prediction),
             platform=platform_of(prediction),
+            assumed=list(assumed(prediction.campaign)),
             warnings=[question.text for question in questions(prediction.campaign)],
             goal=GoalResult(
                 kind=goal.kind,
