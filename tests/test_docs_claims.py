@@ -247,7 +247,7 @@ def test_weighing_is_better_than_holding():
     assert named == ["0.5"]
     numbers = told("methods", "u(K_II) = {} g/g^2 where the tilts are held, and {} g/g^2 where")
     for number, held in zip(numbers, ([*known.model.considered], ["K_IP"]), strict=True):
-        found = cs.forecast(known.change(considered=held)).u["Qx.K_II"]
+        found = cs.forecast(known.change(hold=held)).u["Qx.K_II"]
         assert agrees(number, found)
 
 
