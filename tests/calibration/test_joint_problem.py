@@ -13,6 +13,7 @@ from counterspin.calibration.observed import ObservedRun, Signal
 from counterspin.calibration.options import TwoStageOptions
 from counterspin.calibration.two_stage_request import request_of
 from counterspin.campaign.description import read_campaign
+from counterspin.inference.joint.series import Series
 from counterspin.inference.noise.model import NoiseModel
 from counterspin.physics.accelerometer import QX, Mounting
 from counterspin.physics.motion import Site, Trajectory
@@ -72,3 +73,26 @@ def test_credible_sizes_of_unknowns_go_by_the_grade_of_their_accelerometer(tmp_p
             assert one.limit == term(one.symbol).sizes(grade).limit
         request = request_of(campaign, campaign.accelerometers[name], TwoStageOptions(), None)
         assert request.limit_of("K_II") == term("K_II").sizes(grade).limit
+
+
+def test_what_a_time_stamp_moves_is_the_slope_of_what_was_recorded():
+    """5 mg for 400 s: the platform moves at 20 m/s then, five times as fast as the arm's wave."""
+    motion = Trajectory(Spindle(math.pi / 2), RADIUS, Site(9.8, 0.8, earth_rate=0.0))
+    time = np.arange(0.0, 400.0, 0.05)
+    wave = 2e-3 * np.sin(motion.spindle.angle(time) + 0.3)
+    series = Series(
+        accelerometer="Qx",
+        run="run",
+        trajectory=motion,
+        mounting=QX,
+        observable="displacement",
+        attitude=LEVEL,
+        time=time,
+        spread=np.zeros(time.size),
+        count=np.ones(time.size),
+        spacing=0.05,
+        error=0.5 * 0.049 * time**2 + wave,
+    )
+    arm = -RADIUS * math.pi / 2 * np.sin(motion.spindle.angle(time))
+    own = 0.049 * time + 2e-3 * math.pi / 2 * np.cos(motion.spindle.angle(time) + 0.3)
+    np.testing.assert_allclose(series.slope(), arm + own, atol=1e-6)

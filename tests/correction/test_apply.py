@@ -24,6 +24,7 @@ from counterspin.calibration.result_parts import (
     Correlation,
     Inputs,
     Jackknife,
+    Knowledge,
     Provenance,
     Residual,
     RunResult,
@@ -93,6 +94,30 @@ def folder(tmp_path, monkeypatch):
 def written(text, name="data.csv"):
     Path(name).write_text(text, encoding="utf-8")
     return name
+
+
+# --- what nothing states --------------------------------------------------------------------
+
+
+def unstated(symbol, u):
+    return Knowledge(name=f"Qx.{symbol}", kind="unstated", unit=TERMS[symbol].unit, value=0.0, u=u)
+
+
+def test_what_nothing_states_is_in_u_where_its_force_is_known():
+    rows = [unstated("K_4", 1e-9), unstated("K_OO", 2e-6), unstated("K_IP", 2e-6)]
+    found = result().model_copy(update={"rests_on": rows})
+    taken = apply(found, "Qx", np.array([10.0]))
+    assert taken.corrected == pytest.approx(apply(result(), "Qx", np.array([10.0])).corrected)
+    # 1e-9 of the force's fourth power, over the slope of the model, which is K_I but for 1e-3.
+    of_fourth = 1e-9 * taken.corrected[0] ** 4
+    assert taken.u == pytest.approx([of_fourth], rel=5e-3)
+    (said,) = (w for w in taken.warnings if "nothing states" in w)
+    assert "K_OO, K_IP" in said
+    across = apply(found, "Qx", np.array([10.0]), ApplyOptions(output_axis="3 g"))
+    assert across.u == pytest.approx([math.hypot(of_fourth, 2e-6 * 9.0)], rel=5e-3)
+    (said,) = (w for w in across.warnings if "nothing states" in w)
+    assert "K_IP" in said
+    assert "K_OO" not in said
 
 
 # --- the page -------------------------------------------------------------------------------

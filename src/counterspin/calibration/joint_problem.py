@@ -7,13 +7,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from counterspin.calibration.observed import ObservedRun
-from counterspin.campaign.resolved import Accelerometer, Campaign, Run
+from counterspin.campaign.resolved import Campaign
 from counterspin.inference.joint.estimation import NoiseRequest
-from counterspin.inference.joint.series import Series, jitter_of
+from counterspin.inference.joint.series import Series
 from counterspin.physics import observation
 
 
@@ -24,35 +25,32 @@ def series_of(campaign: Campaign, observed: Sequence[ObservedRun]) -> tuple[Seri
         for name, signal in run.signals.items():
             keep = np.isfinite(signal.error)
             accelerometer = signal.accelerometer
-            series.append(
-                Series(
-                    accelerometer=name,
-                    run=run.run.name,
-                    trajectory=run.trajectory,
-                    mounting=accelerometer.mounting,
-                    observable=accelerometer.observable,
-                    attitude=run.run.attitude,
-                    time=run.record.time[keep],
-                    spread=run.record.time_sd[keep],
-                    count=run.record.count[keep].astype(float),
-                    spacing=run.record.report.step,
-                    error=signal.error[keep],
-                    in_g=accelerometer.channel.unit.endswith("g"),
-                    jitter=_jitter(campaign, run.run, accelerometer),
-                    angle_error=run.rotation.error if run.rotation else None,
-                    by_latitude=None if signal.by_latitude is None else signal.by_latitude[keep],
-                )
+            one = Series(
+                accelerometer=name,
+                run=run.run.name,
+                trajectory=run.trajectory,
+                mounting=accelerometer.mounting,
+                observable=accelerometer.observable,
+                attitude=run.run.attitude,
+                time=run.record.time[keep],
+                spread=run.record.time_sd[keep],
+                count=run.record.count[keep].astype(float),
+                spacing=run.record.report.step,
+                error=signal.error[keep],
+                in_g=accelerometer.channel.unit.endswith("g"),
+                angle_error=run.rotation.error if run.rotation else None,
+                by_latitude=None if signal.by_latitude is None else signal.by_latitude[keep],
             )
+            series.append(_jittered(one, campaign.noise.timing if campaign.noise else 0.0))
     return tuple(series)
 
 
-def _jitter(campaign: Campaign, run: Run, accelerometer: Accelerometer) -> float:
-    """Return what noise of the time stamps adds to each sample, if its size is stated."""
-    timing = campaign.noise.timing if campaign.noise else 0.0
-    order = observation.ORDERS[accelerometer.observable]
-    known = timing if isinstance(timing, float) else 0.0
-    axis = accelerometer.mounting.turned(run.attitude).input_axis
-    return jitter_of(known, campaign.radius.value, run.rate, order, axis)
+def _jittered(series: Series, timing: float | str) -> Series:
+    """Return a series with what noise of its time stamps adds, if the size of that is stated, s."""
+    if not isinstance(timing, float) or timing == 0.0:
+        return series
+    moved = timing * series.slope()
+    return replace(series, moved=moved, jitter=float(np.sqrt(np.mean(moved**2))))
 
 
 def noise_of(campaign: Campaign) -> dict[str, NoiseRequest]:

@@ -152,7 +152,8 @@ def apply(
     if accelerometer in options.others:
         raise CampaignError(_SOURCE, [f"`others`: {accelerometer} is the one to be corrected"])
     factor = _factor(options.unit, result.inputs.gravity)
-    instruments = [instrument_of(result, name, placed=bool(options.others)) for name in indications]
+    whole, lost = _with_unstated(result, options)
+    instruments = [instrument_of(whole, name, placed=bool(options.others)) for name in indications]
     judged = judge_result(result)
     if (refused := refusal(judged, indications)) is not None:
         raise RecordError(refused)
@@ -189,12 +190,47 @@ def apply(
                 for name, own, column in zip(indications, applied, columns, strict=True)
                 for warning in (
                     *_left_out(name, own),
+                    *_not_carried(name, lost.get(name, ())),
                     *_contradictory(name, own),
                     *_stretched(result, name, column),
                 )
             ),
         ),
     )
+
+
+def _with_unstated(
+    result: Result, options: ApplyOptions
+) -> tuple[Result, dict[str, tuple[str, ...]]]:
+    """Return a result that knows its unstated terms, and of each accelerometer which it cannot.
+
+    What nothing states is taken as it was for the result: ideal, with its typical size. A product
+    with the force along another axis counts where that is given.
+    """
+    given = {"I", "|I|"}
+    given |= {"P"} if options.pendulous is not None else set()
+    given |= {"O"} if options.output_axis is not None else set()
+    accelerometers, lost = dict(result.accelerometers), dict[str, tuple[str, ...]]()
+    for row in result.rests_on:
+        name, _, symbol = row.name.partition(".")
+        if row.kind != "unstated" or name not in accelerometers or symbol not in TERMS:
+            continue
+        if set(TERMS[symbol].effect.factors) <= given:
+            own = accelerometers[name]
+            c = Coefficient(value=row.value, u=row.u, unit=row.unit, estimated=False)
+            accelerometers[name] = own.model_copy(update={"known": {**own.known, symbol: c}})
+        else:
+            lost[name] = (*lost.get(name, ()), symbol)
+    return result.model_copy(update={"accelerometers": accelerometers}), lost
+
+
+def _not_carried(name: str, symbols: Sequence[str]) -> list[str]:
+    if not symbols:
+        return []
+    return [
+        f"{name}: nothing states {', '.join(symbols)}, and the force along the other axes is not "
+        "given (`pendulous`, `output_axis`): they are no part of u."
+    ]
 
 
 def _accepted(result: Result) -> list[str]:
