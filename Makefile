@@ -81,8 +81,9 @@ fuzz: $(READY) ## Read changed files of every format, and kill what writes; docs
 alarms: $(READY) ## Make the table of how often good campaigns are blamed again (ten minutes)
 	$(BIN)/python docs/false_alarms.py
 
-coverage: $(READY) ## Make the table of how often intervals cover again (half an hour)
+coverage: $(READY) ## Make the tables of how often intervals cover again (half an hour)
 	$(BIN)/python docs/coverage.py
+	$(BIN)/python docs/varied.py
 
 pictures: $(READY) ## Make the pictures and examples of the documentation again
 	$(BIN)/python docs/pictures.py

@@ -16,7 +16,8 @@ import numpy as np
 from scipy.special import ndtri, stdtr, stdtrit
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.joint_problem import model_of, noise_of, series_of
+from counterspin.calibration.joint_problem import noise_of, series_of
+from counterspin.calibration.model import model_of
 from counterspin.calibration.observed import observe
 from counterspin.campaign.description import read_campaign
 from counterspin.campaign.resolved import Campaign
@@ -71,6 +72,7 @@ class Case:
 {_lines(self.stated)}
 [model]
 terms = [{", ".join(f'"{symbol}"' for symbol in symbols)}]
+assume = "all"
 {runs()}
 [simulation]
 sampling_rate = "8 Hz"

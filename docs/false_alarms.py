@@ -67,6 +67,7 @@ K_II = "{k_ii} g/g^2"
 {white + self.walk if self.stated else ""}
 [model]
 terms = ["K_F", "K_I", "K_II", "platform.tilt"]
+assume = "all"
 
 [model.priors]
 "platform.tilt" = "0 ± {_TILT} arcsec"

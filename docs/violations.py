@@ -2,11 +2,10 @@
 
 Each row of the table in violations.md is one campaign: records are simulated in a world that
 differs from the description in one thing, at a realistic size, and are calibrated by the
-description, with the default model. The same campaign without it is the measure. Nothing is
-linearised.
+description twice: with everything assumed to be perfect that it does not state, and with nothing
+assumed. The same campaign without it is the measure. Nothing is linearised.
 """
 
-import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +13,6 @@ from pathlib import Path
 from typing import Final
 
 from counterspin.calibration.calibrate import calibrate
-from counterspin.calibration.pages.verdict import verdict_sentence
 from counterspin.calibration.result import Result
 from counterspin.campaign.simulation import simulate
 from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, term
@@ -67,6 +65,9 @@ ripple = [{{ harmonic = 1, ratio = 5e-7, phase = "30 deg" }}]
 """
 
 
+#: What takes everything as perfect that a description does not state.
+ASSUMING: Final = {"[noise]\n": '[model]\nassume = "all"\n\n[noise]\n'}
+
 #: Temperatures of the runs in a world in which it becomes warmer.
 WARMING: Final = {
     f'record = "run{run}.csv"': f'record = "run{run}.csv"\ntemperature = "{kelvin} degC"'
@@ -92,7 +93,7 @@ class Violation:
     truth
         Lines of [truth].
     symbol
-        What names it in a result.
+        Of the term or input.
     changes
         By how much it changes coefficients themselves, which is no error.
     """
@@ -121,7 +122,17 @@ def replaced(text: str, pieces: Mapping[str, str]) -> str:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of the table: shifts by coefficient in u, the state, and what is said."""
+    """One line of the table.
+
+    Attributes
+    ----------
+    name, size, observable
+        What violates what, and what is recorded.
+    shifts, state, codes
+        With everything assumed to be perfect: shifts by coefficient in u, and what is said.
+    weighed, said_weighed
+        With nothing assumed: shifts likewise, and the codes of what is found.
+    """
 
     name: str
     size: str
@@ -129,12 +140,18 @@ class Row:
     shifts: dict[str, float]
     state: str
     codes: list[str]
-    named: bool
+    weighed: dict[str, float]
+    said_weighed: list[str]
 
     @property
     def silent(self) -> bool:
-        """Whether a coefficient moves by more than 3 u, and nothing says so."""
-        return not self.codes and not self.named and self.largest > SILENT_UP_TO
+        """Whether with nothing assumed a coefficient moves by more than 3 u and nothing is said."""
+        return not self.said_weighed and self.held > SILENT_UP_TO
+
+    @property
+    def held(self) -> float:
+        """By how many of its u the coefficient moves most that moves with nothing assumed."""
+        return max(map(abs, self.weighed.values()), default=0.0)
 
     @property
     def most_moved(self) -> str:
@@ -149,22 +166,21 @@ class Row:
     @property
     def said(self) -> str:
         """What the result says of it."""
-        said = ["named"] if self.named and self.largest > 1.0 else []
-        if self.codes:
-            said.append(f"{self.state} ({', '.join(self.codes)})")
-        return ", ".join(said) or "nothing said"
+        return f"{self.state} ({', '.join(self.codes)})" if self.codes else "nothing said"
 
     @property
     def cell(self) -> str:
         """The row in a few words."""
-        if self.largest < SHOWN_FROM:
+        held = f"{_rounded(self.held)} u" if self.held >= SHOWN_FROM else f"< {SHOWN_FROM} u"
+        held = ", ".join([held, *self.said_weighed])
+        if max(self.largest, self.held) < SHOWN_FROM and not self.said_weighed:
             return self.said if self.codes else "-"
         moved = [
             f"{symbol} {_rounded(abs(self.shifts[symbol]))} u"
             for symbol in dict.fromkeys(("K_II", self.most_moved))
             if abs(self.shifts[symbol]) >= SHOWN_FROM
         ]
-        return f"{', '.join(moved)}: {self.said}"
+        return f"{': '.join([*([', '.join(moved)] if moved else []), self.said])}; {held}"
 
 
 def _rounded(size: float) -> str:
@@ -173,7 +189,7 @@ def _rounded(size: float) -> str:
 
 
 def of_table() -> list[Violation]:
-    """Return one violation for each term that the default model leaves out, at typical size."""
+    """Return one violation for each term that is not asked for, at its typical size."""
     rows = []
     for symbol in [*OWN_TERMS, *SHARED_TERMS]:
         if symbol in ("K_F", "K_I", "K_II", "K_III"):
@@ -250,22 +266,30 @@ def of_inputs() -> list[Violation]:
     ]
 
 
-def calibrated(stated: str, world: str) -> Result:
-    """Return the calibration of a world's records by what is stated."""
+def calibrated(stated: str, world: str) -> tuple[Result, Result]:
+    """Return calibrations of a world's records: all assumed that is not stated, and nothing."""
     with tempfile.TemporaryDirectory() as folder:
         campaign = Path(folder) / "world.toml"
         campaign.write_text(world, encoding="utf-8")
         simulate(campaign, folder, overwrite=True)
-        (Path(folder) / "campaign.toml").write_text(stated, encoding="utf-8")
-        return calibrate(folder)
+        results = []
+        for text in (replaced(stated, ASSUMING), stated):
+            (Path(folder) / "campaign.toml").write_text(text, encoding="utf-8")
+            results.append(calibrate(folder))
+    return results[0], results[1]
 
 
-def _names(sentence: str, symbol: str) -> bool:
-    """Return whether a sentence names a term, and not one whose name only begins so."""
-    return re.search(rf"(?<![\w.]){re.escape(symbol)}(?![\w]|\.\w)", sentence) is not None
+def _shifts(violation: Violation, clean: Result, result: Result) -> dict[str, float]:
+    """Return by how many of its u each coefficient moves that is determined."""
+    one, other = (r.accelerometers["Qx"].coefficients for r in (clean, result))
+    return {
+        symbol: (c.value - one[symbol].value - violation.changes.get(symbol, 0.0)) / c.u
+        for symbol, c in other.items()
+        if c.estimated and one[symbol].estimated and c.u  # else it is what was stated
+    }
 
 
-def row_of(violation: Violation, observable: str, clean: Result, size: Size) -> Row:
+def row_of(violation: Violation, observable: str, clean: tuple[Result, Result], size: Size) -> Row:
     """Return what a violation does.
 
     Parameters
@@ -275,25 +299,20 @@ def row_of(violation: Violation, observable: str, clean: Result, size: Size) -> 
     observable
         What is recorded.
     clean
-        The result without it.
+        The results without it.
     size
         Of the campaign.
     """
-    result = calibrated(*violation.of(description(observable, size)))
-    one, other = (r.accelerometers["Qx"] for r in (clean, result))
+    assuming, weighing = calibrated(*violation.of(description(observable, size)))
     return Row(
         name=violation.name,
         size=violation.size,
         observable=observable,
-        shifts={
-            symbol: (c.value - one.coefficients[symbol].value - violation.changes.get(symbol, 0.0))
-            / c.u
-            for symbol, c in other.coefficients.items()
-            if c.estimated and c.u  # else it is what was stated
-        },
-        state=str(result.state),
-        codes=sorted({finding.code for finding in result.findings}),
-        named=_names(verdict_sentence("Qx", other), violation.symbol),
+        shifts=_shifts(violation, clean[0], assuming),
+        state=str(assuming.state),
+        codes=sorted({finding.code for finding in assuming.findings}),
+        weighed=_shifts(violation, clean[1], weighing),
+        said_weighed=sorted({finding.code for finding in weighing.findings}),
     )
 
 
@@ -324,7 +343,7 @@ def main() -> None:
     TABLE.keep(table)
     for row in table:
         if row.silent:
-            print(f"silent: {row.name} ({row.observable}): {row.most_moved} {row.largest:.2g} u")
+            print(f"silent: {row.name} ({row.observable}): {row.held:.2g} u")
 
 
 if __name__ == "__main__":

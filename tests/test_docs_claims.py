@@ -15,24 +15,23 @@ from prose import ROOT, agrees, sentences, told, value_of
 import counterspin as cs
 from counterspin.calibration import (
     assembly,
-    attitude_findings,
     findings,
     result_parts,
     two_stage_findings,
 )
-from counterspin.calibration.diagnosis import record_counts, search
+from counterspin.calibration.diagnosis import attitude_findings, credible, record_counts, search
 from counterspin.campaign import conditions, resolved
 from counterspin.certificates import build
 from counterspin.comparisons import rerun
 from counterspin.inference import conformity, diagnostics, identifiability, reading_tests
 from counterspin.inference.distributions import normal_cdf
-from counterspin.inference.joint import encoder, mistakes, outliers
+from counterspin.inference.joint import condensed, encoder, mistakes, outliers
 from counterspin.inference.noise import unseen_noise, variance_components, wander
 from counterspin.physics import angle_error
 from counterspin.physics.accelerometer import QX
 from counterspin.physics.motion import EARTH_RATE
 from counterspin.physics.observation import columns, parabola
-from counterspin.physics.terms import CONDITION_TERMS, DEGREE_PER_HOUR, SHARED_TERMS, TERMS
+from counterspin.physics.terms import CONDITION_TERMS, DEGREE_PER_HOUR, INPUTS, SHARED_TERMS, TERMS
 from counterspin.records import pieces, reduction, spikes
 from counterspin.reproduction import plan as paper
 from counterspin.studies import surrogate
@@ -42,6 +41,7 @@ from counterspin.validation.validate import check
 from kept_table import RATES
 
 ARCSEC = math.radians(1.0 / 3600.0)
+ENCODER = SHARED_TERMS["encoder.harmonic.1.sin"].typical
 ALARMS = 100.0 * diagnostics.FALSE_ALARMS
 CAUSES = 100.0 * search._FALSE_ALARMS
 PLAN = (2.5, 9.8)  #: radius and gravity of the paper's plan
@@ -85,10 +85,19 @@ NUMBERS = [
     ("methods", "| above {} | an unknown", [encoder._ESTIMATED_NORM_SQUARED]),
     (
         "methods",
-        "| {} to {} | considered |",
+        "| {} to {} | held |",
         [encoder._CONSIDERED_NORM_SQUARED, encoder._ESTIMATED_NORM_SQUARED],
     ),
     ("methods", "| below {} | left out", [encoder._CONSIDERED_NORM_SQUARED]),
+    ("methods", "further than {} typical sizes from nothing", [credible._TYPICAL_SIZES]),
+    ("result", "further than {} of its typical sizes", [credible._TYPICAL_SIZES]),
+    ("methods", "above {} of the noise of one row", [condensed._LEAST_EFFECT]),
+    ("methods", "with the typical {} ug/g^2 of navigation grade", [1e6 * TERMS["K_OO"].typical]),
+    ("methods", "in u at what is stated of them, or at {} arcsec", [ENCODER / ARCSEC]),
+    ("trust", "in u, at {} arcsec each", [ENCODER / ARCSEC]),
+    ("campaign", "Without `clock` its error is 0 ± {}, that", [INPUTS["records.clock"].typical]),
+    ("physics", "A free quartz is off by {} ppm", [1e6 * INPUTS["records.clock"].typical]),
+    ("physics", "are {} ppm of K_I in specific force", [2e6 * INPUTS["records.clock"].typical]),
     ("methods", "in log-likelihood reaches {}, which", [variance_components.KEEPING_GAIN]),
     (
         "methods",
@@ -229,6 +238,19 @@ def test_a_number_that_is_not_so_would_be_found():
         told("README", "no such words, {}")
 
 
+def test_weighing_is_better_than_holding():
+    example = ROOT / "docs" / "examples" / "three-rate" / "campaign.toml"
+    known = cs.read_campaign(example).change(
+        accelerometers=["Qx"], assume="all", priors={"platform.tilt": "0 ± 0.5 arcsec"}
+    )
+    named = told("methods", "tilts that repeat to {} arcsec and all else perfect")
+    assert named == ["0.5"]
+    numbers = told("methods", "u(K_II) = {} g/g^2 where the tilts are held, and {} g/g^2 where")
+    for number, held in zip(numbers, ([*known.model.considered], ["K_IP"]), strict=True):
+        found = cs.forecast(known.change(hold=held)).u["Qx.K_II"]
+        assert agrees(number, found)
+
+
 def test_roughly():
     (times,) = told("physics", "at π/2 rad/s {} times what an equal `zx` adds")
     k_yy = 0.5 * PLAN[0] * 0.5 * math.pi
@@ -267,6 +289,8 @@ def test_what_no_record_of_displacement_gives_away(violations):
         row = violations[name, "displacement"]
         assert moved(row) > 100
         assert (row["state"], row["codes"]) == ("good", [])
+    (held,) = told("violations", "a K_OO of its typical size moves K_II by {} u")
+    assert agrees(held, abs(violations["K_OO", "displacement"]["weighed"]["K_II"]))
     assert violations["delta_O", "displacement"]["codes"] == ["prior-conflict"]
     for name in ("platform.drift.north", "platform.g2_sensitivity.north"):
         assert violations[name, "displacement"]["codes"] == ["term-missing"]
@@ -275,11 +299,12 @@ def test_what_no_record_of_displacement_gives_away(violations):
 def test_where_encoder_and_imbalance_matter(violations):
     rows = {k: row for k, row in violations.items() if k[0].startswith(("encoder", "centrifuge.i"))}
     assert len(rows) == 3 * (8 + 4)
+    (most,) = told("violations", "move nothing by more than {} u in displacement and velocity")
     for (_, observable), row in rows.items():
         if observable == "specific_force":
             assert row["codes"] or moved(row) < 0.1
         else:
-            assert moved(row) < 1.0
+            assert moved(row) < value_of(most)
     # methods.md, of 1e-7 of the rate, and physics.md
     arcsec = abs(violations["encoder.harmonic.1.sin", "specific_force"]["shifts"]["K_II"])
     ripple, times = told(
@@ -293,7 +318,7 @@ def test_where_encoder_and_imbalance_matter(violations):
 
 def test_the_campaign_of_the_violations_is_the_one_that_is_described():
     study = runpy.run_path(str(ROOT / "docs" / "violations.py"))
-    limits = told("violations", "the shift is below {} u."), told("violations", "by {} of its u")
+    limits = told("violations", "None beyond {} u goes"), told("violations", "by {} of its u")
     (most,), (least,) = limits
     assert agrees(most, study["SILENT_UP_TO"])
     assert agrees(least, study["SHOWN_FROM"])

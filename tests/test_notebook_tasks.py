@@ -119,6 +119,7 @@ def test_models_are_compared(campaign):
     assert [c.subject for c in compared.changes] == [
         "terms of Qx",
         "terms of Qy",
+        "assumed",  # what is not asked for here is taken as perfect
         "campaign.toml",
     ]
 

@@ -76,7 +76,7 @@ def _is_estimated(method: AccelerometerResult, symbol: str) -> bool:
 
 def _cell(method: AccelerometerResult, symbol: str, considered: bool) -> str:
     if symbol not in method.coefficients:
-        return "considered" if considered else "-"
+        return "held" if considered else "-"
     coefficient = method.coefficients[symbol]
     if not coefficient.estimated:
         return "known beforehand" if coefficient.value is not None else "not determined"

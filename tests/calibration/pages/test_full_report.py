@@ -45,6 +45,14 @@ def test_the_answer_comes_first_in_both_units():
     )
 
 
+@pytest.mark.parametrize(("dof", "shown"), [(999.0, True), (1000.0, False), (9.7e8, False)])
+def test_so_many_degrees_of_freedom_that_nothing_changes_are_not_shown(dof, shown):
+    found = result()
+    coefficients = found.accelerometers["Qx"].coefficients
+    coefficients["K_II"] = coefficients["K_II"].model_copy(update={"dof": dof})
+    assert (" dof)" in document(found)[1].text) is shown
+
+
 def test_chapters_in_order():
     headings = [b.text for b in document(result()) if isinstance(b, Heading) and b.level == 2]
     wanted = ["Is it good?", "Accelerometer Qx", "Platform", "Runs", "Model"]

@@ -36,6 +36,9 @@ from counterspin.reports.numbers import (
     format_number,
 )
 
+#: From so many degrees of freedom on an interval is that of a normal distribution within 0.2 %.
+_MANY_DOF: Final = 1e3
+
 #: Titles of what a fit is judged by; other keys are their own.
 _TESTS: Final = {
     "chi2": "chi-square",
@@ -144,7 +147,8 @@ def _answer_line(
     if u > 0.0:
         half = expanded_uncertainty(u, coefficient.dof)
         interval = format_interval(value, u, half, unit if in_g else "")
-        dof = f", {format_count(coefficient.dof)} dof" if coefficient.dof is not None else ""
+        few = coefficient.dof is not None and coefficient.dof < _MANY_DOF
+        dof = f", {format_count(coefficient.dof or 0.0)} dof" if few else ""
         text += f"   (95 %: {interval}{dof})"
     return Paragraph(text, "reserved" if state == "reservations" else "answer")
 

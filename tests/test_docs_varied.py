@@ -1,0 +1,60 @@
+"""Intervals hold in good campaigns of any kind, as the page on trust says."""
+
+import runpy
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+DOCS = Path(__file__).parents[1] / "docs"
+STUDY = runpy.run_path(str(DOCS / "varied.py"))
+TABLE, KINDS = STUDY["TABLE"], STUDY["KINDS"]
+KEPT = TABLE.load() if TABLE.file.exists() else []
+
+#: Binomial and Gaussian standard deviations that a count, or an rms, may be off by.
+ALLOWED = 3.5
+
+kept = pytest.mark.skipif(not KEPT, reason="docs/varied.json is not made yet: make coverage")
+
+
+@kept
+def test_the_page_shows_what_was_found():
+    page = TABLE.page.read_text("utf-8")
+    assert TABLE.insert(KEPT, page) == page
+
+
+@kept
+def test_every_kind_is_in_the_table_with_as_many_campaigns_as_are_told():
+    assert [row.words for row in KEPT] == [*KINDS]
+    assert sum(row.campaigns for row in KEPT) == 300
+    assert "300 random good campaigns" in TABLE.page.read_text("utf-8")
+
+
+@kept
+def test_intervals_cover():
+    for row in KEPT:
+        # Two accelerometers of a campaign share its machine: each campaign counts once.
+        within = ALLOWED * np.sqrt(0.05 * 0.95 / row.campaigns)
+        assert row.covered > 0.95 - within, row.words
+
+
+@kept
+def test_u_is_not_too_small():
+    for row in KEPT:
+        for symbol, size in row.z_rms.items():
+            count = min(row.values[symbol], row.campaigns)
+            assert size < 1.0 + ALLOWED / np.sqrt(2.0 * count), (row.words, symbol)
+
+
+@pytest.mark.parametrize("unstated", KINDS.values(), ids=KINDS)
+def test_a_campaign_is_drawn_tried_and_found(unstated):
+    drawn = STUDY["draw"](np.random.default_rng(STUDY["FIRST"]), unstated=unstated)
+    assert ('assume = "all"' in drawn.described) is not unstated
+    assert "truth" not in drawn.described
+    assert all(set(STUDY["TERMS"]) <= set(own) for own in drawn.truth.values())
+    assert any(set(own) > set(STUDY["TERMS"]) for own in drawn.truth.values()) is unstated
+    row = STUDY["row_of"]("few", unstated=unstated, trials=2)
+    assert row.campaigns == 2
+    for symbol, size in row.z_rms.items():
+        # Of four normal variables at most: beyond 5 once in 1e6.
+        assert size < 5.0, symbol
