@@ -16,16 +16,17 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import Final
 
+from counterspin.arrays import Array
 from counterspin.campaign.conditions import conditions_of, origin_of
 from counterspin.campaign.error_model import EVERYTHING
 from counterspin.campaign.machine import symbols_shown
 from counterspin.campaign.quantity import Quantity
-from counterspin.campaign.resolved import Campaign
-from counterspin.campaign.terms import acts
+from counterspin.campaign.resolved import Accelerometer, Campaign
+from counterspin.campaign.terms import acts, shows
 from counterspin.inference.joint.inputs import CLOCK, TIMING
 from counterspin.inference.joint.unknowns import ROTATION, Considered, Unknown, Unknowns
 from counterspin.inference.least_squares import NO_PRIOR
-from counterspin.physics.effects import Product, Slope
+from counterspin.physics.effects import PathError, Product, Slope, Turn
 from counterspin.physics.terms import OWN_TERMS, SHARED_TERMS, Term, term
 
 #: Largest credible errors of a rotation that nobody recorded: rad, rad/s, 1/s.
@@ -173,7 +174,7 @@ def _acts(campaign: Campaign, row: Term[Product | Slope]) -> bool:
 
 def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str, str]]:
     """Yield owner and symbol of the terms that records of these accelerometers show."""
-    mountings = [campaign.accelerometers[name].mounting for name in names]
+    accelerometers = [campaign.accelerometers[name] for name in names]
     attitudes = {run.attitude.tobytes(): run.attitude for run in campaign.runs}
     wanted = {*campaign.model.terms, *campaign.model.considered}
     for symbol, row in SHARED_TERMS.items():
@@ -182,13 +183,18 @@ def _of_platform(campaign: Campaign, names: Sequence[str]) -> Iterator[tuple[str
         acting = {
             key
             for key, attitude in attitudes.items()
-            if any(acts(row, mounting, attitude) for mounting in mountings)
+            if any(_reaches(row, one, attitude) for one in accelerometers)
         }
         reached = [
             run for run in campaign.runs if symbol in wanted or run.attitude.tobytes() in acting
         ]
         for run in reached if row.per_run else reached[:1]:
             yield (run.name if row.per_run else ""), symbol
+
+
+def _reaches(row: Term[Turn | PathError], one: Accelerometer, attitude: Array) -> bool:
+    reaches = acts if one.observable == "displacement" else shows
+    return reaches(row, one.mounting, attitude)
 
 
 def _squares(campaign: Campaign, others: Sequence[Unknown]) -> Iterator[Unknown]:

@@ -87,6 +87,19 @@ def acts(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bo
     return _leaves_a_mean(effect, input_axis, attitude, None)
 
 
+def shows(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bool:
+    """Return whether a shared term shows in an accelerometer's output at all, in waves as well.
+
+    In displacement these are nothing beside what `acts` leaves; in velocity and specific force they
+    stand where K_II does. Parameters as of `acts`.
+    """
+    if not isinstance(row.effect, Turn):
+        return acts(row, mounting, attitude)
+    axis = np.eye(3)[row.effect.axis] if row.effect.kind == "tilt" else attitude[row.effect.axis]
+    turned = np.cross(axis, mounting.turned(attitude).input_axis)
+    return float(np.linalg.norm(turned)) > _ROUNDING
+
+
 def _leans(turn: Turn, input_axis: Array, attitude: Array) -> bool:
     """Return whether gravity leaks into the input axis as the platform turns by a term."""
     axis = np.eye(3)[turn.axis] if turn.kind == "tilt" else attitude[turn.axis]

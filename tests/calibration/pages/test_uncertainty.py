@@ -41,7 +41,7 @@ def test_the_largest_unstated_source_is_named_with_what_would_be_left():
     told = dominance(resting(2e-6).accelerometers["Qx"])
     # Known to a tenth of its typical size, K_OO leaves hypot(0.2, 0.1) ug/g^2.
     assert told == (
-        "100 % of u(K_II)^2 is K_OO, which nothing states (typical 2 ug/g^2): stated or measured "
+        "100 % of u^2 of K_II is K_OO, which nothing states (typical 2 ug/g^2): stated or measured "
         "to 0.2 ug/g^2, it would leave u = 0.22 ug/g^2."
     )
 

@@ -102,8 +102,8 @@ def dominance(accelerometer: Answered, symbol: str = "K_II") -> str:
     left = format_uncertainty(math.sqrt(max(square, 0.0)) * factor)
     size, known = _size(largest, 1.0), _size(largest, _KNOWN_BETTER)
     return (
-        f"{format_share(largest.share)} of u({symbol})^2 is {largest.source}, which nothing states "
-        f"(typical {size}): stated or measured to {known}, it would leave u = {left} {unit}."
+        f"{format_share(largest.share)} of u^2 of {symbol} is {largest.source}, which nothing "
+        f"states (typical {size}): stated or measured to {known}, it would leave u = {left} {unit}."
     )
 
 
