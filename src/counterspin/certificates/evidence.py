@@ -75,6 +75,8 @@ def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source
     lacking = unsupported(assumed, evidence)
     if not lacking:
         return
+    # What several begin with stands for all of them.
+    lacking = list(dict.fromkeys(".".join(name.split(".")[:2]) for name in lacking))
     lines = " ".join(f'"{name}" = "..."' for name in lacking)
     problem = (
         f"evidence: the result takes {', '.join(lacking)} as perfect, so that its u holds nothing "
