@@ -68,6 +68,7 @@ def input_column(
     scale_factor: float,
     known: Mapping[str, float],
     table: Mapping[str, Array],
+    base: Array | None = None,
 ) -> Array:
     """Return d(recorded output)/d(input) at the estimate, by a forward difference, shape (n,).
 
@@ -83,8 +84,10 @@ def input_column(
         Values of the unknowns that the series sees, less nominal.
     table
         Their columns.
+    base
+        The series' reference, where it is at hand.
     """
-    base = series.reference()
+    base = series.reference() if base is None else base
     symbols = list(known)
     errors = np.array([known[symbol] for symbol in symbols])
     before = np.column_stack([table[s] for s in symbols] or [np.empty((base.size, 0))]) @ errors

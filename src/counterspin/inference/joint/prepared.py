@@ -174,7 +174,8 @@ def _prepare(
     own = {"K_I": scale_factor - 1.0} | {s: v for s, v in known.items() if s in TERMS}
     table |= dict(zip(encoded, encoder.columns(series, encoded, own).T, strict=True))
     shown_terms = {s: table[s] for s in known}
-    table |= {s: input_column(series, s, scale_factor, known, shown_terms) for s in inputs}
+    base = series.reference() if inputs else None
+    table |= {s: input_column(series, s, scale_factor, known, shown_terms, base) for s in inputs}
     return Prepared(
         series,
         scale_factor,

@@ -217,7 +217,7 @@ def resolve(
     _check_rates(series, model, {DRIFT, RIPPLE} if request.ripple == "amplitude" else {DRIFT})
     noise = {series[0].accelerometer: NoiseModel(parabolas[0].sigma, request.random_walk or 0.0)}
 
-    def solved(prepared: Sequence[Prepared]) -> JointFit:
+    def solved(prepared: Sequence[Prepared], model: Unknowns) -> JointFit:
         blocks = tuple(
             curvature_row(part, parabola, model)
             for part, parabola in zip(prepared, parabolas, strict=True)
@@ -235,13 +235,14 @@ def resolve(
             solution = replace(unweighted, information=solution.information)
         return JointFit(model, solution, tuple(prepared), blocks, noise)
 
-    def columns(fit: JointFit | None) -> Sequence[Prepared]:
+    def columns(fit: JointFit | None, model: Unknowns) -> Sequence[Prepared]:
         if request.model == "as-printed":
             return [printed_columns(record, model, request.ripple, fit) for record in series]
         return exact_columns(series, model, fit)
 
-    # Some columns depend on the estimate: twice.
-    fit = solved(columns(solved(columns(None))))
+    # Some columns depend on the estimate: twice, and those of inputs the second time alone.
+    first = model.without_inputs()
+    fit = solved(columns(solved(columns(None, first), first), model), model)
     return SecondStage(fit, tuple(parabolas), _effective_dof(fit, parabolas), request.weighted)
 
 
