@@ -11,7 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 from pydantic import field_serializer
 
@@ -23,9 +23,6 @@ from counterspin.reports.shown import ShownResult
 from counterspin.results import ResultPart
 from counterspin.workers import ALONE, Workers, worker_pool
 
-if TYPE_CHECKING:
-    from counterspin.reports.text import Report
-
 
 class FailedCampaign(ResultPart):
     """Why a campaign has no result."""
@@ -36,6 +33,7 @@ class FailedCampaign(ResultPart):
 class BatchResult(ShownResult):
     """What became of each campaign, by its folder as it was named."""
 
+    FACE: ClassVar[str] = "counterspin.calibration.pages.batch:render_batch"
     KIND: ClassVar[str] = "batch"
 
     campaigns: dict[str, Result | FailedCampaign]
@@ -69,11 +67,6 @@ class BatchResult(ShownResult):
             and outcome.state == "contradicted"
             and outcome.accepted_misfit is None
         ]
-
-    def _report(self) -> Report:
-        from counterspin.calibration.pages.batch import render_batch
-
-        return render_batch(self)
 
 
 def calibrate_many(

@@ -38,11 +38,16 @@ from counterspin.campaign.resolved import Accelerometer
 from counterspin.errors import CounterspinError
 from counterspin.physics.observation import ORDERS
 from counterspin.physics.terms import TERMS
-from counterspin.reports.shown import ShownResult, on_axes
+from counterspin.reports.shown import ShownResult, loaded, on_axes
 
 if TYPE_CHECKING:
     from counterspin.calibration.notebook.residuals import ReadingResiduals, RunResiduals
     from counterspin.reports.blocks import Block, Picture
+
+#: Where its pictures are made, and its whole residuals.
+_PICTURES: Final = "counterspin.calibration.pages.pictures"
+_PACKAGES: Final = "counterspin.calibration.notebook.packages"
+_RESIDUALS: Final = "counterspin.calibration.notebook.residuals"
 
 #: Why a result has no whole residuals: its file holds what the pictures need, and no more.
 _NO_RESIDUALS = (
@@ -195,27 +200,22 @@ class Result(ShownResult):
 
     def table(self, library: str = "polars") -> Any:
         """Return the coefficients as a frame; see `counterspin.calibration.notebook.tables`."""
-        from counterspin.calibration.notebook.tables import frame
-
-        return frame(self, library)
+        return loaded("counterspin.calibration.notebook.tables:frame")(self, library)
 
     def to_latex(self) -> str:
         """Return the coefficients as a LaTeX ``tabular``."""
-        from counterspin.calibration.notebook.tables import latex_table
-
-        return latex_table(self)
+        made: str = loaded("counterspin.calibration.notebook.tables:latex_table")(self)
+        return made
 
     def to_uncertainties(self) -> dict[str, Any]:
         """Return the coefficients for the package uncertainties, with their correlations."""
-        from counterspin.calibration.notebook.packages import to_uncertainties
-
-        return to_uncertainties(self)
+        made: dict[str, Any] = loaded(f"{_PACKAGES}:to_uncertainties")(self)
+        return made
 
     def to_gtc(self) -> dict[str, Any]:
         """Return the coefficients for the package GTC, with their correlations."""
-        from counterspin.calibration.notebook.packages import to_gtc
-
-        return to_gtc(self)
+        made: dict[str, Any] = loaded(f"{_PACKAGES}:to_gtc")(self)
+        return made
 
     def residuals(
         self, accelerometer: str | None = None, run: str | None = None
@@ -234,43 +234,40 @@ class Result(ShownResult):
         KeyError
             If there are none of that name.
         """
-        from counterspin.calibration.notebook.residuals import choose, of_readings
-
         if self.runs and not self._residuals:
             raise CounterspinError(_NO_RESIDUALS)
-        return choose([*self._residuals, *of_readings(self)], accelerometer, run)
+        of_readings = loaded(f"{_RESIDUALS}:of_readings")(self.accelerometers)
+        chosen: list[RunResiduals | ReadingResiduals]
+        chosen = loaded(f"{_RESIDUALS}:choose")(
+            [*self._residuals, *of_readings], accelerometer, run
+        )
+        return chosen
 
     def plot_residuals(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the residuals over time, a picture a run; `axes` as for `reports.shown.on_axes`."""
-        from counterspin.calibration.pages.pictures import residuals_over_time
-
-        name = self._name(accelerometer)
-        shown = residuals_over_time(name, self.accelerometers[name], self.runs)
-        return self._drawn([*shown], axes)
+        return self._pictures("residuals_over_time", accelerometer, axes)
 
     def plot_spectrum(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw the spectrum of the whitened residuals."""
-        from counterspin.calibration.pages.pictures import residual_spectra
-
-        name = self._name(accelerometer)
-        shown = residual_spectra(name, self.accelerometers[name], self.runs)
-        return self._drawn([*shown], axes)
+        return self._pictures("residual_spectra", accelerometer, axes)
 
     def plot_budget(
         self, accelerometer: str | None = None, coefficient: str = "K_II", *, axes: Any = None
     ) -> list[Any]:
         """Draw what the uncertainty of a coefficient consists of."""
-        from counterspin.calibration.pages.pictures import budget_bars
-
         name = self._name(accelerometer)
-        bars = budget_bars(name, self.accelerometers[name], coefficient)
+        bars = loaded(f"{_PICTURES}:budget_bars")(name, self.accelerometers[name], coefficient)
         return self._drawn([] if bars is None else [bars], axes)
 
     def plot_displacement(self, accelerometer: str | None = None, *, axes: Any = None) -> list[Any]:
         """Draw what was recorded less the reference, and the fit, a picture a run."""
-        from counterspin.calibration.notebook.residuals import displacement_pictures
+        residuals = self.residuals(self._name(accelerometer))
+        return self._drawn(loaded(f"{_RESIDUALS}:displacement_pictures")(residuals), axes)
 
-        return self._drawn(displacement_pictures(self.residuals(self._name(accelerometer))), axes)
+    def _pictures(self, which: str, accelerometer: str | None, axes: Any) -> list[Any]:
+        name = self._name(accelerometer)
+        shown = loaded(f"{_PICTURES}:{which}")(name, self.accelerometers[name], self.runs)
+        return self._drawn([*shown], axes)
 
     def _name(self, accelerometer: str | None) -> str:
         """Return the accelerometer meant: the first one where none is named."""
@@ -286,16 +283,14 @@ class Result(ShownResult):
 
     def __repr__(self) -> str:
         """Return state, coefficients and the gravest finding, at most 20 lines."""
-        from counterspin.calibration.notebook.tables import brief
-
-        return brief(self)
+        made: str = loaded("counterspin.calibration.notebook.tables:brief")(self)
+        return made
 
     __str__ = __repr__
 
     def _first_screen(self) -> Sequence[Block]:
-        from counterspin.calibration.pages.sections import first_screen
-
-        return first_screen(self)
+        made: Sequence[Block] = loaded("counterspin.calibration.pages.sections:first_screen")(self)
+        return made
 
     def faults(self) -> Iterator[str]:
         """Yield what would be applied or shown wrongly, though each part looks like one."""

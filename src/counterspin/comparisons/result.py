@@ -13,15 +13,12 @@ Values are in the units of the coefficients, in g-units of the first result's gr
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Final, Literal
+from typing import Any, ClassVar, Final, Literal
 
 from counterspin.inference.diagnostics import SIGNIFICANCE
 from counterspin.reports.numbers import field_unit
-from counterspin.reports.shown import ShownResult
+from counterspin.reports.shown import ShownResult, loaded
 from counterspin.results import ResultPart
-
-if TYPE_CHECKING:
-    from counterspin.reports.text import Report
 
 
 class ComparedResult(ResultPart):
@@ -154,6 +151,7 @@ class Compared(ShownResult):
         What is not the same: files, terms, noise, options, versions.
     """
 
+    FACE: ClassVar[str] = "counterspin.comparisons.page:render_comparison"
     KIND: ClassVar[str] = "comparison"
 
     gravity: float
@@ -202,14 +200,7 @@ class Compared(ShownResult):
 
     def write_report(self, path: Path | str, *, overwrite: bool = False) -> None:
         """Write the comparison as .html, .pdf or .md; see `counterspin.comparisons.page`."""
-        from counterspin.comparisons.page import write_report
-
-        write_report(self, path, overwrite=overwrite)
-
-    def _report(self) -> Report:
-        from counterspin.comparisons.page import render_comparison
-
-        return render_comparison(self)
+        loaded("counterspin.comparisons.page:write_report")(self, path, overwrite=overwrite)
 
 
 class RepeatedCoefficient(ResultPart):
@@ -262,6 +253,7 @@ class Repeated(ShownResult):
         Inputs that were found under another name: name in the result -> where.
     """
 
+    FACE: ClassVar[str] = "counterspin.comparisons.rerun_page:render_repeat"
     KIND: ClassVar[str] = "repeat of a result"
 
     result: str
@@ -274,8 +266,3 @@ class Repeated(ShownResult):
     state_now: str | None
     changes: list[Change]
     moved: dict[str, str] = {}
-
-    def _report(self) -> Report:
-        from counterspin.comparisons.rerun_page import render_repeat
-
-        return render_repeat(self)

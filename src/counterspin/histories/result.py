@@ -10,13 +10,10 @@ Values are in the unit of the term, in g-units of one gravity, which is stated.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
-from counterspin.reports.shown import ShownResult, on_axes
+from counterspin.reports.shown import ShownResult, loaded, on_axes
 from counterspin.results import ResultPart
-
-if TYPE_CHECKING:
-    from counterspin.reports.text import Report
 
 #: Whether the results of an instrument agree.
 Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
@@ -242,6 +239,7 @@ class History(ShownResult):
         Further remarks about the files, in sentences.
     """
 
+    FACE: ClassVar[str] = "counterspin.histories.page:render_history"
     KIND: ClassVar[str] = "history"
 
     term: str
@@ -256,11 +254,4 @@ class History(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw the control chart of each instrument."""
-        from counterspin.histories.page import history_plots
-
-        return on_axes(list(history_plots(self)), axes)
-
-    def _report(self) -> Report:
-        from counterspin.histories.page import render_history
-
-        return render_history(self)
+        return on_axes(list(loaded("counterspin.histories.page:history_plots")(self)), axes)

@@ -9,13 +9,10 @@ SI units, coefficients in g-units.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from counterspin.reports.shown import ShownResult
 from counterspin.results import ResultPart
-
-if TYPE_CHECKING:
-    from counterspin.reports.text import Report
 
 
 class ResidualState(ResultPart):
@@ -135,6 +132,7 @@ class WatchState(ShownResult):
         Whether every run is read and as long as the campaign states.
     """
 
+    FACE: ClassVar[str] = "counterspin.monitoring.page:render_watch"
     KIND: ClassVar[str] = "watch"
 
     title: str
@@ -149,11 +147,6 @@ class WatchState(ShownResult):
     def met(self) -> bool:
         """Whether there are goals, and all of them are met."""
         return bool(self.goals) and all(goal.met for goal in self.goals)
-
-    def _report(self) -> Report:
-        from counterspin.monitoring.page import render_watch
-
-        return render_watch(self)
 
 
 class CheckedRun(ShownResult):
@@ -177,6 +170,7 @@ class CheckedRun(ShownResult):
         Why that cannot be said; None if it can.
     """
 
+    FACE: ClassVar[str] = "counterspin.monitoring.page:render_check"
     KIND: ClassVar[str] = "check"
 
     run: RunState
@@ -186,8 +180,3 @@ class CheckedRun(ShownResult):
     reached: list[ReachedCoefficient]
     expected: list[ReachedCoefficient]
     why_not: str | None = None
-
-    def _report(self) -> Report:
-        from counterspin.monitoring.page import render_check
-
-        return render_check(self)

@@ -7,14 +7,11 @@ Units are SI, coefficients in g-units of the stated gravity, as in the result of
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
 from counterspin.calibration.result_parts import BudgetLine, ConfoundedTerms, Provenance
-from counterspin.reports.shown import ShownResult, on_axes
+from counterspin.reports.shown import ShownResult, loaded, on_axes
 from counterspin.results import ResultPart
-
-if TYPE_CHECKING:
-    from counterspin.reports.text import Report
 
 
 class PlannedRun(ResultPart):
@@ -179,6 +176,7 @@ class PlanResult(ShownResult):
     `assumed` are the terms and inputs that are taken as perfect, and so no part of u.
     """
 
+    FACE: ClassVar[str] = "counterspin.planning.page:render_plan"
     KIND: ClassVar[str] = "plan's result"
 
     title: str
@@ -203,11 +201,4 @@ class PlanResult(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw what limits the plan; `plan` makes the curves with `curves=True`."""
-        from counterspin.planning.figures import plan_plots
-
-        return on_axes(list(plan_plots(self)), axes)
-
-    def _report(self) -> Report:
-        from counterspin.planning.page import render_plan
-
-        return render_plan(self)
+        return on_axes(list(loaded("counterspin.planning.figures:plan_plots")(self)), axes)

@@ -1,14 +1,16 @@
 """Results that show themselves where they are the last line of a notebook's cell, or printed.
 
 - `ShownResult`: a result with a short text, HTML and Markdown
+- `loaded`: what draws a result, by its name
 - `on_axes`: pictures on Matplotlib's axes, the caller's or new ones
 """
 
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Final, cast
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, ClassVar, Final, cast
 
 from counterspin.reports.blocks import Block, Picture
 from counterspin.reports.typography import typeset_block
@@ -23,11 +25,25 @@ LINES: Final = 20
 _WIDTH: Final = 100
 
 
+def loaded(face: str) -> Callable[..., Any]:
+    """Return a function by ``package.module:name``, loaded when it is asked for.
+
+    What draws a result imports the result, and not the other way: a result only names it.
+    """
+    module, _, name = face.partition(":")
+    function: Callable[..., Any] = getattr(import_module(module), name)
+    return function
+
+
 class ShownResult(ResultFile):
-    """A result that shows itself: a class of it says by what blocks, in `_report`."""
+    """A result that shows itself: a class of it names what makes its report."""
+
+    #: ``package.module:name`` of the function that makes a report of it.
+    FACE: ClassVar[str]
 
     def _report(self) -> Report:
-        raise NotImplementedError
+        report: Report = loaded(self.FACE)(self)
+        return report
 
     def _first_screen(self) -> Sequence[Block]:
         """Return the blocks that a cell shows."""

@@ -5,15 +5,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from pydantic import ConfigDict, Field
 from pydantic.dataclasses import dataclass
 
 from counterspin.reports.shown import ShownResult
-
-if TYPE_CHECKING:
-    from counterspin.reports.text import Report
 
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", populate_by_name=True))
@@ -76,6 +73,7 @@ class Reproduction(ShownResult):
         The rows, grouped in the order of the paper.
     """
 
+    FACE: ClassVar[str] = "counterspin.reproduction.page:render_reproduction"
     KIND: ClassVar[str] = "reproduction"
 
     inputs: dict[str, Any]
@@ -89,8 +87,3 @@ class Reproduction(ShownResult):
     def __getitem__(self, key: str) -> Row:
         """Return the row with this key; KeyError if there is none."""
         return {row.key: row for row in self.rows}[key]
-
-    def _report(self) -> Report:
-        from counterspin.reproduction.page import render_reproduction
-
-        return render_reproduction(self)

@@ -10,15 +10,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, Final
+from typing import Any, ClassVar, Final
 
-from counterspin.reports.shown import ShownResult, on_axes
+from counterspin.reports.shown import ShownResult, loaded, on_axes
 from counterspin.results import ResultPart
 from counterspin.studies.engine import Reported
 from counterspin.studies.tally import LEVELS, Summary
-
-if TYPE_CHECKING:
-    from counterspin.reports.text import Report
 
 #: A coverage of 95 % intervals between these is as good as it gets in practice.
 _GOOD_COVERAGE: Final = (0.94, 0.96)
@@ -127,6 +124,7 @@ class StudyResult(ShownResult):
         ``version`` of the program.
     """
 
+    FACE: ClassVar[str] = "counterspin.studies.page:render_study"
     KIND: ClassVar[str] = "study's result"
 
     title: str
@@ -142,14 +140,7 @@ class StudyResult(ShownResult):
 
     def plot(self, *, axes: Any = None) -> list[Any]:
         """Draw how each coefficient's error over its u is distributed."""
-        from counterspin.studies.page import z_plots
-
-        return on_axes(list(z_plots(self)), axes)
-
-    def _report(self) -> Report:
-        from counterspin.studies.page import render_study
-
-        return render_study(self)
+        return on_axes(list(loaded("counterspin.studies.page:z_plots")(self)), axes)
 
 
 def coefficient_result(

@@ -6,13 +6,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, Literal
+from typing import ClassVar, Literal
 
 from counterspin.reports.shown import ShownResult
 from counterspin.results import ResultPart
-
-if TYPE_CHECKING:
-    from counterspin.reports.text import Report
 
 
 class Installation(ResultPart):
@@ -97,6 +94,7 @@ class Dossier(ShownResult):
         What no case says anything about, in sentences.
     """
 
+    FACE: ClassVar[str] = "counterspin.validation.page:render_dossier"
     KIND: ClassVar[str] = "validation dossier"
 
     passed: bool
@@ -108,8 +106,3 @@ class Dossier(ShownResult):
     def failed(self) -> list[str]:
         """Names of the cases that failed."""
         return [case.name for case in self.cases if case.state == "failed"]
-
-    def _report(self) -> Report:
-        from counterspin.validation.page import render_dossier
-
-        return render_dossier(self)

@@ -8,7 +8,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,7 +19,7 @@ from counterspin.frozen import frozen
 if TYPE_CHECKING:
     import polars as pl
 
-    from counterspin.calibration.result import Result
+    from counterspin.calibration.result_parts import AccelerometerResult
     from counterspin.inference.joint.fit import JointFit
     from counterspin.reports.blocks import Picture
 
@@ -108,10 +108,12 @@ class ReadingResiduals:
         return f"<residuals of {self.accelerometer}, {self.run}: {len(self.names)} readings in g>"
 
 
-def of_readings(result: Result) -> list[ReadingResiduals]:
+def of_readings(
+    accelerometers: Mapping[str, AccelerometerResult],
+) -> list[ReadingResiduals]:
     """Return the residuals of every accelerometer's readings, by motion."""
     found = []
-    for name, accelerometer in result.accelerometers.items():
+    for name, accelerometer in accelerometers.items():
         for motion in dict.fromkeys(reading.motion for reading in accelerometer.readings):
             own = [reading for reading in accelerometer.readings if reading.motion == motion]
             value, residual, u = (
