@@ -1,7 +1,4 @@
-"""`counterspin` and `python -m counterspin`: a process that runs one command and is over.
-
-- `run`: sets what holds for the process as a whole, then runs the command line
-"""
+"""`counterspin` and `python -m counterspin`: a process that runs one command and is over."""
 
 import sys
 

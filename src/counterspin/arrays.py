@@ -1,13 +1,4 @@
-"""The one array type, working arrays, and triangular factors of tall matrices.
-
-- `Array`: floats
-- `aligned`: an array whose rows begin where a cache line does
-- `triangle_of`: R of a QR factorisation
-- `in_parts`: fewer rows that have the same R
-- `triangular_root`: of a covariance that is known by a factor
-- `semidefinite_root`: of a covariance that is known by its elements
-- `SIGMA_OF_MAD`: from a median absolute deviation to a standard deviation
-"""
+"""The one array type, working arrays, and triangular factors of tall matrices."""
 
 from __future__ import annotations
 
@@ -77,10 +68,7 @@ def semidefinite_root(covariance: Array) -> Array:
     parts that do not fit, taking them away makes no variance smaller. Rows and columns are scaled
     to unit variance first, so that coefficients of any unit keep their digits.
 
-    Parameters
-    ----------
-    covariance
-        Symmetric, shape (p, p).
+    covariance: Symmetric, shape (p, p).
     """
     diagonal = np.diagonal(covariance)
     scale = np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))

@@ -3,11 +3,6 @@
 Every error that counterspin raises on purpose is a `CounterspinError`. The command line prints
 its message as one short paragraph and ends with `exit_status`; Python users catch the class.
 
-- `CampaignError`: the campaign file or the command's words are wrong (exit status 2)
-- `RecordError`: a record cannot be used as it is (exit status 1); `DamagedFileError` is one
-- `NotIdentifiableError`: the data cannot determine what is asked (exit status 1)
-- `ConvergenceError`: an iteration did not settle (exit status 1)
-
 What a user should know though the work goes on is a `CounterspinWarning`; the command line prints
 it. `installing` says how a part is had that not everybody installs.
 """
@@ -44,11 +39,6 @@ def installing(extra: str) -> str:
     No index has counterspin, so its name alone installs nothing: whoever has it has a clone or a
     wheel, and pip takes the extra behind the path of either. A clone cannot be installed without
     a network, since what builds it is fetched; its wheel can.
-
-    Parameters
-    ----------
-    extra
-        As in ``pyproject.toml``: ``excel``.
     """
     wheel = f"counterspin-{__version__}-py3-none-any.whl[{extra}]"
     return (

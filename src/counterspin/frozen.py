@@ -1,7 +1,5 @@
 """Dataclasses whose objects cannot be changed, as every room uses them.
 
-- `frozen`: makes a class one of them
-
 `dataclasses.dataclass(frozen=True)` compiles six methods for each class while the package is
 loaded; for all classes of a calibration together that took longer than its fit. Here a class gets
 one of its own, `__init__`; the others are shared. `dataclasses.replace`, `fields` and the like work
@@ -26,18 +24,8 @@ def frozen(*, eq: bool) -> Callable[[Kind], Kind]: ...
 def frozen(cls: Any = None, /, *, eq: bool = True) -> Any:
     """Make a class a dataclass whose attributes are set once, by `__init__`.
 
-    Parameters
-    ----------
-    cls
-        The class.
-    eq
-        Whether two objects with equal attributes are equal, and have one hash. False where an
+    eq: Whether two objects with equal attributes are equal, and have one hash. False where an
         attribute is an array, which has no single truth: then an object equals itself alone.
-
-    Raises
-    ------
-    dataclasses.FrozenInstanceError
-        By the class's objects, if an attribute is set again or deleted.
     """
     if cls is None:
         return lambda it: frozen(it) if eq else _frozen(it, {})

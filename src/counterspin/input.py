@@ -1,10 +1,4 @@
-"""Files that are read: ordinary files, under the very name that is given.
-
-- `open_file`: a file opened for reading, or OSError if it is a folder, a pipe or a device;
-  `require_file`: the same of what is open already
-- `read_file`: the bytes of a small file; `looks_like`: what they are, for whoever wanted others
-- `FileIdentity`: tells whether what was read twice was the same
-"""
+"""Files that are read: ordinary files, under the very name that is given."""
 
 from __future__ import annotations
 
@@ -62,14 +56,7 @@ class FileIdentity:
 
 
 def open_file(path: Path) -> FileIO:
-    """Open an ordinary file to read its bytes, unbuffered.
-
-    Raises
-    ------
-    OSError
-        If it cannot be opened, or is no file: a folder, a pipe, a socket or a device, whose
-        reading may never end. The reason in `strerror` completes "cannot be read: ...".
-    """
+    """Open an ordinary file to read its bytes, unbuffered."""
     try:
         require_file(path, path.stat().st_mode)
     except ValueError as error:
@@ -98,13 +85,7 @@ def read_file(path: Path, most: int = DOCUMENT_BYTES) -> bytes:
 
 
 def looks_like(content: bytes) -> str:
-    """Return what a file seems to be, for a message; empty text where nothing tells.
-
-    Parameters
-    ----------
-    content
-        Its bytes, or the first of them.
-    """
+    """Return what a file seems to be, for a message; empty text where nothing tells."""
     text = content[:1000].removeprefix(b"\xef\xbb\xbf").lstrip()
     if not text:
         return "an empty file"

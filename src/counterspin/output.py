@@ -1,14 +1,4 @@
-"""Files that appear whole or not at all, and take no other file's place.
-
-- `FileKind`: what a command writes, and how its own work is known again
-- `reserve`: refuse to write where a file would be lost
-- `mark`, `marked`: what a file says of its kind, and the kind of files that say it; `holds`: a test
-  of files for some bytes
-- `write_whole`: one file
-- `write_text`: one file of text; `write_open`: one that is opened first
-- `begin`, `finish`: the same in two steps, for what arrives in pieces
-- `make_folder`: where they go
-"""
+"""Files that appear whole or not at all, and take no other file's place."""
 
 from __future__ import annotations
 
@@ -31,18 +21,10 @@ _MARK: Final = re.compile(rb"Made by counterspin: ([a-z ]+)\.")
 
 @frozen
 class FileKind:
-    """A kind of file that a command writes.
+    """A kind of file that a command writes."""
 
-    Attributes
-    ----------
-    words
-        What a message calls it, with its article.
-    recognises
-        Whether a file is of this kind.
-    """
-
-    words: str
-    recognises: Callable[[Path], bool]
+    words: str  #: What a message calls it, with its article.
+    recognises: Callable[[Path], bool]  #: Whether a file is of this kind.
 
 
 def reserve(
@@ -54,19 +36,9 @@ def reserve(
     input, campaign, record or other command's result can be lost to a slip. A device or a pipe
     is no file, and takes what comes.
 
-    Parameters
-    ----------
-    path
-        The output.
-    kind
-        Returns what it will be; not called if nothing is there. None: who asks knows what is there.
-    overwrite
-        Whether an earlier one of the same kind may be replaced.
-
-    Raises
-    ------
-    CounterspinError
-        If a file is in the way, or there is no such folder.
+    kind: Returns what it will be; not called if nothing is there. None: who asks knows what is
+        there.
+    overwrite: Whether an earlier one of the same kind may be replaced.
     """
     place = _place(path)
     try:
@@ -98,13 +70,7 @@ def reserve(
 
 
 def mark(words: str) -> str:
-    """Return what a file of a kind says of itself, to stand where its format has such remarks.
-
-    Parameters
-    ----------
-    words
-        The kind with its article, in small letters of ASCII and blanks.
-    """
+    """Return what a file of a kind says of itself, to stand where its format has such remarks."""
     return f"Made by counterspin: {words}."
 
 
@@ -156,19 +122,7 @@ def write_whole(
     A link keeps standing, and what it leads to is replaced; a device or a pipe such as
     ``/dev/stdout`` is written to.
 
-    Parameters
-    ----------
-    path
-        Where the file is to be; its folder must exist.
-    write
-        Writes the file under the name it is given, which has the same ending.
-    kind, overwrite
-        As of `reserve`: what may be replaced, also if it came while this was written.
-
-    Raises
-    ------
-    CounterspinError
-        If a file is in the way, or it cannot be written; nothing is left behind then.
+    kind, overwrite: As of `reserve`: what may be replaced, also if it came while this was written.
     """
     reserve(path, kind, overwrite=overwrite)
     place = _place(path)
@@ -221,22 +175,7 @@ def finish(
     *,
     overwrite: bool = False,
 ) -> None:
-    """Give a finished file its name: in one step, so that no other writer's file is lost.
-
-    Parameters
-    ----------
-    part
-        The file, in the folder of its place; it is gone afterwards.
-    path, kind, overwrite
-        As of `write_whole`.
-
-    Raises
-    ------
-    CounterspinError
-        If a file is in the way.
-    OSError
-        If the system refuses.
-    """
+    """Give a finished file its name: in one step, so that no other writer's file is lost."""
     place = _place(path)
     while True:
         try:

@@ -1,9 +1,4 @@
-"""What every command's result is made of, and how it is written and read: one way for all.
-
-- `ResultPart`: a part of a result; it cannot be changed, and no key goes unnoticed
-- `ResultFile`: a whole result: its JSON, the file, reading it back
-- `environment`: what computes a result beside counterspin
-"""
+"""What every command's result is made of, and how it is written and read: one way for all."""
 
 from __future__ import annotations
 
@@ -117,17 +112,7 @@ class ResultFile(ResultPart):
     def write(self, path: Path | str, *, overwrite: bool = False) -> None:
         """Write the JSON file, whole or not at all.
 
-        Parameters
-        ----------
-        path
-            Where.
-        overwrite
-            Whether an earlier result of the same kind may be replaced; nothing else is.
-
-        Raises
-        ------
-        CounterspinError
-            If a file is in the way, or it cannot be written.
+        overwrite: Whether an earlier result of the same kind may be replaced; nothing else is.
         """
         write_text(Path(path), self.to_json(), self.file_kind, overwrite=overwrite)
 
@@ -148,13 +133,7 @@ class ResultFile(ResultPart):
 
     @classmethod
     def read(cls, path: Path | str) -> Self:
-        """Read a file that `write` has written, now or in an earlier version.
-
-        Raises
-        ------
-        RecordError
-            If the file is missing, damaged, of a newer schema or of another kind.
-        """
+        """Read a file that `write` has written, now or in an earlier version."""
         path = Path(path)
         wanted = f"give the JSON file of a {cls.KIND}"
         content = b""

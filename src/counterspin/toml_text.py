@@ -1,7 +1,4 @@
-"""A document as TOML text, for the campaigns that a plan or a simulation writes.
-
-- `write_document`: nested tables of text, numbers and lists -> TOML that reads back the same
-"""
+"""A document as TOML text, for the campaigns that a plan or a simulation writes."""
 
 from __future__ import annotations
 
@@ -14,16 +11,7 @@ _BARE_KEY = re.compile(r"[A-Za-z0-9_-]+")
 
 
 def write_document(document: Mapping[str, Any], comments: Mapping[str, str] | None = None) -> str:
-    """Return a document as TOML.
-
-    Parameters
-    ----------
-    document
-        Tables of text, numbers, truth values, lists and tables. Lists of tables at the top level
-        become arrays of tables; other tables inside lists are written in line.
-    comments
-        Top-level key -> a line that is written before it.
-    """
+    """Return a document as TOML."""
     lines: list[str] = []
     plain = {key: value for key, value in document.items() if not _is_section(value)}
     lines += [f"{_key(key)} = {_value(value)}" for key, value in plain.items()]

@@ -7,10 +7,6 @@ Only the units of `UNITS` are known, in products, quotients and powers (``g/Hz^0
 Three things are dimensions of their own. Angle is one, so that a rotation rate is not confused
 with a relative drift in 1/s. The site's gravity g is one, so that coefficients stay in g-units.
 Where the site's gravity is given, m/s^2 and g convert into each other.
-
-- `UNITS`, `BASES`: every unit, and the dimensions; `ADVICE`, `advice`: which to write for what
-- `unit_factor`: the factor from one unit to another; `check_unit`: a unit alone; `same_unit`:
-  whether two are one; `base_unit`: a unit as a factor and powers of the base units
 """
 
 from __future__ import annotations
@@ -114,20 +110,9 @@ _FACTOR = re.compile(
 def unit_factor(unit: str, wanted: str, *, gravity: float | None = None) -> float:
     """Return the factor by which a number in `unit` is multiplied to be in `wanted`.
 
-    Parameters
-    ----------
-    unit
-        A unit as written, such as ``deg/h/g``.
-    wanted
-        The unit that the number shall have, such as ``rad/s/g``.
-    gravity
-        The site's gravity in m/s^2, for conversions between g and m/s^2.
-
-    Raises
-    ------
-    ValueError
-        If `unit` is unknown, not a unit, of another dimension, or Hz where no frequency is
-        wanted: 1 Hz of rotation may mean 1 rev/s or 1 rad/s.
+    unit: A unit as written, such as ``deg/h/g``.
+    wanted: The unit that the number shall have, such as ``rad/s/g``.
+    gravity: The site's gravity in m/s^2, for conversions between g and m/s^2.
     """
     kind, accepted = advice(wanted)
     written = _plain(unit)
@@ -180,12 +165,7 @@ def check_unit(unit: str) -> str:
 def same_unit(unit: str, other: str, *, gravity: float | None = None) -> bool:
     """Return whether two units are one, however they are written.
 
-    Parameters
-    ----------
-    unit, other
-        As written.
-    gravity
-        The site's gravity in m/s^2, for g and m/s^2.
+    gravity: The site's gravity in m/s^2, for g and m/s^2.
     """
     try:
         return math.isclose(unit_factor(unit, check_unit(other), gravity=gravity), 1.0)
@@ -194,13 +174,7 @@ def same_unit(unit: str, other: str, *, gravity: float | None = None) -> bool:
 
 
 def base_unit(unit: str) -> tuple[float, Mapping[str, float]]:
-    """Return a unit's factor to the base units of `BASES`, and their powers.
-
-    Raises
-    ------
-    ValueError
-        If it is no unit.
-    """
+    """Return a unit's factor to the base units of `BASES`, and their powers."""
     return _evaluate(check_unit(unit))
 
 

@@ -1,11 +1,4 @@
-"""Work shared out: to processes of this machine, or to the workers of a Dask cluster.
-
-- `SPAWNING`: what starts every process of multiprocessing
-- `Workers`: how many, or which cluster's
-- `WorkerPool`: takes tasks
-- `worker_pool`: starts processes, or reaches a cluster
-- `one_blas_thread`: keeps linear algebra to one thread, within which it is fastest here
-"""
+"""Work shared out: to processes of this machine, or to the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -191,20 +184,11 @@ def usable_cores() -> int:
 
 @dataclass
 class WorkerPool:
-    """Workers that take tasks.
+    """Workers that take tasks."""
 
-    Attributes
-    ----------
-    executor
-        Takes tasks.
-    died
-        What a task whose worker died raises.
-    count
-        Returns how many workers there are now; those of a cluster come and go.
-    """
-
-    executor: Executor
-    died: tuple[type[BaseException], ...]
+    executor: Executor  #: Takes tasks.
+    died: tuple[type[BaseException], ...]  #: What a task whose worker died raises.
+    #: Returns how many workers there are now; those of a cluster come and go.
     count: Callable[[], int]
     _seen: tuple[float, int] = field(default=(-1e9, 1), init=False)
 
@@ -222,17 +206,7 @@ class WorkerPool:
 def worker_pool(workers: Workers, module: str) -> Iterator[WorkerPool]:
     """Yield workers, which end with the context.
 
-    Parameters
-    ----------
-    workers
-        How many, or which cluster's.
-    module
-        Module of the tasks. Processes load it at once, while the caller goes on.
-
-    Raises
-    ------
-    CounterspinError
-        If the cluster cannot be reached or is lost, or its workers cannot load the tasks.
+    workers: How many, or which cluster's.
     """
     if workers.cluster is not None:
         with _on_cluster(workers.cluster) as pool:

@@ -1,10 +1,4 @@
-"""The campaigns of the folder, with their state.
-
-- `folder_overview`: all of them in a line each, and the folder's results
-- `campaign_overview`: one of them: its description, mistakes, runs and results
-- `begin_calibration`: a job that calibrates one
-- `begin_campaign`: an example to start from
-"""
+"""The campaigns of the folder, with their state."""
 
 from __future__ import annotations
 
@@ -237,14 +231,8 @@ def begin_calibration(
 ) -> dict[str, Any]:
     """Begin to calibrate a campaign; return the job.
 
-    Parameters
-    ----------
-    name
-        The campaign's folder.
-    output
-        Name of the result's file in it.
-    method, accept_misfit
-        As for `counterspin.calibration.calibrate.calibrate`.
+    name: The campaign's folder.
+    output: Name of the result's file in it.
     """
     path = desk.description(name)
     desk.campaign(name)

@@ -1,9 +1,4 @@
-"""Certificates and reports from the page, and files to be saved elsewhere.
-
-- `begin_certificate`: issues one
-- `report_of`: a result's report
-- `taken_file`: a file that was made, to be saved elsewhere
-"""
+"""Certificates and reports from the page, and files to be saved elsewhere."""
 
 from __future__ import annotations
 
@@ -23,15 +18,7 @@ _WRITTEN_SUFFIXES: Final = (".html", ".json", ".md", ".pdf", ".svg", ".toml", ".
 
 
 def begin_certificate(desk: Desk, result: str, lab: str, output: str) -> dict[str, Any]:
-    """Issue the certificate of a result; return what it is known by, and what to check.
-
-    Parameters
-    ----------
-    result, lab
-        Their files.
-    output
-        The certificate, ``.xml`` or ``.pdf``; no file is replaced.
-    """
+    """Issue the certificate of a result; return what it is known by, and what to check."""
     files = desk.file(result), desk.file(lab), desk.folder.path(output)
     # The ledger, too.
     desk.require_inside(files[1].parent, load_document(files[1]))
@@ -47,17 +34,7 @@ def begin_certificate(desk: Desk, result: str, lab: str, output: str) -> dict[st
 
 
 def report_of(desk: Desk, result: str, kind: Literal["html", "md", "pdf"]) -> tuple[str, bytes]:
-    """Return a report's own name and what is in it; nothing is written into the folder.
-
-    Parameters
-    ----------
-    desk
-        What is served.
-    result
-        Its file.
-    kind
-        Of the report.
-    """
+    """Return a report's own name and what is in it; nothing is written into the folder."""
     from counterspin.calibration.pages.publishing import report
 
     found = desk.result(result)

@@ -3,9 +3,6 @@
 Every user of this machine can connect. So of connections without the key there are few, the oldest
 giving way to a new one; a request without the key is there within seconds or not at all, and is
 read in small parts. The page, which has the key, is answered whatever others do.
-
-- `Connection`: one of them
-- `Server`: takes a few new ones in each turn
 """
 
 from __future__ import annotations
@@ -40,12 +37,7 @@ _WAITING: Final = 1024
 class Connection(H11Protocol, asyncio.BufferedProtocol):
     """A connection, closed where what comes is no HTTP after an answer, or does not come.
 
-    Parameters
-    ----------
-    door
-        Knows the key.
-    words
-        As of uvicorn's protocols.
+    words: As of uvicorn's protocols.
     """
 
     def __init__(self, door: Door, **words: Any) -> None:

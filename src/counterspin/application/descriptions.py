@@ -1,9 +1,4 @@
-"""The description of a campaign, and the laboratory's data, as they are edited in the page.
-
-- `description`: file, form and mistakes; `lab_data`: the same of the laboratory's
-- `check_text`, `change_text`: what another text, or another value in it, would say
-- `save_text`: writes it
-"""
+"""The description of a campaign, and the laboratory's data, as they are edited in the page."""
 
 from __future__ import annotations
 
@@ -31,15 +26,7 @@ def description(desk: Desk, name: str) -> dict[str, Any]:
 
 
 def lab_data(desk: Desk, file: str, result: str) -> dict[str, Any]:
-    """Return the laboratory's data in a file, or the example where there is none yet.
-
-    Parameters
-    ----------
-    file
-        ``LAB.toml``.
-    result
-        The result that is to be certified.
-    """
+    """Return the laboratory's data in a file, or the example where there is none yet."""
     seen = desk.folder.read(file)
     text = seen.text or _example()
     told = checked_lab(text, desk.result(result)).shown()
@@ -77,13 +64,7 @@ def _checked(desk: Desk, file: str, text: str, result: str | None) -> Edited:
 
 
 def save_text(desk: Desk, file: str, text: str, seen: str, result: str | None) -> dict[str, Any]:
-    """Write a text, mistakes and all, if the file still is what its editor had seen.
-
-    Raises
-    ------
-    ChangedMeanwhileError
-        If it is not.
-    """
+    """Write a text, mistakes and all, if the file still is what its editor had seen."""
     _place(desk, file)
     told = _checked(desk, file, text, result).shown()
     return told | {"file": file, "version": desk.folder.write(file, text, seen).version}

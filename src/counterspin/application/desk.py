@@ -1,8 +1,4 @@
-"""What all requests to the application share: the folder, the jobs, and what was read before.
-
-- `Desk`
-- `Remembered`: what was made of files, until one of them changes
-"""
+"""What all requests to the application share: the folder, the jobs, and what was read before."""
 
 from __future__ import annotations
 
@@ -30,13 +26,7 @@ _MAX_REMEMBERED: Final = 300
 
 
 class Remembered:
-    """What was made of files, which takes long, until one of them changes.
-
-    Parameters
-    ----------
-    most
-        How many things are remembered.
-    """
+    """What was made of files, which takes long, until one of them changes."""
 
     def __init__(self, most: int = _MAX_REMEMBERED) -> None:
         self._most = most
@@ -44,28 +34,12 @@ class Remembered:
         self._lock = threading.Lock()
 
     def get(self, key: Any, files: Sequence[Path], make: Callable[[], T]) -> T:
-        """Return what `make` returns, or returned for these very files before.
-
-        Parameters
-        ----------
-        key
-            What is asked for.
-        files
-            What it is made of.
-        make
-            Makes it; what it raises is not remembered.
-        """
+        """Return what `make` returns, or returned for these very files before."""
         found, keep = self.find(key, files)
         return keep(make()) if found is None else found
 
     def find(self, key: Any, files: Sequence[Path]) -> tuple[Any, Callable[[T], T]]:
-        """Return what is remembered, or None, and what remembers what is made of the files.
-
-        Parameters
-        ----------
-        key, files
-            As for `get`.
-        """
+        """Return what is remembered, or None, and what remembers what is made of the files."""
         stamp = tuple(map(_identity, files))
 
         def keep(made: T) -> T:
@@ -123,17 +97,7 @@ class Desk:
         return self.file(f"{name}/{DESCRIPTION_NAME}" if name else DESCRIPTION_NAME)
 
     def campaign(self, name: str) -> Campaign:
-        """Return the campaign of a folder, none of whose files lies outside of what is served.
-
-        Raises
-        ------
-        NotThereError
-            If there is no description.
-        CampaignError
-            If it is wrong.
-        OutsideError
-            If it names a file that is not in the folder that is served.
-        """
+        """Return the campaign of a folder, none of whose files lies outside of what is served."""
         from counterspin.campaign.description import read_campaign
 
         path = self.description(name)
@@ -144,13 +108,7 @@ class Desk:
         return self.remembered.get(("campaign", path), files, lambda: read_campaign(path))
 
     def place(self, name: str) -> Path:
-        """Return where new files go, in a folder that may be there already.
-
-        Raises
-        ------
-        OutsideError
-            If the name leads out of the folder, or a link that stands there does.
-        """
+        """Return where new files go, in a folder that may be there already."""
         path = self.folder.path(name)
         if path.is_dir():
             for file in path.iterdir():
@@ -163,12 +121,7 @@ class Desk:
 
         Every text is taken for the name of a file, at whichever key it stands: none is missed.
 
-        Parameters
-        ----------
-        folder
-            In which the document stands, or will.
-        document
-            A campaign's description, a plan, the laboratory's data.
+        document: A campaign's description, a plan, the laboratory's data.
         """
         wrong = [
             f"{key}: {name!r} is not in the folder that is served, and is not used from here"

@@ -1,9 +1,4 @@
-"""Exports of a recorder that are dragged in: what is guessed of them, and the campaign they make.
-
-- `place_for`: where a file goes that is brought, an `Arrival`; `arrived`: it is all there
-- `drafted`: what its files show, and what they do not say
-- `begin_drafted`: the campaign, with what was answered
-"""
+"""Exports that are dragged in: what is guessed of them, and the campaign that they make."""
 
 from __future__ import annotations
 
@@ -26,21 +21,11 @@ _DRAFTS: Final = Remembered(2)
 
 @frozen
 class Arrival:
-    """A file that is being uploaded.
+    """A file that is being uploaded."""
 
-    Attributes
-    ----------
-    path
-        Where it goes.
-    part
-        A new file beside it that takes its bytes.
-    folders
-        Those that were made for it, the innermost first.
-    """
-
-    path: Path
-    part: Path
-    folders: tuple[Path, ...]
+    path: Path  #: Where it goes.
+    part: Path  #: A new file beside it that takes its bytes.
+    folders: tuple[Path, ...]  #: Those that were made for it, the innermost first.
 
     def end(self) -> None:
         """Remove what an incomplete upload has left."""
@@ -51,15 +36,7 @@ class Arrival:
 
 
 def place_for(desk: Desk, name: str) -> Arrival:
-    """Return the places of an uploaded file.
-
-    Raises
-    ------
-    OutsideError
-        If the name leads out of the folder, or is not that of a record.
-    CounterspinError
-        If there is such a file, or it cannot be made.
-    """
+    """Return the places of an uploaded file."""
     path = desk.folder.path(name)
     if path.suffix.lower() not in RECORD_FORMATS:
         known = ", ".join(RECORD_FORMATS)
@@ -84,13 +61,7 @@ def _draft(desk: Desk, names: Sequence[str]) -> Draft:
 
 
 def drafted(desk: Desk, names: Sequence[str]) -> dict[str, Any]:
-    """Return what files show, in sentences, and what has to be asked.
-
-    Parameters
-    ----------
-    names
-        The files, in the order of the runs.
-    """
+    """Return what files show, in sentences, and what has to be asked."""
     found = _draft(desk, names)
     return {
         "statements": list(found.statements),
@@ -101,17 +72,7 @@ def drafted(desk: Desk, names: Sequence[str]) -> dict[str, Any]:
 def begin_drafted(
     desk: Desk, folder: str, names: Sequence[str], answers: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Write the campaign that files and answers make; return its name and the command.
-
-    Parameters
-    ----------
-    folder
-        Of the campaign.
-    names
-        The files, in the order of the runs.
-    answers
-        By the questions' keys.
-    """
+    """Write the campaign that files and answers make; return its name and the command."""
     place = desk.place(folder)
     said = {key: answer for key, answer in answers.items() if answer.strip()}
     write_description(_draft(desk, names), said, place)

@@ -2,10 +2,6 @@
 
 The text is what counts: a field that is changed changes the text, comments and order of its keys
 kept (tomlkit), and what is saved is the text.
-
-- `Edited`: a text with its document and its mistakes
-- `checked_campaign`, `checked_lab`: of a text
-- `changed`: a text with another value at a key
 """
 
 from __future__ import annotations
@@ -46,24 +42,13 @@ _OF_TABLES: Final = ("accelerometers", "truth", "model", "specification", "study
 
 @frozen
 class Edited:
-    """A text, what it says, and what is wrong with it.
+    """A text, what it says, and what is wrong with it."""
 
-    Attributes
-    ----------
-    text
-        Of the file.
-    document
-        Its tables; empty where the text is not TOML.
-    problems
-        Mistakes, each as key (empty: of the whole) and words.
-    questions
-        What may well be a slip.
-    """
-
-    text: str
-    document: dict[str, Any]
+    text: str  #: Of the file.
+    document: dict[str, Any]  #: Its tables; empty where the text is not TOML.
+    #: Mistakes, each as key (empty: of the whole) and words.
     problems: tuple[tuple[str, str], ...] = ()
-    questions: tuple[str, ...] = ()
+    questions: tuple[str, ...] = ()  #: What may well be a slip.
 
     def shown(self) -> dict[str, Any]:
         """Return what the page is told."""
@@ -77,17 +62,7 @@ class Edited:
 
 
 def checked_campaign(desk: Desk, file: Path, text: str) -> Edited:
-    """Return a campaign's text with all its mistakes.
-
-    Parameters
-    ----------
-    desk
-        What is served; files that the text names elsewhere are not read.
-    file
-        Where the text stands, or will.
-    text
-        Of a ``campaign.toml``.
-    """
+    """Return a campaign's text with all its mistakes."""
     try:
         document = _document(text)
         desk.require_inside(file.parent, document)
@@ -137,22 +112,7 @@ def _split(problems: Sequence[str]) -> tuple[tuple[str, str], ...]:
 def changed(text: str, path: KeyPath, value: Any, kind: str = "") -> str:
     """Return a text with another value at a key; all else stays as it is written.
 
-    Parameters
-    ----------
-    text
-        TOML.
-    path
-        Names of tables and places in lists; the place after the last adds one.
-    value
-        The new value; None takes the key, or the list's entry, out.
-    kind
-        ``date``: the value is a date as text.
-
-    Raises
-    ------
-    CounterspinError
-        If the text is no TOML, or so written that this cannot be done; the text itself can be
-        edited then.
+    value: The new value; None takes the key, or the list's entry, out.
     """
     if not path:
         raise CounterspinError("no key is named")

@@ -1,9 +1,5 @@
 """The files of the folder that is served, and no others.
 
-- `ServedFolder`: files by their names within it, found, read and written
-- `FileVersion`: what a file held when somebody looked
-- `ChangedMeanwhileError`: somebody else has changed it since
-
 No name leads out of the folder: not by ``..``, not as an absolute name, not by a link. Hidden
 files, temporary ones among them, do not count as the folder's.
 """
@@ -67,10 +63,7 @@ class FileVersion:
 class ServedFolder:
     """The folder that is served.
 
-    Parameters
-    ----------
-    root
-        The folder; CounterspinError if it is none.
+    root: The folder; CounterspinError if it is none.
     """
 
     def __init__(self, root: Path) -> None:
@@ -83,10 +76,7 @@ class ServedFolder:
     def path(self, name: str) -> Path:
         """Return where a name leads; OutsideError if that is out of the folder.
 
-        Parameters
-        ----------
-        name
-            Relative to the folder, with slashes; empty: the folder itself.
+        name: Relative to the folder, with slashes; empty: the folder itself.
         """
         parts = PurePosixPath(name).parts
         if len(parts) > _MOST_PARTS:
@@ -109,12 +99,7 @@ class ServedFolder:
     def holds_named(self, folder: Path, name: str) -> bool:
         """Tell whether a text, taken for the name of a file beside a document, stays in the folder.
 
-        Parameters
-        ----------
-        folder
-            The document's, in the folder that is served.
-        name
-            Any text; most are no names of files, and nothing of that name is there.
+        folder: The document's, in the folder that is served.
         """
         parts = PurePath(name).parts
         if not parts:
@@ -148,15 +133,7 @@ class ServedFolder:
             yield path, sorted(name for name in files if name[0] != ".")
 
     def read(self, name: str, most: int = TEXT_BYTES) -> FileVersion:
-        """Return a file's text and version; an empty one where there is no file.
-
-        Raises
-        ------
-        OutsideError
-            If the name leads out of the folder.
-        CounterspinError
-            If it is no text, is larger than `most` bytes or cannot be read.
-        """
+        """Return a file's text and version; an empty one where there is no file."""
         path = self.path(name)
         try:
             content = read_file(path, most)
@@ -171,23 +148,7 @@ class ServedFolder:
     def write(self, name: str, text: str, seen: str) -> FileVersion:
         """Write a text, whole or not at all, if the file still is what its editor had seen.
 
-        Parameters
-        ----------
-        name
-            The file; its folder is made.
-        text
-            What it is to hold.
-        seen
-            The version that was edited; empty: there was no file.
-
-        Raises
-        ------
-        OutsideError
-            If the name leads out of the folder.
-        ChangedMeanwhileError
-            If it is another version now.
-        CounterspinError
-            If it cannot be written.
+        seen: The version that was edited; empty: there was no file.
         """
         path = self.path(name)
         try:

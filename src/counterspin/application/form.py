@@ -1,9 +1,4 @@
-"""A form's sections and fields, made of the models that check the file: no second list of keys.
-
-- `campaign_form`, `lab_form`: what the page draws
-- `SECTIONS`: which model a section of ``campaign.toml`` has
-- `run_kinds`: which of the runs are readings
-"""
+"""A form's sections and fields, made of the models that check the file: no second list of keys."""
 
 from __future__ import annotations
 

@@ -12,10 +12,6 @@ of the same machine. So nothing is answered that was not asked from the applicat
 - what a browser fetches by itself, a file to be saved, has an address that counts once;
 - what changes something says its Origin;
 - no request is larger than its limit, and a small one is the limit of who shows no key.
-
-- `Door`: the secrets of one server, and its names
-- `Tickets`: addresses that count once
-- `Guard`: refuses whatever else comes
 """
 
 from __future__ import annotations
@@ -87,17 +83,7 @@ _HEADERS: Final[Mapping[str, str]] = {
 
 
 class Door:
-    """The secrets of one server, and the names by which it is reached.
-
-    Parameters
-    ----------
-    port
-        Where it listens.
-    token, key
-        In the first link, and in what the page asks; random where they are not given.
-    tell
-        Takes each later link.
-    """
+    """The secrets of one server, and the names by which it is reached."""
 
     def __init__(
         self,

@@ -1,10 +1,4 @@
-"""What the page may ask, by name: each request's form, and what answers it.
-
-- `ENDPOINTS`: method and name -> what is asked and who answers
-- `answer`: one request; `taken`: what a ticket is for
-- `answered`: what goes wrong is an answer, too
-- `Answer`: status and content
-"""
+"""What the page may ask, by name: each request's form, and what answers it."""
 
 from __future__ import annotations
 
@@ -331,15 +325,7 @@ def _offered(name: str, content: bytes) -> Answer:
 
 
 def answer(desk: Desk, method: str, name: str, said: Mapping[str, Any] | bytes) -> Answer:
-    """Answer one request; whatever goes wrong is an answer, too.
-
-    Parameters
-    ----------
-    method, name
-        What is asked.
-    said
-        The words of a query, or the bytes of a form as JSON.
-    """
+    """Answer one request; whatever goes wrong is an answer, too."""
     if (method, name) not in ENDPOINTS:
         return Answer(404, {"error": "There is nothing of that name."})
     asked, respond = ENDPOINTS[method, name]

@@ -1,8 +1,5 @@
 """What goes on while the page is used, each job in a process of its own.
 
-- `Jobs`: begins them, one at a time, and knows what becomes of them; `Job`: one of them
-- `calibrate_into`: a calibration's
-
 A page that is loaded again finds its job; a process that is ended leaves no half result.
 """
 
@@ -31,39 +28,19 @@ JobState = Literal["waiting", "running", "done", "failed", "stopped"]
 
 @dataclass
 class Job:
-    """Work that takes longer than a moment.
+    """Work that takes longer than a moment."""
 
-    Attributes
-    ----------
-    number
-        By which it is known.
-    campaign
-        The campaign's name in the folder.
-    output
-        The result's name there, or the folder's that is filled; empty: it is only shown.
-    command
-        The same as a command.
-    kind
-        What it is.
-    state
-        Where it stands.
-    progress
-        Runs or trials that are done, and all of them.
-    error
-        Why it failed.
-    seconds
-        How long it took, or has taken so far.
-    """
-
-    number: int
-    campaign: str
+    number: int  #: By which it is known.
+    campaign: str  #: The campaign's name in the folder.
+    #: The result's name there, or the folder's that is filled; empty: it is only shown.
     output: str
-    command: str
+    command: str  #: The same as a command.
+    #: What it is.
     kind: Literal["calibration", "study", "simulation", "forecast", "plan"] = "calibration"
-    state: JobState = "waiting"
-    progress: tuple[int, int] = (0, 0)
-    error: str = ""
-    seconds: float = 0.0
+    state: JobState = "waiting"  #: Where it stands.
+    progress: tuple[int, int] = (0, 0)  #: Runs or trials that are done, and all of them.
+    error: str = ""  #: Why it failed.
+    seconds: float = 0.0  #: How long it took, or has taken so far.
     stop: threading.Event = field(default_factory=threading.Event, repr=False)
 
     @property
@@ -100,16 +77,7 @@ class Jobs:
     ) -> Job:
         """Begin a job, or return the one that is at work on the same result already.
 
-        Parameters
-        ----------
-        make
-            Makes the job of a number.
-        work
-            What its process calls, with the end of a pipe, as `tell_of` takes it, and `words`.
-        words
-            What its process is given.
-        then
-            Called here, in the server, with what the process has made; a CounterspinError is why
+        then: Called here, in the server, with what the process has made; a CounterspinError is why
             the job failed. Of a job that is stopped nothing is made.
         """
         with self._lock:
@@ -197,19 +165,7 @@ def calibrate_into(
     method: Method,
     accept_misfit: str | None,
 ) -> None:
-    """Calibrate a campaign and write its result.
-
-    Parameters
-    ----------
-    there
-        As of `tell_of`.
-    campaign
-        Its description.
-    output
-        Where the result is written; an earlier one is replaced, and nothing else.
-    method, accept_misfit
-        As for `counterspin.calibration.calibrate.calibrate`.
-    """
+    """Calibrate a campaign and write its result."""
 
     def work(progress: Progress) -> None:
         from counterspin.calibration.calibrate import calibrate

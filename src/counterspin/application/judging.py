@@ -1,8 +1,4 @@
-"""Runs judged while the centrifuge turns, as the page asks for them.
-
-- `judged`: one record, at once
-- `followed`: a campaign while its records grow
-"""
+"""Runs judged while the centrifuge turns, as the page asks for them."""
 
 from __future__ import annotations
 
@@ -36,17 +32,8 @@ def judged(desk: Desk, name: str, run: str) -> dict[str, Any]:
 def followed(desk: Desk, name: str, goal: str) -> dict[str, Any]:
     """Return the newest state of a campaign whose records grow, and the command.
 
-    Parameters
-    ----------
-    name
-        The campaign's folder.
-    goal
-        Such as ``K_II 1e-8 g/g^2``; empty: none.
-
-    Raises
-    ------
-    CampaignError
-        If the goal names no term or no uncertainty.
+    name: The campaign's folder.
+    goal: Such as ``K_II 1e-8 g/g^2``; empty: none.
     """
     campaign = desk.campaign(name)
     goals_of(campaign, [goal] if goal else [])  # a mistake is told before anything is begun

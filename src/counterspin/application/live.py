@@ -1,8 +1,4 @@
-"""Processes that are kept for as long as somebody looks at what they tell.
-
-- `LiveViews`: campaigns that are followed while their records grow, and plans that are searched
-- `follow_into`: what the process of a campaign does
-"""
+"""Processes that are kept for as long as somebody looks at what they tell."""
 
 from __future__ import annotations
 
@@ -48,17 +44,7 @@ class LiveViews:
     def look(self, campaign: Path, goal: str) -> dict[str, Any]:
         """Return the newest state of a campaign, which is followed from the first look on.
 
-        Parameters
-        ----------
-        campaign
-            Its description.
-        goal
-            Such as ``K_II 1e-8 g/g^2``; empty: none.
-
-        Returns
-        -------
-        dict
-            ``html``, ``events`` and ``complete``; or ``error``, and it is followed no longer.
+        goal: Such as ``K_II 1e-8 g/g^2``; empty: none.
         """
         nothing = {"html": "", "events": [], "complete": False}
         with self._lock:
@@ -81,22 +67,6 @@ class LiveViews:
         """Return a process's answer to a question about a file; None while it works on it.
 
         The process is begun with the first question, and kept for the next.
-
-        Parameters
-        ----------
-        file
-            The file; where it has changed, the process begins anew.
-        work
-            What the process calls with the end of a pipe, as of
-            `counterspin.application.processes.tell_of`, and the file; it is sent questions, and
-            tells each with its answer.
-        question
-            The question.
-
-        Raises
-        ------
-        CounterspinError
-            If the process fails, or too many are kept.
         """
         until = time.monotonic() + _PATIENCE
         while True:
@@ -166,15 +136,7 @@ class LiveViews:
 
 
 def follow_into(there: Connection, campaign: Path, goal: str) -> None:
-    """Follow a campaign's records, and tell each new state.
-
-    Parameters
-    ----------
-    there
-        Takes what `LiveViews.look` returns, as ``("told", state)``.
-    campaign, goal
-        As there.
-    """
+    """Follow a campaign's records, and tell each new state."""
 
     def work(_: Progress) -> None:
         from counterspin.monitoring.page import render_watch

@@ -1,9 +1,4 @@
-"""Pages of other rooms' blocks: results, comparisons, histories and plans, in words and pictures.
-
-- `page_of`: the words, with places for the pictures; `picture_of`: one of them
-- `plan_result_into`, `forecast_into`: what the processes of those do that take long
-- `Kind`: what there are pages of
-"""
+"""Pages of other rooms' blocks: results, comparisons, histories and plans."""
 
 from __future__ import annotations
 
@@ -37,22 +32,13 @@ Kind = Literal["result", "comparison", "history", "plan", "forecast", "study"]
 
 @frozen
 class Calculation:
-    """A page that takes longer than a moment, and is made of what a job tells.
+    """A page that takes longer than a moment, and is made of what a job tells."""
 
-    Attributes
-    ----------
-    kind
-        Of the job.
-    work, file
-        What its process does, and with which file; it tells a `PlanResult`.
-    command
-        That prints or writes the same.
-    """
-
-    kind: Literal["plan", "forecast"]
+    kind: Literal["plan", "forecast"]  #: Of the job.
+    #: What its process does, and with which file; it tells a `PlanResult`.
     work: Callable[..., None]
     file: Path
-    command: str
+    command: str  #: That prints or writes the same.
 
 
 @frozen(eq=False)
@@ -149,17 +135,7 @@ _MAKERS: Final[Mapping[Kind, Callable[[Desk, Sequence[str], str], Page | Calcula
 
 
 def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str, Any]:
-    """Return a page's title, its blocks as HTML, and its command; or the job that makes it.
-
-    Parameters
-    ----------
-    kind
-        Of what it is.
-    names
-        Files of results.
-    term
-        Of a history, its coefficient.
-    """
+    """Return a page's title, its blocks as HTML, and its command; or the job that makes it."""
     from counterspin.reports.html import part
 
     made = _page(desk, kind, names, term)
@@ -173,13 +149,7 @@ def page_of(desk: Desk, kind: Kind, names: Sequence[str], term: str) -> dict[str
 
 
 def picture_of(desk: Desk, kind: Kind, names: Sequence[str], term: str, place: int) -> str:
-    """Return a picture of a page as SVG, by its place among them; as `page_of`.
-
-    Raises
-    ------
-    NotThereError
-        If there are fewer, or the page is still being made.
-    """
+    """Return a picture of a page as SVG, by its place among them; as `page_of`."""
     from counterspin.reports.charts import svg
 
     made = _page(desk, kind, names, term)

@@ -1,12 +1,4 @@
-"""Plans whose limits are moved like sliders, and whose uncertainty answers at once.
-
-- `plan_overview`: the limits of a plan, each with its range; `PLAN_KEYS`: which there are
-- `tried_plan`: the best plan within other limits, in a fraction of a second
-- `begin_planned`: plans, and then writes limits into the file and the campaign into a folder
-- `search_into`, `plan_into`: what their processes do
-- `begin_plan`: an example to start from
-- `is_plan`: whether a document is a plan
-"""
+"""Plans whose limits are moved like sliders, and whose uncertainty answers at once."""
 
 from __future__ import annotations
 
@@ -53,26 +45,16 @@ _LEAST_FACTOR: Final = 1.11
 
 @frozen
 class LimitKey:
-    """A limit that can be moved.
+    """A limit that can be moved."""
 
-    Attributes
-    ----------
-    words, unit
-        What it is called, and its unit in the file.
-    low, high
-        Its range, as factors of what the plan says.
-    whole
-        Whether it is a whole number.
-    least
-        Below which it never is.
-    """
-
+    #: What it is called, and its unit in the file.
     words: str
     unit: str
+    #: Its range, as factors of what the plan says.
     low: float
     high: float
-    whole: bool = False
-    least: float = 0.0
+    whole: bool = False  #: Whether it is a whole number.
+    least: float = 0.0  #: Below which it never is.
 
 
 #: Key of [limits] -> how it is moved.
@@ -93,10 +75,7 @@ def is_plan(document: Mapping[str, Any]) -> bool:
 def plan_overview(desk: Desk, name: str) -> dict[str, Any]:
     """Return a plan's title, goal and limits with their ranges.
 
-    Parameters
-    ----------
-    name
-        The plan's file.
+    name: The plan's file.
     """
     file = desk.file(name)
     described = _plan(desk, file)
@@ -183,22 +162,7 @@ def tried_plan(desk: Desk, name: str, moved: Mapping[str, float]) -> dict[str, A
 
     It is searched in a process that is kept while it is asked, as `LiveViews.ask` has it.
 
-    Parameters
-    ----------
-    name
-        The plan's file.
-    moved
-        Key of `PLAN_KEYS` -> value, SI; those that are not named are as the plan says.
-
-    Returns
-    -------
-    dict
-        ``busy`` instead, while it is searched: to be asked again.
-
-    Raises
-    ------
-    CounterspinError
-        If no plan keeps within them, or reaches the target.
+    name: The plan's file.
     """
     file = desk.file(name)
     _plan(desk, file)
@@ -295,19 +259,7 @@ def begin_planned(desk: Desk, name: str, moved: Mapping[str, float], folder: str
 
     When it is done, the limits stand in the plan's file, and the campaign in a new folder.
 
-    Parameters
-    ----------
-    name
-        The plan's file.
-    moved
-        As for `tried_plan`.
-    folder
-        Of the campaign.
-
-    Raises
-    ------
-    CounterspinError
-        If there is a campaign already, or the file cannot be changed.
+    name: The plan's file.
     """
     file = desk.file(name)
     place = desk.place(folder)

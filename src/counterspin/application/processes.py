@@ -1,8 +1,4 @@
-"""Work that is done in a process of its own, which says over a pipe how far it is.
-
-- `Worker`: such a process; `tell_of`: what it does
-- `Progress`: what takes how far it is
-"""
+"""Work that is done in a process of its own, which says over a pipe how far it is."""
 
 from __future__ import annotations
 
@@ -21,20 +17,7 @@ Progress = Callable[[int, int], None]
 
 
 class Worker:
-    """A process at work, with a memory of its own, which can be ended at any time.
-
-    Parameters
-    ----------
-    work
-        What it calls, with the end of a pipe, as `tell_of` takes it, and `words`.
-    words
-        What it is given.
-
-    Raises
-    ------
-    CounterspinError
-        If it cannot begin.
-    """
+    """A process at work, with a memory of its own, which can be ended at any time."""
 
     def __init__(self, work: Callable[..., None], *words: Any) -> None:
         self._here, there = SPAWNING.Pipe()
@@ -80,16 +63,7 @@ class Worker:
 
 
 def tell_of(there: Connection, work: Callable[[Progress], Any]) -> None:
-    """Do something in a process of its own, and tell how far it is and how it ended.
-
-    Parameters
-    ----------
-    there
-        Takes ``("progress", done, in all)``, then ``("done", what was made)`` or
-        ``("failed", why)``; `work` may tell it ``("told", ...)`` meanwhile.
-    work
-        Is given what takes its progress.
-    """
+    """Do something in a process of its own, and tell how far it is and how it ended."""
     # Ctrl-C in the terminal is for the server, which ends its processes.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # What a result warns of stands in it.

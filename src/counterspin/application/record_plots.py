@@ -3,10 +3,6 @@
 A screen has some thousand columns of pixels. Of more rows than that, each part of the window is
 shown by its least and its greatest value, so that no outlier is lost and a million rows are as
 quickly drawn as a thousand.
-
-- `record_overview`: the columns of a run's record, and where it begins and ends
-- `record_window`: the values between two times
-- `least_and_greatest`: of parts of a column
 """
 
 from __future__ import annotations
@@ -36,22 +32,13 @@ _RECORDS: Final = Remembered(_MAX_RECORDS)
 
 @frozen(eq=False)
 class SeenRecord:
-    """A record's columns in SI.
+    """A record's columns in SI."""
 
-    Attributes
-    ----------
-    time
-        s, increasing, shape (n,); rows without a time are left out.
-    names, units
-        Of the columns.
-    values
-        The columns, each of shape (n,); NaN where a cell is empty.
-    """
-
-    time: Array
+    time: Array  #: s, increasing, shape (n,); rows without a time are left out.
+    #: Of the columns.
     names: tuple[str, ...]
     units: tuple[str, ...]
-    values: tuple[Array, ...]
+    values: tuple[Array, ...]  #: The columns, each of shape (n,); NaN where a cell is empty.
 
 
 def record_overview(desk: Desk, name: str, run: str) -> dict[str, Any]:
@@ -76,14 +63,8 @@ def record_window(
 ) -> dict[str, Any]:
     """Return the values of a record between two times, row by row or as extremes of parts.
 
-    Parameters
-    ----------
-    name, run
-        The campaign's folder, and the run.
-    window
-        First and last time, s.
-    parts
-        Into how many parts the window is divided, such as pixels; few rows stand as they are.
+    name, run: The campaign's folder, and the run.
+    window: First and last time, s.
     """
     record = _record(*_run(desk, name, run))
     # One more on either side, so that lines leave the window.
@@ -104,16 +85,8 @@ def record_window(
 def least_and_greatest(values: Array, edges: np.ndarray) -> Array:
     """Return the least and the greatest value of each part, NaN where it has none.
 
-    Parameters
-    ----------
-    values
-        Shape (n,); NaN where there is none.
-    edges
-        Where parts begin, and where the last one ends; increasing; shape (m + 1,).
-
-    Returns
-    -------
-    array (m, 2)
+    values: Shape (n,); NaN where there is none.
+    edges: Where parts begin, and where the last one ends; increasing; shape (m + 1,).
     """
     taken, begins = values[: edges[-1]], edges[:-1]
     least, greatest = np.fmin.reduceat(taken, begins), np.fmax.reduceat(taken, begins)

@@ -1,8 +1,4 @@
-"""`counterspin serve`: a folder as a page of this machine alone.
-
-- `serve`: until Ctrl-C
-- `application`: what answers; `server_of`, `listening`: the server and its socket
-"""
+"""`counterspin serve`: a folder as a page of this machine alone."""
 
 from __future__ import annotations
 
@@ -50,15 +46,7 @@ _KINDS: Final = {
 
 
 def application(desk: Desk, door: Door) -> Starlette:
-    """Return what answers requests for a folder.
-
-    Parameters
-    ----------
-    desk
-        What is served; its jobs end with the server.
-    door
-        Who is let in.
-    """
+    """Return what answers requests for a folder."""
 
     async def session(request: Request) -> Response:
         try:
@@ -159,21 +147,8 @@ def serve(
 ) -> None:
     """Serve a folder to this machine's browser until Ctrl-C.
 
-    Parameters
-    ----------
-    folder
-        Whose campaigns are shown; nothing outside of it is read or written.
-    port
-        Where to listen; 0: any that is free.
-    browser
-        Whether the page is opened.
-    say
-        Takes the link, each later one when one was used, and that it has ended.
-
-    Raises
-    ------
-    CounterspinError
-        If there is no such folder, or the port is taken.
+    port: Where to listen; 0: any that is free.
+    browser: Whether the page is opened.
     """
     desk = Desk(ServedFolder(folder))
     with listening(port) as listener, tempfile.TemporaryDirectory(prefix="counterspin-") as own:

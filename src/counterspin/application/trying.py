@@ -1,8 +1,4 @@
-"""What a campaign would tell, before it is recorded: simulated records, and studies of many trials.
-
-- `begin_study`, `begin_simulation`: jobs
-- `study_into`, `simulate_into`: what their processes do
-"""
+"""What a campaign would tell before it is recorded: simulated records and studies."""
 
 from __future__ import annotations
 
@@ -24,19 +20,7 @@ STUDY_NAME: Final = "study.json"
 def begin_study(desk: Desk, name: str, trials: int) -> dict[str, Any]:
     """Begin to study a campaign; return the job.
 
-    Parameters
-    ----------
-    desk
-        What is served.
-    name
-        The campaign's folder; its ``study.json`` takes the result, in place of an earlier one.
-    trials
-        How many.
-
-    Raises
-    ------
-    CampaignError
-        If the description is wrong, or has no truth.
+    name: The campaign's folder; its ``study.json`` takes the result, in place of an earlier one.
     """
     from counterspin.studies.description import read_study
 
@@ -69,19 +53,7 @@ def study_into(there: Connection, campaign: Path, output: Path, trials: int) -> 
 def begin_simulation(desk: Desk, name: str, folder: str) -> dict[str, Any]:
     """Begin to make the records of a campaign, in another folder; return the job.
 
-    Parameters
-    ----------
-    desk
-        What is served.
-    name
-        The campaign's folder.
-    folder
-        Takes records and description; no file there is replaced.
-
-    Raises
-    ------
-    CounterspinError
-        If there is a campaign in that folder, or a record would lie outside of what is served.
+    name: The campaign's folder.
     """
     path = desk.description(name)
     desk.campaign(name)

@@ -1,8 +1,4 @@
-"""From observed runs to a `Result`, by either method.
-
-- `calibration`: estimates, and brings together what the result says
-- `run_result`: what a single run showed
-"""
+"""From observed runs to a `Result`, by either method."""
 
 from __future__ import annotations
 
@@ -57,26 +53,7 @@ def calibration(
 ) -> Result:
     """Estimate every coefficient, and bring together what the result says.
 
-    Parameters
-    ----------
-    campaign, observed
-        The description and its runs.
-    method, options
-        As of `counterspin.calibration.calibrate.calibrate`.
-    inputs
-        Returns `inputs` and `in_memory` of the provenance; called at the end, as checksums may
-        take longest.
-    accepted_misfit
-        The reason for which the result is to be used though the records contradict it.
-
-    Returns
-    -------
-    Result
-
-    Raises
-    ------
-    NotIdentifiableError, ConvergenceError
-        If the runs cannot determine the unknowns.
+    accepted_misfit: The reason for which the result is to be used though the records contradict it.
     """
     estimated = (
         _jointly(campaign, observed)
@@ -187,21 +164,7 @@ def run_result(
     fit: Mapping[str, dict[str, float | str | None]] | None = None,
     outliers: int = 0,
 ) -> RunResult:
-    """Return what one run showed of its rotation and its samples.
-
-    Parameters
-    ----------
-    run
-        The run.
-    parabolas
-        Its first stages, by accelerometer.
-    terms
-        The terms that belong to the run itself, such as its tilt.
-    fit
-        Tests of its residuals, by accelerometer.
-    outliers
-        How many samples the fit has left out beside those that reading has.
-    """
+    """Return what one run showed of its rotation and its samples."""
     rotation, report = run.rotation, run.record.report
     spindle, own = run.trajectory.spindle, dict(terms or {})
     # Where no angle was recorded the joint fit has found the rotation.

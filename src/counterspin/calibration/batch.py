@@ -1,8 +1,4 @@
-"""`counterspin calibrate DIR1 DIR2 ...`: many campaigns, one failure stopping no other.
-
-- `calibrate_many`: all of them, on several cores or a cluster
-- `BatchResult`: what became of each; `FailedCampaign`: why one has no result
-"""
+"""`counterspin calibrate DIR1 DIR2 ...`: many campaigns, one failure stopping no other."""
 
 from __future__ import annotations
 
@@ -81,27 +77,7 @@ def calibrate_many(
 ) -> BatchResult:
     """Calibrate campaigns independently of each other.
 
-    Parameters
-    ----------
-    directories
-        Their folders; on a cluster every worker must see them under these names.
-    method, options, accept_misfit, without
-        As for `counterspin.calibration.calibrate.calibrate`; a campaign that has not all the runs
-        to leave out fails.
-    workers
-        As for `counterspin.studies.study.study`.
-    progress
-        Called with (campaigns done, campaigns in all).
-
-    Returns
-    -------
-    BatchResult
-        In the order of the folders; one that is named twice is calibrated once.
-
-    Raises
-    ------
-    CounterspinError
-        If the cluster cannot be reached or is lost.
+    progress: Called with (campaigns done, campaigns in all).
     """
     how = (method, options or TwoStageOptions(), accept_misfit, tuple(without))
     directories = list(dict.fromkeys(directories))

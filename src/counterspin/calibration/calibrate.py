@@ -1,7 +1,4 @@
-"""`counterspin calibrate`: from a campaign folder to the accelerometers' error coefficients.
-
-- `calibrate`: read the campaign, observe its runs, estimate, say how sure
-"""
+"""`counterspin calibrate`: from a campaign folder to the accelerometers' error coefficients."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Whether the coefficients of a result meet their specifications.
-
-- `with_conformity`: the result with the verdicts in it
-- `conformity`: the verdicts of one accelerometer
-"""
+"""Whether the coefficients of a result meet their specifications."""
 
 from __future__ import annotations
 
@@ -23,12 +19,8 @@ _REJECTED: Final = "the records contradict the result, and no verdict rests on i
 def with_conformity(result: Result, specifications: Specifications) -> Result:
     """Return the result with `conformity` of every accelerometer that has a specification.
 
-    Parameters
-    ----------
-    result
-        Of `calibrate`, or read from its JSON.
-    specifications
-        From the campaign or the laboratory's file; those that the result has are replaced.
+    specifications: From the campaign or the laboratory's file; those that the result has are
+        replaced.
     """
     accelerometers = {
         name: accelerometer.model_copy(
@@ -58,18 +50,8 @@ def conformity(
 ) -> dict[str, Conformity]:
     """Return the verdicts by term; undecided, with the reason, where there is no estimate.
 
-    Parameters
-    ----------
-    accelerometer
-        What was found out about it.
-    specifications
-        By term symbol.
-    rule
-        The decision rule.
-    model
-        The result's observation model, ``exact`` or ``as-printed``.
-    rejected
-        Whether the records contradict the result and nobody has accepted that.
+    model: The result's observation model, ``exact`` or ``as-printed``.
+    rejected: Whether the records contradict the result and nobody has accepted that.
     """
     general = _AS_PRINTED if model == "as-printed" else _REJECTED if rejected else None
     return {

@@ -2,16 +2,6 @@
 
 Every check of a calibration reports a `Finding`. `judge_result` adds those that follow from the
 numbers of the result itself, ranks them and sets the states; pages only draw them.
-
-- `judge_result`: a result with its findings and states
-- `from_numbers`: the findings that follow from the numbers of one accelerometer
-- `refusal`: why a result may not be certified or applied
-- `hidden_noise`: the finding that most of u is noise that the records do not show
-- `not_determined`: the finding that nothing is known of a coefficient
-- `lack_of_fit`: the finding that residuals are not noise; `equivalent_deviations`: its size
-- `supports`: what speaks for a result; `methods_agree`, `level_of_kinds`: when methods agree and
-  kinds of test do
-- `CONTRADICTION_SIGMAS`, `RESIDUAL_RATIO_LIMIT`, `LARGEST_WALK`: the limits
 """
 
 from __future__ import annotations
@@ -62,17 +52,8 @@ def judge_result(
 ) -> Result:
     """Return the result with its findings ranked and its states set.
 
-    Parameters
-    ----------
-    result
-        Its checks have put what they found into `findings`. One that has a state already, and one
-        of an earlier version that has none, may be given too. Of one without a seal the state is
-        no better than its findings and its numbers have it.
-    accepted_misfit
-        The reason for which a contradicted result is to be used all the same; it is kept where
-        the result is contradicted.
-    causes
-        What was found to be wrong with the campaign; what it accounts for stands below it.
+    accepted_misfit: The reason for which a contradicted result is to be used all the same; it is
+        kept where the result is contradicted.
     """
     if result.state is not None:
         return result if result.sealed else _judged_again(result)
@@ -177,15 +158,7 @@ def state_of(findings: Sequence[Finding]) -> State:
 
 
 def refusal(result: Result, names: Iterable[str]) -> str | None:
-    """Return why a result may not be certified or applied; None if it may.
-
-    Parameters
-    ----------
-    result
-        Of `judge_result`.
-    names
-        The accelerometers that are to be used.
-    """
+    """Return why a result may not be certified or applied; None if it may."""
     if result.accepted_misfit is not None:
         return None
     for name in names:
@@ -225,14 +198,7 @@ def from_numbers(
 ) -> Iterator[Finding]:
     """Yield what follows from the residuals, the noise, the runs and the two-stage method.
 
-    Parameters
-    ----------
-    name, accelerometer
-        The accelerometer and its result.
-    gravity
-        m/s^2.
-    accelerometers
-        How many the campaign has: their runs are all compared, and one of many may be off.
+    gravity: m/s^2.
     """
     known = {(finding.code, finding.subject) for finding in accelerometer.findings}
     if ("lack-of-fit", name) not in known:
@@ -287,17 +253,7 @@ def not_determined(subject: str, symbol: str, data: str = "records", more: str =
 
 
 def lack_of_fit(name: str, sentences: Sequence[str], residual: Residual) -> Finding:
-    """Return the finding that the residuals of an accelerometer are not its noise.
-
-    Parameters
-    ----------
-    name
-        The accelerometer.
-    sentences
-        What stands out in the residuals, the main thing first.
-    residual
-        Their size.
-    """
+    """Return the finding that the residuals of an accelerometer are not its noise."""
     more = len(sentences) - 1
     text = sentences[0] + (f" ({more} more such findings by run.)" if more > 1 else "")
     p, times = residual.lack_of_fit_p, _times_noise(residual)

@@ -1,8 +1,4 @@
-"""The joint method: from observed runs to every coefficient that full records determine.
-
-- `joint`, `JointOutcome`: all that a result says
-- `estimate_campaign`: the estimate alone
-"""
+"""The joint method: from observed runs to every coefficient that full records determine."""
 
 from __future__ import annotations
 
@@ -85,24 +81,7 @@ class JointOutcome:
 
 
 def joint(campaign: Campaign, observed: Sequence[ObservedRun]) -> JointOutcome:
-    """Fit all records of a campaign together.
-
-    Parameters
-    ----------
-    campaign
-        The description.
-    observed
-        Its runs.
-
-    Returns
-    -------
-    JointOutcome
-
-    Raises
-    ------
-    NotIdentifiableError, ConvergenceError
-        As `counterspin.inference.joint.estimation.estimate`.
-    """
+    """Fit all records of a campaign together."""
     model = model_of(campaign)
     estimated, read = estimate_campaign(campaign, observed, model)
     assessment = assess(

@@ -1,10 +1,4 @@
-"""Checks of a joint result: runs left out, the two-stage method beside it, what does not show.
-
-- `run_fits`, `residual_findings`
-- `jackknife`
-- `compare`
-- `hidden_walk`, `unseen_ripple`
-"""
+"""Checks of a joint result: runs left out, the two-stage method beside it, what does not show."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""The parts of a joint result that are read off the solution: values, budgets, correlations.
-
-- `coefficient`, `budget_lines`, `confounded`, `residual`, `noise_lines`, `record_noise`
-- `knowledge`: what else was known
-- `correlation`: of one accelerometer and the platform; `whole_correlation`: of all together
-"""
+"""The parts of a joint result that are read off the solution: values, budgets, correlations."""
 
 from __future__ import annotations
 
@@ -107,15 +102,7 @@ def _unit_of_line(line: Line) -> str:
 
 
 def knowledge(estimate: Estimate, stated_inputs: Mapping[str, Quantity]) -> list[Knowledge]:
-    """Return what an estimate rests on beside its data, in the order of the fit.
-
-    Parameters
-    ----------
-    estimate
-        The estimate.
-    stated_inputs
-        Each input as the description states it, SI.
-    """
+    """Return what an estimate rests on beside its data, in the order of the fit."""
     model, solution = estimate.fit.model, estimate.fit.solution
     rows = []
     for place, other in enumerate((*model.unknowns, *model.considered)):

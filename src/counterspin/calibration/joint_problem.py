@@ -1,8 +1,4 @@
-"""From a campaign to the joint fit's problem: series and noise; its unknowns are in `model`.
-
-- `series_of`: the data
-- `noise_of`: what is known of the noise
-"""
+"""From a campaign to the joint fit's problem: series and noise; its unknowns are in `model`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""The residuals of a joint fit, thinned so that a report can draw them without the records.
-
-- `traces`: by run, for one accelerometer
-"""
+"""The residuals of a joint fit, thinned so that a report can draw them without the records."""
 
 from __future__ import annotations
 
@@ -46,12 +43,7 @@ _ROUNDING: Final = 1e-15
 def traces(view: AccelerometerView, observed: Sequence[ObservedRun]) -> dict[str, Trace]:
     """Return the residuals of one accelerometer by run, thinned.
 
-    Parameters
-    ----------
-    view
-        The fit, as the accelerometer sees it.
-    observed
-        The campaign's runs.
+    observed: The campaign's runs.
     """
     runs = {run.run.name: run for run in observed}
     return {

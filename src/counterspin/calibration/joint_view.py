@@ -1,7 +1,4 @@
-"""What a joint fit holds of one accelerometer.
-
-- `AccelerometerView`: its records, its unknowns, the tests of its residuals
-"""
+"""What a joint fit holds of one accelerometer."""
 
 from __future__ import annotations
 
@@ -24,27 +21,13 @@ _FEWEST_DOF: Final = 0.5
 
 @frozen
 class AccelerometerView:
-    """A joint fit as one accelerometer sees it.
+    """A joint fit as one accelerometer sees it."""
 
-    Attributes
-    ----------
-    campaign
-        The description.
-    estimate
-        Of all accelerometers together.
-    assessment
-        Which unknowns the records determine.
-    name
-        The accelerometer's.
-    readings
-        Its readings, and how they fit.
-    """
-
-    campaign: Campaign
-    estimate: Estimate
-    assessment: Assessment
-    name: str
-    readings: tuple[AccelerometerReadings, ...] = ()
+    campaign: Campaign  #: The description.
+    estimate: Estimate  #: Of all accelerometers together.
+    assessment: Assessment  #: Which unknowns the records determine.
+    name: str  #: The accelerometer's.
+    readings: tuple[AccelerometerReadings, ...] = ()  #: Its readings, and how they fit.
 
     @property
     def fit(self) -> JointFit:

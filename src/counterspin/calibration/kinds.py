@@ -1,7 +1,4 @@
-"""Kinds of test of one accelerometer beside each other: at rest, on the arm, double turntable.
-
-- `compare_kinds`, `Kinds`: each kind of test against the others
-"""
+"""Kinds of test of one accelerometer beside each other: at rest, on the arm, double turntable."""
 
 from __future__ import annotations
 
@@ -42,32 +39,18 @@ _NAMES: Final[Mapping[str, str]] = {
 
 @frozen
 class Kinds:
-    """The kinds of test of one accelerometer.
+    """The kinds of test of one accelerometer."""
 
-    Attributes
-    ----------
-    results
-        What each says alone, and how far it agrees with the others; empty where there is one only.
-    findings
-        One where they do not agree.
-    judged
-        The accelerometer as its residuals are to be judged: where the kinds disagree, by the fit of
-        each kind alone, since the disagreement is a finding of its own.
-    """
-
+    #: What each says alone, and how far it agrees with the others; empty where there is one only.
     results: list[KindOfTest]
-    findings: list[Finding]
+    findings: list[Finding]  #: One where they do not agree.
+    #: The accelerometer as its residuals are to be judged: where the kinds disagree, by the fit of
+    #: each kind alone, since the disagreement is a finding of its own.
     judged: AccelerometerView
 
 
 def compare_kinds(views: Sequence[AccelerometerView]) -> dict[str, Kinds]:
-    """Return by accelerometer what each kind of test says.
-
-    Parameters
-    ----------
-    views
-        Of all accelerometers of one fit.
-    """
+    """Return by accelerometer what each kind of test says."""
     blocks = _blocks(views)
     fit = views[0].fit
     compared = agreements(blocks, fit.model, fit.solution) if len(blocks) > 1 else {}

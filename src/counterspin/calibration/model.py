@@ -3,11 +3,6 @@
 Whatever acts on records and readings is an unknown of the one fit, with the prior that the
 description states, else with the typical size of the table of terms; only what is assumed to be
 perfect is left out.
-
-- `model_of`: the unknowns and what is held
-- `assumed`, `assumed_of`: what is taken as perfect, of a campaign and of one accelerometer
-- `inputs_of`: radius, gravity, latitude, clocks, as they are stated
-- `prior_of`: value and u of a term, stated or typical
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""What was observed: records brought together with the rotation they were taken on.
-
-- `observe`: reads every run of a campaign, identifies its rotation, takes the reference away
-- `read_run`, `observe_run`: the record of one run, and what it is observed to be
-- `ObservedRun`, `Signal`: what comes out
-"""
+"""What was observed: records brought together with the rotation they were taken on."""
 
 from __future__ import annotations
 
@@ -41,68 +36,32 @@ _LATITUDE_STEP: Final = 1e-5
 
 @frozen
 class Signal:
-    """One accelerometer's output in one run, less what a perfect system would have recorded.
+    """One accelerometer's output in one run, less what a perfect system would have recorded."""
 
-    Attributes
-    ----------
-    accelerometer
-        Whose it is.
-    error
-        S - S_ref in m, m/s or m/s^2, shape (n,), at the record's times; NaN where it is missing.
-        What a computer took off with its own velocity is put back.
-    by_latitude
-        Change of what is put back with the latitude, m/rad and so on, shape (n,); None of a
-        computer that is given the platform's velocity.
-    """
-
-    accelerometer: Accelerometer
+    accelerometer: Accelerometer  #: Whose it is.
+    #: S - S_ref in m, m/s or m/s^2, shape (n,), at the record's times; NaN where it is missing.
+    #: What a computer took off with its own velocity is put back.
     error: Array
+    #: Change of what is put back with the latitude, m/rad and so on, shape (n,); None of a computer
+    #: that is given the platform's velocity.
     by_latitude: Array | None = None
 
 
 @frozen
 class ObservedRun:
-    """One run as the estimators see it.
+    """One run as the estimators see it."""
 
-    Attributes
-    ----------
-    run
-        Its description.
-    record
-        The cleaned record: times from the first sample, block means where it was dense.
-    rotation
-        The spindle identified from the recorded angle; None where the nominal rate is taken.
-    trajectory
-        The motion along which reference and columns are taken.
-    signals
-        By accelerometer.
-    """
-
-    run: Run
+    run: Run  #: Its description.
+    #: The cleaned record: times from the first sample, block means where it was dense.
     record: Record
+    #: The spindle identified from the recorded angle; None where the nominal rate is taken.
     rotation: SpindleFit | None
-    trajectory: Trajectory
-    signals: Mapping[str, Signal]
+    trajectory: Trajectory  #: The motion along which reference and columns are taken.
+    signals: Mapping[str, Signal]  #: By accelerometer.
 
 
 def observe(campaign: Campaign) -> Iterator[ObservedRun]:
-    """Read the campaign's runs one after the other.
-
-    Parameters
-    ----------
-    campaign
-        The description; its truth is not looked at.
-
-    Yields
-    ------
-    ObservedRun
-        In the order of the description.
-
-    Raises
-    ------
-    RecordError
-        If a record cannot be used, with file and line, or is the record of an earlier run too.
-    """
+    """Read the campaign's runs one after the other."""
     _refuse_missing(campaign)
     first_with: dict[bytes, Run] = {}
     lengths: dict[str, float] = {}
@@ -192,14 +151,7 @@ def observe_run(
 ) -> ObservedRun:
     """Identify the rotation of one run and take the reference displacement away.
 
-    Parameters
-    ----------
-    campaign, run
-        The description and one of its runs.
-    record
-        The run's record.
-    conditions
-        Under which it was made.
+    record: The run's record.
     """
     rotation = None
     if record.angle is not None:

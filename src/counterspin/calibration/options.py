@@ -1,10 +1,4 @@
-"""How a calibration is made; nothing here takes time to load.
-
-- `Method`: the joint fit of full records, or the paper's two stages
-- `TwoStageOptions`: how the paper's method is applied
-- `command_words`: both as the words of a command line; `without_words`: runs that are left out;
-  `asked_by`: what such words ask for
-"""
+"""How a calibration is made; nothing here takes time to load."""
 
 from __future__ import annotations
 
@@ -86,18 +80,7 @@ _PLAIN: Final[dict[str, dict[str, Any]]] = {
 
 
 def asked_by(words: Sequence[str]) -> tuple[Method, TwoStageOptions, tuple[str, ...]]:
-    """Return the method, its options and the runs left out that a result's words ask for.
-
-    Parameters
-    ----------
-    words
-        As `command_words` and `without_words` return them.
-
-    Raises
-    ------
-    CampaignError
-        If a word is none of theirs, as one of a newer version may be.
-    """
+    """Return the method, its options and the runs left out that a result's words ask for."""
     method: Method = "joint"
     asked: dict[str, Any] = {}
     without = []

@@ -1,11 +1,4 @@
-"""Readings of a campaign in the joint fit: at rest, on an arm, on a double turntable.
-
-- `with_readings`, `with_groups`: an estimate from records, if there are any, with the readings
-  beside them
-- `only_at_rest`: whether gravity is the only force
-- `block_name`: what readings that have one noise are called in a budget
-- `AccelerometerReadings`: what was read of one accelerometer, and how it fits
-"""
+"""Readings of a campaign in the joint fit: at rest, on an arm, on a double turntable."""
 
 from __future__ import annotations
 
@@ -54,35 +47,22 @@ def only_at_rest(campaign: Campaign) -> bool:
 
 @frozen
 class AccelerometerReadings:
-    """The readings of one accelerometer in one motion, and how they fit.
+    """The readings of one accelerometer in one motion, and how they fit."""
 
-    Attributes
-    ----------
-    readings
-        What was read.
-    sigma, noise, residuals, squares, standardised, of_noise
-        As of `ReadingsFit`.
-    dof
-        Of an estimated noise; infinite where it was stated.
-    freedom
-        Readings less what the fit follows of them.
-    positions, linear
-        As of `ReadingsFit`.
-    means
-        What was found in the records whose means are readings, by the reading's name.
-    """
-
-    readings: Readings
+    readings: Readings  #: What was read.
+    #: As of `ReadingsFit`.
     sigma: np.ndarray
     noise: float
     residuals: np.ndarray
     squares: float
     standardised: np.ndarray
     of_noise: np.ndarray
-    dof: float
-    freedom: float
+    dof: float  #: Of an estimated noise; infinite where it was stated.
+    freedom: float  #: Readings less what the fit follows of them.
+    #: As of `ReadingsFit`.
     positions: tuple[Position, ...] = ()
     linear: Any = None
+    #: What was found in the records whose means are readings, by the reading's name.
     means: Mapping[str, RecordMean] = field(default_factory=dict)
 
     def relaxed(self, count: int) -> AccelerometerReadings:
@@ -208,19 +188,7 @@ def with_readings(
 ) -> tuple[Estimate, tuple[AccelerometerReadings, ...]]:
     """Return the estimate with the campaign's readings, and how these fit.
 
-    Parameters
-    ----------
-    estimated
-        From records; None if there are none.
-    model
-        What is estimated and considered, where there are no records.
-    campaign
-        The description.
-
-    Raises
-    ------
-    NotIdentifiableError, ConvergenceError
-        As `solve_readings`; or if there are fewer readings than coefficients.
+    estimated: From records; None if there are none.
     """
     _require_values(campaign)
     if estimated is None:
@@ -347,13 +315,7 @@ def _found_in(mean: RecordMean | None) -> dict[str, Any]:
 
 
 def _averaged(campaign: Campaign) -> Iterator[tuple[Reading, RecordMean | None]]:
-    """Yield the readings with their values: that of a record is its mean over whole revolutions.
-
-    Raises
-    ------
-    RecordError
-        If a record cannot be used, or is the record of an earlier run too.
-    """
+    """Yield the readings with their values: that of a record is its mean over whole revolutions."""
     g = campaign.gravity.value
     first_with: dict[bytes, Reading] = {}
     for reading in campaign.readings:

@@ -3,10 +3,6 @@
 The JSON is a contract with users' own programs: keys keep their names and meaning within one
 `SCHEMA`, new keys may be added. Coefficients are in g-units of the stated gravity; everything
 else is SI unless its unit stands beside it.
-
-- `Result`; its parts are in `counterspin.calibration.result_parts`
-- `described`: what a result repeats of an accelerometer's description
-- `read_result`, `write_result`: `Result.read` and `Result.write` as functions
 """
 
 from __future__ import annotations
@@ -318,20 +314,7 @@ write_result = Result.write
 
 
 def described(accelerometer: Accelerometer, shown: Collection[str]) -> dict[str, Any]:
-    """Return what is needed of an accelerometer's description to apply its result without it.
-
-    Parameters
-    ----------
-    accelerometer
-        The description.
-    shown
-        The symbols of its coefficients, which are not repeated.
-
-    Returns
-    -------
-    dict
-        `serial_number`, `known`, `axes` and `observable` of `AccelerometerResult`.
-    """
+    """Return what is needed of an accelerometer's description to apply its result without it."""
     return {
         "serial_number": accelerometer.serial_number,
         "known": {

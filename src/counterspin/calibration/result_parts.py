@@ -2,14 +2,6 @@
 
 Coefficients are in g-units of the stated gravity; everything else is SI unless its unit stands
 beside it.
-
-- `Coefficient`, `Correlation`, `ConfoundedTerms`, `Residual`, `NoiseLine`: what was estimated
-- `countable`: degrees of freedom as they are stated
-- `BudgetLine`, `Jackknife`, `Comparison`, `OmittedTerm`, `Conformity`: what it rests on
-- `State`, `Finding`: whether it may be relied on, and what speaks against it
-- `Trace` and its parts: the residuals of a run, thinned for pictures
-- `ReadingResult`, `KindOfTest`, `Shift`: single values; each kind of test beside the others
-- `AccelerometerResult`, `RunResult`, `Inputs`, `Provenance`: what holds these
 """
 
 from __future__ import annotations
@@ -40,32 +32,21 @@ _INSEPARABLE_CORRELATION: Final = 0.999
 
 
 class Coefficient(ResultPart):
-    """One coefficient and where its uncertainty comes from.
+    """One coefficient and where its uncertainty comes from."""
 
-    Attributes
-    ----------
-    value, u
-        Estimate and combined standard uncertainty; None if the data do not determine the
-        coefficient and nothing is known beforehand. If not `estimated`, the prior.
-    u_noise, u_stated, u_unstated
-        Parts of `u` from noise, from what the description states with an uncertainty, and from what
-        it does not state, taken at typical sizes; u^2 is the sum of their squares.
-    dof
-        Effective degrees of freedom of `u`; None is infinite. Intervals use Student's t.
-    unit
-        g-units, or SI for platform terms.
-    estimated
-        Whether the data determine it.
-    """
-
+    #: Estimate and combined standard uncertainty; None if the data do not determine the coefficient
+    #: and nothing is known beforehand. If not `estimated`, the prior.
     value: float | None
     u: float | None
+    #: Parts of `u` from noise, from what the description states with an uncertainty, and from what
+    #: it does not state, taken at typical sizes; u^2 is the sum of their squares.
     u_noise: float | None = None
     u_stated: float | None = None
     u_unstated: float | None = None
+    #: Effective degrees of freedom of `u`; None is infinite. Intervals use Student's t.
     dof: float | None = None
-    unit: str
-    estimated: bool
+    unit: str  #: g-units, or SI for platform terms.
+    estimated: bool  #: Whether the data determine it.
 
     _gravity: StatedGravity | None = PrivateAttr(default=None)
 
@@ -89,15 +70,7 @@ class Coefficient(ResultPart):
     def interval(self, coverage: float = 0.95) -> tuple[float, float]:
         """Return the coverage interval by Student's t, in `unit` (GUM G.3).
 
-        Parameters
-        ----------
-        coverage
-            Its probability, between 0 and 1.
-
-        Raises
-        ------
-        ValueError
-            If the coefficient is not determined, or there is no such probability.
+        coverage: Its probability, between 0 and 1.
         """
         if not 0.0 < coverage < 1.0:
             raise ValueError(f"a coverage probability lies between 0 and 1; got {coverage}")
@@ -108,15 +81,8 @@ class Coefficient(ResultPart):
     def to_si(self, gravity: float | None = None) -> SiEstimate:
         """Return the coefficient in SI, where much of what an uncertain g does to it cancels.
 
-        Parameters
-        ----------
-        gravity
-            An exact g of the unit, m/s^2. None: that of the result which the coefficient is of.
-
-        Raises
-        ------
-        ValueError
-            If the coefficient is not determined, or stands in no result and no g is given.
+        gravity: An exact g of the unit, m/s^2. None: that of the result which the coefficient is
+            of.
         """
         stated = self._gravity if gravity is None else StatedGravity(gravity)
         if stated is None:
@@ -210,25 +176,16 @@ class BudgetLine(ResultPart):
 
 
 class Knowledge(ResultPart):
-    """What a result rests on beside its data: a term or an input that nobody asked for.
+    """What a result rests on beside its data: a term or an input that nobody asked for."""
 
-    Attributes
-    ----------
-    name, unit
-        Such as ``Qx.K_OO`` or ``run1.platform.tilt.north``; SI, or g-units.
-    kind
-        Whether it is stated, unstated or held.
-    value, u
-        Before the data: as the description states it, or nominal and typical.
-    found, u_found
-        After them, in the same fit; None where it was held.
-    """
-
+    #: Such as ``Qx.K_OO`` or ``run1.platform.tilt.north``; SI, or g-units.
     name: str
-    kind: Kind
+    kind: Kind  #: Whether it is stated, unstated or held.
     unit: str
+    #: Before the data: as the description states it, or nominal and typical.
     value: float
     u: float
+    #: After them, in the same fit; None where it was held.
     found: float | None = None
     u_found: float | None = None
 
@@ -266,72 +223,40 @@ class Comparison(ResultPart):
 
 
 class Conformity(ResultPart):
-    """Whether a coefficient meets its specification, by a stated decision rule (JCGM 106).
+    """Whether a coefficient meets its specification, by a stated decision rule (JCGM 106)."""
 
-    Attributes
-    ----------
-    specification
-        As it was written, such as ``abs <= 5e-5 g/g^2``.
-    low, high
-        Tolerance limits in `unit`; None where there is no such limit.
-    unit
-        Of the limits: that of the coefficient.
-    rule
-        Decision rule: ``simple``, ``guarded`` or ``probability``.
-    guard_band
-        Width in `unit` by which the acceptance limits lie inside the tolerance limits; None
-        without an estimate.
-    needed
-        Probability that the rule asks for; None where it asks for none.
-    verdict
-        What the rule says.
-    probability
-        That the coefficient conforms, given the estimate and its uncertainty.
-    risk
-        Probability that the verdict is wrong; None if it is undecided.
-    reason
-        Why it is undecided; None if it is not.
-    """
-
-    specification: str
+    specification: str  #: As it was written, such as ``abs <= 5e-5 g/g^2``.
+    #: Tolerance limits in `unit`; None where there is no such limit.
     low: float | None
     high: float | None
-    unit: str
+    unit: str  #: Of the limits: that of the coefficient.
+    #: Decision rule: ``simple``, ``guarded`` or ``probability``.
     rule: Literal["simple", "guarded", "probability"]
+    #: Width in `unit` by which the acceptance limits lie inside the tolerance limits; None without
+    #: an estimate.
     guard_band: float | None
-    needed: float | None = None
-    verdict: Literal["pass", "fail", "undecided"]
+    needed: float | None = None  #: Probability that the rule asks for; None where it asks for none.
+    verdict: Literal["pass", "fail", "undecided"]  #: What the rule says.
+    #: That the coefficient conforms, given the estimate and its uncertainty.
     probability: float | None
-    risk: float | None
-    reason: str | None = None
+    risk: float | None  #: Probability that the verdict is wrong; None if it is undecided.
+    reason: str | None = None  #: Why it is undecided; None if it is not.
 
 
 class Finding(ResultPart):
-    """One thing that speaks against a result, whatever its checks saw of it.
+    """One thing that speaks against a result, whatever its checks saw of it."""
 
-    Attributes
-    ----------
-    code
-        What kind of thing, such as ``lack-of-fit``; stays the same.
-    subject
-        What it concerns: an accelerometer, one of its coefficients (``Qx.K_II``), a run, a
-        platform term, or empty: the campaign.
-    text
-        In sentences: what was found, and what to do.
-    size
-        How strong it is, in standard uncertainties or in units of what would be expected; None
-        where it has no size.
-    contradicts
-        Whether the records contradict the result, so that it must not be used.
-    explains
-        Of a cause: what else was found and would not be if this were put right.
-    """
-
-    code: str
+    code: str  #: What kind of thing, such as ``lack-of-fit``; stays the same.
+    #: What it concerns: an accelerometer, one of its coefficients (``Qx.K_II``), a run, a platform
+    #: term, or empty: the campaign.
     subject: str
-    text: str
+    text: str  #: In sentences: what was found, and what to do.
+    #: How strong it is, in standard uncertainties or in units of what would be expected; None where
+    #: it has no size.
     size: float | None = None
+    #: Whether the records contradict the result, so that it must not be used.
     contradicts: bool = False
+    #: Of a cause: what else was found and would not be if this were put right.
     explains: list[Finding] = []
 
 
@@ -365,31 +290,19 @@ class Quantiles(ResultPart):
 
 
 class Trace(ResultPart):
-    """The residuals of one accelerometer in one run, thinned for pictures.
+    """The residuals of one accelerometer in one run, thinned for pictures."""
 
-    Attributes
-    ----------
-    rows, rms
-        How many residuals there are, and their root mean square in the observable's unit.
-    time
-        Middle of each stretch, s from the start of the run.
-    low, high
-        Smallest and largest residual in it, in the observable's unit.
-    left_out
-        Time and residual of samples judged outliers, the largest ones if there are many.
-    by_angle
-        The residuals over the revolution.
-    spectrum, quantiles
-        Of the whitened residuals.
-    """
-
+    #: How many residuals there are, and their root mean square in the observable's unit.
     rows: int | None = None
     rms: float | None = None
-    time: list[float]
+    time: list[float]  #: Middle of each stretch, s from the start of the run.
+    #: Smallest and largest residual in it, in the observable's unit.
     low: list[float]
     high: list[float]
+    #: Time and residual of samples judged outliers, the largest ones if there are many.
     left_out: list[tuple[float, float]] = []
-    by_angle: Fold | None = None
+    by_angle: Fold | None = None  #: The residuals over the revolution.
+    #: Of the whitened residuals.
     spectrum: Spectrum | None = None
     quantiles: Quantiles | None = None
 
@@ -425,69 +338,36 @@ class Shift(ResultPart):
 
 
 class KindOfTest(ResultPart):
-    """What one kind of test says of an accelerometer, and how far it agrees with the others.
+    """What one kind of test says of an accelerometer, and how far it agrees with the others."""
 
-    Attributes
-    ----------
-    kind
-        ``at rest``, ``arm`` or ``double turntable``.
-    count
-        Of its records and readings.
-    coefficients
-        By this kind alone, with all that is known beforehand; None where it does not determine one.
-    without
-        By coefficient that the others determine: how far it moves when this kind is left out.
-    chi2, dof, p
-        Squares of what the kind says less what the others predict over their variances, in how many
-        directions, and the probability of more; None where the others predict nothing of it.
-    """
-
-    kind: str
-    count: int
+    kind: str  #: ``at rest``, ``arm`` or ``double turntable``.
+    count: int  #: Of its records and readings.
+    #: By this kind alone, with all that is known beforehand; None where it does not determine one.
     coefficients: dict[str, Coefficient]
+    #: By coefficient that the others determine: how far it moves when this kind is left out.
     without: dict[str, Shift] = {}
+    #: Squares of what the kind says less what the others predict over their variances, in how many
+    #: directions, and the probability of more; None where the others predict nothing of it.
     chi2: float
     dof: int
     p: float | None
 
 
 class AccelerometerResult(ResultPart):
-    """All that was found out about one accelerometer.
+    """All that was found out about one accelerometer."""
 
-    Attributes
-    ----------
-    state, findings
-        Whether it may be relied on, and what speaks against it, the gravest first.
-    serial_number
-        As the campaign states it.
-    coefficients
-        The terms that the campaign asked for.
-    known
-        Further terms of which something is known beforehand, as the campaign states it; the fit
-        has taken their values away.
-    axes
-        Where the input, pendulous and output axes point, as rows, in east-north-up while the
-        platform is level.
-    observable
-        What was recorded: ``displacement``, ``velocity`` or ``specific_force``.
-    conformity
-        By term: where the campaign states a specification.
-    traces
-        By run: residuals for pictures.
-    readings
-        Single values, at rest, on an arm or on a turntable.
-    kinds
-        Each kind of test beside the others; empty where there is one kind only.
-    output
-        ``bias`` and ``scale_factor`` in the unit of its readings; empty where that is g.
-    """
-
+    #: Whether it may be relied on, and what speaks against it, the gravest first.
     state: State | None = None
     findings: list[Finding] = []
-    serial_number: str | None = None
-    coefficients: dict[str, Coefficient]
+    serial_number: str | None = None  #: As the campaign states it.
+    coefficients: dict[str, Coefficient]  #: The terms that the campaign asked for.
+    #: Further terms of which something is known beforehand, as the campaign states it; the fit has
+    #: taken their values away.
     known: dict[str, Coefficient] = {}
+    #: Where the input, pendulous and output axes point, as rows, in east-north-up while the
+    #: platform is level.
     axes: list[tuple[float, float, float]] | None = None
+    #: What was recorded: ``displacement``, ``velocity`` or ``specific_force``.
     observable: str | None = None
     correlation: Correlation | None
     confounded: list[ConfoundedTerms] = []
@@ -497,10 +377,12 @@ class AccelerometerResult(ResultPart):
     second_unknown: dict[str, Coefficient] = {}
     jackknife: list[Jackknife] = []
     two_stage: Comparison | None = None
-    conformity: dict[str, Conformity] = {}
-    traces: dict[str, Trace] = {}
-    readings: list[ReadingResult] = []
+    conformity: dict[str, Conformity] = {}  #: By term: where the campaign states a specification.
+    traces: dict[str, Trace] = {}  #: By run: residuals for pictures.
+    readings: list[ReadingResult] = []  #: Single values, at rest, on an arm or on a turntable.
+    #: Each kind of test beside the others; empty where there is one kind only.
     kinds: list[KindOfTest] = []
+    #: ``bias`` and ``scale_factor`` in the unit of its readings; empty where that is g.
     output: dict[str, Coefficient] = {}
     warnings: list[str] = []
 
@@ -566,29 +448,18 @@ class Inputs(ResultPart):
 
 
 class Provenance(ResultPart):
-    """What made the result: program, options and inputs.
+    """What made the result: program, options and inputs."""
 
-    Attributes
-    ----------
-    version
-        Of counterspin.
-    inputs
-        By file, its SHA-256; of what was in memory, that of the file's text as it would be
-        written, or of the arrays.
-    in_memory
-        Those of them that no file says, and why: ``made in Python``, ``changed`` and the keys, or
-        ``arrays``.
-    options
-        Of the command, as they are typed, where they are not the defaults.
-    environment
-        What computed it beside counterspin: Python, NumPy, SciPy and the machine; empty in results
-        of versions that did not state it.
-    """
-
-    version: str
+    version: str  #: Of counterspin.
+    #: By file, its SHA-256; of what was in memory, that of the file's text as it would be written,
+    #: or of the arrays.
     inputs: dict[str, str]
+    #: Those of them that no file says, and why: ``made in Python``, ``changed`` and the keys, or
+    #: ``arrays``.
     in_memory: dict[str, str] = {}
-    options: list[str] = []
+    options: list[str] = []  #: Of the command, as they are typed, where they are not the defaults.
+    #: What computed it beside counterspin: Python, NumPy, SciPy and the machine; empty in results
+    #: of versions that did not state it.
     environment: dict[str, str] = {}
 
     @property

@@ -1,8 +1,6 @@
 """Results of schema 1, in which what was not stated was no part of u, as those of schema 2.
 
 Such a result took as perfect what its model left out; so it says that it assumed it.
-
-- `upgraded`: the document of a result of schema 1 as one of schema 2
 """
 
 from __future__ import annotations
@@ -21,10 +19,7 @@ _KINDS: Final = {"prior": "stated", "considered": "held", "input": "held", "enco
 def upgraded(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return the document of a result of schema 1 as one of schema 2, with what it assumed.
 
-    Parameters
-    ----------
-    document
-        As it was read; what is not as schema 1 has it is left for the checks to find.
+    document: As it was read; what is not as schema 1 has it is left for the checks to find.
     """
     new = _of_coefficients(dict(document))
     assumed: dict[str, None] = {}

@@ -1,8 +1,4 @@
-"""The two-stage method: from observed runs to the paper's result for each accelerometer.
-
-- `two_stage`, `TwoStageOutcome`: all of it
-- `two_stage_view`: what it estimates, as a joint fit of one accelerometer
-"""
+"""The two-stage method: from observed runs to the paper's result for each accelerometer."""
 
 from __future__ import annotations
 
@@ -74,29 +70,7 @@ def two_stage(
 ) -> TwoStageOutcome:
     """Apply the two-stage method to one accelerometer.
 
-    Parameters
-    ----------
-    campaign, accelerometer
-        The description and one of its accelerometers.
-    observed
-        The campaign's runs.
-    options
-        Model, weighting and so on.
-    found
-        Noise that the campaign does not state, by accelerometer: see
-        `counterspin.calibration.two_stage_request.noise_found`.
-
-    Returns
-    -------
-    TwoStageOutcome
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the accelerometer's record is not a displacement along a horizontal axis, or there are
-        fewer rates than unknowns.
-    RecordError
-        If a run has too few strobes.
+    observed: The campaign's runs.
     """
     view, second = two_stage_view(campaign, observed, accelerometer, options, found)
     name, model = accelerometer.name, second.fit.model

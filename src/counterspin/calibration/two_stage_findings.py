@@ -1,9 +1,4 @@
-"""What a two-stage result must say beside its numbers: what they stand for, what they leave out.
-
-- `nothing_known`: terms of which nothing is stated
-- `sums_of_alike`: what is estimated in their place
-- `findings`: what speaks against it
-"""
+"""What a two-stage result must say beside its numbers: what they stand for, what they leave out."""
 
 from __future__ import annotations
 

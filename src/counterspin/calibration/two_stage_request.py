@@ -1,9 +1,4 @@
-"""From a campaign to the two-stage method's request: what is known beforehand, which noise.
-
-- `request_of`: the request
-- `walk_is_stated`, `noise_found`: whether the accelerometers' noise is known; if not, what the
-  joint fit finds
-"""
+"""From a campaign to the two-stage method's request: what is known beforehand, which noise."""
 
 from __future__ import annotations
 
@@ -100,11 +95,6 @@ def noise_found(
     """Return each accelerometer's noise where the random walk is not stated; else nothing.
 
     One sample a revolution tells little of it: it is that of the joint fit, from all samples.
-
-    Raises
-    ------
-    NotIdentifiableError, ConvergenceError
-        As `counterspin.inference.joint.estimation.estimate`.
     """
     if walk_is_stated(campaign):
         return {}

@@ -1,9 +1,4 @@
-"""Directions and platform attitudes as they are written in a campaign.
-
-- `read_direction`: ``"east"``, ``"down"``, ... or three components
-- `attitude_words`: the other way, for reports
-- `attitude_rows`: ``"level"``, ``"90 deg about east"`` or ``{ x = "east", y = "up" }``
-"""
+"""Directions and platform attitudes as they are written in a campaign."""
 
 from __future__ import annotations
 
@@ -25,18 +20,7 @@ TURN_WORDS = re.compile(r"(.+?)\s+about\s+(\w+)")
 
 
 def read_direction(value: object) -> tuple[float, float, float]:
-    """Return the unit vector in east-north-up.
-
-    Parameters
-    ----------
-    value
-        A name such as ``east``, or a list of three components east, north, up.
-
-    Raises
-    ------
-    ValueError
-        If the name is unknown or the list is not three finite numbers, not all zero.
-    """
+    """Return the unit vector in east-north-up."""
     if isinstance(value, str):
         if value not in DIRECTIONS:
             raise ValueError(f'no direction is called "{value}"' + did_you_mean(value, DIRECTIONS))
@@ -53,22 +37,10 @@ def read_direction(value: object) -> tuple[float, float, float]:
 def attitude_rows(value: object) -> Array:
     """Return where the platform's axes point.
 
-    Parameters
-    ----------
-    value
-        ``"level"``; a right-handed turn of the level platform such as ``"90 deg about east"``
+    value: ``"level"``; a right-handed turn of the level platform such as ``"90 deg about east"``
         (which takes y from north to up); or a table of the directions of x and y, and of z if
         wanted.
-
-    Returns
-    -------
-    Array
-        Rows x, y, z in east-north-up, shape (3, 3); the identity when level.
-
-    Raises
-    ------
-    ValueError
-        If it is none of these forms, or the axes are not orthogonal and right-handed.
+    Returns: rows x, y, z in east-north-up, shape (3, 3); the identity when level.
     """
     if value == "level":
         return np.eye(3)
@@ -102,10 +74,7 @@ def attitude_rows(value: object) -> Array:
 def attitude_words(rows: Array) -> str:
     """Return an attitude in words.
 
-    Parameters
-    ----------
-    rows
-        Where the platform's axes point, shape (3, 3).
+    rows: Where the platform's axes point, shape (3, 3).
     """
     if np.allclose(rows, np.eye(3)):
         return "level"

@@ -1,9 +1,4 @@
-"""Mistakes in a campaign file, collected and reported with the path of the key.
-
-- `Problems`: collects them, so that one reading reports every mistake
-- `did_you_mean`: the nearest known name
-- `key_path`: ``runs[2].rate`` from the parts
-"""
+"""Mistakes in a campaign file, collected and reported with the path of the key."""
 
 from __future__ import annotations
 
@@ -59,10 +54,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 class Problems:
     """Collects the mistakes of one file.
 
-    Parameters
-    ----------
-    raw
-        The whole document as read, from which a run's name is taken for the messages.
+    raw: The whole document as read, from which a run's name is taken for the messages.
     """
 
     def __init__(self, raw: Mapping[str, Any]) -> None:

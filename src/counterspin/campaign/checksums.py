@@ -1,10 +1,4 @@
-"""Checksums of a campaign's files, taken on threads of their own while all else goes on.
-
-- `Checksums`: begun as early as the files are known by name, asked for at the end
-- `head_start`: begins with them, and with the reader's process, before a process has loaded
-  anything else: another core is idle meanwhile
-- `checksums_of`: those that were begun, or begun now
-"""
+"""Checksums of a campaign's files, taken on threads of their own while all else goes on."""
 
 from __future__ import annotations
 
@@ -60,15 +54,7 @@ class Checksums:
     def expect(self, where: Path | str) -> list[Path]:
         """Begin with the files that a campaign seems to have, before its description is checked.
 
-        Parameters
-        ----------
-        where
-            The campaign's folder or its description; what is wrong with it is for others to say.
-
-        Returns
-        -------
-        list
-            The records that it seems to have.
+        where: The campaign's folder or its description; what is wrong with it is for others to say.
         """
         with suppress(CampaignError, OSError, TypeError, ValueError, LookupError, AttributeError):
             file = description_file(where).absolute()
@@ -129,13 +115,7 @@ _BEGUN: dict[Path, Checksums] = {}
 
 @contextmanager
 def head_start(where: str) -> Iterator[None]:
-    """Begin with a campaign that is about to be asked for; on leaving, give up what is left.
-
-    Parameters
-    ----------
-    where
-        Its folder or its description. What is wrong with it is for others to say.
-    """
+    """Begin with a campaign that is about to be asked for; on leaving, give up what is left."""
     with Checksums() as checksums:
         _begin(checksums, where)
         _BEGUN[Path(where)] = checksums
@@ -149,10 +129,7 @@ def head_start(where: str) -> Iterator[None]:
 def checksums_of(where: object) -> Iterator[Checksums]:
     """Return a campaign's checksums, with its files begun.
 
-    Parameters
-    ----------
-    where
-        The campaign's folder or its description; of a campaign already read nothing is begun.
+    where: The campaign's folder or its description; of a campaign already read nothing is begun.
     """
     named = Path(where) if isinstance(where, Path | str) else None
     if named is not None and named in _BEGUN:

@@ -1,9 +1,4 @@
-"""Under which conditions runs were made: how warm, and when.
-
-- `check_conditions`: what the model's terms need of every run
-- `Origin`, `origin_of`: from where temperatures and times count
-- `conditions_of`: of every run with a record
-"""
+"""Under which conditions runs were made: how warm, and when."""
 
 from __future__ import annotations
 
@@ -40,18 +35,7 @@ def check_conditions(
 ) -> None:
     """Note what is missing for the slopes of a model, and slopes that nothing determines.
 
-    Parameters
-    ----------
-    model
-        What is estimated and considered.
-    also
-        Further terms of the campaign, those of its machine.
-    runs
-        Those with a record, and their places in the description.
-    reference
-        The reference temperature, K, if there is one.
-    problems
-        Where mistakes are noted.
+    reference: The reference temperature, K, if there is one.
     """
     for symbol, row in CONDITION_TERMS.items():
         if row.effect.condition == "force" and symbol in model.terms:
@@ -103,12 +87,8 @@ def conditions_of(
     was, it counts as having become warmer from run to run, by `UNKNOWN_WARMING` from the first to
     the last.
 
-    Parameters
-    ----------
-    campaign
-        The description.
-    lengths
-        Run -> length of its record, s; those that are not there are taken from the description.
+    lengths: Run -> length of its record, s; those that are not there are taken from the
+        description.
     """
     origin = origin_of(campaign)
     conditions, elapsed = {}, 0.0

@@ -1,8 +1,4 @@
-"""From ``campaign.toml`` to a `Campaign`: every key checked, all mistakes reported together.
-
-- `read_campaign`: the file; `resolve_campaign`: a document that has been read
-- `Campaign` and its parts: see `counterspin.campaign.resolved`
-"""
+"""From ``campaign.toml`` to a `Campaign`: every key checked, all mistakes reported together."""
 
 from __future__ import annotations
 
@@ -123,17 +119,7 @@ def read_campaign(path: Path | str) -> Campaign:
 
 
 def resolve_campaign(raw: Mapping[str, Any], file: Path, problems: Problems) -> Campaign | None:
-    """Return the campaign that a document describes, or None with its mistakes noted.
-
-    Parameters
-    ----------
-    raw
-        The document, as TOML is read.
-    file
-        Where it stands, or will; records are beside it.
-    problems
-        Where mistakes are noted.
-    """
+    """Return the campaign that a document describes, or None with its mistakes noted."""
     return _DescriptionReader(raw, file.absolute(), problems).campaign()
 
 

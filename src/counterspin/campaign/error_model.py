@@ -1,8 +1,4 @@
-"""What is asked for, what is held, what is assumed to be perfect: [model], names resolved.
-
-- `ErrorModel`
-- `EVERYTHING`: the name of whatever is not stated
-"""
+"""What is asked for, what is held, what is assumed to be perfect: [model], names resolved."""
 
 from __future__ import annotations
 
@@ -21,29 +17,21 @@ class ErrorModel:
     """Which terms are asked for, which are held, and which are taken as perfect.
 
     Everything else that acts is an unknown beside what is asked for.
-
-    Attributes
-    ----------
-    terms
-        Symbols asked for; bare names are resolved to the components that act.
-    considered
-        Symbols that are held: known but not adjusted, their prior's u is carried.
-    priors
-        Symbol of a shared term -> prior, SI (tilt: one of each run). Those of accelerometer terms
-        are in `Accelerometer.priors`.
-    limits, typical
-        Symbol -> largest credible size, and standard uncertainty to assume where none is stated,
-        in the table's unit: where the campaign states them. `Campaign.limit_of` and
-        `Campaign.typical_of` know all.
-    assume
-        What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
     """
 
+    #: Symbols asked for; bare names are resolved to the components that act.
     terms: tuple[str, ...]
+    #: Symbols that are held: known but not adjusted, their prior's u is carried.
     considered: tuple[str, ...]
+    #: Symbol of a shared term -> prior, SI (tilt: one of each run). Those of accelerometer terms
+    #: are in `Accelerometer.priors`.
     priors: Mapping[str, Quantity]
+    #: Symbol -> largest credible size, and standard uncertainty to assume where none is stated, in
+    #: the table's unit: where the campaign states them. `Campaign.limit_of` and
+    #: `Campaign.typical_of` know all.
     limits: Mapping[str, float]
     typical: Mapping[str, float]
+    #: What is taken as perfect where nothing is stated: names, ``platform.*``, ``all``.
     assume: tuple[str, ...] = ()
 
     def assumes(self, symbol: str) -> bool:

@@ -1,11 +1,4 @@
-"""The machine's terms in a campaign with readings: those of [model] and of [centrifuge].
-
-- `MachineModel`: what is estimated and what is considered
-- `symbols_shown`: every term of the machine that readings can show
-- `errors_of_the_path`: what [centrifuge] says of terms that records show too
-- `resolve_machine`: takes them out of [model], whose other terms are settled in `terms`
-- `expand`: what a name stands for; `less_nominal`: a radius as a deviation
-"""
+"""The machine's terms in a campaign with readings: those of [model] and of [centrifuge]."""
 
 from __future__ import annotations
 
@@ -48,18 +41,12 @@ _TERMS_ON_A_MACHINE: Final = [*_TERMS_AT_REST, "K_II"]
 
 @frozen
 class MachineModel:
-    """What is estimated and considered of the machine.
+    """What is estimated and considered of the machine."""
 
-    Attributes
-    ----------
-    terms, considered
-        Symbols of `counterspin.physics.terms.READING_TERMS`, with the mountings' names.
-    priors
-        Symbol -> what is known of it, less nominal; SI.
-    """
-
+    #: Symbols of `counterspin.physics.terms.READING_TERMS`, with the mountings' names.
     terms: tuple[str, ...] = ()
     considered: tuple[str, ...] = ()
+    #: Symbol -> what is known of it, less nominal; SI.
     priors: Mapping[str, Quantity] = field(default_factory=dict)
 
     def prior(self, symbol: str) -> tuple[float, float]:
@@ -78,23 +65,8 @@ def resolve_machine(
 ) -> tuple[ModelSettings, MachineModel]:
     """Take the machine's terms out of [model].
 
-    Parameters
-    ----------
-    settings
-        The section as it stands.
-    centrifuge
-        The machine, if there is one; its stretch, droop and tilt are priors.
-    readings
-        Of the campaign, at least one.
-    problems
-        Where mistakes are noted.
-    recorded
-        Whether there are records of a double turntable beside the readings.
-
-    Returns
-    -------
-    tuple
-        The section without the machine's terms, and these.
+    centrifuge: The machine, if there is one; its stretch, droop and tilt are priors.
+    recorded: Whether there are records of a double turntable beside the readings.
     """
     known = symbols_shown(readings, recorded=recorded)
     terms = _expanded(settings.terms or (), "terms", known, problems)

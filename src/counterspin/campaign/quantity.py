@@ -2,11 +2,6 @@
 
 U is a standard uncertainty (k = 1); ``+/-`` and ``+-`` are the same as ``±``. Which units there
 are says `counterspin.units`.
-
-- `Quantity`: value, standard uncertainty, unit
-- `parse`: text to `Quantity` in the unit that is wanted
-- `NUMBER`, `PLUS_MINUS`, `BARE`: patterns of a number, of the sign before an uncertainty, of both
-  without a unit
 """
 
 from __future__ import annotations
@@ -66,25 +61,7 @@ class Quantity:
 def parse(text: object, unit: str, *, gravity: float | None = None) -> Quantity:
     """Read ``"VALUE UNIT"`` or ``"VALUE ± U UNIT"``.
 
-    Parameters
-    ----------
-    text
-        The value in the file; anything but text is refused with advice.
-    unit
-        The unit wanted, which also says what kind of quantity it is.
-    gravity
-        The site's gravity in m/s^2; with it, m/s^2 serves where g is wanted and the other way.
-
-    Returns
-    -------
-    Quantity
-        In `unit`. Without a ± the uncertainty is 0: the value is taken as exact.
-
-    Raises
-    ------
-    ValueError
-        If the number is malformed, not finite, absurdly large or small, or without a unit; if the
-        unit is unknown or of another dimension; if the uncertainty is negative.
+    gravity: The site's gravity in m/s^2; with it, m/s^2 serves where g is wanted and the other way.
     """
     kind, accepted = advice(unit)
     if not isinstance(text, str):

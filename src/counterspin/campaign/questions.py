@@ -1,8 +1,6 @@
 """What a description says that may well be a slip: not wrong by itself, but to be asked about.
 
 A calibration reports each question as a finding, `simulate` and `plan` as a warning.
-
-- `questions`, `Question`
 """
 
 from __future__ import annotations
@@ -31,21 +29,11 @@ _CORIOLIS_PART: Final = 1e-7
 
 @frozen
 class Question:
-    """One question.
+    """One question."""
 
-    Attributes
-    ----------
-    code
-        What kind of question.
-    subject
-        What it is about, such as ``site`` or ``Qx.K_F``.
-    text
-        In whole sentences.
-    """
-
-    code: str
-    subject: str
-    text: str
+    code: str  #: What kind of question.
+    subject: str  #: What it is about, such as ``site`` or ``Qx.K_F``.
+    text: str  #: In whole sentences.
 
 
 def questions(campaign: Campaign) -> list[Question]:

@@ -1,8 +1,4 @@
-"""Simulated readings as files: in the description and in the table of readings.
-
-- `filled_description`: the description, where its runs have readings
-- `filled_table`: the table that [readings] names
-"""
+"""Simulated readings as files: in the description and in the table of readings."""
 
 from __future__ import annotations
 
@@ -45,19 +41,7 @@ def filled_description(
 
     Comments stay where they are, as long as the text is of the usual form.
 
-    Parameters
-    ----------
-    campaign
-        Whose description it is.
-    exact
-        Its readings with their values without noise; those of the runs come first.
-    generator
-        Of the noise.
-
-    Returns
-    -------
-    str or None
-        None if no run has a reading, so that nothing is to be changed.
+    Returns: none if no run has a reading, so that nothing is to be changed.
     """
     text = _description(campaign)
     document = tomllib.loads(text)
@@ -155,19 +139,7 @@ def filled_table(
 ) -> tuple[Path, Any] | None:
     """Return the file that [readings] names, and the table, a polars frame, with values in it.
 
-    Parameters
-    ----------
-    campaign
-        Whose table it is.
-    exact
-        Its readings with their values without noise; those of the table come last, row by row.
-    generator
-        Of the noise.
-
-    Returns
-    -------
-    tuple or None
-        None if there is no such section.
+    Returns: none if there is no such section.
     """
     import polars as pl
 

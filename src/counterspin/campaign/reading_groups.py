@@ -1,7 +1,4 @@
-"""Readings of a campaign by accelerometer, motion and noise, as simulation and fit take them.
-
-- `groups_of`
-"""
+"""Readings of a campaign by accelerometer, motion and noise, as simulation and fit take them."""
 
 from __future__ import annotations
 

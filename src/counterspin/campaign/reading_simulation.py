@@ -1,11 +1,4 @@
-"""Simulated readings: what a known instrument on a known machine indicates at each station.
-
-- `indications`: of readings in a group, in g, without noise
-- `true_readings`: of all of a campaign, without noise
-- `numbered_groups`, `head_errors`, `stream`: what that takes
-- `simulate_mean_record`: the columns of a record that stands for a reading
-- `described`, `tabled`: the description and the table of readings with the values in them
-"""
+"""Simulated readings: what a known instrument on a known machine indicates at each station."""
 
 from __future__ import annotations
 
@@ -34,16 +27,9 @@ def indications(
 
     Nothing is linearised: the stations are moved by what the machine does.
 
-    Parameters
-    ----------
-    group
-        Where it is read; values do not matter.
-    coefficients
-        True values of the accelerometer in g-units, slopes included; those not named are nominal.
-    machine
-        Term of the machine -> true value less nominal, SI.
-    head_error
-        Error of the dividing head's angle at each reading, rad, shape (n,).
+    coefficients: True values of the accelerometer in g-units, slopes included; those not named are
+        nominal.
+    head_error: Error of the dividing head's angle at each reading, rad, shape (n,).
     """
     stations = group.turned(group.stations_with(machine), head_error)
     products = mean_products(stations, group.site)
@@ -86,15 +72,7 @@ def numbered_groups(campaign: Campaign) -> list[tuple[Readings, list[int]]]:
 def true_readings(campaign: Campaign) -> tuple[tuple[Reading, ...], Array]:
     """Return a campaign's readings with what would be read without noise, and the head's errors.
 
-    Parameters
-    ----------
-    campaign
-        With [truth].
-
-    Returns
-    -------
-    tuple
-        The readings in the campaign's order, those of records as they were; rad, shape (n,).
+    Returns: the readings in the campaign's order, those of records as they were; rad, shape (n,).
     """
     assert campaign.simulation is not None
     truth, readings = campaign.simulation.truth, campaign.readings
@@ -114,12 +92,7 @@ def stream(campaign: Campaign, which: int) -> np.random.Generator:
 
     So a run that is added changes no reading, and the other way round.
 
-    Parameters
-    ----------
-    campaign
-        With [simulation].
-    which
-        0 of the head, 1 of the readings' noise, from 2 on of records.
+    which: 0 of the head, 1 of the readings' noise, from 2 on of records.
     """
     assert campaign.simulation is not None
     return np.random.default_rng(
@@ -132,19 +105,7 @@ def simulate_mean_record(
 ) -> tuple[Array, Array, Array]:
     """Return time (s), angle (rad) and indicated specific force (m/s^2), each shape (n,).
 
-    Parameters
-    ----------
-    campaign
-        With [simulation] and [truth].
-    reading
-        One that has a record.
-    head_error
-        Error of the dividing head's angle, rad.
-
-    Raises
-    ------
-    ValueError
-        If the reading has no duration.
+    head_error: Error of the dividing head's angle, rad.
     """
     assert campaign.simulation is not None
     truth, rate = campaign.simulation.truth, campaign.simulation.sampling_rate

@@ -1,10 +1,6 @@
 """The true values of simulated readings: [truth.machine], their noise, coefficients in own units.
 
 Nothing here reaches a calibration.
-
-- `of_records`: [truth] as records need it
-- `resolve_reading_truth`: what is true of the machine, and of the noise of readings
-- `unfit_readings`: why readings cannot be simulated
 """
 
 from __future__ import annotations
@@ -39,14 +35,8 @@ def of_records(
 ) -> dict[str, Any]:
     """Return [truth] with coefficients in g-units and without what readings alone have.
 
-    Parameters
-    ----------
-    raw
-        The section as read.
-    outputs
-        Accelerometer -> what its readings are in; coefficients may be in its unit, as ``mA/g``.
-    problems
-        Where mistakes are noted.
+    outputs: Accelerometer -> what its readings are in; coefficients may be in its unit, as
+        ``mA/g``.
     """
     if not isinstance(raw.get(_MACHINE, {}), Mapping):
         problems.add(("truth", _MACHINE), "must be a table")
@@ -108,25 +98,8 @@ def resolve_reading_truth(
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Resolve [truth.machine] and the noise of readings.
 
-    Parameters
-    ----------
-    raw
-        [truth] as read.
-    readings
-        Of the campaign; without any there is nothing to resolve.
-    outputs
-        Accelerometer -> what its readings are in.
-    centrifuge
-        The machine; a true radius may be given as such.
-    problems
-        Where mistakes are noted.
-    gravity
-        Of the site, m/s^2.
-
-    Returns
-    -------
-    tuple
-        Term of the machine -> true value less nominal, SI; accelerometer -> noise, g.
+    centrifuge: The machine; a true radius may be given as such.
+    gravity: Of the site, m/s^2.
     """
     known = [symbol for symbol in symbols_shown(readings) if symbol not in OWN_TERMS]
     machine: dict[str, float] = {}

@@ -3,11 +3,6 @@
 They stand in ``[[runs]]`` with a ``reading``, or in a table that ``[readings]`` names
 (`counterspin.campaign.readings_table`): every row of the table becomes such a run, so that both are
 checked alike.
-
-- `ReadingRunSettings`, `ReadingAxes`: what may stand there
-- `Reading`, `Output`: what comes of it; `BLANK`: in place of a value
-- `is_reading`: which of the runs are readings
-- `resolve_reading`: a run as readings
 """
 
 from __future__ import annotations
@@ -79,69 +74,38 @@ class ReadingRunSettings(SettingsSection):
 
 @frozen
 class Output:
-    """What an accelerometer's readings are in.
+    """What an accelerometer's readings are in."""
 
-    Attributes
-    ----------
-    unit
-        Such as ``mA``.
-    sensitivity
-        Nominal, in that unit per g.
-    """
-
-    unit: str
-    sensitivity: float
+    unit: str  #: Such as ``mA``.
+    sensitivity: float  #: Nominal, in that unit per g.
 
 
 @frozen
 class Reading:
-    """One reading of one accelerometer.
+    """One reading of one accelerometer."""
 
-    Attributes
-    ----------
-    name, accelerometer, motion, mounting
-        Of the run, whose it is, how the instrument moves, and the fixture's position (or empty).
-    axes
-        In the frame of the motion.
-    rate
-        rad/s.
-    value, u
-        Indication in g by the nominal sensitivity, and its standard uncertainty; None: not stated.
-        Of a record, 0 and None until it is read; NaN where `BLANK` stands.
-    record
-        The file whose mean is the reading; None: the value is given.
-    head
-        Axis about which the dividing head turned, zero without one, shape (3,).
-    u_head
-        Random standard uncertainty of the head's angle, rad.
-    temperature, time
-        K and s; None where they were not recorded.
-    duration
-        Length of the record that is simulated, s; None: not stated.
-    repeats
-        How many repeats at one setting the value is the mean of.
-    scatter
-        Sum of squares of the repeats about their mean, g^2.
-    in_si
-        Whether it was written in m/s^2, so that its value in g depends on the gravity assumed.
-    """
-
+    #: Of the run, whose it is, how the instrument moves, and the fixture's position (or empty).
     name: str
     accelerometer: str
     motion: MotionKind
     mounting: str
-    axes: Mounting
-    rate: float
+    axes: Mounting  #: In the frame of the motion.
+    rate: float  #: rad/s.
+    #: Indication in g by the nominal sensitivity, and its standard uncertainty; None: not stated.
+    #: Of a record, 0 and None until it is read; NaN where `BLANK` stands.
     value: float
     u: float | None
+    #: Axis about which the dividing head turned, zero without one, shape (3,).
     head: tuple[float, float, float]
-    u_head: float
+    u_head: float  #: Random standard uncertainty of the head's angle, rad.
+    #: K and s; None where they were not recorded.
     temperature: float | None
     time: float | None
-    record: Path | None = None
-    duration: float | None = None
-    repeats: int = 1
-    scatter: float = 0.0
+    record: Path | None = None  #: The file whose mean is the reading; None: the value is given.
+    duration: float | None = None  #: Length of the record that is simulated, s; None: not stated.
+    repeats: int = 1  #: How many repeats at one setting the value is the mean of.
+    scatter: float = 0.0  #: Sum of squares of the repeats about their mean, g^2.
+    #: Whether it was written in m/s^2, so that its value in g depends on the gravity assumed.
     in_si: bool = False
 
 
@@ -165,18 +129,9 @@ def resolve_reading(
 ) -> list[Reading]:
     """Return the readings of one run, one for each accelerometer that was read.
 
-    Parameters
-    ----------
-    raw, path
-        The run as it stands, and where.
-    mountings, outputs
-        Accelerometer -> its axes in the level attitude, and what its readings are in (None: g).
-    folder
-        Of the campaign.
-    problems
-        Where mistakes are noted; then nothing is returned.
-    gravity
-        Of the site, m/s^2.
+    mountings, outputs: Accelerometer -> its axes in the level attitude, and what its readings are
+        in (None: g).
+    gravity: Of the site, m/s^2.
     """
     settings = problems.check(ReadingRunSettings, raw, path)
     if settings is None:

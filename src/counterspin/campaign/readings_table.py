@@ -1,10 +1,4 @@
-"""A table of readings, in place of many ``[[runs]]``: each of its rows becomes such a run.
-
-- `ReadingsSettings`: what may stand in ``[readings]``
-- `read_table`: the rows as runs, with where each stands in the file; `runs_of`: those of a table
-  that is in memory
-- `load_table`, `ReadingsTable`, `is_empty`: the table as it stands, and how its columns make runs
-"""
+"""A table of readings, in place of many ``[[runs]]``: each of its rows becomes such a run."""
 
 from __future__ import annotations
 
@@ -83,21 +77,7 @@ def read_table(
     problems: Problems,
     checksums: dict[Path, str],
 ) -> Iterator[tuple[dict[str, Any], KeyPath]]:
-    """Yield the rows of the table that ``[readings]`` names, as runs, with where each stands.
-
-    Parameters
-    ----------
-    raw
-        The section.
-    folder
-        Of the campaign.
-    accelerometers
-        Names, and what their readings are in.
-    problems
-        Where mistakes are noted.
-    checksums
-        Takes the checksum of the table as it was read.
-    """
+    """Yield the rows of the table that ``[readings]`` names, as runs, with where each stands."""
     settings = problems.check(ReadingsSettings, raw, ("readings",))
     if settings is None:
         return
@@ -134,18 +114,8 @@ def runs_of(
 ) -> Iterator[tuple[dict[str, Any], KeyPath]]:
     """Yield the rows of a table as runs, with where each stands.
 
-    Parameters
-    ----------
-    settings
-        The section.
-    names
-        Of the table's columns.
-    rows
-        Each with a cell for every column.
-    accelerometers, problems
-        As of `read_table`.
-    places
-        Where the rows stand; None: they are counted.
+    names: Of the table's columns.
+    places: Where the rows stand; None: they are counted.
     """
     before = len(problems.lines)
     table = ReadingsTable(settings, accelerometers, problems)
@@ -193,21 +163,11 @@ def load_table(path: Path, dialect: Dialect) -> tuple[FiledTable, list[str], str
 
 @frozen
 class ReadingsTable:
-    """How the columns of a table make runs.
+    """How the columns of a table make runs."""
 
-    Attributes
-    ----------
-    settings
-        The section.
-    accelerometers
-        Names, and what their readings are in.
-    problems
-        Where mistakes are noted.
-    """
-
-    settings: ReadingsSettings
-    accelerometers: Mapping[str, Output | None]
-    problems: Problems
+    settings: ReadingsSettings  #: The section.
+    accelerometers: Mapping[str, Output | None]  #: Names, and what their readings are in.
+    problems: Problems  #: Where mistakes are noted.
 
     @property
     def columns(self) -> dict[str, str]:

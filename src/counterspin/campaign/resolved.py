@@ -2,11 +2,6 @@
 
 Accelerometer coefficients are in g-units; everything else is SI, angles in rad. `Quantity`
 carries a standard uncertainty; a plain number is exact.
-
-- `Campaign`: all of it; `Channel`, `Accelerometer`, `StatedNoise`, `Run`: its parts
-- `sample_count`: rows of a record of known length; `paper_rows`, `require_room`: one that is made
-  from a description alone, and how much of that there may be
-- `Simulation`, `SimulatedTruth`, `RunTruth`: what `counterspin simulate` makes the records from
 """
 
 from __future__ import annotations
@@ -56,40 +51,24 @@ MOST_RECORDS: Final = 60
 def sample_count(duration: float, sampling_rate: float) -> int:
     """Return the samples of a record from t = 0 to the last one within its duration.
 
-    Parameters
-    ----------
-    duration, sampling_rate
-        s, Hz. A sample that falls on the end but for rounding is within.
+    duration, sampling_rate: s, Hz. A sample that falls on the end but for rounding is within.
     """
     return math.floor(duration * sampling_rate * (1.0 + 1e-12)) + 1
 
 
 @frozen
 class Channel:
-    """One column of the record files.
+    """One column of the record files."""
 
-    Attributes
-    ----------
-    column
-        Its name in the file.
-    factor
-        Factor from its numbers to SI: s, rad, m, m/s or m/s^2. Of a specific force recorded in g
-        it is the site's gravity.
-    unit
-        The unit in the file, as the campaign writes it; empty text: the file says it.
-    offset
-        What is added then, SI: the direction of an encoder's zero, rad.
-    si_unit
-        The SI unit of what comes out; empty text: an output such as a current, as m/s^2.
-    kind, per_revolution
-        As of `counterspin.records.record.ColumnSpec`.
-    """
-
-    column: str
+    column: str  #: Its name in the file.
+    #: Factor from its numbers to SI: s, rad, m, m/s or m/s^2. Of a specific force recorded in g it
+    #: is the site's gravity.
     factor: float
-    unit: str
-    offset: float = 0.0
+    unit: str  #: The unit in the file, as the campaign writes it; empty text: the file says it.
+    offset: float = 0.0  #: What is added then, SI: the direction of an encoder's zero, rad.
+    #: The SI unit of what comes out; empty text: an output such as a current, as m/s^2.
     si_unit: str = ""
+    #: As of `counterspin.records.record.ColumnSpec`.
     kind: ColumnKind = "numbers"
     per_revolution: float = 1.0
 
@@ -123,68 +102,40 @@ class Recording:
 
 @frozen
 class Accelerometer:
-    """One accelerometer under calibration.
+    """One accelerometer under calibration."""
 
-    Attributes
-    ----------
-    name
-        Its name in the campaign.
-    mounting
-        Its axes while the platform is level; `Mounting.turned` gives those of a run's attitude.
-    observable
-        ``displacement``, ``velocity`` or ``specific_force``.
-    channel
-        The column with it.
-    priors
-        Term symbol -> what is known beforehand, in g-units (`bias` is K_F, `scale_factor` K_I);
-        those of [model.priors] that apply to this accelerometer are included. u = 0 means known
-        exactly. A term here that the model neither estimates nor considers has this value.
-    serial_number
-        Free text, or None.
-    output
-        What its readings are in; None: g or m/s^2.
-    force
-        The column of specific force in records on an arm or at rest; None if there are none.
-    grade
-        One of `counterspin.physics.grades.GRADES`: how large its terms may be.
-    """
-
-    name: str
+    name: str  #: Its name in the campaign.
+    #: Its axes while the platform is level; `Mounting.turned` gives those of a run's attitude.
     mounting: Mounting
-    observable: str
-    channel: Channel
+    observable: str  #: ``displacement``, ``velocity`` or ``specific_force``.
+    channel: Channel  #: The column with it.
+    #: Term symbol -> what is known beforehand, in g-units (`bias` is K_F, `scale_factor` K_I);
+    #: those of [model.priors] that apply to this accelerometer are included. u = 0 means known
+    #: exactly. A term here that the model neither estimates nor considers has this value.
     priors: Mapping[str, Quantity]
-    serial_number: str | None = None
-    output: Output | None = None
+    serial_number: str | None = None  #: Free text, or None.
+    output: Output | None = None  #: What its readings are in; None: g or m/s^2.
+    #: The column of specific force in records on an arm or at rest; None if there are none.
     force: Channel | None = None
+    #: One of `counterspin.physics.grades.GRADES`: how large its terms may be.
     grade: str = DEFAULT_GRADE
 
 
 @frozen
 class StatedNoise:
-    """Noise of the records: SI, or ``"estimate"`` where it is to be estimated from residuals.
+    """Noise of the records: SI, or ``"estimate"`` where it is to be estimated from residuals."""
 
-    Attributes
-    ----------
-    displacement, velocity, specific_force
-        White noise of the observable, standard deviation a sample: m, m/s, m/s^2.
-    acceleration
-        White noise of the accelerometer, random-walk coefficient N: m/s^2/Hz^0.5.
-    flicker, bias_walk
-        Wander of the accelerometer's bias: instability B, m/s^2, and random walk K, m/s^2/s^0.5.
-    quantisation
-        Step of the recorded displacement, m.
-    angle, timing
-        White noise of the encoder and of the time stamps, rad and s.
-    """
-
+    #: White noise of the observable, standard deviation a sample: m, m/s, m/s^2.
     displacement: float | str = 0.0
     velocity: float | str = 0.0
     specific_force: float | str = 0.0
+    #: White noise of the accelerometer, random-walk coefficient N: m/s^2/Hz^0.5.
     acceleration: float | str = 0.0
+    #: Wander of the accelerometer's bias: instability B, m/s^2, and random walk K, m/s^2/s^0.5.
     flicker: float | str = 0.0
     bias_walk: float | str = 0.0
-    quantisation: float | str = 0.0
+    quantisation: float | str = 0.0  #: Step of the recorded displacement, m.
+    #: White noise of the encoder and of the time stamps, rad and s.
     angle: float | str = 0.0
     timing: float | str = 0.0
 
@@ -196,62 +147,35 @@ class StatedNoise:
 
 @frozen
 class RunTruth:
-    """True spindle motion and platform errors of one simulated run.
+    """True spindle motion and platform errors of one simulated run."""
 
-    Attributes
-    ----------
-    spindle
-        The true motion of the spindle.
-    shared
-        Symbol of a shared term -> true value, SI; those that are zero are left out.
-    """
-
-    spindle: Spindle
+    spindle: Spindle  #: The true motion of the spindle.
+    #: Symbol of a shared term -> true value, SI; those that are zero are left out.
     shared: Mapping[str, float]
 
 
 @frozen(eq=False)
 class Run:
-    """One run at constant nominal rate.
+    """One run at constant nominal rate."""
 
-    Attributes
-    ----------
-    name
-        Its name, unique in the campaign.
-    rate
-        Nominal rate, rad/s; negative for the sense from east towards south.
-    record
-        Absolute path of the record file.
-    attitude
-        Where the platform's x, y, z axes point in east-north-up, as rows, shape (3, 3).
-    duration
-        Length of the record in s, as planned or simulated; None where it is not stated.
-    truth
-        Truth of a simulated run; None where nothing is to be simulated. A calibration does not
-        read it.
-    temperature, time
-        K, and s of its beginning by any clock; None where they were not recorded.
-    recording
-        How its record is read; None: as the campaign's others.
-    part
-        From where to where the record is used, s in its own time.
-    continued_in
-        Files in which the record goes on.
-    pulses
-        The file with the times of its pulses; None: they are in the record, if anywhere.
-    """
-
-    name: str
-    rate: float
-    record: Path
+    name: str  #: Its name, unique in the campaign.
+    rate: float  #: Nominal rate, rad/s; negative for the sense from east towards south.
+    record: Path  #: Absolute path of the record file.
+    #: Where the platform's x, y, z axes point in east-north-up, as rows, shape (3, 3).
     attitude: Array
+    #: Length of the record in s, as planned or simulated; None where it is not stated.
     duration: float | None = None
+    #: Truth of a simulated run; None where nothing is to be simulated. A calibration does not read
+    #: it.
     truth: RunTruth | None = None
+    #: K, and s of its beginning by any clock; None where they were not recorded.
     temperature: float | None = None
     time: float | None = None
-    recording: Recording | None = None
+    recording: Recording | None = None  #: How its record is read; None: as the campaign's others.
+    #: From where to where the record is used, s in its own time.
     part: tuple[float, float] = (-math.inf, math.inf)
-    continued_in: tuple[Path, ...] = ()
+    continued_in: tuple[Path, ...] = ()  #: Files in which the record goes on.
+    #: The file with the times of its pulses; None: they are in the record, if anywhere.
     pulses: Path | None = None
 
     @property
@@ -262,49 +186,29 @@ class Run:
 
 @frozen
 class SimulatedTruth:
-    """True values of the simulated accelerometers; platform and spindle are in `RunTruth`.
+    """True values of the simulated accelerometers; platform and spindle are in `RunTruth`."""
 
-    Attributes
-    ----------
-    coefficients
-        Accelerometer -> term symbol -> true value in g-units; terms not named are nominal.
-    start_offset, start_velocity
-        Accelerometer -> error of the displacement at the start of each run and of its rate of
-        change: m, m/s.
-    noise
-        True noise of records; every component a number.
-    machine
-        Term of the machine -> true value less nominal, SI.
-    reading_noise
-        Accelerometer -> true noise of its readings, g; of one that is not named, each reading has
-        that which is stated with it.
-    """
-
+    #: Accelerometer -> term symbol -> true value in g-units; terms not named are nominal.
     coefficients: Mapping[str, Mapping[str, float]]
+    #: Accelerometer -> error of the displacement at the start of each run and of its rate of
+    #: change: m, m/s.
     start_offset: Mapping[str, float]
     start_velocity: Mapping[str, float]
-    noise: StatedNoise
+    noise: StatedNoise  #: True noise of records; every component a number.
+    #: Term of the machine -> true value less nominal, SI.
     machine: Mapping[str, float] = field(default_factory=dict)
+    #: Accelerometer -> true noise of its readings, g; of one that is not named, each reading has
+    #: that which is stated with it.
     reading_noise: Mapping[str, float] = field(default_factory=dict)
 
 
 @frozen
 class Simulation:
-    """How `counterspin simulate` makes the records.
+    """How `counterspin simulate` makes the records."""
 
-    Attributes
-    ----------
-    sampling_rate
-        Samples a second, Hz.
-    seed
-        Of the random numbers.
-    truth
-        What it makes them from.
-    """
-
-    sampling_rate: float
-    seed: int
-    truth: SimulatedTruth
+    sampling_rate: float  #: Samples a second, Hz.
+    seed: int  #: Of the random numbers.
+    truth: SimulatedTruth  #: What it makes them from.
 
 
 @frozen
@@ -502,12 +406,8 @@ class Campaign:
 def paper_rows(rate: float, duration: float, sampling_rate: float, *, means: bool) -> float:
     """Return how many rows a record takes that is computed, not read.
 
-    Parameters
-    ----------
-    rate, duration, sampling_rate
-        rad/s, s, Hz.
-    means
-        Whether the samples are averaged as `calibrate` does it.
+    rate, duration, sampling_rate: rad/s, s, Hz.
+    means: Whether the samples are averaged as `calibrate` does it.
     """
     from counterspin.records.reduction import BLOCKS_PER_REVOLUTION, block_size
 
@@ -525,15 +425,7 @@ def require_room(
 
     What is written piece by piece (a simulation) may have any number of runs.
 
-    Parameters
-    ----------
-    campaign
-        The campaign; runs of unknown length do not count.
-    sampling_rate
-        Hz.
-    purpose
-        What is made: all records at once, for a forecast their means; or, for a simulation, one
-        run after the other.
+    sampling_rate: Hz.
     """
     lengths = [
         (f"runs[{index}]", run.rate, run.duration, len(campaign.accelerometers))

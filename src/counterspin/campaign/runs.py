@@ -1,10 +1,4 @@
-"""Runs with records: how each is read, which part of it, and which are left out.
-
-- `taken_runs`, `skipped_runs`: entries of ``[[runs]]`` that count, with their places; the others
-- `recording_of`: how records are read, from ``[records]``
-- `resolve_runs`: the runs
-- `refuse_unwritable`: what `simulate` has no way to write
-"""
+"""Runs with records: how each is read, which part of it, and which are left out."""
 
 from __future__ import annotations
 
@@ -38,24 +32,13 @@ _OWN: Final = ("time", "angle", *Dialect.__dataclass_fields__)
 
 @frozen
 class RunDefaults:
-    """What the sections beside ``[[runs]]`` say of each run.
+    """What the sections beside ``[[runs]]`` say of each run."""
 
-    Attributes
-    ----------
-    folder
-        Of the record files.
-    records
-        The section [records], as it stands.
-    truth
-        The section [truth], as it stands; None where nothing is simulated.
-    revolutions
-        Of a run that is simulated.
-    """
-
-    folder: Path
-    records: Mapping[str, Any]
+    folder: Path  #: Of the record files.
+    records: Mapping[str, Any]  #: The section [records], as it stands.
+    #: The section [truth], as it stands; None where nothing is simulated.
     truth: Mapping[str, Any] | None
-    revolutions: float
+    revolutions: float  #: Of a run that is simulated.
 
 
 def taken_runs(runs: Sequence[Any]) -> list[tuple[int, Any]]:
@@ -113,17 +96,7 @@ def _angle(settings: AngleChannel) -> Channel:
 def resolve_runs(
     runs: Sequence[tuple[int, Any]], defaults: RunDefaults, problems: Problems
 ) -> list[Run]:
-    """Return the runs that have records, and note every mistake in them.
-
-    Parameters
-    ----------
-    runs
-        Places in the description, and entries of ``[[runs]]``.
-    defaults
-        What holds for each.
-    problems
-        Where mistakes are noted.
-    """
+    """Return the runs that have records, and note every mistake in them."""
     resolved = []
     names: dict[str, int] = {}
     records: dict[str, int] = {}

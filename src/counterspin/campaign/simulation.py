@@ -1,9 +1,4 @@
-"""`counterspin simulate`: records and readings of a campaign whose coefficients are known.
-
-- `simulate`: a campaign description with [truth] tables -> record files in a folder, or a campaign
-  with its records in memory
-- `simulate_run`: one run's columns, in memory
-"""
+"""`counterspin simulate`: records and readings of a campaign whose coefficients are known."""
 
 from __future__ import annotations
 
@@ -269,25 +264,8 @@ def simulate_run(
 ) -> Mapping[str, Array]:
     """Return the columns of one run's record, in the units of the campaign's channels.
 
-    Parameters
-    ----------
-    campaign
-        With [simulation] and [truth].
-    run
-        One of its runs.
-    generator
-        Source of the noise.
-
-    Returns
-    -------
-    Mapping
-        Column name -> values, shape (n,): time, angle (if the campaign has one), and one column
-        for each accelerometer.
-
-    Raises
-    ------
-    ValueError
-        If the campaign has no simulation.
+    Returns: column name -> values, shape (n,): time, angle (if the campaign has one), and one
+        column for each accelerometer.
     """
     if campaign.simulation is None or run.truth is None or run.duration is None:
         raise ValueError("this campaign says nothing of what to simulate")

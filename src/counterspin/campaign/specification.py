@@ -1,10 +1,6 @@
 """[specification]: tolerance limits of coefficients, and the decision rule.
 
 The table is in ``campaign.toml`` or, for a certificate, in the laboratory's own file.
-
-- `parse_specification`: ``"abs <= 5e-5 g/g^2"`` to a `Specification`
-- `resolve_specifications`: the table to `Specifications`, every mistake noted by its key
-- `SpecificationSettings`: the keys of the table other than terms
 """
 
 from __future__ import annotations
@@ -36,37 +32,21 @@ _TOLERANCE = re.compile(PLUS_MINUS)
 
 @frozen
 class Specification:
-    """Tolerance limits of a coefficient.
+    """Tolerance limits of a coefficient."""
 
-    Attributes
-    ----------
-    text
-        As it was written.
-    low, high
-        In `unit`, low < high; None where there is no such limit, never both.
-    unit
-        That of the coefficient.
-    """
-
-    text: str
+    text: str  #: As it was written.
+    #: In `unit`, low < high; None where there is no such limit, never both.
     low: float | None
     high: float | None
-    unit: str
+    unit: str  #: That of the coefficient.
 
 
 @frozen
 class Specifications:
-    """All specifications of a campaign or certificate.
+    """All specifications of a campaign or certificate."""
 
-    Attributes
-    ----------
-    rule
-        The decision rule of all.
-    terms
-        Accelerometer -> term symbol -> its specification.
-    """
-
-    rule: DecisionRule
+    rule: DecisionRule  #: The decision rule of all.
+    #: Accelerometer -> term symbol -> its specification.
     terms: Mapping[str, Mapping[str, Specification]]
 
 
@@ -115,20 +95,8 @@ _RULE_OF_KEY: Final = {"guard_factor": "guarded", "conformance_probability": "pr
 def parse_specification(text: object, unit: str, *, gravity: float | None = None) -> Specification:
     """Read tolerance limits.
 
-    Parameters
-    ----------
-    text
-        ``"abs <= A UNIT"`` (from -A to A), ``"<= A UNIT"``, ``">= A UNIT"``, ``"A to B UNIT"`` or
-        ``"V ± T UNIT"`` (from V - T to V + T; T is a tolerance, no uncertainty).
-    unit
-        The coefficient's, in which the limits are returned.
-    gravity
-        The site's, m/s^2, as in `counterspin.campaign.quantity.parse`.
-
-    Raises
-    ------
-    ValueError
-        If it has none of these forms, a quantity in it is wrong, or no value can conform.
+    unit: The coefficient's, in which the limits are returned.
+    gravity: The site's, m/s^2, as in `counterspin.campaign.quantity.parse`.
     """
     if not isinstance(text, str):
         raise ValueError(f"must be text, such as {_FORMS}")
@@ -168,17 +136,7 @@ def resolve_specifications(
 ) -> Specifications | None:
     """Return what the table [specification] says, or None with its mistakes noted.
 
-    Parameters
-    ----------
-    raw
-        The table. A key that is a term holds for all accelerometers; a table in it, named as an
-        accelerometer, holds terms of that accelerometer, which take precedence.
-    accelerometers
-        The names that there are.
-    problems
-        Where mistakes are noted.
-    gravity
-        The site's, m/s^2.
+    gravity: The site's, m/s^2.
     """
     path = ("specification",)
     before = len(problems.lines)

@@ -63,14 +63,8 @@ _ROUNDING: Final = 1e-9  #: of a unit vector; above roundoff, below any angle of
 def acts(row: Term[Turn | PathError], mounting: Mounting, attitude: Array) -> bool:
     """Return whether a shared term reaches an accelerometer to first order in some run.
 
-    Parameters
-    ----------
-    row
-        The term.
-    mounting
-        The accelerometer's axes while the platform is level.
-    attitude
-        Rows: where the platform's axes point in the run, shape (3, 3).
+    mounting: The accelerometer's axes while the platform is level.
+    attitude: Rows: where the platform's axes point in the run, shape (3, 3).
     """
     input_axis = mounting.turned(attitude).input_axis
     effect = row.effect
@@ -114,12 +108,7 @@ def rows_of(
     Of the platform these are the components that leave an acceleration, in any run that starts at
     angle zero, in any accelerometer: one that does not average out and that depends on the run.
 
-    Parameters
-    ----------
-    name
-        A key of `BARE_NAMES`.
-    mountings, attitudes
-        Of the campaign's accelerometers and runs.
+    mountings, attitudes: Of the campaign's accelerometers and runs.
     """
     pairs = list(product(mountings, attitudes))
 
@@ -134,12 +123,8 @@ def rows_of(
 def _leaves_a_mean(turn: Turn, input_axis: Array, attitude: Array, start: Array | None) -> bool:
     """Return whether a term leaves an acceleration over whole revolutions.
 
-    Parameters
-    ----------
-    input_axis
-        In the run's attitude, shape (3,).
-    start
-        Direction in which the platform moves at t = 0, shape (3,); None: any level direction.
+    input_axis: In the run's attitude, shape (3,).
+    start: Direction in which the platform moves at t = 0, shape (3,); None: any level direction.
     """
     # Tilts are about geographic axes, the others about the platform's own.
     axis = np.eye(3)[turn.axis] if turn.kind == "tilt" else attitude[turn.axis]
@@ -169,27 +154,10 @@ def resolve_model(
 ) -> tuple[ErrorModel, dict[str, dict[str, Quantity]]]:
     """Resolve names, priors and sizes of [model].
 
-    Parameters
-    ----------
-    settings
-        The section as it stands.
-    mountings
-        Accelerometer -> its axes.
-    attitudes
-        Of all runs, each of shape (3, 3).
-    given
-        Accelerometer -> term symbol -> prior from the accelerometer's own table.
-    grades
-        Accelerometer -> grade.
-    problems
-        Where mistakes are noted.
-    gravity
-        The site's gravity, m/s^2.
-
-    Returns
-    -------
-    tuple
-        The model, and accelerometer -> term symbol -> prior with those of [model.priors].
+    attitudes: Of all runs, each of shape (3, 3).
+    given: Accelerometer -> term symbol -> prior from the accelerometer's own table.
+    grades: Accelerometer -> grade.
+    gravity: The site's gravity, m/s^2.
     """
 
     def expand(names: Iterable[str], key: str) -> tuple[str, ...]:
@@ -238,17 +206,7 @@ def _assumed(names: Sequence[str], problems: Problems) -> tuple[str, ...]:
 def with_errors_of_the_path(
     model: ErrorModel, priors: Mapping[str, Quantity], problems: Problems
 ) -> ErrorModel:
-    """Return a model with what [centrifuge] says of the path.
-
-    Parameters
-    ----------
-    model
-        As [model] has it.
-    priors
-        By symbol.
-    problems
-        Where mistakes are noted.
-    """
+    """Return a model with what [centrifuge] says of the path."""
     for symbol, prior in priors.items():
         if symbol in model.priors:
             problems.add(("model", "priors", symbol), "is given in [centrifuge] too; keep one")
@@ -344,13 +302,7 @@ def _resolve_priors(
 
 
 def about_nominal(symbol: str, prior: Quantity, grade: str = DEFAULT_GRADE) -> Quantity:
-    """Return a prior that is credible: a scale factor is given as its value, about 1.
-
-    Raises
-    ------
-    ValueError
-        If the prior of a term with a nominal value is further from it than the term may be.
-    """
+    """Return a prior that is credible: a scale factor is given as its value, about 1."""
     row = term(symbol)
     if row.nominal and abs(prior.value - row.nominal) > row.sizes(grade).limit:
         raise ValueError(

@@ -1,11 +1,4 @@
-"""TOML files, read with errors that say where.
-
-- `load_document`: a file's tables; `load_with_checksum`: and the checksum of what was read
-- `parse_document`: the same of what a file holds, or may come to hold
-- `unusable`: what is TOML and no value of any key
-- `flat_keys`: tables inside tables as keys with dots
-- `description_file`: the description's file of a campaign
-"""
+"""TOML files, read with errors that say where."""
 
 from __future__ import annotations
 
@@ -68,20 +61,9 @@ def load_with_checksum(
 ) -> tuple[dict[str, Any], str]:
     """Return a TOML document and its checksum.
 
-    Parameters
-    ----------
-    file
-        The file.
-    advice
-        What to do where it is not there, or another's.
-    kind
-        What it must be; None: whatever it is. Another kind is refused here, since its reader would
-        find no more than unknown keys and missing ones.
-
-    Raises
-    ------
-    CampaignError
-        If the file is missing, cannot be read, is not UTF-8, not TOML or of another kind.
+    advice: What to do where it is not there, or another's.
+    kind: What it must be; None: whatever it is. Another kind is refused here, since its reader
+        would find no more than unknown keys and missing ones.
     """
     wanted = advice
     if kind == "campaign":
@@ -129,13 +111,7 @@ def _kind_of(document: Mapping[str, Any]) -> Kind | None:
 
 
 def parse_document(content: bytes, source: str) -> dict[str, Any]:
-    """Return the TOML document that the bytes of a file hold; `source` is what messages call it.
-
-    Raises
-    ------
-    CampaignError
-        If it is not UTF-8 or not TOML.
-    """
+    """Return the TOML document that the bytes of a file hold; `source` is what messages call it."""
     try:
         # Editors on Windows put a byte-order mark before the text; TOML knows none.
         document = tomllib.loads(content.decode("utf-8-sig"))

@@ -2,10 +2,6 @@
 
 Nothing here reaches a calibration: `Campaign.simulation` and `Run.truth` are read by
 `counterspin simulate` only.
-
-- `resolve_simulation`: sampling and the accelerometers' truth
-- `resolve_run_truth`: spindle and platform of one run
-- `unfit`: why it cannot be simulated
 """
 
 from __future__ import annotations
@@ -66,20 +62,8 @@ def resolve_simulation(
 ) -> Simulation:
     """Resolve [simulation] and the accelerometers' tables of [truth].
 
-    Parameters
-    ----------
-    settings
-        [simulation].
-    raw_truth
-        [truth] as read.
-    accelerometers
-        Names of the campaign's accelerometers.
-    noise
-        [noise], which is true as well unless [truth.noise] says otherwise.
-    problems
-        Where mistakes are noted.
-    gravity
-        The site's gravity, m/s^2.
+    accelerometers: Names of the campaign's accelerometers.
+    gravity: The site's gravity, m/s^2.
     """
     names = list(accelerometers)
     for name in raw_truth:
@@ -126,16 +110,9 @@ def resolve_run_truth(
 ) -> RunTruth | None:
     """Resolve the true spindle and machine of one run; the run's own values take precedence.
 
-    Parameters
-    ----------
-    rate
-        The run's nominal rate, rad/s.
-    raw_truth, raw_run_truth
-        [truth] and the run's `truth` as read.
-    path
-        Of the run's `truth`.
-    problems
-        Where mistakes are noted.
+    rate: The run's nominal rate, rad/s.
+    raw_truth, raw_run_truth: [truth] and the run's `truth` as read.
+    path: Of the run's `truth`.
     """
     common = problems.check(
         SpindleTruthSettings, raw_truth.get("spindle", {}), ("truth", "spindle")

@@ -1,8 +1,4 @@
-"""The administrative data of a certificate: who, what, when, and where (DCC, first ring).
-
-- `Issue`: identifier and date of a certificate
-- `administrative_data`: the element
-"""
+"""The administrative data of a certificate: who, what, when, and where (DCC, first ring)."""
 
 from __future__ import annotations
 
@@ -20,27 +16,14 @@ from counterspin.frozen import frozen
 
 @frozen
 class Issue:
-    """Identifier and date of a certificate.
+    """Identifier and date of a certificate."""
 
-    Attributes
-    ----------
-    identifier
-        Unique.
-    date
-        Of issue, UTC.
-    signed
-        Whether an electronic signature follows.
-    draft
-        Whether the laboratory's data are not its own yet, so that nothing is certified.
-    amended
-        The certificate that this one replaces.
-    """
-
-    identifier: str
-    date: datetime.datetime
-    signed: bool = False
+    identifier: str  #: Unique.
+    date: datetime.datetime  #: Of issue, UTC.
+    signed: bool = False  #: Whether an electronic signature follows.
+    #: Whether the laboratory's data are not its own yet, so that nothing is certified.
     draft: bool = False
-    amended: Amended | None = None
+    amended: Amended | None = None  #: The certificate that this one replaces.
 
     def file_name(self, ending: str) -> str:
         """Return a file name made of the identifier, in which a slash would name a folder."""

@@ -1,11 +1,4 @@
-"""An issued certificate that another one replaces (ISO/IEC 17025:2017, 7.8.8).
-
-- `Amendment`: which one is to be replaced, and why
-- `read_amended`, `Amended`: what the new certificate says of it
-- `changes`: what is otherwise in the new one
-- `amendment_lines`: the sentences
-- `check_amends`: whether a certificate replaces the very document that a file holds
-"""
+"""An issued certificate that another one replaces (ISO/IEC 17025:2017, 7.8.8)."""
 
 from __future__ import annotations
 
@@ -49,40 +42,20 @@ _PARTS: Final = {
 
 @frozen
 class Amendment:
-    """Which certificate is to be replaced.
+    """Which certificate is to be replaced."""
 
-    Attributes
-    ----------
-    path
-        The issued certificate, XML or PDF.
-    reason
-        Why, in words.
-    """
-
-    path: Path
-    reason: str
+    path: Path  #: The issued certificate, XML or PDF.
+    reason: str  #: Why, in words.
 
 
 @frozen
 class Amended:
-    """A certificate that a new one replaces.
+    """A certificate that a new one replaces."""
 
-    Attributes
-    ----------
-    identifier
-        Of the one replaced.
-    checksum
-        SHA-256 of its XML, hexadecimal.
-    reason
-        Why it is replaced.
-    changes
-        What is otherwise in the new one, in sentences.
-    """
-
-    identifier: str
-    checksum: str
-    reason: str
-    changes: tuple[str, ...] = ()
+    identifier: str  #: Of the one replaced.
+    checksum: str  #: SHA-256 of its XML, hexadecimal.
+    reason: str  #: Why it is replaced.
+    changes: tuple[str, ...] = ()  #: What is otherwise in the new one, in sentences.
 
     def next_identifier(self) -> str:
         """Return an identifier for the new one, where the laboratory gives none."""
@@ -93,15 +66,7 @@ class Amended:
 
 
 def read_amended(amendment: Amendment) -> tuple[Amended, bytes]:
-    """Return what is to be said of a certificate that is replaced, and its XML.
-
-    Raises
-    ------
-    CampaignError
-        If no reason is given.
-    RecordError
-        If the file is no certificate of counterspin, or a draft.
-    """
+    """Return what is to be said of a certificate that is replaced, and its XML."""
     if not amendment.reason.strip():
         raise CampaignError("certificate", ["`reason`: say in words why a certificate is replaced"])
     data = read_document(amendment.path)
@@ -120,13 +85,7 @@ def with_changes(amended: Amended, old: bytes, new: bytes) -> Amended:
 
 
 def changes(old: bytes, new: bytes) -> list[str]:
-    """Return in sentences what differs between two certificates, numbers first.
-
-    Parameters
-    ----------
-    old, new
-        Their XML.
-    """
+    """Return in sentences what differs between two certificates, numbers first."""
     before, after = (read_certificate(data, "the certificate") for data in (old, new))
     return [
         *_numbers(before, after),
@@ -147,22 +106,7 @@ def amendment_lines(amended: Amended | None) -> list[str]:
 
 
 def check_amends(new: bytes, old: Path, source: str) -> str:
-    """Return the identifier of the certificate that another replaces.
-
-    Parameters
-    ----------
-    new
-        XML of the one that replaces.
-    old
-        The file of the one replaced, XML or PDF.
-    source
-        What the new one is called in messages.
-
-    Raises
-    ------
-    RecordError
-        If it replaces none, or not this document.
-    """
+    """Return the identifier of the certificate that another replaces."""
     previous = _found(
         parse(new, source), f"{_ADMINISTRATIVE}/dcc:coreData/dcc:previousReport/dcc:value"
     )

@@ -1,7 +1,4 @@
-"""The XML that a certificate's PDF carries (PDF/A-3, ISO 19005-3).
-
-- `read_document`: the XML of a certificate's file, XML or PDF
-"""
+"""The XML that a certificate's PDF carries (PDF/A-3, ISO 19005-3)."""
 
 from __future__ import annotations
 
@@ -22,13 +19,6 @@ def read_document(path: Path) -> bytes:
     """Return the XML of a certificate: the file, or what is attached to a PDF.
 
     A PDF is read where it can do no harm, as records of native formats are.
-
-    Raises
-    ------
-    RecordError
-        If the file cannot be read, or is a PDF without one XML file attached.
-    CounterspinError
-        If it is a PDF and pypdf is not installed.
     """
     if path.suffix.lower() == ".pdf":
         return isolated(_attached, path)

@@ -1,8 +1,4 @@
-"""The Digital Calibration Certificate (DCC 3.3.0) of a result and a laboratory's data.
-
-- `certificate`: the document's root element
-- `check_certifiable`: whether a result can be certified at all
-"""
+"""The Digital Calibration Certificate (DCC 3.3.0) of a result and a laboratory's data."""
 
 from __future__ import annotations
 

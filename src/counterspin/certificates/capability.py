@@ -1,8 +1,4 @@
-"""A laboratory's calibration and measurement capability (CMC): no smaller uncertainty is stated.
-
-- `with_capability`: a result whose uncertainties are at least those
-- `capability_lines`: where that made them larger
-"""
+"""A laboratory's calibration and measurement capability (CMC): no smaller uncertainty is stated."""
 
 from __future__ import annotations
 
@@ -24,13 +20,6 @@ def with_capability(result: Result, lab: Lab) -> Result:
 
     What is added is independent of all else (ILAC-P14:09/2020, 5.4): covariances stay, and
     correlations become smaller. Degrees of freedom and k stay, which makes U no smaller.
-
-    Parameters
-    ----------
-    result
-        The result that is certified.
-    lab
-        With its ``[cmc]``, which `read_lab` checked.
     """
     if not lab.cmc:
         return result
@@ -69,12 +58,7 @@ def with_capability(result: Result, lab: Lab) -> Result:
 def capability_lines(result: Result, certified: Result, lab: Lab) -> list[str]:
     """Return a sentence for each coefficient whose uncertainty the CMC made larger.
 
-    Parameters
-    ----------
-    result, certified
-        Before and after `with_capability`.
-    lab
-        The laboratory's data.
+    lab: The laboratory's data.
     """
     lines = []
     for name in lab.certified(result):

@@ -1,10 +1,4 @@
-"""The coefficients of a result in SI units, as a certificate states them.
-
-- `in_si`: the determined coefficients of an accelerometer
-- `output_in_si`: its bias and scale factor in the unit of its readings, `OUTPUT` by name
-- `with_exact_g`: of numbers whose g is exact
-- `covariance`: of two
-"""
+"""The coefficients of a result in SI units, as a certificate states them."""
 
 from __future__ import annotations
 
@@ -21,15 +15,7 @@ from counterspin.certificates import wording
 
 
 def in_si(result: Result, name: str) -> dict[str, SiEstimate]:
-    """Return the determined coefficients of an accelerometer in SI units.
-
-    Parameters
-    ----------
-    result
-        The result.
-    name
-        The accelerometer.
-    """
+    """Return the determined coefficients of an accelerometer in SI units."""
     estimates = {}
     for symbol, c in result.accelerometers[name].coefficients.items():
         if wording.is_determined(c):
@@ -48,13 +34,6 @@ def output_in_si(result: Result, name: str) -> dict[str, SiEstimate]:
     """Return bias and scale factor in the SI unit of an accelerometer's readings.
 
     Those are left out whose unit has no expression in SI.
-
-    Parameters
-    ----------
-    result
-        The result.
-    name
-        The accelerometer.
     """
     accelerometer = result.accelerometers[name]
     estimates = {}
@@ -86,14 +65,7 @@ def covariance(
 ) -> float:
     """Return the covariance of two coefficients in SI units.
 
-    Parameters
-    ----------
-    correlation
-        Theirs in g-units.
-    estimates
-        Of `in_si`, by the names that they have there.
-    one, other
-        Their names.
+    correlation: Theirs in g-units.
     """
     first, second = estimates[one], estimates[other]
     if one == other:

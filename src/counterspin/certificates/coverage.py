@@ -1,9 +1,4 @@
-"""Coverage factors of intervals and regions, for 95 % coverage.
-
-- `coverage_factor`: of one quantity, by Student's t (GUM G.3)
-- `region_factor`: of several together, by chi-square (JCGM 102 6.5), or by Fisher's F where the
-  scale of the covariance is itself estimated
-"""
+"""Coverage factors of intervals and regions, for 95 % coverage."""
 
 from __future__ import annotations
 
@@ -25,12 +20,7 @@ def coverage_factor(dof: float | None) -> float:
 def region_factor(size: int, dof: float | None) -> float:
     """Return k of the region d' V^-1 d <= k^2 of so many quantities with covariance V.
 
-    Parameters
-    ----------
-    size
-        How many quantities.
-    dof
-        Degrees of freedom of the common scale of V; None is infinite.
+    dof: Degrees of freedom of the common scale of V; None is infinite.
     """
     from scipy.special import chdtri, fdtri
 

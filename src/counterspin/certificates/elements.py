@@ -2,11 +2,6 @@
 
 Numbers are written with all digits of a double, so that a machine reads back what was computed;
 `significantDigit` tells where they are to be rounded, and the words beside them are rounded.
-
-- `dcc`, `si`: an element of either name space; `DCC`, `SI`, `NAMESPACES`
-- `text`, `rich`: text with its language; `attached`: a file
-- `real`: a number with its uncertainty; `number`, `factor`: numbers as text
-- `clean`: text that XML can represent
 """
 
 from __future__ import annotations
@@ -106,18 +101,8 @@ def real(
 ) -> Element:
     """Return a quantity with its expanded uncertainty.
 
-    Parameters
-    ----------
-    value
-        In `unit`.
-    unit
-        Of value and uncertainty; text is taken as D-SI.
-    label
-        Symbol in formulas.
-    u
-        Standard uncertainty; None or 0: none is stated.
-    dof
-        Its effective degrees of freedom; None is infinite.
+    u: Standard uncertainty; None or 0: none is stated.
+    dof: Its effective degrees of freedom; None is infinite.
     """
     digits = round_to_uncertainty(value, u) if u else None
     return si(

@@ -1,10 +1,4 @@
-"""What goes into an instrument's ledger, and how its entries are shown.
-
-- `check_ledger`: whether anything can be entered, before there is a result to lose
-- `enter_result`: a result's file
-- `enter_certificate`: a certificate, entered with the result that it certifies, and its file
-- `ledger_blocks`: the entries as a table
-"""
+"""What goes into an instrument's ledger, and how its entries are shown."""
 
 from __future__ import annotations
 
@@ -41,15 +35,7 @@ class Said:
 
 
 def check_ledger(ledger: Path) -> None:
-    """Refuse a ledger that was altered, or whose folder is not there.
-
-    Raises
-    ------
-    RecordError
-        If there is one that was altered or cannot be read.
-    CounterspinError
-        If there is none, and no folder to make it in.
-    """
+    """Refuse a ledger that was altered, or whose folder is not there."""
     if ledger.exists():
         verify_ledger(ledger)
     else:
@@ -57,24 +43,7 @@ def check_ledger(ledger: Path) -> None:
 
 
 def enter_result(ledger: Path, file: Path, *, who: str, why: str, date: datetime) -> Entry:
-    """Enter a result's file.
-
-    Parameters
-    ----------
-    ledger
-        The ledger.
-    file
-        The result; it must be one that can be read.
-    who, why, date
-        Who enters it, why and when.
-
-    Raises
-    ------
-    RecordError
-        If the result cannot be read, or the ledger was altered.
-    CounterspinError
-        If the ledger cannot be written.
-    """
+    """Enter a result's file."""
     Result.read(file)
     of = {"file": file.name, "sha256": _checksum(file)}
     return append(ledger, "result", of, who=who, why=why, when=_moment(date))
@@ -89,31 +58,8 @@ def enter_certificate(
     ledger. The finished bytes lie hidden beside their place, under a name that follows from their
     checksum; if a kill comes between the entry and the name, the same command again finds them.
 
-    Parameters
-    ----------
-    kept
-        The ledger.
-    path
-        Where the certificate is to be.
-    data
-        What is to be in that file.
-    of
-        Of the certificate: identifier and checksum of its XML; ``amends`` makes it an amendment.
-    said
-        Who answers for it, why, when, and for which result.
-
-    Returns
-    -------
-    Entry or None
-        Of an interrupted command, whose certificate was found and has its name now, in place of
-        `data`, which differ from it; else None.
-
-    Raises
-    ------
-    RecordError
-        If the ledger was altered, or has another certificate of this identifier.
-    CounterspinError
-        If a file is in the way, or something cannot be written.
+    Returns: of an interrupted command, whose certificate was found and has its name now, in place
+        of `data`, which differ from it; else None.
     """
     checksum = checksum_of(data)
     with opened(kept) as ledger:

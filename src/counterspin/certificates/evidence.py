@@ -2,10 +2,6 @@
 
 A term that a description assumes to be perfect adds nothing to u, so a certificate that states u
 has to say why: with a text of the laboratory for each, such as a measurement or a data sheet.
-
-- `unsupported`: what is assumed without a text
-- `is_evidence_for_something`: whether a key names any term
-- `require_evidence`: no certificate without it; `evidence_lines`: what the certificate says
 """
 
 from __future__ import annotations
@@ -22,16 +18,7 @@ ALL: Final = "all"
 
 
 def unsupported(assumed: Sequence[str], evidence: Mapping[str, str]) -> list[str]:
-    """Return what is assumed without a text.
-
-    Parameters
-    ----------
-    assumed
-        Terms, patterns such as ``platform.*``, or ``all``.
-    evidence
-        Text by term, by what several begin with (``platform.tilt``), by pattern; or for ``all``.
-        A term of one accelerometer (``Qx.K_OO``) is covered by that of all (``K_OO``).
-    """
+    """Return what is assumed without a text."""
     return [name for name in assumed if not any(_covers(key, name) for key in evidence)]
 
 
@@ -60,17 +47,7 @@ def is_evidence_for_something(key: str, accelerometers: Collection[str]) -> bool
 def require_evidence(assumed: Sequence[str], evidence: Mapping[str, str], source: str) -> None:
     """Refuse a certificate of a result that assumes something for which nobody answers.
 
-    Parameters
-    ----------
-    assumed, evidence
-        As of `unsupported`.
-    source
-        What the laboratory's data are called in the message.
-
-    Raises
-    ------
-    CampaignError
-        With what lacks a text, and what to write.
+    source: What the laboratory's data are called in the message.
     """
     lacking = unsupported(assumed, evidence)
     if not lacking:

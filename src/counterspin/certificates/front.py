@@ -1,10 +1,6 @@
 """A certificate for people: who, what, how, the results, and what is to be said about them.
 
 What is an opinion, such as whether a result is good, is left to the report (ISO/IEC 17025 7.8.7).
-
-- `front_blocks`: the pages (ISO/IEC 17025 7.8.2.1)
-- `results_table`: the coefficients with their expanded uncertainties
-- `TITLE`, `title`: what it is called
 """
 
 from __future__ import annotations
@@ -46,16 +42,7 @@ def title(issue: Issue) -> str:
 def front_blocks(lab: Lab, result: Result, issue: Issue, verdicts: Verdicts) -> Iterator[Block]:
     """Yield the certificate's pages.
 
-    Parameters
-    ----------
-    lab
-        The laboratory's data.
-    result
-        What is certified, judged, as it was calibrated.
-    issue
-        Identifier and date.
-    verdicts
-        Conformity of the certified coefficients.
+    lab: The laboratory's data.
     """
     settings, names = lab.certificate, lab.certified(result)
     stated = with_capability(result, lab)
@@ -218,14 +205,7 @@ def results_table(
 ) -> Table:
     """Return the determined coefficients with U, in g-units and in SI.
 
-    Parameters
-    ----------
-    name
-        The accelerometer.
-    coefficients
-        In g-units; one that is missing here stands in SI alone.
-    estimates
-        In SI.
+    coefficients: In g-units; one that is missing here stands in SI alone.
     """
     rows = []
     for symbol, estimate in estimates.items():

@@ -1,10 +1,4 @@
-"""From a result to a certificate's file, and from the file back to its numbers.
-
-- `certificate`: check, build, sign, validate; `Certificate`: what comes out, and its files
-- `issue_certificate`: make one and write it; `check_place`: whether it may be written there
-- `check_certificate`, `Checked`: validate, verify the signature, read the numbers
-- `certificate_blocks`: the numbers of a certificate as a page
-"""
+"""From a result to a certificate's file, and from the file back to its numbers."""
 
 from __future__ import annotations
 
@@ -131,15 +125,7 @@ class Certificate:
 
 
 def check_place(output: Path) -> None:
-    """Refuse a name of another kind, and one of a file that is there.
-
-    Raises
-    ------
-    CampaignError
-        If the name ends otherwise than in .xml or .pdf.
-    CounterspinError
-        If there is such a file already.
-    """
+    """Refuse a name of another kind, and one of a file that is there."""
     if output.suffix.lower() not in FORMATS:
         raise CampaignError("certificate", [f"{output}: name the file .xml or .pdf"])
     if output.is_file():
@@ -353,21 +339,13 @@ def _pages(
 
 @frozen
 class Checked:
-    """What a certificate's file holds, and what its signature is worth.
+    """What a certificate's file holds, and what its signature is worth."""
 
-    Attributes
-    ----------
-    certified
-        The numbers.
-    signature
-        ``none``, ``unchecked`` (no certificate of the signer was given) or ``valid``.
-    expired
-        When the signer's certificate expired, after the day of issue; None: it has not, or was not
-        given.
-    """
-
-    certified: Certified
+    certified: Certified  #: The numbers.
+    #: ``none``, ``unchecked`` (no certificate of the signer was given) or ``valid``.
     signature: Literal["none", "unchecked", "valid"]
+    #: When the signer's certificate expired, after the day of issue; None: it has not, or was not
+    #: given.
     expired: date | None = None
 
 
@@ -380,22 +358,7 @@ def check_certificate(
 ) -> Checked:
     """Read a certificate's numbers; with a schema validated, with a signer's certificate verified.
 
-    Parameters
-    ----------
-    path
-        The XML, or the PDF that carries it.
-    schema, cert
-        As in `certificate`; the signer's certificate, PEM.
-    amends
-        The certificate that it must replace, to the last byte of its XML.
-
-    Raises
-    ------
-    RecordError
-        If the file cannot be read, does not conform to the schema, does not replace `amends`, is
-        not signed by the holder of `cert` or was changed since.
-    CounterspinError
-        If schema or cert cannot be used.
+    schema, cert: As in `certificate`; the signer's certificate, PEM.
     """
     data = read_document(path)
     if schema is not None:

@@ -2,10 +2,6 @@
 
 ISO/IEC 17025 7.8.2 and the certificate's administrative data require it. Without complete data
 no certificate is made: all missing keys are reported together.
-
-- `Lab` and its sections: what may stand in the file
-- `read_lab`: the file, checked by itself and against the result
-- `write_example`: a commented one to start from; `example_keys`: keys still as in the example
 """
 
 from __future__ import annotations
@@ -188,22 +184,7 @@ class Lab(SettingsSection):
     def capability(self, symbol: str, gravity: float) -> float | None:
         """Return the least expanded uncertainty that the laboratory may state; None: no limit.
 
-        Parameters
-        ----------
-        symbol
-            Of the coefficient.
-        gravity
-            Of the site, m/s^2.
-
-        Returns
-        -------
-        float or None
-            U for 95 %, in the coefficient's unit (g-units).
-
-        Raises
-        ------
-        ValueError
-            If the symbol is unknown, or its entry is not a positive quantity of its kind.
+        gravity: Of the site, m/s^2.
         """
         if symbol not in self.cmc:
             return None
@@ -225,23 +206,7 @@ def read_lab(
 ) -> tuple[Lab, Specifications | None]:
     """Read the file and check it against the result that is to be certified.
 
-    Parameters
-    ----------
-    path
-        The file, or what it says as nested mappings.
-    result
-        The result.
-
-    Returns
-    -------
-    Lab, Specifications or None
-        The file, and what its [specification] says; None without one.
-
-    Raises
-    ------
-    CampaignError
-        With every missing key and mistake, each with its path; or that the file is missing,
-        not UTF-8 or not TOML.
+    Returns: the file, and what its [specification] says; None without one.
     """
     if isinstance(path, Mapping):
         source, problems = "the laboratory's data", Problems(path)

@@ -3,11 +3,6 @@
 Each line is one entry as JSON, and holds the SHA-256 of the entry before and its own. So whoever
 changes, removes or moves an entry must write all later ones anew; a note of the last one's hash,
 kept elsewhere, shows even that. A line counts once its end is on the disk.
-
-- `Entry`: one line; `append`: add one
-- `opened`, `OpenLedger`: a ledger that nobody else adds to meanwhile
-- `verify_ledger`, `VerifiedLedger`: whether nothing was altered since, and where first if it was
-- `checksum_of`: SHA-256 of a file
 """
 
 from __future__ import annotations
@@ -42,46 +37,24 @@ KINDS: Final = ("result", "certificate", "amendment")
 
 @frozen
 class Entry:
-    """One entry.
+    """One entry."""
 
-    Attributes
-    ----------
-    number
-        From 1 on.
-    when
-        ISO 8601, UTC.
-    who, why
-        In words.
-    what
-        One of `KINDS`.
-    of
-        Names, identifiers and checksums.
-    digest
-        SHA-256 of all this and of the entry before, hexadecimal.
-    """
-
-    number: int
-    when: str
+    number: int  #: From 1 on.
+    when: str  #: ISO 8601, UTC.
+    #: In words.
     who: str
-    what: str
+    what: str  #: One of `KINDS`.
     why: str
-    of: Mapping[str, str]
-    digest: str
+    of: Mapping[str, str]  #: Names, identifiers and checksums.
+    digest: str  #: SHA-256 of all this and of the entry before, hexadecimal.
 
 
 @frozen
 class VerifiedLedger:
-    """A ledger whose entries were not altered.
+    """A ledger whose entries were not altered."""
 
-    Attributes
-    ----------
-    entries
-        All of them, oldest first.
-    unfinished
-        What stands after the last of them: the beginning of an entry whose writer was interrupted.
-    """
-
-    entries: tuple[Entry, ...]
+    entries: tuple[Entry, ...]  #: All of them, oldest first.
+    #: What stands after the last of them: the beginning of an entry whose writer was interrupted.
     unfinished: bytes = b""
 
     @property
@@ -91,13 +64,7 @@ class VerifiedLedger:
 
 
 def verify_ledger(path: Path) -> VerifiedLedger:
-    """Read a ledger and check it, to the last byte.
-
-    Raises
-    ------
-    RecordError
-        If it cannot be read, or was altered; the first entry that was is named.
-    """
+    """Read a ledger and check it, to the last byte."""
     try:
         return _verified(read_file(path), str(path))
     except OSError as error:
@@ -121,12 +88,7 @@ def checksum_of(data: bytes) -> str:
 class OpenLedger:
     """A ledger that is held: others who would add to it wait.
 
-    Parameters
-    ----------
-    path
-        The ledger.
-    file
-        Its file, open for adding; RecordError if it was altered.
+    file: Its file, open for adding; RecordError if it was altered.
     """
 
     def __init__(self, path: Path, file: int) -> None:
@@ -146,16 +108,6 @@ class OpenLedger:
 
         What an interrupted writer left behind is no entry; it is taken away, and the new entry
         keeps it in `of`, as ``unfinished``.
-
-        Parameters
-        ----------
-        what, of, who, why, when
-            As of `Entry`.
-
-        Raises
-        ------
-        CounterspinError
-            If it cannot be written.
         """
         if self._unfinished:
             of = {**of, "unfinished": self._unfinished.decode("utf-8", "replace")}
@@ -190,13 +142,6 @@ def opened(path: Path) -> Iterator[OpenLedger]:
     """Hold a ledger; it is made where there is none.
 
     Whoever has it keeps others waiting, and lets go when it dies.
-
-    Raises
-    ------
-    RecordError
-        If the ledger was altered: it is not continued.
-    CounterspinError
-        If it cannot be opened, or is no file.
     """
     made = not path.exists()
     flags = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)

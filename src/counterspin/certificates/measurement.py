@@ -1,7 +1,4 @@
-"""The measurement results of a certificate: methods, conditions, coefficients (DCC, second ring).
-
-- `measurement_results`: the element
-"""
+"""Measurement results of a certificate: methods, conditions, coefficients (DCC, second ring)."""
 
 from __future__ import annotations
 
@@ -41,14 +38,7 @@ TOGETHER: Final = "All accelerometers together"
 def measurement_results(lab: Lab, result: Result, original: Result) -> Element:
     """Return ``dcc:measurementResults``; the result file itself is among the meta data.
 
-    Parameters
-    ----------
-    lab
-        The laboratory's data.
-    result
-        What is certified, its uncertainties as they are stated.
-    original
-        What was calibrated, as its file has it.
+    lab: The laboratory's data.
     """
     return dcc(
         "measurementResults",

@@ -1,8 +1,4 @@
-"""The numbers of a certificate, read back from its XML.
-
-- `Certified`, `CertifiedAccelerometer`: identifier, g, coefficients and their covariance
-- `read_certificate`: from the bytes of the document
-"""
+"""The numbers of a certificate, read back from its XML."""
 
 from __future__ import annotations
 
@@ -38,17 +34,10 @@ _DOF: Final = "dcc:measurementMetaData/dcc:metaData/dcc:data/dcc:quantity/si:rea
 
 @frozen
 class CertifiedAccelerometer:
-    """One accelerometer in a certificate, in g-units of the certificate's g, taken as exact.
+    """One accelerometer in a certificate, in g-units of the certificate's g, taken as exact."""
 
-    Attributes
-    ----------
-    coefficients
-        Value, u = U/k, degrees of freedom.
-    terms, covariance
-        Of the coefficients together, shape (n, n); empty where the certificate states none.
-    """
-
-    coefficients: dict[str, Coefficient]
+    coefficients: dict[str, Coefficient]  #: Value, u = U/k, degrees of freedom.
+    #: Of the coefficients together, shape (n, n); empty where the certificate states none.
     terms: tuple[str, ...]
     covariance: npt.NDArray[np.float64]
 
@@ -64,13 +53,7 @@ class Certified:
 
 
 def read_certificate(document: bytes, source: str) -> Certified:
-    """Read the numbers of a certificate that counterspin wrote.
-
-    Raises
-    ------
-    RecordError
-        If it is not XML, or not such a certificate.
-    """
+    """Read the numbers of a certificate that counterspin wrote."""
     root = parse(document, source)
     try:
         gravity = _number(_one(root, _GRAVITY))

@@ -2,9 +2,6 @@
 
 The files that PTB publishes import each other by address. Here an import is answered by the file
 of the folder that declares the name space.
-
-- `check_schema`: raises RecordError with the first faults
-- `parse`: an XML document as a tree, without network access or entities
 """
 
 from __future__ import annotations
@@ -28,26 +25,7 @@ _MAX_FAULTS: Final = 5
 
 
 def check_schema(document: bytes, schema: Path, source: str) -> None:
-    """Validate a certificate.
-
-    Parameters
-    ----------
-    document
-        The XML.
-    schema
-        ``dcc.xsd``, or a folder in which it is, perhaps deeper; its imports are looked for in
-        that folder (of a file: in its own folder and the one above).
-    source
-        What the certificate is called in messages.
-
-    Raises
-    ------
-    RecordError
-        If the certificate is not XML or does not conform to the schema; with the first faults
-        and their lines.
-    CounterspinError
-        If the schema is missing or incomplete.
-    """
+    """Validate a certificate."""
     faults = load_schema(schema)
     root = parse(document, source)
     if faults.validate(root):

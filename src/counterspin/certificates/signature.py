@@ -1,10 +1,4 @@
-"""The electronic signature of a certificate: enveloped XML signature with a key of one's own.
-
-- `Signer`, `read_signer`: the signer's key and certificate
-- `sign`: a certificate with its signature
-- `verify`, `Verified`: whether a certificate is unchanged since the expected signer signed it
-- `is_signed`: whether it has a signature
-"""
+"""The electronic signature of a certificate: enveloped XML signature with a key of one's own."""
 
 from __future__ import annotations
 
@@ -35,47 +29,23 @@ _SIGNXML_MISSING: Final = (
 
 @frozen
 class Signer:
-    """Who signs.
+    """Who signs."""
 
-    Attributes
-    ----------
-    key
-        Private key, RSA or elliptic curve.
-    certificates
-        X.509: the signer's, followed by its chain if given.
-    """
-
-    key: Any
-    certificates: list[Any]
+    key: Any  #: Private key, RSA or elliptic curve.
+    certificates: list[Any]  #: X.509: the signer's, followed by its chain if given.
 
 
 @frozen
 class Verified:
-    """What the expected signer has signed.
+    """What the expected signer has signed."""
 
-    Attributes
-    ----------
-    content
-        The signed part of the document: everything but the signature.
-    expired
-        The day on which the signer's certificate expired, after the day of issue; None: it is
-        valid.
-    """
-
-    content: bytes
+    content: bytes  #: The signed part of the document: everything but the signature.
+    #: The day on which the signer's certificate expired, after the day of issue; None: it is valid.
     expired: date | None
 
 
 def read_signer(key: Path, certificate: Path) -> Signer:
-    """Read a private key and the certificate that belongs to it, both PEM.
-
-    Raises
-    ------
-    CounterspinError
-        If signxml is not installed, a file is missing or cannot be used, the key is encrypted, too
-        small or of a kind that XML signatures do not support, key and certificate do not match, or
-        the certificate is not valid now or not for signatures.
-    """
+    """Read a private key and the certificate that belongs to it, both PEM."""
     _signxml()
     from cryptography.hazmat.primitives.asymmetric import ec, rsa
     from cryptography.hazmat.primitives.serialization import load_pem_private_key
@@ -144,23 +114,8 @@ def verify(document: bytes, certificate: Path, source: str) -> Verified:
     A signer's certificate that has expired counts as long as it was valid on the day of issue. That
     day is what the signed document says of itself.
 
-    Parameters
-    ----------
-    document
-        The certificate as it was received.
-    certificate
-        X.509 certificate of the signer, PEM, known from elsewhere: what stands in the document
-        itself proves nothing.
-    source
-        What the document is called in messages.
-
-    Raises
-    ------
-    RecordError
-        If it is not signed, was signed by somebody else or changed since, or the signer's
-        certificate was not valid; the message says which.
-    CounterspinError
-        If signxml is not installed or the certificate cannot be read.
+    certificate: X.509 certificate of the signer, PEM, known from elsewhere: what stands in the
+        document itself proves nothing.
     """
     _signxml()
     from signxml.exceptions import InvalidDigest

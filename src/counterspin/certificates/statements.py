@@ -1,9 +1,4 @@
-"""The statements of a certificate: its claims in words, marked up for machines.
-
-- `statements`: all of them as ``dcc:statement`` elements
-- `quantity_id`: the id of a certified coefficient, to which statements refer
-- `Verdicts`: conformity by accelerometer and term
-"""
+"""The statements of a certificate: its claims in words, marked up for machines."""
 
 from __future__ import annotations
 
@@ -31,18 +26,7 @@ def statements(
 ) -> list[Element]:
     """Return every statement, in the order in which they are read.
 
-    Parameters
-    ----------
-    lab
-        The laboratory's data.
-    result
-        What is certified, judged.
-    issue
-        Of the certificate.
-    verdicts
-        Conformity of the certified coefficients.
-    raised
-        What `capability_lines` says.
+    lab: The laboratory's data.
     """
     gravity = result.inputs.gravity
     settings = lab.certificate

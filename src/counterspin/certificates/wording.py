@@ -1,17 +1,4 @@
-"""The sentences of a certificate, the same in the XML and on its pages.
-
-- `uncertainty_statement`, `unit_statement`, `scope_statement`: for the whole certificate
-- `BASED_ON`, `method_name`, `method_lines`, `test_lines`, `deviation_lines`: the method
-- `known_beforehand`, `customer_lines`: what was not measured, and what the customer supplied
-- `despite_lines`: why a result that its records contradict is certified
-- `output_lines`: bias and scale factor in the unit of the readings
-- `coefficient_line`, `shown_in_g`: one coefficient in g-units
-- `not_determined`: coefficients that are not certified
-- `is_determined`: whether a coefficient is certified
-- `conformity_word`, `decision_rule`, `verdict`: conformity
-- `UNCERTAINTY`, `UNITS` and so on: what the statements are called
-- `plainly`: a sentence of the calibration, in which ± has another meaning
-"""
+"""The sentences of a certificate, the same in the XML and on its pages."""
 
 from __future__ import annotations
 
@@ -184,14 +171,7 @@ def customer_lines(settings: CertificateSettings) -> list[str]:
 def known_beforehand(name: str, result: Result, settings: CertificateSettings) -> list[str]:
     """Return what a result of an accelerometer takes from elsewhere, by its budget.
 
-    Parameters
-    ----------
-    name
-        The accelerometer.
-    result
-        The result.
-    settings
-        Of the laboratory's file; what its `customer_data` names is marked.
+    settings: Of the laboratory's file; what its `customer_data` names is marked.
     """
     lines = {
         line.source: line
@@ -242,15 +222,7 @@ def seal_lines(result: Result) -> list[str]:
 
 
 def despite_lines(result: Result, names: Sequence[str]) -> list[str]:
-    """Return of a judged result that its records contradict what failed, and why it is certified.
-
-    Parameters
-    ----------
-    result
-        With `accepted_misfit`.
-    names
-        The accelerometers that are certified.
-    """
+    """Return what the records of a result contradict, and why it is certified all the same."""
     if result.accepted_misfit is None:
         return []
     failed = [

@@ -1,12 +1,4 @@
-"""Words that several commands share, and what is said below them in the words of a command line.
-
-- `OutputFolder`, `OutputFile`, `JsonFile`: options of the same name and meaning
-- `Saved`: where a result is written, and whether it may take the place of an earlier one
-- `group`: decorates a class whose fields are options of a command
-- `shell_word`: a path as it may be typed into a shell
-- `say`, `complain`: lines to standard output and standard error, safe for any terminal
-- `spoken`: a message with its Python arguments as the options of a command
-"""
+"""Words that several commands share, and what is said below them in the words of a command line."""
 
 from __future__ import annotations
 

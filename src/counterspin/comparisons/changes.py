@@ -1,8 +1,4 @@
-"""What is not the same in several results: their campaigns, and how they were calibrated.
-
-- `changes`: a line for each thing that differs, with its words in each result
-- `terms_of`: what a result has as unknowns
-"""
+"""What is not the same in several results: their campaigns, and how they were calibrated."""
 
 from __future__ import annotations
 
@@ -21,13 +17,7 @@ _NOTHING: Final = "-"
 
 
 def changes(results: Sequence[Result]) -> list[Change]:
-    """Return what differs between results: method and options, terms, noise, inputs, files.
-
-    Parameters
-    ----------
-    results
-        At least one.
-    """
+    """Return what differs between results: method and options, terms, noise, inputs, files."""
     rows = [dict(_description(result)) for result in results]
     subjects = dict.fromkeys(subject for row in rows for subject in row)
     found = []

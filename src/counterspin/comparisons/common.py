@@ -7,10 +7,6 @@ subtract (J. A. Hausman, Econometrica 46 (1978) 1251, lemma 2.1). What is held m
 by its own sensitivity. Results of other records have in common what is stated alike: the
 radius, gravity, what is known beforehand. What nobody states is the same for an instrument and its
 machine in all their results, and so is shared by those that take it at the same typical size.
-
-- `Relation`: what two results share, and what has to be assumed for want of knowing
-- `covariance_of_difference`: from the estimates and their relation
-- `chi_square`: whether a difference is one that its covariance allows
 """
 
 from __future__ import annotations
@@ -34,45 +30,23 @@ _SAID: Final = 1e-3
 
 @frozen
 class Relation:
-    """What two results have in common.
+    """What two results have in common."""
 
-    Attributes
-    ----------
-    records
-        Whether their records are the ``same``, some are (``part``), or they are ``independent``.
-    better
-        Place of the result whose estimate is the best of what both rest on, 0 or 1, or None:
-        nothing says which; the one with the smaller variance is then taken for it.
-    alike
-        Whether both weigh the same records in the same way, so that noise moves them alike.
-    noise_ratio
-        Noise of the first result over that of the second, where it was estimated in both.
-    """
-
+    #: Whether their records are the ``same``, some are (``part``), or they are ``independent``.
     records: Literal["same", "part", "independent"]
+    #: Place of the result whose estimate is the best of what both rest on, 0 or 1, or None: nothing
+    #: says which; the one with the smaller variance is then taken for it.
     better: Literal[0, 1] | None = None
+    #: Whether both weigh the same records in the same way, so that noise moves them alike.
     alike: bool = False
+    #: Noise of the first result over that of the second, where it was estimated in both.
     noise_ratio: float = 1.0
 
 
 def covariance_of_difference(
     first: Estimates, second: Estimates, relation: Relation
 ) -> tuple[Array, list[str]]:
-    """Return the covariance of second less first, and the names of the sources that both share.
-
-    Parameters
-    ----------
-    first, second
-        Of the same terms, p of them.
-    relation
-        What the two have in common.
-
-    Returns
-    -------
-    covariance : array, shape (p, p)
-    shared : list of str
-        Of the same records, what is held; else what is much of a variance.
-    """
+    """Return the covariance of second less first, and the names of the sources that both share."""
     apart = relation.records == "part" and relation.better is None
     if relation.records == "independent" or apart:
         return _of_independent(first, second)
@@ -160,14 +134,10 @@ def chi_square(
 ) -> tuple[float, int, float | None]:
     """Return chi-square of a difference, its degrees of freedom and the probability of more.
 
-    Parameters
-    ----------
-    difference
-        Shape (p,).
-    covariance
-        Of it, shape (p, p); as many degrees of freedom as directions in which it is not nothing.
-    scale
-        Standard uncertainties that say what is nothing, shape (p,).
+    difference: Shape (p,).
+    covariance: Of it, shape (p, p); as many degrees of freedom as directions in which it is not
+        nothing.
+    scale: Standard uncertainties that say what is nothing, shape (p,).
     """
     values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
     there = values > 2.0 * NEGLIGIBLE

@@ -1,7 +1,4 @@
-"""`counterspin compare`: results of other models, methods or campaigns beside each other.
-
-- `compare`: from results or their files to a `Compared`
-"""
+"""`counterspin compare`: results of other models, methods or campaigns beside each other."""
 
 from __future__ import annotations
 

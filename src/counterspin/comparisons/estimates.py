@@ -1,9 +1,4 @@
-"""What a result says of one accelerometer, with its uncertainty taken apart by source.
-
-- `Estimates`: values, their covariance, and what each source contributes to it
-- `SharedSource`: something known, stated or not
-- `estimates_of`: from a result; `g_units_ratio`: what another gravity makes of a number
-"""
+"""What a result says of one accelerometer, with its uncertainty taken apart by source."""
 
 from __future__ import annotations
 
@@ -21,24 +16,13 @@ from counterspin.physics.terms import TERMS, mounting_of
 
 @frozen(eq=False)
 class SharedSource:
-    """One thing that is known with an uncertainty and moves estimates.
+    """One thing that is known with an uncertainty and moves estimates."""
 
-    Attributes
-    ----------
-    estimated
-        Whether it was weighed with the data; else it was held.
-    stated
-        Its value, where the result says it, and its standard uncertainty.
-    moves
-        Signed: what its standard uncertainty moves each estimate by, shape (p,).
-    of_run
-        Whether it belongs to one run or mounting, as a tilt or a misalignment does.
-    """
-
-    estimated: bool
+    estimated: bool  #: Whether it was weighed with the data; else it was held.
+    #: Its value, where the result says it, and its standard uncertainty.
     stated: tuple[float | None, float]
-    moves: Array
-    of_run: bool
+    moves: Array  #: Signed: what its standard uncertainty moves each estimate by, shape (p,).
+    of_run: bool  #: Whether it belongs to one run or mounting, as a tilt or a misalignment does.
 
     def is_as(self, other: SharedSource) -> bool:
         """Return whether another is stated alike, as far as the results say it."""
@@ -55,31 +39,17 @@ class SharedSource:
 
 @frozen(eq=False)
 class Estimates:
-    """Estimates of one accelerometer, p of them.
+    """Estimates of one accelerometer, p of them."""
 
-    Attributes
-    ----------
-    symbols
-        Of the terms.
-    value
-        Shape (p,).
-    covariance
-        All of it, shape (p, p).
-    sources
-        By name: what is stated, what is not, what is held, and recorded rotations.
-    complete
-        Whether the sources and correlations are known; else what is held is only known as a sum,
-        in `held`, and the covariance may be without its correlations.
-    held
-        Root of the sum of squares of all that is held, shape (p,).
-    """
-
-    symbols: tuple[str, ...]
-    value: Array
-    covariance: Array
+    symbols: tuple[str, ...]  #: Of the terms.
+    value: Array  #: Shape (p,).
+    covariance: Array  #: All of it, shape (p, p).
+    #: By name: what is stated, what is not, what is held, and recorded rotations.
     sources: dict[str, SharedSource]
+    #: Whether the sources and correlations are known; else what is held is only known as a sum, in
+    #: `held`, and the covariance may be without its correlations.
     complete: bool
-    held: Array
+    held: Array  #: Root of the sum of squares of all that is held, shape (p,).
 
     def part(self, *, estimated: bool) -> Array:
         """Return what was weighed with the data, or all that is held, contributes."""
@@ -111,16 +81,7 @@ def estimates_of(
 ) -> Estimates:
     """Return what a result says of some of an accelerometer's terms.
 
-    Parameters
-    ----------
-    result
-        The result.
-    name
-        The accelerometer.
-    symbols
-        Terms that are estimated.
-    gravity
-        Whose g-units to have the numbers in, m/s^2; None: the result's own.
+    gravity: Whose g-units to have the numbers in, m/s^2; None: the result's own.
     """
     accelerometer = result.accelerometers[name]
     own = [accelerometer.coefficients[symbol] for symbol in symbols]

@@ -1,8 +1,4 @@
-"""A comparison as a page: what agrees, the values and differences, what changed.
-
-- `render_comparison`: as something that rich prints; `comparison_blocks`: the same as blocks
-- `write_report`: as .html, .pdf or .md; `KIND`: what each of these says that it is
-"""
+"""A comparison as a page: what agrees, the values and differences, what changed."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""What two results have in common: records, models, weights.
-
-- `relation_of`: how two results are related, and what has to be assumed
-- `records_of`: the records that a result rests on
-- `by_the_joint_check`: u of the two methods' difference as a joint result itself states it
-"""
+"""What two results have in common: records, models, weights."""
 
 from __future__ import annotations
 

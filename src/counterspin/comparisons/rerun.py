@@ -1,8 +1,4 @@
-"""`counterspin rerun`: a result's calibration made again, from the inputs that it names.
-
-- `rerun`: find the inputs by their checksums, calibrate with the same options, compare
-- `LIMIT`: largest relative difference of two numbers that are the same
-"""
+"""`counterspin rerun`: a result's calibration made again, from the inputs that it names."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""A result and the same calibration made again, as a person reads it.
-
-- `render_repeat`: as something that rich prints
-"""
+"""A result and the same calibration made again, as a person reads it."""
 
 from __future__ import annotations
 

@@ -1,13 +1,6 @@
 """A comparison of results, and its JSON.
 
 Values are in the units of the coefficients, in g-units of the first result's gravity.
-
-- `Compared`: all of it
-- `ComparedResult`: one of the results; `Change`: something that is not the same in all of them
-- `ComparedCoefficient`, `ComparedEstimate`: a coefficient through all results
-- `AgreementOfTwo`: whether an accelerometer's coefficients in a result agree with those in the
-  first
-- `Repeated`: a result and the same calibration made again; `RepeatedCoefficient`: a term of it
 """
 
 from __future__ import annotations
@@ -22,27 +15,18 @@ from counterspin.results import ResultPart
 
 
 class ComparedResult(ResultPart):
-    """One of the results: what it is called here, and how it was made.
+    """One of the results: what it is called here, and how it was made."""
 
-    Attributes
-    ----------
-    name
-        What it is called here.
-    gravity
-        Its own, m/s^2, where its numbers are converted to g-units of the first result's; else
-        None.
-    accelerometers
-        Those that it has; None in comparisons of earlier versions.
-    """
-
-    name: str
+    name: str  #: What it is called here.
     title: str
     method: str
     model: str
     state: str | None
     version: str
     date: str | None
+    #: Its own, m/s^2, where its numbers are converted to g-units of the first result's; else None.
     gravity: float | None = None
+    #: Those that it has; None in comparisons of earlier versions.
     accelerometers: list[str] | None = None
 
     def has(self, accelerometer: str) -> bool:
@@ -51,28 +35,19 @@ class ComparedResult(ResultPart):
 
 
 class ComparedEstimate(ResultPart):
-    """A coefficient in one result.
+    """A coefficient in one result."""
 
-    Attributes
-    ----------
-    value, u, dof
-        Estimate, standard uncertainty, degrees of freedom (None is infinite); None where it is not
-        determined or not in the model.
-    difference
-        From the first result that determines it; None for that one itself.
-    u_difference
-        Standard uncertainty of `difference`, what both have in common being counted; 0 where
-        nothing that is uncertain lies between the two.
-    z
-        `difference` over `u_difference`.
-    """
-
+    #: Estimate, standard uncertainty, degrees of freedom (None is infinite); None where it is not
+    #: determined or not in the model.
     value: float | None
     u: float | None
     dof: float | None = None
+    #: From the first result that determines it; None for that one itself.
     difference: float | None = None
+    #: Standard uncertainty of `difference`, what both have in common being counted; 0 where nothing
+    #: that is uncertain lies between the two.
     u_difference: float | None = None
-    z: float | None = None
+    z: float | None = None  #: `difference` over `u_difference`.
 
 
 class ComparedCoefficient(ResultPart):
@@ -85,35 +60,22 @@ class ComparedCoefficient(ResultPart):
 
 
 class AgreementOfTwo(ResultPart):
-    """Whether an accelerometer's coefficients agree with those of the first result that has it.
+    """Whether an accelerometer's coefficients agree with those of the first result that has it."""
 
-    Attributes
-    ----------
-    result, accelerometer
-        Which.
-    records
-        Whether it rests on the ``same`` records as that one, ``part`` of them are, or they are
-        ``independent``.
-    terms
-        Those that both determine.
-    chi2, dof, p
-        Of their differences together, with `dof` directions in which they can differ; None where
-        there is none.
-    shared
-        What moves both alike, beside the records.
-    assumed
-        What had to be assumed of their correlation, in sentences.
-    """
-
+    #: Which.
     result: str
     accelerometer: str
+    #: Whether it rests on the ``same`` records as that one, ``part`` of them are, or they are
+    #: ``independent``.
     records: Literal["same", "part", "independent"]
-    terms: list[str]
+    terms: list[str]  #: Those that both determine.
+    #: Of their differences together, with `dof` directions in which they can differ; None where
+    #: there is none.
     chi2: float
     dof: int
     p: float | None
-    shared: list[str]
-    assumed: list[str]
+    shared: list[str]  #: What moves both alike, beside the records.
+    assumed: list[str]  #: What had to be assumed of their correlation, in sentences.
 
     @property
     def agrees(self) -> bool:
@@ -204,29 +166,19 @@ class Compared(ShownResult):
 
 
 class RepeatedCoefficient(ResultPart):
-    """A coefficient before and now.
+    """A coefficient before and now."""
 
-    Attributes
-    ----------
-    name
-        Such as ``Qx.K_II``, ``platform.drift.north`` or ``run1.platform.tilt.north``.
-    before, u_before, now, u_now
-        Estimate and standard uncertainty; None where there is none.
-    relative
-        The larger change of the two: of the estimate, in parts of it or of its u, whichever is
-        larger; of u, in parts of it. None where one has a number that the other lacks.
-    in_u
-        Change of the estimate over `u_before`; None where there is no such u.
-    """
-
-    name: str
+    name: str  #: Such as ``Qx.K_II``, ``platform.drift.north`` or ``run1.platform.tilt.north``.
     unit: str
+    #: Estimate and standard uncertainty; None where there is none.
     before: float | None
     u_before: float | None
     now: float | None
     u_now: float | None
+    #: The larger change of the two: of the estimate, in parts of it or of its u, whichever is
+    #: larger; of u, in parts of it. None where one has a number that the other lacks.
     relative: float | None
-    in_u: float | None
+    in_u: float | None  #: Change of the estimate over `u_before`; None where there is no such u.
 
 
 class Repeated(ShownResult):

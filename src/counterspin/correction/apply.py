@@ -1,9 +1,4 @@
-"""Corrects indicated specific force for a calibrated error model, in memory.
-
-- `apply`: indications to specific force, with its standard uncertainty (`Correction`)
-- `ApplyOptions`: their unit, and what is known of the force along the other axes
-- `instrument_of`: a calibrated accelerometer as its result describes it
-"""
+"""Corrects indicated specific force for a calibrated error model, in memory."""
 
 from __future__ import annotations
 
@@ -249,19 +244,9 @@ def instrument_of(result: Result, name: str, *, placed: bool = False) -> Calibra
     its sensitivities say how such a prior has moved the estimates, so that errors which cancel
     are seen to cancel; else it is taken as uncorrelated.
 
-    Parameters
-    ----------
-    result
-        A calibration's result.
-    name
-        The accelerometer's name there.
-    placed
-        Whether its place on the platform is needed; else its axes are taken as the frame.
-
-    Raises
-    ------
-    CampaignError
-        If there is no such accelerometer, or its place is needed and not in the result.
+    result: A calibration's result.
+    name: The accelerometer's name there.
+    placed: Whether its place on the platform is needed; else its axes are taken as the frame.
     """
     if name not in result.accelerometers:
         there = ", ".join(result.accelerometers)

@@ -1,8 +1,4 @@
-"""`counterspin apply`: a file's column of indicated specific force, corrected in a new file.
-
-- `apply_file`: the input's columns and two more, the corrected force and its uncertainty
-- `CorrectedFile`, `Level`: what was written, for the report
-"""
+"""`counterspin apply`: a file's column of indicated specific force, corrected in a new file."""
 
 from __future__ import annotations
 
@@ -48,41 +44,21 @@ class Level:
 
 @frozen
 class CorrectedFile:
-    """What was written.
+    """What was written."""
 
-    Attributes
-    ----------
-    path
-        The file.
-    column
-        The column that was corrected.
-    rows, missing
-        Rows of the file, and how many of them lack a number that was needed.
-    low, high
-        Least and largest indication.
-    most
-        The row with the largest correction.
-    at_one_g
-        The row nearest to 1 g or -1 g.
-    at_largest
-        The row with the largest indication in size.
-    correction
-        The corrected values themselves.
-    found
-        How the file is written, where that is not plain.
-    """
-
-    path: Path
-    column: str
+    path: Path  #: The file.
+    column: str  #: The column that was corrected.
+    #: Rows of the file, and how many of them lack a number that was needed.
     rows: int
     missing: int
+    #: Least and largest indication.
     low: float
     high: float
-    most: Level
-    at_one_g: Level
-    at_largest: Level
-    correction: Correction
-    found: str = ""
+    most: Level  #: The row with the largest correction.
+    at_one_g: Level  #: The row nearest to 1 g or -1 g.
+    at_largest: Level  #: The row with the largest indication in size.
+    correction: Correction  #: The corrected values themselves.
+    found: str = ""  #: How the file is written, where that is not plain.
 
 
 def apply_file(

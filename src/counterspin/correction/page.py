@@ -1,7 +1,4 @@
-"""What `counterspin apply` did, as a person reads it.
-
-- `render_application`: a few paragraphs, as something that rich prints
-"""
+"""What `counterspin apply` did, as a person reads it."""
 
 from __future__ import annotations
 

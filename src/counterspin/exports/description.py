@@ -1,10 +1,4 @@
-"""From guesses and answers to a campaign's description.
-
-- `draft`: what a recorder's files show, and what has to be asked
-- `Draft`, `Question`: what comes out
-- `described`: the description, once all is answered
-- `write_description`: the same as a file in the campaign's folder
-"""
+"""From guesses and answers to a campaign's description."""
 
 from __future__ import annotations
 
@@ -41,64 +35,28 @@ _SENSES: Final = ("counterclockwise", "clockwise")
 
 @frozen
 class ExportQuestion:
-    """What files do not say.
+    """What files do not say."""
 
-    Attributes
-    ----------
-    key
-        By which it is answered.
-    text
-        The question.
-    example
-        An answer.
-    choices
-        The answers there are; empty: any.
-    """
-
-    key: str
-    text: str
-    example: str
-    choices: tuple[str, ...] = ()
+    key: str  #: By which it is answered.
+    text: str  #: The question.
+    example: str  #: An answer.
+    choices: tuple[str, ...] = ()  #: The answers there are; empty: any.
 
 
 @frozen
 class Draft:
-    """What files show.
+    """What files show."""
 
-    Attributes
-    ----------
-    guesses
-        Of each file.
-    common
-        What they have in common.
-    statements
-        What was guessed, in whole sentences.
-    questions
-        What has to be asked.
-    """
-
-    guesses: tuple[FileGuess, ...]
-    common: FileGuess
-    statements: tuple[str, ...]
-    questions: tuple[ExportQuestion, ...]
+    guesses: tuple[FileGuess, ...]  #: Of each file.
+    common: FileGuess  #: What they have in common.
+    statements: tuple[str, ...]  #: What was guessed, in whole sentences.
+    questions: tuple[ExportQuestion, ...]  #: What has to be asked.
 
 
 def draft(files: Sequence[Path], *, progress: Callable[[int, int], None] | None = None) -> Draft:
     """Look at a recorder's files, one for each run.
 
-    Parameters
-    ----------
-    files
-        In the order of the runs.
-    progress
-        Called with (files looked at, files in all).
-
-    Raises
-    ------
-    RecordError
-        If one cannot be read, or they are not alike.
-    CampaignError
-        If there are none.
+    progress: Called with (files looked at, files in all).
     """
     if not files:
         raise CampaignError("init", ["name the files of the runs"])
@@ -119,22 +77,7 @@ def draft(files: Sequence[Path], *, progress: Callable[[int, int], None] | None 
 
 
 def described(draft: Draft, answers: Mapping[str, str], folder: Path) -> dict[str, Any]:
-    """Return the description that guesses and answers make.
-
-    Parameters
-    ----------
-    draft
-        Of `draft`.
-    answers
-        By the questions' keys.
-    folder
-        Of the campaign: records are named from there.
-
-    Raises
-    ------
-    CampaignError
-        With every question that has no answer, and every answer that is none.
-    """
+    """Return the description that guesses and answers make."""
     problems = [
         f'{q.key}: {q.text} Say it with `answer`, such as "{q.key}={q.example}".'
         for q in draft.questions
@@ -170,15 +113,7 @@ def described(draft: Draft, answers: Mapping[str, str], folder: Path) -> dict[st
 
 
 def write_description(draft: Draft, answers: Mapping[str, str], folder: Path) -> Path:
-    """Write the description into the campaign's folder, with what was guessed as comments.
-
-    Raises
-    ------
-    CampaignError
-        As of `described`, or if an answer is no quantity.
-    CounterspinError
-        If there is a description already, or it cannot be written.
-    """
+    """Write the description into the campaign's folder, with what was guessed as comments."""
     target = folder / DESCRIPTION_NAME
     if target.exists():
         raise CounterspinError(f"{target} exists; edit it, or choose another folder")

@@ -1,9 +1,5 @@
 """Which column of a recorder's file is what.
 
-- `guess_file`: the time, the angle and the signals of one file
-- `agreed`: what several files have in common
-- `FileGuess`, `TimeGuess`, `AngleGuess`, `SignalGuess`: what comes out
-
 Names and units tell most. Where they do not, the numbers do: time rises in even steps; an angle
 rises with it, perhaps wrapped; a signal swings once a revolution.
 """
@@ -54,25 +50,14 @@ class TimeGuess:
 
 @frozen
 class AngleGuess:
-    """The angle.
+    """The angle."""
 
-    Attributes
-    ----------
-    column, unit
-        The column, and its unit; of pulses a unit of time. None: unknown.
-    per_revolution
-        Of counts; None of others.
-    pulses
-        Whether the column has times of pulses.
-    known
-        Whether the unit is the file's own.
-    """
-
+    #: The column, and its unit; of pulses a unit of time. None: unknown.
     column: str
     unit: str | None
-    per_revolution: float | None = None
-    pulses: bool = False
-    known: bool = False
+    per_revolution: float | None = None  #: Of counts; None of others.
+    pulses: bool = False  #: Whether the column has times of pulses.
+    known: bool = False  #: Whether the unit is the file's own.
 
 
 @frozen
@@ -94,31 +79,17 @@ class SignalGuess:
 
 @frozen
 class FileGuess:
-    """What one file has.
+    """What one file has."""
 
-    Attributes
-    ----------
-    look
-        The file.
-    time, angle
-        The columns; None: there seems to be none.
-    signals
-        In the order of the file.
-    rate
-        Size of the spindle's rate, rad/s; where rows are counted, rad a row. None: unknown.
-    rising
-        Whether the encoder counts up.
-    unused
-        Names of columns that seem to be none of these.
-    """
-
-    look: Look
+    look: Look  #: The file.
+    #: The columns; None: there seems to be none.
     time: TimeGuess | None
     angle: AngleGuess | None
-    signals: tuple[SignalGuess, ...]
+    signals: tuple[SignalGuess, ...]  #: In the order of the file.
+    #: Size of the spindle's rate, rad/s; where rows are counted, rad a row. None: unknown.
     rate: float | None
-    rising: bool
-    unused: tuple[str, ...]
+    rising: bool  #: Whether the encoder counts up.
+    unused: tuple[str, ...]  #: Names of columns that seem to be none of these.
 
 
 @np.errstate(all="ignore")  # no number of a file is too odd to be looked at
@@ -165,11 +136,6 @@ def agreed(guesses: Sequence[FileGuess]) -> FileGuess:
     """Return what several files have in common, the first of them speaking for all.
 
     What a signal is may show in how its amplitude grows with the rate.
-
-    Raises
-    ------
-    RecordError
-        If a file lacks a column of the first.
     """
     first = guesses[0]
     for guess in guesses[1:]:

@@ -1,8 +1,4 @@
-"""What is in a file of a recorder, before anybody says what it means.
-
-- `look`: its columns, with their units and numbers
-- `Look`, `FileColumn`: what comes out
-"""
+"""What is in a file of a recorder, before anybody says what it means."""
 
 from __future__ import annotations
 
@@ -27,63 +23,27 @@ _MAX_COLUMNS: Final = 200
 
 @frozen(eq=False)
 class FileColumn:
-    """One column of a file.
+    """One column of a file."""
 
-    Attributes
-    ----------
-    name
-        In the file.
-    unit
-        By the file itself, in plain signs; empty text where it states none.
-    values
-        Numbers, NaN where a cell is empty, shape (n,); of time stamps, s after the first.
-    stamps
-        Whether they are time stamps.
-    """
-
-    name: str
-    unit: str
+    name: str  #: In the file.
+    unit: str  #: By the file itself, in plain signs; empty text where it states none.
+    #: Numbers, NaN where a cell is empty, shape (n,); of time stamps, s after the first.
     values: Array
-    stamps: bool = False
+    stamps: bool = False  #: Whether they are time stamps.
 
 
 @frozen(eq=False)
 class Look:
-    """What is in a file.
+    """What is in a file."""
 
-    Attributes
-    ----------
-    path
-        The file.
-    columns
-        Those that hold numbers or time stamps.
-    others
-        Names of those that hold neither.
-    found
-        How it is written, where that is not plain.
-    """
-
-    path: Path
-    columns: tuple[FileColumn, ...]
-    others: tuple[str, ...]
-    found: str
+    path: Path  #: The file.
+    columns: tuple[FileColumn, ...]  #: Those that hold numbers or time stamps.
+    others: tuple[str, ...]  #: Names of those that hold neither.
+    found: str  #: How it is written, where that is not plain.
 
 
 def look(path: Path, dialect: Dialect = TO_BE_FOUND) -> Look:
-    """Return what is in a file.
-
-    Parameters
-    ----------
-    path
-        A record file of any format.
-    dialect
-        How it is written, as far as that is known.
-
-    Raises
-    ------
-    RecordError
-        The file cannot be read, or has no columns of numbers.
-    """
+    """Return what is in a file."""
     return isolated(_look, path, dialect)
 
 

@@ -1,8 +1,4 @@
-"""The wave that a revolution makes in a column of numbers.
-
-- `frequency`: how often a second a column swings, by its spectrum
-- `wave`: amplitude and phase of what follows an angle
-"""
+"""The wave that a revolution makes in a column of numbers."""
 
 from __future__ import annotations
 
@@ -22,10 +18,7 @@ _WAVE_SHARE: Final = 0.5
 def frequency(time: Array, values: Array) -> float | None:
     """Return the frequency of the wave that a column is made of, Hz; None if it is none.
 
-    Parameters
-    ----------
-    time, values
-        Shape (n,), NaN where there is none; time rises, in s.
+    time, values: Shape (n,), NaN where there is none; time rises, in s.
     """
     good = np.isfinite(time) & np.isfinite(values)
     t, y = time[good][:_MAX_SAMPLES], values[good][:_MAX_SAMPLES]
@@ -54,10 +47,7 @@ def frequency(time: Array, values: Array) -> float | None:
 def wave(angle: Array, values: Array) -> tuple[float, float]:
     """Return amplitude and phase of values = A cos(angle + phase), beside a parabola.
 
-    Parameters
-    ----------
-    angle, values
-        rad, unwrapped, and what follows it; shape (n,), NaN where there is none.
+    angle, values: rad, unwrapped, and what follows it; shape (n,), NaN where there is none.
     """
     good = np.isfinite(angle) & np.isfinite(values)
     th, y = angle[good], values[good]

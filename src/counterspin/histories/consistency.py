@@ -2,11 +2,6 @@
 
 The measurements have the standard uncertainties that they state, which are not scaled, and are
 independent unless their covariance is given.
-
-- `weighted_mean`, `Mean`: their mean, and the chi-square test that they agree with it
-- `drift`, `Drift`: a straight line through them over time
-- `Agreement`: how they scatter about either
-- `en_score`: two of them, by their expanded uncertainties
 """
 
 from __future__ import annotations
@@ -25,77 +20,46 @@ from counterspin.inference.plain_fit import Fit, fit
 
 @frozen
 class Agreement:
-    """How measurements scatter about a fit, in their own uncertainties.
+    """How measurements scatter about a fit, in their own uncertainties."""
 
-    Attributes
-    ----------
-    chi2
-        Sum of squared differences, each over its standard uncertainty.
-    dof
-        Measurements less fitted quantities.
-    p
-        Probability of a larger `chi2` if the uncertainties are right; None without a degree of
-        freedom.
-    birge
-        Birge ratio, the root of chi2/dof: near 1 where the uncertainties are right; None likewise.
-    """
-
-    chi2: float
-    dof: int
+    chi2: float  #: Sum of squared differences, each over its standard uncertainty.
+    dof: int  #: Measurements less fitted quantities.
+    #: Probability of a larger `chi2` if the uncertainties are right; None without a degree of
+    #: freedom.
     p: float | None
+    #: Birge ratio, the root of chi2/dof: near 1 where the uncertainties are right; None likewise.
     birge: float | None
 
 
 @frozen
 class Mean:
-    """A weighted mean.
+    """A weighted mean."""
 
-    Attributes
-    ----------
-    value, u
-        The mean and its standard uncertainty, in the unit of the measurements.
-    agreement
-        Of the measurements with it.
-    difference
-        Measurements less mean, shape (n,).
-    z
-        `difference` over its own standard uncertainty, which is the root of u_i^2 - u^2, for the
-        measurement is part of the mean; shape (n,), NaN for one measurement alone.
-    """
-
+    #: The mean and its standard uncertainty, in the unit of the measurements.
     value: float
     u: float
-    agreement: Agreement
-    difference: Array
+    agreement: Agreement  #: Of the measurements with it.
+    difference: Array  #: Measurements less mean, shape (n,).
+    #: `difference` over its own standard uncertainty, which is the root of u_i^2 - u^2, for the
+    #: measurement is part of the mean; shape (n,), NaN for one measurement alone.
     z: Array
 
 
 @frozen
 class Drift:
-    """A straight line over time.
+    """A straight line over time."""
 
-    Attributes
-    ----------
-    slope, u
-        Change per unit of time, and its standard uncertainty from those of the measurements.
-    p
-        Probability of a slope as large if there is no drift (normal distribution, both sides).
-    time, value
-        The weighted mean time, at which slope and value are uncorrelated, and the line's value
-        there.
-    u_value
-        Standard uncertainty of `value`.
-    agreement
-        Of the measurements with the line.
-    """
-
+    #: Change per unit of time, and its standard uncertainty from those of the measurements.
     slope: float
     u: float
+    #: Probability of a slope as large if there is no drift (normal distribution, both sides).
     p: float
+    #: The weighted mean time, at which slope and value are uncorrelated, and the line's value
+    #: there.
     time: float
     value: float
-    u_value: float
-    agreement: Agreement
+    u_value: float  #: Standard uncertainty of `value`.
+    agreement: Agreement  #: Of the measurements with the line.
 
     def at(self, time: npt.ArrayLike) -> tuple[Array, Array]:
         """Return the line and its standard uncertainty at times, each of the times' shape."""
@@ -106,22 +70,9 @@ class Drift:
 def weighted_mean(values: npt.ArrayLike, u: npt.ArrayLike, covariance: Array | None = None) -> Mean:
     """Return the mean with weights 1/u^2 and whether the measurements agree with it.
 
-    Parameters
-    ----------
-    values, u
-        Measurements and their standard uncertainties, shape (n,), n >= 1, u > 0.
-    covariance
-        Of the measurements, shape (n, n), where they are not independent: the mean is then that of
-        generalised least squares.
-
-    Returns
-    -------
-    Mean
-
-    Raises
-    ------
-    ValueError
-        If an uncertainty is not positive, or the shapes do not fit.
+    values, u: Measurements and their standard uncertainties, shape (n,), n >= 1, u > 0.
+    covariance: Of the measurements, shape (n, n), where they are not independent: the mean is then
+        that of generalised least squares.
     """
     measured, sigma = np.asarray(values, np.float64), np.asarray(u, np.float64)
     if covariance is not None:
@@ -144,22 +95,8 @@ def drift(
 ) -> Drift | None:
     """Fit a straight line by weighted least squares.
 
-    Parameters
-    ----------
-    time
-        Of the measurements, shape (n,), in any unit and order.
-    values, u, covariance
-        As for `weighted_mean`.
-
-    Returns
-    -------
-    Drift or None
-        None where all measurements are of one time.
-
-    Raises
-    ------
-    ValueError
-        As `weighted_mean`.
+    time: Of the measurements, shape (n,), in any unit and order.
+    Returns: none where all measurements are of one time.
     """
     when, sigma = np.asarray(time, np.float64), np.asarray(u, np.float64)
     if np.ptp(when) == 0.0:
@@ -193,19 +130,8 @@ def en_score(
 ) -> float:
     """Return the E_n score of a second measurement against a first (ISO 13528:2015, 9.7).
 
-    Parameters
-    ----------
-    first, second
-        Value, standard uncertainty and degrees of freedom (None is infinite) of each; the expanded
-        uncertainties are those of 95 % coverage.
-    covariance
-        Of the two: what they share cancels in the difference.
-
-    Returns
-    -------
-    float
-        Difference over the root of the sum of squared expanded uncertainties; up to 1 in size the
-        two agree.
+    first, second: Value, standard uncertainty and degrees of freedom (None is infinite) of each;
+        the expanded uncertainties are those of 95 % coverage.
     """
     one, other = (expanded_uncertainty(u, dof) for _, u, dof in (first, second))
     common = 2.0 * covariance * (one / first[1]) * (other / second[1])

@@ -1,7 +1,4 @@
-"""Control limits from the results themselves: individuals and moving range.
-
-- `individuals`, `Individuals`: centre, warning and action limits, and which results lie beyond
-"""
+"""Control limits from the results themselves: individuals and moving range."""
 
 from __future__ import annotations
 
@@ -27,27 +24,15 @@ FEWEST_RESULTS: Final = 3
 
 @frozen
 class Individuals:
-    """An individuals chart with its moving range.
+    """An individuals chart with its moving range."""
 
-    Attributes
-    ----------
-    centre
-        Mean of the results.
-    sigma
-        Their standard deviation from one to the next: mean moving range over 1.128.
-    mean_range, range_limit
-        Mean of the sizes of the changes, and their upper action limit.
-    beyond
-        Places of the results beyond the action limits.
-    leaps
-        Places of the results whose change since the one before is beyond `range_limit`.
-    """
-
-    centre: float
-    sigma: float
+    centre: float  #: Mean of the results.
+    sigma: float  #: Their standard deviation from one to the next: mean moving range over 1.128.
+    #: Mean of the sizes of the changes, and their upper action limit.
     mean_range: float
     range_limit: float
-    beyond: tuple[int, ...]
+    beyond: tuple[int, ...]  #: Places of the results beyond the action limits.
+    #: Places of the results whose change since the one before is beyond `range_limit`.
     leaps: tuple[int, ...]
 
     def limits(self, width: float = ACTION_SIGMAS) -> tuple[float, float]:
@@ -58,15 +43,8 @@ class Individuals:
 def individuals(values: npt.ArrayLike) -> Individuals | None:
     """Return the chart of results in order of time (NIST/SEMATECH e-Handbook, 6.3.2.2).
 
-    Parameters
-    ----------
-    values
-        Shape (n,).
-
-    Returns
-    -------
-    Individuals or None
-        None for fewer than `FEWEST_RESULTS` results.
+    values: Shape (n,).
+    Returns: none for fewer than `FEWEST_RESULTS` results.
     """
     measured = np.asarray(values, dtype=np.float64)
     if measured.size < FEWEST_RESULTS:

@@ -1,8 +1,4 @@
-"""When an instrument is due again: how long it stays in specification with a stated reliability.
-
-- `next_due`: the date, or why there is none
-- `probability_inside`: that it is in specification at a time
-"""
+"""When an instrument is due again: how long it stays in specification with a stated reliability."""
 
 from __future__ import annotations
 
@@ -23,14 +19,7 @@ def probability_inside(line: Drift, time: float, low: float | None, high: float 
 
     The line's uncertainty is enlarged by its Birge ratio where that is above 1.
 
-    Parameters
-    ----------
-    line
-        Through the results; in years.
-    time
-        In years, as the line has them.
-    low, high
-        The limits; None where there is none.
+    low, high: The limits; None where there is none.
     """
     value, u = (float(part) for part in line.at(time))
     u *= max(1.0, line.agreement.birge or 1.0)
@@ -50,22 +39,8 @@ def next_due(
     After method 2 of ILAC-G24:2022 (OIML D 10:2022), 6.3, "Control chart (calendar-time)": drift
     and its uncertainty are found from the results of the past and carried on.
 
-    Parameters
-    ----------
-    line
-        Through the results, in years since `start`.
-    start, last
-        Dates of the first and the last result.
-    limits
-        Lower and upper one.
-    reliability
-        Probability wanted.
-
-    Returns
-    -------
-    datetime or None
-        `last` itself where the probability is too small already; None if it is large enough for
-        `LONGEST_YEARS` years.
+    Returns: `last` itself where the probability is too small already; None if it is large enough
+        for `LONGEST_YEARS` years.
     """
     begin = (last - start) / YEAR
     if probability_inside(line, begin, *limits) < reliability:

@@ -1,8 +1,4 @@
-"""The files of a history: which are results, of which instrument and date, which are duplicates.
-
-- `collect`, `Collected`: from files and folders to records of one coefficient
-- `DatedResult`: one accelerometer in one result
-"""
+"""The files of a history: which are results, of which instrument and date, which are duplicates."""
 
 from __future__ import annotations
 
@@ -33,49 +29,28 @@ _SUMMARY_REASON: Final = "is a summary of several campaigns; write a result for 
 
 @frozen
 class DatedResult:
-    """What one result says of one accelerometer.
+    """What one result says of one accelerometer."""
 
-    Attributes
-    ----------
-    serial_number, stated_by
-        As in `counterspin.histories.result.InstrumentHistory`.
-    campaign_serial_number
-        What the campaign states, or None.
-    date
-        Without a zone; UTC where one is stated.
-    file
-        As it was found.
-    accelerometer, method
-        Its name there; the result's method.
-    value, u, dof
-        In the term's unit, in g-units of `gravity`.
-    gravity
-        m/s^2.
-    records
-        Checksums of the record files that it rests on.
-    shared
-        As of `counterspin.histories.shared.shared_sources`.
-    limits
-        Specification: lower and upper limit, and its words; None without one.
-    laboratory
-        As the campaign states it.
-    """
-
+    #: As in `counterspin.histories.result.InstrumentHistory`.
     serial_number: str
     stated_by: Literal["accelerometer", "campaign"]
-    campaign_serial_number: str | None
-    date: datetime
-    file: str
+    campaign_serial_number: str | None  #: What the campaign states, or None.
+    date: datetime  #: Without a zone; UTC where one is stated.
+    file: str  #: As it was found.
+    #: Its name there; the result's method.
     accelerometer: str
     method: str
+    #: In the term's unit, in g-units of `gravity`.
     value: float
     u: float
     dof: float | None
-    gravity: float
-    records: frozenset[str]
+    gravity: float  #: m/s^2.
+    records: frozenset[str]  #: Checksums of the record files that it rests on.
+    #: As of `counterspin.histories.shared.shared_sources`.
     shared: dict[tuple[str, str], float] = field(default_factory=dict)
+    #: Specification: lower and upper limit, and its words; None without one.
     limits: tuple[float | None, float | None, str] | None = None
-    laboratory: str | None = None
+    laboratory: str | None = None  #: As the campaign states it.
 
 
 @dataclass
@@ -89,25 +64,7 @@ class Collected:
 
 
 def collect(given: Sequence[Path | Result], term: str) -> Collected:
-    """Read all results that are named or lie in the folders named, whatever their schema.
-
-    Parameters
-    ----------
-    given
-        Results, files and folders; folders are searched with all their subfolders.
-    term
-        Symbol of the coefficient.
-
-    Returns
-    -------
-    Collected
-        In the order of the files' names; a damaged file stops no other.
-
-    Raises
-    ------
-    CampaignError
-        If a path does not exist; all of them are named.
-    """
+    """Read all results that are named or lie in the folders named, whatever their schema."""
     paths = [path for path in given if isinstance(path, Path)]
     missing = [f"{path}: there is no such file or folder" for path in paths if not path.exists()]
     if missing:

@@ -1,7 +1,4 @@
-"""`counterspin history`: a coefficient of each instrument through all its results.
-
-- `history`: from result files to a `History`
-"""
+"""`counterspin history`: a coefficient of each instrument through all its results."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""A history as a page: a sentence, a table and a control chart for each instrument.
-
-- `judgements`: what follows from limits, in sentences
-- `render_history`: as something that rich prints; `history_blocks`: the same as blocks
-- `control_plot`: one instrument's control chart; `history_plots`: those of all
-"""
+"""A history as a page: a sentence, a table and a control chart for each instrument."""
 
 from __future__ import annotations
 

@@ -1,11 +1,6 @@
 """A history: the results of each instrument over time; its JSON.
 
 Values are in the unit of the term, in g-units of one gravity, which is stated.
-
-- `History`: all of it
-- `InstrumentHistory`, `Point`, `Scatter`, `Trend`: one instrument's results and their analysis
-- `ControlLimits`, `SpecificationLimits`, `Due`, `LaboratoryPair`: limits, interval, comparison
-- `UnusedResult`: what could not be used, and why
 """
 
 from __future__ import annotations
@@ -20,40 +15,22 @@ Verdict = Literal["single", "constant", "drifts", "differ", "disagree"]
 
 
 class Point(ResultPart):
-    """One result.
+    """One result."""
 
-    Attributes
-    ----------
-    date
-        Of the campaign, as ISO 8601.
-    file
-        The result's file.
-    accelerometer
-        Its name in that campaign.
-    method
-        ``joint`` or ``two-stage``.
-    value, u, dof
-        Estimate, standard uncertainty, degrees of freedom (None is infinite).
-    difference, z
-        From the weighted mean, and over the standard uncertainty of this difference; None for one
-        result alone.
-    e_n
-        E_n score against the result before; None for the first.
-    laboratory
-        Of the campaign; None where it states none.
-    """
-
-    date: str
-    file: str
-    accelerometer: str
-    method: str
+    date: str  #: Of the campaign, as ISO 8601.
+    file: str  #: The result's file.
+    accelerometer: str  #: Its name in that campaign.
+    method: str  #: ``joint`` or ``two-stage``.
+    #: Estimate, standard uncertainty, degrees of freedom (None is infinite).
     value: float
     u: float
     dof: float | None
+    #: From the weighted mean, and over the standard uncertainty of this difference; None for one
+    #: result alone.
     difference: float | None
     z: float | None
-    e_n: float | None
-    laboratory: str | None = None
+    e_n: float | None  #: E_n score against the result before; None for the first.
+    laboratory: str | None = None  #: Of the campaign; None where it states none.
 
 
 class Scatter(ResultPart):
@@ -66,56 +43,33 @@ class Scatter(ResultPart):
 
 
 class Trend(ResultPart):
-    """A straight line through the results: change per year of 365.25 days.
+    """A straight line through the results: change per year of 365.25 days."""
 
-    Attributes
-    ----------
-    value, u
-        Drift and its standard uncertainty, in the term's unit per year.
-    p
-        Probability of a drift as large by chance.
-    date
-        Weighted mean date, ISO 8601.
-    level, u_level
-        The line there.
-    scatter
-        About the line.
-    """
-
+    #: Drift and its standard uncertainty, in the term's unit per year.
     value: float
     u: float
-    p: float
-    date: str
+    p: float  #: Probability of a drift as large by chance.
+    date: str  #: Weighted mean date, ISO 8601.
+    #: The line there.
     level: float
     u_level: float
-    scatter: Scatter
+    scatter: Scatter  #: About the line.
 
 
 class ControlLimits(ResultPart):
-    """Individuals and moving range, from the results alone (NIST/SEMATECH e-Handbook, 6.3.2.2).
+    """Individuals and moving range, from the results alone (NIST/SEMATECH e-Handbook, 6.3.2.2)."""
 
-    Attributes
-    ----------
-    centre
-        Mean of the results, not weighted.
-    warning_low, warning_high, action_low, action_high
-        At two and at three standard deviations, these from the mean moving range.
-    mean_range, range_limit
-        Mean moving range, and its upper action limit.
-    beyond
-        Files of the results beyond the action limits.
-    leaps
-        Files of the results that differ from the one before by more than `range_limit`.
-    """
-
-    centre: float
+    centre: float  #: Mean of the results, not weighted.
+    #: At two and at three standard deviations, these from the mean moving range.
     warning_low: float
     warning_high: float
     action_low: float
     action_high: float
+    #: Mean moving range, and its upper action limit.
     mean_range: float
     range_limit: float
-    beyond: list[str]
+    beyond: list[str]  #: Files of the results beyond the action limits.
+    #: Files of the results that differ from the one before by more than `range_limit`.
     leaps: list[str]
 
 
@@ -128,21 +82,12 @@ class SpecificationLimits(ResultPart):
 
 
 class Due(ResultPart):
-    """When the instrument is due again.
+    """When the instrument is due again."""
 
-    Attributes
-    ----------
-    date
-        Last day on which it is in specification with `reliability`, by the line; None: see reason.
-    reliability
-        Probability.
-    reason
-        Why there is no date.
-    """
-
+    #: Last day on which it is in specification with `reliability`, by the line; None: see reason.
     date: str | None
-    reliability: float
-    reason: str | None = None
+    reliability: float  #: Probability.
+    reason: str | None = None  #: Why there is no date.
 
 
 class LaboratoryPair(ResultPart):
@@ -160,52 +105,29 @@ class LaboratoryPair(ResultPart):
 
 
 class InstrumentHistory(ResultPart):
-    """One instrument's results, oldest first.
+    """One instrument's results, oldest first."""
 
-    Attributes
-    ----------
-    serial_number
-        The accelerometer's; or the campaign's and the accelerometer's name.
-    stated_by
-        Which of the two.
-    points
-        The results.
-    mean, u_mean, scatter
-        Weighted mean, its standard uncertainty, and the scatter about it.
-    drift
-        None where all results are of one date.
-    verdict
-        ``single``: one result; ``constant``: they agree and do not drift; ``drifts``: they agree
-        with a line that is not level; ``differ``: two dates differ, by drift or by a jump;
-        ``disagree``: they scatter by more than their uncertainties.
-    shared
-        What results have in common, such as ``centrifuge.radius``.
-    correlation
-        The largest of two results that follows; None: they are independent.
-    control
-        Limits from the results alone; None for fewer than three.
-    specification
-        None where no result has one.
-    due
-        When it is due again, or why nothing can be said; None in files of earlier versions.
-    laboratories
-        Each pair of those that the results name.
-    """
-
-    serial_number: str
-    stated_by: Literal["accelerometer", "campaign"]
-    points: list[Point]
+    serial_number: str  #: The accelerometer's; or the campaign's and the accelerometer's name.
+    stated_by: Literal["accelerometer", "campaign"]  #: Which of the two.
+    points: list[Point]  #: The results.
+    #: Weighted mean, its standard uncertainty, and the scatter about it.
     mean: float
     u_mean: float
     scatter: Scatter
-    drift: Trend | None
+    drift: Trend | None  #: None where all results are of one date.
+    #: ``single``: one result; ``constant``: they agree and do not drift; ``drifts``: they agree
+    #: with a line that is not level; ``differ``: two dates differ, by drift or by a jump;
+    #: ``disagree``: they scatter by more than their uncertainties.
     verdict: Verdict
-    shared: list[str] = []
+    shared: list[str] = []  #: What results have in common, such as ``centrifuge.radius``.
+    #: The largest of two results that follows; None: they are independent.
     correlation: float | None = None
+    #: Limits from the results alone; None for fewer than three.
     control: ControlLimits | None = None
-    specification: SpecificationLimits | None = None
+    specification: SpecificationLimits | None = None  #: None where no result has one.
+    #: When it is due again, or why nothing can be said; None in files of earlier versions.
     due: Due | None = None
-    laboratories: list[LaboratoryPair] = []
+    laboratories: list[LaboratoryPair] = []  #: Each pair of those that the results name.
 
 
 class UnusedResult(ResultPart):

@@ -1,8 +1,4 @@
-"""What several results have in common, and so err in together: radius, gravity, priors.
-
-- `shared_sources`: of one result, what later ones may share
-- `in_common`, `InCommon`: of several, with the covariances that follow
-"""
+"""What several results have in common, and so err in together: radius, gravity, priors."""
 
 from __future__ import annotations
 
@@ -35,21 +31,11 @@ _LEAST_OWN_PART: Final = 1e-3
 
 @frozen
 class InCommon:
-    """What results share.
+    """What results share."""
 
-    Attributes
-    ----------
-    names
-        What it is, such as ``centrifuge.radius``.
-    largest
-        The largest correlation of two results.
-    covariance
-        Of the results, shape (n, n).
-    """
-
-    names: tuple[str, ...]
-    largest: float
-    covariance: Array
+    names: tuple[str, ...]  #: What it is, such as ``centrifuge.radius``.
+    largest: float  #: The largest correlation of two results.
+    covariance: Array  #: Of the results, shape (n, n).
 
 
 def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, str], float]:
@@ -59,19 +45,6 @@ def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, st
     accelerometer, the platform or the machine if both have the same uncertainty, stated or not: it
     is then taken to be the same measurement, or the same lack of one. What belongs to a run or
     to a mounting is not shared.
-
-    Parameters
-    ----------
-    result
-        The result.
-    name, symbol
-        Accelerometer and coefficient.
-
-    Returns
-    -------
-    dict
-        Source and what identifies it -> what one standard uncertainty of it moves the coefficient
-        by, signed.
     """
     found: dict[tuple[str, str], float] = {}
     lines = result.accelerometers[name].budget.get(symbol, ())
@@ -95,15 +68,7 @@ def shared_sources(result: Result, name: str, symbol: str) -> dict[tuple[str, st
 def in_common(
     u: Sequence[float], shared: Sequence[Mapping[tuple[str, str], float]]
 ) -> InCommon | None:
-    """Return what results have in common; None where it is negligible.
-
-    Parameters
-    ----------
-    u
-        Standard uncertainties of the results.
-    shared
-        Of each, as `shared_sources` has it.
-    """
+    """Return what results have in common; None where it is negligible."""
     count: dict[tuple[str, str], int] = {}
     for sources in shared:
         for key in sources:

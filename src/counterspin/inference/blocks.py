@@ -2,9 +2,6 @@
 
 However long a record is, what it says about p unknowns fits into p rows. The record's own start
 offset and start velocity are projected out on the way.
-
-- `reduce_block`: a whitened record -> `Block`
-- `dependent`: what the triangle of a QR factorisation shows
 """
 
 from __future__ import annotations
@@ -26,25 +23,14 @@ class Block:
     """What one record says about the shared unknowns, in rotated rows of unit variance.
 
     ``target = factor @ unknowns + considered @ considered_values + noise``.
-
-    Attributes
-    ----------
-    factor
-        Upper trapezoidal, shape (k, p), k <= p + q.
-    target
-        Shape (k,).
-    considered
-        The columns of the considered terms in the same rows, shape (k, q).
-    rss
-        Sum of squares that neither unknowns, nor considered terms, nor nuisances can explain.
-    rows, nuisance
-        Number of observations and of the record's own unknowns that were projected out.
     """
 
-    factor: Array
-    target: Array
-    considered: Array
+    factor: Array  #: Upper trapezoidal, shape (k, p), k <= p + q.
+    target: Array  #: Shape (k,).
+    considered: Array  #: The columns of the considered terms in the same rows, shape (k, q).
+    #: Sum of squares that neither unknowns, nor considered terms, nor nuisances can explain.
     rss: float
+    #: Number of observations and of the record's own unknowns that were projected out.
     rows: int
     nuisance: int
 
@@ -60,27 +46,10 @@ def reduce_block(
     One QR of [nuisance | design | considered | observations]; the rows that belong to the
     nuisances are dropped, which is the exact projection.
 
-    Parameters
-    ----------
-    design
-        Columns of the unknowns, whitened (unit variance, uncorrelated), shape (n, p).
-    observations
-        Whitened observations, shape (n,).
-    nuisance
-        Columns of the record's own unknowns, whitened, shape (n, m); none by default.
-    considered
-        Columns of the considered terms, whitened, shape (n, q); none by default.
-
-    Returns
-    -------
-    Block
-
-    Raises
-    ------
-    ValueError
-        If the numbers of rows differ or a number is not finite.
-    NotIdentifiableError
-        If the nuisances cannot be told apart from each other.
+    design: Columns of the unknowns, whitened (unit variance, uncorrelated), shape (n, p).
+    observations: Whitened observations, shape (n,).
+    nuisance: Columns of the record's own unknowns, whitened, shape (n, m); none by default.
+    considered: Columns of the considered terms, whitened, shape (n, q); none by default.
     """
     y = np.asarray(observations, dtype=np.float64)
     n = y.size

@@ -2,12 +2,6 @@
 
 What is known of the quantity is a normal distribution about the estimate, or Student's t where the
 uncertainty has few degrees of freedom (JCGM 101:2008, 6.4.9). No knowledge of other items is used.
-
-- `conformance_probability`, `nonconformance_probability`: of one item (JCGM 106 clause 7)
-- `expanded_uncertainty`: half of a coverage interval
-- `acceptance_limits`: the tolerance limits, moved inwards by the guard band (clause 8)
-- `DecisionRule`: by which pass, fail and undecided are told apart
-- `judge`, `Judgement`: pass, fail or undecided, and the risk of being wrong
 """
 
 from __future__ import annotations
@@ -27,29 +21,17 @@ COVERAGE: Final = 0.95
 
 @frozen
 class DecisionRule:
-    """By which rule conformity is decided.
+    """By which rule conformity is decided."""
 
-    Attributes
-    ----------
-    name
-        ``simple``: by the estimate alone (clause 8.2). ``guarded``: pass inside the acceptance
-        limits, fail where the estimate is outside the tolerance limits by more than the guard
-        band, undecided between (clause 8.3; ILAC-G8:09/2019 with w = U). ``probability``: pass
-        where the conformance probability is at least `needed`, fail where that of the contrary is.
-    guard_factor
-        Guard band over expanded uncertainty, w = guard_factor x U, U of 95 % coverage; of the
-        guarded rule.
-    needed
-        Probability that must be reached, above 0.5; of the rule by probability.
-
-    Raises
-    ------
-    ValueError
-        If `guard_factor` or `needed` is not possible.
-    """
-
+    #: ``simple``: by the estimate alone (clause 8.2). ``guarded``: pass inside the acceptance
+    #: limits, fail where the estimate is outside the tolerance limits by more than the guard band,
+    #: undecided between (clause 8.3; ILAC-G8:09/2019 with w = U). ``probability``: pass where the
+    #: conformance probability is at least `needed`, fail where that of the contrary is.
     name: RuleName
+    #: Guard band over expanded uncertainty, w = guard_factor x U, U of 95 % coverage; of the
+    #: guarded rule.
     guard_factor: float = 1.0
+    #: Probability that must be reached, above 0.5; of the rule by probability.
     needed: float = 0.95
 
     def __post_init__(self) -> None:
@@ -61,24 +43,14 @@ class DecisionRule:
 
 @frozen
 class Judgement:
-    """What a decision rule says of one item.
+    """What a decision rule says of one item."""
 
-    Attributes
-    ----------
-    verdict
-        Pass, fail or undecided.
-    guard_band
-        How far the acceptance limits lie inside the tolerance limits; 0 without guard bands.
-    probability
-        That the item conforms.
-    risk
-        That the verdict is wrong: the specific consumer's risk of a pass, the specific producer's
-        risk of a fail; None if undecided.
-    """
-
-    verdict: Verdict
+    verdict: Verdict  #: Pass, fail or undecided.
+    #: How far the acceptance limits lie inside the tolerance limits; 0 without guard bands.
     guard_band: float
-    probability: float
+    probability: float  #: That the item conforms.
+    #: That the verdict is wrong: the specific consumer's risk of a pass, the specific producer's
+    #: risk of a fail; None if undecided.
     risk: float | None
 
 
@@ -87,26 +59,9 @@ def conformance_probability(
 ) -> float:
     """Return the probability that the quantity lies between its tolerance limits.
 
-    Parameters
-    ----------
-    value, u
-        Estimate and standard uncertainty, u >= 0; with u = 0 the value is exact.
-    dof
-        Degrees of freedom of u; None is infinite.
-    low, high
-        Tolerance limits in the unit of `value`, low < high; None where there is none.
-
-    Returns
-    -------
-    float
-        JCGM 106:2012, clause 7: G((high - y)/u) - G((low - y)/u), G being the distribution of
-        the standardised quantity. A probability near 0 keeps its digits; one near 1 has them in
-        `nonconformance_probability`.
-
-    Raises
-    ------
-    ValueError
-        If there is no limit, the limits are not in order, or u or dof is not possible.
+    value, u: Estimate and standard uncertainty, u >= 0; with u = 0 the value is exact.
+    dof: Degrees of freedom of u; None is infinite.
+    low, high: Tolerance limits in the unit of `value`, low < high; None where there is none.
     """
     below, above = _standardised(value, u, dof, low, high)
     if below > 0.0:
@@ -154,24 +109,7 @@ def judge(
     high: float | None,
     rule: DecisionRule,
 ) -> Judgement:
-    """Judge one item by a decision rule.
-
-    Parameters
-    ----------
-    value, u, dof, low, high
-        As for `conformance_probability`.
-    rule
-        The decision rule.
-
-    Returns
-    -------
-    Judgement
-
-    Raises
-    ------
-    ValueError
-        As `conformance_probability`.
-    """
+    """Judge one item by a decision rule."""
     inside = conformance_probability(value, u, dof, low, high)
     outside = nonconformance_probability(value, u, dof, low, high)
     guard_band = 0.0

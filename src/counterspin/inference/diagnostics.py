@@ -50,65 +50,39 @@ CHI_SQUARE_SIGNIFICANCE: Final = SIGNIFICANCE / 4.0
 
 @frozen
 class RunDiagnostics:
-    """Tests of one run's whitened residuals.
+    """Tests of one run's whitened residuals."""
 
-    Attributes
-    ----------
-    rows
-        How many residuals.
-    chi2, dof
-        Sum of squares, and this run's share of the degrees of freedom.
-    chi2_p
-        Probability of a larger sum, the noise being as stated.
-    sign_z, sign_p
-        Number of stretches of one sign: its distance from what independence gives, in standard
-        deviations (negative: too few); two-sided probability.
-    peak_frequency
-        Hz where times were given, else cycles per row.
-    peak_share, peak_p
-        Fisher's g, the peak's share of the periodogram, and the probability of a larger one.
-    periodogram
-        As `periodogram` gives it, for pictures.
-    """
-
-    rows: int
+    rows: int  #: How many residuals.
+    #: Sum of squares, and this run's share of the degrees of freedom.
     chi2: float
     dof: float
-    chi2_p: float
+    chi2_p: float  #: Probability of a larger sum, the noise being as stated.
+    #: Number of stretches of one sign: its distance from what independence gives, in standard
+    #: deviations (negative: too few); two-sided probability.
     sign_z: float
     sign_p: float
-    peak_frequency: float
+    peak_frequency: float  #: Hz where times were given, else cycles per row.
+    #: Fisher's g, the peak's share of the periodogram, and the probability of a larger one.
     peak_share: float
     peak_p: float
+    #: As `periodogram` gives it, for pictures.
     periodogram: Array = field(repr=False, compare=False)
 
 
 @frozen
 class Diagnostics:
-    """Tests of a whole fit.
+    """Tests of a whole fit."""
 
-    Attributes
-    ----------
-    chi2, dof
-        Sum of squares of all whitened residuals and the degrees of freedom.
-    lack_of_fit_p
-        Small means that the model or the noise is wrong. With given noise the probability of a
-        larger chi2; with estimated noise the smallest probability of the sign and peak tests,
-        times their number (Bonferroni), for chi2 then equals dof whatever the model.
-    noise_given
-        Which of the two it is.
-    runs
-        Tests of each run.
-    findings
-        What stands out, one sentence each; empty where nothing does.
-    """
-
+    #: Sum of squares of all whitened residuals and the degrees of freedom.
     chi2: float
     dof: float
+    #: Small means that the model or the noise is wrong. With given noise the probability of a
+    #: larger chi2; with estimated noise the smallest probability of the sign and peak tests, times
+    #: their number (Bonferroni), for chi2 then equals dof whatever the model.
     lack_of_fit_p: float
-    noise_given: bool
-    runs: dict[str, RunDiagnostics]
-    findings: tuple[str, ...]
+    noise_given: bool  #: Which of the two it is.
+    runs: dict[str, RunDiagnostics]  #: Tests of each run.
+    findings: tuple[str, ...]  #: What stands out, one sentence each; empty where nothing does.
 
     @property
     def verdict(self) -> str:
@@ -133,24 +107,10 @@ def diagnose(
 ) -> Diagnostics:
     """Test the whitened residuals of a fit.
 
-    Parameters
-    ----------
-    residuals
-        By run, (n,) whitened residuals in the order of time; n >= 3.
-    dof
-        Degrees of freedom by run, or of the whole fit: the runs then share them by their rows.
-    noise_given
-        False where the noise was estimated from these residuals.
-    times
-        By run, the rows' times, s (any offset), for the frequency of a peak.
-    fits
-        Of how many such fits, those of a campaign's accelerometers, this is one: the significance
+    residuals: By run, (n,) whitened residuals in the order of time; n >= 3.
+    times: By run, the rows' times, s (any offset), for the frequency of a peak.
+    fits: Of how many such fits, those of a campaign's accelerometers, this is one: the significance
         is shared among them.
-
-    Raises
-    ------
-    ValueError
-        No runs, fewer than three residuals in one, or dof not positive.
     """
     values = {name: np.asarray(rows, float) for name, rows in residuals.items()}
     total = sum(len(rows) for rows in values.values())
@@ -246,11 +206,6 @@ def agreement_of(differences: int) -> float:
 
     All of them stay below in 99.8 % of good campaigns (Sidak, Journal of the American Statistical
     Association 62 (1967) 626: at least that, however they depend on each other).
-
-    Parameters
-    ----------
-    differences
-        How many are compared in the whole campaign.
     """
     each = -math.expm1(math.log1p(-FALSE_ALARMS) / max(differences, 1))
     return max(AGREEMENT, -normal_quantile(0.5 * each))
@@ -259,12 +214,7 @@ def agreement_of(differences: int) -> float:
 def normal_equivalent(z: float, dof: float | None) -> float:
     """Return the size of a normal variable that is as rare as |z| of Student's distribution.
 
-    Parameters
-    ----------
-    z
-        A difference over its standard uncertainty.
-    dof
-        Degrees of freedom of that; None: infinite.
+    dof: Degrees of freedom of that; None: infinite.
     """
     size = abs(z)
     # Below 1e-300 there is no probability to compare any more.
@@ -272,18 +222,7 @@ def normal_equivalent(z: float, dof: float | None) -> float:
 
 
 def runs_test(rows: ArrayLike) -> tuple[int, float, float]:
-    """Run Wald and Wolfowitz's test of the signs' order, by its normal approximation.
-
-    Parameters
-    ----------
-    rows
-        (n,) residuals in the order of time; zeros have no sign and are left out.
-
-    Returns
-    -------
-    Number of runs, its standardised distance from the mean, two-sided probability. Where all signs
-    are equal their order tells nothing: distance 0, probability 1.
-    """
+    """Run Wald and Wolfowitz's test of the signs' order, by its normal approximation."""
     values = np.asarray(rows, float)
     positive = values[values != 0] > 0
     up = int(positive.sum())
@@ -306,15 +245,8 @@ def periodogram(rows: ArrayLike) -> Array:
 
     Its expectation is 1 for independent residuals of unit variance.
 
-    Parameters
-    ----------
-    rows
-        (n,) evenly spaced residuals, n >= 3.
-
-    Returns
-    -------
-    Array
-        Shape ((n - 1) // 2,), from 1/n cycles per row.
+    rows: (n,) evenly spaced residuals, n >= 3.
+    Returns: shape ((n - 1) // 2,), from 1/n cycles per row.
     """
     values = np.asarray(rows, float)
     n = len(values)
@@ -323,13 +255,7 @@ def periodogram(rows: ArrayLike) -> Array:
 
 
 def periodogram_peak(power: Array, n: int) -> tuple[float, float, float]:
-    """Largest line of the periodogram of n rows, with Fisher's exact test.
-
-    Returns
-    -------
-    Frequency in cycles per row, its share g of the power, probability of a larger share in
-    independent normal noise.
-    """
+    """Largest line of the periodogram of n rows, with Fisher's exact test."""
     total = float(power.sum())
     if total == 0:
         return 0.0, 0.0, 1.0

@@ -3,11 +3,6 @@
 A usual calibration asks these some fifty times; loading SciPy for that would take it as long as
 everything that it computes.
 
-- `normal_cdf`, `normal_quantile`
-- `chi_square_tail`: the probability of a larger sum of squares
-- `student_cdf`, `student_quantile`: any number of degrees of freedom, infinite ones too
-- `log_binomial`: logarithm of a binomial coefficient
-
 Compared with SciPy and mpmath they have ten correct digits or more, in far tails too.
 """
 

@@ -43,55 +43,36 @@ NEAR_COLLINEAR: Final = 0.95
 
 @frozen
 class Confounded:
-    """Terms that the data alone hardly tell apart, and a combination of them that is determined.
+    """Terms that the data alone hardly tell apart, and a combination of them that is determined."""
 
-    Attributes
-    ----------
-    terms
-        Their symbols, in the order of the unknowns.
-    correlation
-        Of the two estimates from the data, before the terms' own priors; of more than two terms
-        the largest in size among the pairs, the other terms of the set held fixed.
-    determined
-        The combination in words, such as ``K_I - K_IP``. Terms whose part is below a tenth of
-        `u` at their largest credible size are left out, and weights have the digits that they
-        need: evaluated as it stands, no term is off by more than a tenth of `u`.
-    weights
-        The exact combination, over all unknowns, shape (p,); 1 for the first of the terms.
-    named_weights
-        Those of `terms`, in their order.
-    value, u
-        Its estimate and combined standard uncertainty.
-    """
-
-    terms: tuple[str, ...]
+    terms: tuple[str, ...]  #: Their symbols, in the order of the unknowns.
+    #: Of the two estimates from the data, before the terms' own priors; of more than two terms the
+    #: largest in size among the pairs, the other terms of the set held fixed.
     correlation: float
+    #: The combination in words, such as ``K_I - K_IP``. Terms whose part is below a tenth of `u` at
+    #: their largest credible size are left out, and weights have the digits that they need:
+    #: evaluated as it stands, no term is off by more than a tenth of `u`.
     determined: str
+    #: The exact combination, over all unknowns, shape (p,); 1 for the first of the terms.
     weights: Array
-    named_weights: tuple[float, ...]
+    named_weights: tuple[float, ...]  #: Those of `terms`, in their order.
+    #: Its estimate and combined standard uncertainty.
     value: float
     u: float
 
 
 @frozen
 class Assessment:
-    """Which unknowns are determined, and what stands behind those that are not.
+    """Which unknowns are determined, and what stands behind those that are not."""
 
-    Attributes
-    ----------
-    determined
-        For each symbol, whether the data determine it: u is below the largest credible size, and
-        of a prior's variance at least a tenth is taken away. What is known exactly is not
-        determined by the data.
-    u
-        Standard uncertainties from data, priors and considered terms, without regularisation,
-        shape (p,); huge where nothing bounds the unknown.
-    confounded
-        One entry for each combination that stands for terms which cannot be told apart.
-    """
-
+    #: For each symbol, whether the data determine it: u is below the largest credible size, and of
+    #: a prior's variance at least a tenth is taken away. What is known exactly is not determined by
+    #: the data.
     determined: dict[str, bool]
+    #: Standard uncertainties from data, priors and considered terms, without regularisation, shape
+    #: (p,); huge where nothing bounds the unknown.
     u: Array
+    #: One entry for each combination that stands for terms which cannot be told apart.
     confounded: tuple[Confounded, ...]
 
 
@@ -106,28 +87,9 @@ def assess(
     Pairs of unknowns are named where their correlation, before their own priors, exceeds
     `NEAR_COLLINEAR` and their combination is known at least twice as well as they are.
 
-    Parameters
-    ----------
-    solution
-        Solved with limits, the largest credible sizes.
-    symbols
-        The names of the first p unknowns. Further ones must have priors; nothing is said of them.
-    nominal
-        What must be added to the estimates to get the coefficients named (1 for K_I where its
+    nominal: What must be added to the estimates to get the coefficients named (1 for K_I where its
         unknown is K_I - 1), shape (p,); zeros by default. It enters the values of combinations.
-
-    Returns
-    -------
-    Assessment
-
-    Raises
-    ------
-    ValueError
-        If the number of symbols does not fit or the solution has no limits.
-
-    References
-    ----------
-    IEEE Std 836, on near-collinear ("bucking") coefficients of centrifuge tests.
+    References: IEEE Std 836, on near-collinear ("bucking") coefficients of centrifuge tests.
     """
     if solution.limits is None:
         raise ValueError("assess needs a solution that was solved with limits")
@@ -239,13 +201,7 @@ class _Problem:
         return float(np.clip(-cosine[worst], -1.0, 1.0))
 
     def alike(self) -> dict[tuple[int, int], float]:
-        """Pairs that the data see one by one but hardly tell apart, before their own priors.
-
-        Returns
-        -------
-        dict
-            The size of each such pair's correlation.
-        """
+        """Pairs that the data see one by one but hardly tell apart, before their own priors."""
         pairs = list(combinations(range(self.limits.size), 2))
         if not pairs:
             return {}
@@ -293,11 +249,6 @@ def _separate(
     Going from the last loose term to the first, a term is either set aside, or it is determined
     once those set aside are given; then what is left of it, after regression on them, is the
     combination sought, uncorrelated with those set aside and so the best known.
-
-    Returns
-    -------
-    list
-        The weights of each combination over all unknowns.
     """
     size = np.linalg.norm(root, axis=1)
     aside: list[int] = []
@@ -356,12 +307,8 @@ def _connected(sets: Sequence[Sequence[int]]) -> list[list[int]]:
 def write_combination(names: Sequence[str], weights: npt.ArrayLike, slack: npt.ArrayLike) -> str:
     """Write a combination such as ``K_F + 1.1241 K_I``.
 
-    Parameters
-    ----------
-    names, weights
-        Of the terms, shape (n,).
-    slack
-        How far each weight may be rounded, shape (n,): whole numbers where all of them allow it,
+    names, weights: Of the terms, shape (n,).
+    slack: How far each weight may be rounded, shape (n,): whole numbers where all of them allow it,
         else the fewest digits.
     """
     exact = np.asarray(weights, dtype=np.float64)

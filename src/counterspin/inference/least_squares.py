@@ -8,8 +8,6 @@ together with what is known beforehand.
 No Gram matrix is ever formed. Householder QR has a backward error that is small column by column
 (Higham, Accuracy and Stability of Numerical Algorithms, 2nd ed., theorem 19.4), so that columns
 of very different size, such as t^2/2 beside cos wt, need no scaling before it.
-
-- `solve`: blocks (`counterspin.inference.blocks`) + priors + considered terms -> `Solution`
 """
 
 from __future__ import annotations
@@ -38,33 +36,17 @@ REGULARISATION: Final = 1e4
 
 @frozen
 class Combination:
-    """A linear combination of the unknowns and where its uncertainty comes from.
+    """A linear combination of the unknowns and where its uncertainty comes from."""
 
-    Attributes
-    ----------
-    value
-        The estimate of the combination.
-    noise
-        Standard uncertainty from the records' noise.
-    noise_rows
-        Signed contribution of each row of the stacked blocks; `noise` is their norm.
-    prior
-        Signed contribution of each unknown's prior (sensitivity x its sd), shape (p,).
-    considered
-        Signed contribution of each considered term, shape (q,).
-    unresolved
-        What only the numerical regularisation holds; negligible for all that is determined.
-    unseen
-        Standard uncertainty from noise that the records do not show.
-    """
-
-    value: float
-    noise: float
+    value: float  #: The estimate of the combination.
+    noise: float  #: Standard uncertainty from the records' noise.
+    #: Signed contribution of each row of the stacked blocks; `noise` is their norm.
     noise_rows: Array
-    prior: Array
-    considered: Array
+    prior: Array  #: Signed contribution of each unknown's prior (sensitivity x its sd), shape (p,).
+    considered: Array  #: Signed contribution of each considered term, shape (q,).
+    #: What only the numerical regularisation holds; negligible for all that is determined.
     unresolved: float
-    unseen: float = 0.0
+    unseen: float = 0.0  #: Standard uncertainty from noise that the records do not show.
 
     @property
     def u(self) -> float:
@@ -90,49 +72,33 @@ class Solution:
     """The estimate, its uncertainty by source, and how well the model fits.
 
     p unknowns, q considered terms; units are those of the unknowns throughout.
-
-    Attributes
-    ----------
-    estimate
-        Shape (p,). An unknown known exactly (prior sd 0) has its prior mean.
-    covariance_noise, covariance_prior, covariance_considered
-        What noise, priors and considered terms contribute, each of shape (p, p).
-    covariance_unresolved
-        What only the numerical regularisation holds, shape (p, p): 1e-16 of the variance or less
-        for a determined unknown, about (1e4 limits)^2 for one that the data do not determine.
-        Whether an unknown is determined is decided by `identifiability.assess`.
-    sensitivity_prior
-        d estimate / d prior mean, shape (p, p); zero columns for unknowns without a prior.
-    sensitivity_considered
-        d estimate / d assumed value of the considered terms, shape (p, q).
-    chi2
-        Weighted sum of squares of the data's residuals and of the priors' misfits.
-    dof
-        rows - nuisances + priors - unknowns, where exactly known unknowns do not count and those
-        held by the regularisation count only as far as the data determine them.
-    information
-        The data's own square-root information, without priors, shape (k, p).
-    prior_mean, prior_sd, considered_sd, limits
-        As given to `solve`; limits is None where there was no regularisation.
-    covariance_unseen
-        From noise that the records do not show, shape (p, p); None without. `solve` knows none.
     """
 
-    estimate: Array
+    estimate: Array  #: Shape (p,). An unknown known exactly (prior sd 0) has its prior mean.
+    #: What noise, priors and considered terms contribute, each of shape (p, p).
     covariance_noise: Array
     covariance_prior: Array
     covariance_considered: Array
+    #: What only the numerical regularisation holds, shape (p, p): 1e-16 of the variance or less for
+    #: a determined unknown, about (1e4 limits)^2 for one that the data do not determine. Whether an
+    #: unknown is determined is decided by `identifiability.assess`.
     covariance_unresolved: Array
+    #: d estimate / d prior mean, shape (p, p); zero columns for unknowns without a prior.
     sensitivity_prior: Array
+    #: d estimate / d assumed value of the considered terms, shape (p, q).
     sensitivity_considered: Array
-    chi2: float
+    chi2: float  #: Weighted sum of squares of the data's residuals and of the priors' misfits.
+    #: rows - nuisances + priors - unknowns, where exactly known unknowns do not count and those
+    #: held by the regularisation count only as far as the data determine them.
     dof: float
-    information: Array
+    information: Array  #: The data's own square-root information, without priors, shape (k, p).
+    #: As given to `solve`; limits is None where there was no regularisation.
     prior_mean: Array
     prior_sd: Array
     considered_sd: Array
     limits: Array | None
     _rows: _Rows
+    #: From noise that the records do not show, shape (p, p); None without. `solve` knows none.
     covariance_unseen: Array | None = None
 
     @property
@@ -167,10 +133,7 @@ class Solution:
     def with_row_noise(self, noise: Array) -> Solution:
         """Return the same estimates where the data's rows are not of the variance assumed.
 
-        Parameters
-        ----------
-        noise
-            Standard deviations of the blocks' stacked rows, shape (n,); 1 as assumed.
+        noise: Standard deviations of the blocks' stacked rows, shape (n,); 1 as assumed.
         """
         rows = self._rows
         gain = np.linalg.solve(rows.triangle, rows.rotation[: rows.data].T) * noise
@@ -185,10 +148,7 @@ class Solution:
 
         From the factors, for the reason that `combine` gives.
 
-        Parameters
-        ----------
-        rows
-            Shape (n, p).
+        rows: Shape (n, p).
         """
         free = self._rows.free
         return np.asarray(np.linalg.solve(self._rows.triangle.T, rows[:, free].T).T, np.float64)
@@ -196,10 +156,7 @@ class Solution:
     def informed(self, row: Array) -> Array:
         """Return a row vector times the information, the inverse of `least_covariance`.
 
-        Parameters
-        ----------
-        row
-            Shape (p,); what stands at unknowns that are exactly known is left out.
+        row: Shape (p,); what stands at unknowns that are exactly known is left out.
         """
         free, triangle = self._rows.free, self._rows.triangle
         out = np.zeros(row.size)
@@ -209,18 +166,10 @@ class Solution:
     def unexplained(self, data: Array, priors: Array) -> Array:
         """Return what no value of the unknowns explains of columns beside those of the problem.
 
-        Parameters
-        ----------
-        data
-            In the blocks' stacked rows, shape (n, c).
-        priors
-            In the rows of the unknowns' priors, each divided by its sd, shape (p, c); what stands
-            in rows of unknowns without a prior, or exactly known, is left out.
-
-        Returns
-        -------
-        Array
-            Shape (rows, c), first the blocks' rows; orthogonal to the columns of the problem.
+        data: In the blocks' stacked rows, shape (n, c).
+        priors: In the rows of the unknowns' priors, each divided by its sd, shape (p, c); what
+            stands in rows of unknowns without a prior, or exactly known, is left out.
+        Returns: shape (rows, c), first the blocks' rows; orthogonal to the columns of the problem.
         """
         rows = self._rows
         stacked = np.zeros((rows.rotation.shape[0], data.shape[1]))
@@ -237,10 +186,7 @@ class Solution:
         Worked out from the factors: the sum of two unknowns that are undetermined one by one may
         be known a billion times better than either, and would be lost in the covariance matrix.
 
-        Parameters
-        ----------
-        weights
-            Shape (p,).
+        weights: Shape (p,).
         """
         c = np.asarray(weights, dtype=np.float64)
         rows = self._rows
@@ -278,36 +224,14 @@ def solve(
     uncertainty times the estimate's sensitivity enters the covariance. Leaving one block out is
     solving without it.
 
-    Parameters
-    ----------
-    blocks
-        At least one; all of the same p unknowns and q considered terms.
-    prior_mean
-        Shape (p,), zeros by default. Without a prior, the centre of the regularisation.
-    prior_sd
-        Standard uncertainties, shape (p,). ``inf`` (the default): no prior; 0: exactly known.
-    considered_mean, considered_sd
-        Shape (q,); zeros by default.
-    limits
-        The unknowns' largest credible sizes, shape (p,). Each unknown without a prior is held
-        numerically at `REGULARISATION` times its limit, so that collinear columns do no harm.
-        None: no regularisation.
-
-    Returns
-    -------
-    Solution
-
-    Raises
-    ------
-    ValueError
-        If a shape does not fit, or an uncertainty or limit has an impossible value.
-    NotIdentifiableError
-        If columns are linearly dependent and there are no limits to hold them.
-
-    References
-    ----------
-    Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapters V and VIII
-    (square-root information, considered parameters).
+    prior_mean: Shape (p,), zeros by default. Without a prior, the centre of the regularisation.
+    prior_sd: Standard uncertainties, shape (p,). ``inf`` (the default): no prior; 0: exactly known.
+    considered_mean, considered_sd: Shape (q,); zeros by default.
+    limits: The unknowns' largest credible sizes, shape (p,). Each unknown without a prior is held
+        numerically at `REGULARISATION` times its limit, so that collinear columns do no harm. None:
+        no regularisation.
+    References: Bierman, Factorization Methods for Discrete Sequential Estimation, 1977, chapters V
+        and VIII (square-root information, considered parameters).
     """
     if not blocks:
         raise ValueError("there is no block to solve")

@@ -1,7 +1,4 @@
-"""A plain least-squares fit, with a stated sigma or one from the residuals.
-
-- `fit`, `Fit`
-"""
+"""A plain least-squares fit, with a stated sigma or one from the residuals."""
 
 from __future__ import annotations
 
@@ -19,34 +16,19 @@ from counterspin.inference.least_squares import solve
 
 @frozen
 class Fit:
-    """A plain least-squares fit.
+    """A plain least-squares fit."""
 
-    Attributes
-    ----------
-    estimate
-        Shape (p,).
-    covariance
-        Shape (p, p).
-    residuals
-        observations - design @ estimate, in the units of the observations, shape (n,).
-    chi2
-        Weighted sum of squared residuals; with sigma from the residuals, plain sum of squares.
-    dof
-        n - p.
-    sigma
-        The standard deviation of one observation, as given or from the residuals; an array where
-        it was given as one.
-    sigma_from_residuals
-        Whether sigma was estimated, so that intervals need Student's t.
-    """
-
-    estimate: Array
-    covariance: Array
+    estimate: Array  #: Shape (p,).
+    covariance: Array  #: Shape (p, p).
+    #: observations - design @ estimate, in the units of the observations, shape (n,).
     residuals: Array
+    #: Weighted sum of squared residuals; with sigma from the residuals, plain sum of squares.
     chi2: float
-    dof: int
+    dof: int  #: n - p.
+    #: The standard deviation of one observation, as given or from the residuals; an array where it
+    #: was given as one.
     sigma: float | Array
-    sigma_from_residuals: bool
+    sigma_from_residuals: bool  #: Whether sigma was estimated, so that intervals need Student's t.
 
     @property
     def u(self) -> Array:
@@ -61,26 +43,10 @@ def fit(
 ) -> Fit:
     """Fit one set of observations by (weighted) least squares.
 
-    Parameters
-    ----------
-    design
-        Shape (n, p).
-    observations
-        Shape (n,).
-    sigma
-        Standard deviation of each observation, one number or shape (n,). None: the same unknown
+    design: Shape (n, p).
+    observations: Shape (n,).
+    sigma: Standard deviation of each observation, one number or shape (n,). None: the same unknown
         one for all, estimated from the residuals, which the result says.
-
-    Returns
-    -------
-    Fit
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit or sigma is not positive.
-    NotIdentifiableError
-        If columns are linearly dependent, or sigma is asked of as many unknowns as observations.
     """
     columns = np.asarray(design, dtype=np.float64)
     y = np.asarray(observations, dtype=np.float64)

@@ -4,9 +4,6 @@ Each is one further column beside the fit (`counterspin.inference.joint.alternat
 the dividing head's angle, a term of the accelerometer, a drift, a warm-up, the sense of approach.
 Where the noise is estimated from the same residuals it is an F test of the column (Draper and
 Smith, Applied Regression Analysis, 3rd ed., section 6.1), with the freedom that is left.
-
-- `candidates`: the columns of one group; `head_angle`: the angle that their waves are of
-- `most_followed`, `Followed`: all of them held against a fit, and what is alike
 """
 
 from __future__ import annotations
@@ -54,65 +51,34 @@ _DECISIVE_CHI2: Final = 6.0
 
 @frozen
 class Group:
-    """Readings as they are tested.
+    """Readings as they are tested."""
 
-    Attributes
-    ----------
-    readings
-        What was read.
-    block
-        What their block is called among those beside the records.
-    sigma, of_noise
-        Standard uncertainty of each reading (g), and the part that noise has in its square, (n,).
-    squares
-        Sum of the squares of their residuals over the uncertainties.
-    freedom
-        Of the residuals; where the noise was estimated, of that, repeats counted.
-    estimated
-        Whether the noise was estimated.
-    left_out
-        Places of readings that stand out by themselves, which the tests must not follow.
-    """
-
-    readings: Readings
-    block: str
+    readings: Readings  #: What was read.
+    block: str  #: What their block is called among those beside the records.
+    #: Standard uncertainty of each reading (g), and the part that noise has in its square, (n,).
     sigma: Array
     of_noise: Array
-    squares: float
-    freedom: float
-    estimated: bool
+    squares: float  #: Sum of the squares of their residuals over the uncertainties.
+    freedom: float  #: Of the residuals; where the noise was estimated, of that, repeats counted.
+    estimated: bool  #: Whether the noise was estimated.
+    #: Places of readings that stand out by themselves, which the tests must not follow.
     left_out: tuple[int, ...] = ()
 
 
 @frozen
 class Followed:
-    """One column that the residuals of a group follow, with those that do as well.
+    """One column that the residuals of a group follow, with those that do as well."""
 
-    Attributes
-    ----------
-    group
-        Place of the group.
-    alternatives
-        The likeliest first: all that explain as much.
-    p
-        Probability of as much by chance, for this column alone.
-    tests
-        How many columns were tested, those that are alike counted once.
-    """
-
-    group: int
-    alternatives: tuple[Alternative, ...]
-    p: float
-    tests: int
+    group: int  #: Place of the group.
+    alternatives: tuple[Alternative, ...]  #: The likeliest first: all that explain as much.
+    p: float  #: Probability of as much by chance, for this column alone.
+    tests: int  #: How many columns were tested, those that are alike counted once.
 
 
 def head_angle(group: Readings) -> tuple[Array, npt.NDArray[np.bool_]]:
     """Return the angle of the dividing head from where the input axis points up, and where it is.
 
-    Returns
-    -------
-    tuple of Array
-        rad, shape (n,), and whether the reading was taken at an angle about the axis that most
+    Returns: rad, shape (n,), and whether the reading was taken at an angle about the axis that most
         readings have in common, shape (n,). About an upright axis the angle is from north; of an
         input axis along the head's, it is that of the pendulous axis.
     """
@@ -143,14 +109,7 @@ def candidates(
 ) -> Iterator[Alternative]:
     """Yield the columns that the residuals of a group may follow.
 
-    Parameters
-    ----------
-    group
-        The readings.
-    unknown
-        Symbols of the accelerometer's terms that the fit may choose freely.
-    followed
-        Those of them of which something is known beforehand, and which may be more than that.
+    unknown: Symbols of the accelerometer's terms that the fit may choose freely.
     """
     readings = group.readings
     for kind, symbol, column in (
@@ -219,17 +178,7 @@ def _of_approach(readings: Readings) -> Iterator[_Column]:
 def most_followed(
     fit: JointFit, groups: Sequence[Group], alternatives: Sequence[Sequence[Alternative]]
 ) -> list[Followed]:
-    """Return of each group the column that its residuals follow most, with those like it.
-
-    Parameters
-    ----------
-    fit
-        Of `counterspin.inference.joint.relaxed.relax`, with the rows of the groups' blocks.
-    groups
-        The readings of one accelerometer.
-    alternatives
-        Of each group: `candidates`.
-    """
+    """Return of each group the column that its residuals follow most, with those like it."""
     marks = [
         Alternative("left out", "", str(k), beside={group.block: np.eye(group.readings.size)[k]})
         for group in groups

@@ -3,11 +3,6 @@
 A reading is linear in the coefficients and nearly so in what the machine does; the derivatives are
 taken at what readings and priors together say, and taken again there until it settles. The readings
 become blocks of square-root information, which are solved together with the blocks of records.
-
-- `Readings`: what was read, and where; `Position`: readings of one position
-- `solve_readings`, `ReadingsFit`: readings alone, or together with records
-- `judge`, `Judged`: how readings fit another solution
-- `blocks_at`, `rows_at`: what readings tell at given values of the unknowns, before they are taken
 """
 
 from __future__ import annotations
@@ -58,60 +53,38 @@ _SYMBOLS: Final = tuple(TERMS)
 
 @frozen
 class Readings:
-    """Readings of one accelerometer in one motion, n of them, with noise of one kind.
+    """Readings of one accelerometer in one motion, n of them, with noise of one kind."""
 
-    Attributes
-    ----------
-    accelerometer, motion
-        Its name, and the motion of every station.
-    names
-        Of the readings.
-    site
-        Where they were taken.
-    stations
-        Axes and machine of each.
-    mountings
-        Name of each reading's mounting; empty where it has none.
-    head
-        Axis about which the dividing head turned, in the station's frame, shape (n, 3); zero
-        without one.
-    u_head
-        Random standard uncertainty of the head's angle at each position, rad, shape (n,).
-    value, u
-        Indication in g by the nominal sensitivity, and its standard uncertainty, shape (n,); None:
-        one for all, estimated from the residuals.
-    temperature, time
-        K from the reference temperature, s from the first reading, shape (n,).
-    repeats, scatter
-        How many repeats at one setting each value is the mean of, and the sum of their squares
-        about it, g^2, shape (n,). Where `u` is None.
-    in_si
-        1 where a value was written in m/s^2 and became g by the gravity assumed, else 0.
-    """
-
+    #: Its name, and the motion of every station.
     accelerometer: str
     motion: str
-    names: tuple[str, ...]
-    site: Site
-    stations: tuple[Station, ...]
-    mountings: tuple[str, ...]
+    names: tuple[str, ...]  #: Of the readings.
+    site: Site  #: Where they were taken.
+    stations: tuple[Station, ...]  #: Axes and machine of each.
+    mountings: tuple[str, ...]  #: Name of each reading's mounting; empty where it has none.
+    #: Axis about which the dividing head turned, in the station's frame, shape (n, 3); zero without
+    #: one.
     head: Array
+    #: Random standard uncertainty of the head's angle at each position, rad, shape (n,).
     u_head: Array
+    #: Indication in g by the nominal sensitivity, and its standard uncertainty, shape (n,); None:
+    #: one for all, estimated from the residuals.
     value: Array
     u: Array | None
+    #: K from the reference temperature, s from the first reading, shape (n,).
     temperature: Array
     time: Array
+    #: How many repeats at one setting each value is the mean of, and the sum of their squares about
+    #: it, g^2, shape (n,). Where `u` is None.
     repeats: Array
     scatter: Array
+    #: 1 where a value was written in m/s^2 and became g by the gravity assumed, else 0.
     in_si: Array | float = 0.0
 
     def products(self, machine: Mapping[str, float]) -> Array:
         """Return every term's mean product at each reading, shape (n, number of `TERMS`).
 
-        Parameters
-        ----------
-        machine
-            The machine's terms that move stations, less nominal, by symbol.
+        machine: The machine's terms that move stations, less nominal, by symbol.
         """
         return mean_products(self.stations_with(machine), self.site)
 
@@ -173,66 +146,38 @@ class Readings:
 
 @frozen
 class ReadingsFit:
-    """A solved problem with readings; lists are in the order of the `Readings`.
+    """A solved problem with readings; lists are in the order of the `Readings`."""
 
-    Attributes
-    ----------
-    solution
-        Estimates less nominal.
-    blocks
-        The readings' square-root information.
-    sigma
-        Standard uncertainty of each reading, the head's part included, g, shape (n,).
-    noise
-        Of one repeat where it was estimated, g; elsewhere it means nothing.
-    dof
-        Degrees of freedom of an estimated noise; infinite where it was stated.
-    freedom
-        Readings less what the fit follows of them.
-    residuals
-        Reading less model at the estimate, g, shape (n,).
-    squares
-        Chi-square of the residuals, by noise and considered terms.
-    standardised
-        Residuals over their own standard deviation, with leverages and considered terms counted,
-        shape (n,); NaN where the fit follows a reading wholly.
-    of_noise
-        Part that the noise has in the variance of each, from 0 to 1, shape (n,).
-    positions
-        The same of the readings of one position together, for each position that was read more
-        than once: places of the readings, their mean residual (g), and this standardised.
-    linear
-        The readings linearised at the estimate, for `judge`.
-    """
-
-    solution: Solution
-    blocks: tuple[Block, ...]
+    solution: Solution  #: Estimates less nominal.
+    blocks: tuple[Block, ...]  #: The readings' square-root information.
+    #: Standard uncertainty of each reading, the head's part included, g, shape (n,).
     sigma: tuple[Array, ...]
+    #: Of one repeat where it was estimated, g; elsewhere it means nothing.
     noise: tuple[float, ...]
+    #: Degrees of freedom of an estimated noise; infinite where it was stated.
     dof: tuple[float, ...]
-    freedom: tuple[float, ...]
-    residuals: tuple[Array, ...]
-    squares: tuple[float, ...]
+    freedom: tuple[float, ...]  #: Readings less what the fit follows of them.
+    residuals: tuple[Array, ...]  #: Reading less model at the estimate, g, shape (n,).
+    squares: tuple[float, ...]  #: Chi-square of the residuals, by noise and considered terms.
+    #: Residuals over their own standard deviation, with leverages and considered terms counted,
+    #: shape (n,); NaN where the fit follows a reading wholly.
     standardised: tuple[Array, ...]
+    #: Part that the noise has in the variance of each, from 0 to 1, shape (n,).
     of_noise: tuple[Array, ...]
+    #: The same of the readings of one position together, for each position that was read more than
+    #: once: places of the readings, their mean residual (g), and this standardised.
     positions: tuple[tuple[Position, ...], ...]
-    linear: tuple[_Part, ...]
+    linear: tuple[_Part, ...]  #: The readings linearised at the estimate, for `judge`.
 
 
 @frozen
 class Position:
-    """Readings of one position.
+    """Readings of one position."""
 
-    Attributes
-    ----------
-    places, residual
-        Of the readings; their mean residual, g.
-    standardised, of_noise
-        As of `ReadingsFit`, of this mean.
-    """
-
+    #: Of the readings; their mean residual, g.
     places: tuple[int, ...]
     residual: float
+    #: As of `ReadingsFit`, of this mean.
     standardised: float
     of_noise: float
 
@@ -242,25 +187,7 @@ def solve_readings(
 ) -> ReadingsFit:
     """Estimate a model from readings, together with what records say.
 
-    Parameters
-    ----------
-    readings
-        At least one group.
-    model
-        What is estimated and considered. Of the inputs radius, gravity and latitude count here.
-    beside
-        Blocks of records, of the same model.
-
-    Returns
-    -------
-    ReadingsFit
-
-    Raises
-    ------
-    NotIdentifiableError
-        If noise must be estimated from no more readings than unknowns.
-    ConvergenceError
-        If derivatives or noise do not settle.
+    model: What is estimated and considered. Of the inputs radius, gravity and latitude count here.
     """
     everything = [*model.unknowns, *model.considered]
     point = known = np.array([unknown.prior_mean for unknown in everything])
@@ -335,15 +262,7 @@ class Judged:
 
 
 def judge(group: Readings, part: _Part, solution: Solution, model: Unknowns) -> Judged:
-    """Return how readings fit a solution that has followed them, perhaps with others beside.
-
-    Parameters
-    ----------
-    one, part
-        The readings, and what `ReadingsFit.linear` has of them.
-    solution, model
-        The solution and its model.
-    """
+    """Return how readings fit a solution that has followed them, perhaps with others beside."""
     single = [part.position((place,), solution, model) for place in range(group.size)]
     return Judged(
         part.freedom(solution),
@@ -358,14 +277,7 @@ def judge(group: Readings, part: _Part, solution: Solution, model: Unknowns) -> 
 def blocks_at(readings: Sequence[Readings], model: Unknowns, estimate: Array) -> list[Block]:
     """Return the square-root information of readings whose noise is stated.
 
-    Parameters
-    ----------
-    readings
-        Their values do not matter.
-    model
-        What is estimated and considered.
-    estimate
-        Where the derivatives are taken: the unknowns less nominal, shape (p,).
+    estimate: Where the derivatives are taken: the unknowns less nominal, shape (p,).
     """
     return [_Part.of(group, model, estimate).with_noise(math.nan).block() for group in readings]
 
@@ -373,14 +285,7 @@ def blocks_at(readings: Sequence[Readings], model: Unknowns, estimate: Array) ->
 def rows_at(
     readings: Sequence[Readings], model: Unknowns, estimate: Array
 ) -> list[tuple[Array, Array]]:
-    """Return the rows of `blocks_at`, reading by reading, with unit variance.
-
-    Returns
-    -------
-    list of tuple
-        For each group of n readings the columns of the unknowns and of the considered terms,
-        shapes (n, p) and (n, q).
-    """
+    """Return the rows of `blocks_at`, reading by reading, with unit variance."""
     parts = [_Part.of(group, model, estimate).with_noise(math.nan) for group in readings]
     return [(part.design / part.sigma[:, None], part.fixed / part.sigma[:, None]) for part in parts]
 

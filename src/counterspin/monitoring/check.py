@@ -1,7 +1,4 @@
-"""`counterspin check`: one record, judged while there is still time to make it again.
-
-- `check`: from a record and its campaign to a `CheckedRun`
-"""
+"""`counterspin check`: one record, judged while there is still time to make it again."""
 
 from __future__ import annotations
 

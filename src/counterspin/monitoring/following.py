@@ -1,7 +1,5 @@
 """A text table that grows: its new rows alone are read.
 
-- `FollowedTable`: the columns of such a file as far as it has come
-
 Whatever a recorder appends is read once. A last line without an end is waited for. What is kept is
 the columns, in memory: all of it comes from the file again if the program is started anew.
 """
@@ -44,21 +42,11 @@ _PART_BYTES: Final = 1 << 24
 
 @dataclass
 class FollowedTable:
-    """The columns of a growing file.
+    """The columns of a growing file."""
 
-    Attributes
-    ----------
-    path
-        The file.
-    names
-        Of the columns that are read.
-    dialect
-        How the file is written, as far as that is known.
-    """
-
-    path: Path
-    names: Sequence[str]
-    dialect: Dialect = TO_BE_FOUND
+    path: Path  #: The file.
+    names: Sequence[str]  #: Of the columns that are read.
+    dialect: Dialect = TO_BE_FOUND  #: How the file is written, as far as that is known.
     _identity: FileIdentity | None = None
     _head: bytes = b""
     _tail: bytes = b""
@@ -82,20 +70,7 @@ class FollowedTable:
         return MemoryTable(str(self.path), columns)
 
     def follow(self) -> tuple[bool, str | None]:
-        """Read what is new.
-
-        Returns
-        -------
-        bool, str or None
-            Whether there are other rows than before; what happened to the file, in words.
-
-        Raises
-        ------
-        OSError
-            If the file cannot be read.
-        RecordError
-            If new rows are no rows of the table.
-        """
+        """Read what is new."""
         with open_file(self.path) as file:
             now = FileIdentity.of(file.fileno())
             if now == self._identity:

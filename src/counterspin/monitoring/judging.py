@@ -1,8 +1,4 @@
-"""What one run shows: in numbers, and what is wrong with it in sentences.
-
-- `run_state`: the numbers
-- `remarks_of`: the sentences
-"""
+"""What one run shows: in numbers, and what is wrong with it in sentences."""
 
 from __future__ import annotations
 
@@ -25,14 +21,7 @@ def run_state(
 ) -> RunState:
     """Return what a run shows.
 
-    Parameters
-    ----------
-    campaign
-        The description.
-    observed
-        The run.
-    views
-        A fit with it, as each accelerometer sees it; empty if there is none.
+    views: A fit with it, as each accelerometer sees it; empty if there is none.
     """
     run, report, rotation = observed.run, observed.record.report, observed.rotation
     spindle = observed.trajectory.spindle
@@ -89,17 +78,7 @@ def _residuals(campaign: Campaign, view: AccelerometerView, run: str) -> Residua
 def remarks_of(
     state: RunState, notes: Sequence[str], views: Sequence[AccelerometerView]
 ) -> tuple[list[str], bool]:
-    """Return what is odd about a run, in sentences, and whether it may be kept as it is.
-
-    Parameters
-    ----------
-    state
-        What it shows.
-    notes
-        What reading its record found.
-    views
-        A fit of it, as each accelerometer sees it.
-    """
+    """Return what is odd about a run, in sentences, and whether it may be kept as it is."""
     wrong, odd = list[str](), list[str]()
     if state.rate is not None:
         part = state.rate / state.nominal_rate - 1.0

@@ -1,7 +1,4 @@
-"""The records of a campaign that are there, read again only where they have changed.
-
-- `Observer`: looks at the files, and gives the runs that they show
-"""
+"""The records of a campaign that are there, read again only where they have changed."""
 
 from __future__ import annotations
 
@@ -45,12 +42,7 @@ class _Watched:
 class Observer:
     """Looks at the records of a campaign.
 
-    Parameters
-    ----------
-    campaign
-        The description.
-    grow
-        Whether tables of text are expected to grow: their new rows alone are read then.
+    grow: Whether tables of text are expected to grow: their new rows alone are read then.
     """
 
     def __init__(self, campaign: Campaign, *, grow: bool = False) -> None:
@@ -60,13 +52,7 @@ class Observer:
         ]
 
     def look(self) -> tuple[bool, list[str]]:
-        """Read what is new.
-
-        Returns
-        -------
-        bool, list of str
-            Whether anything is; what happened to files, in sentences.
-        """
+        """Read what is new."""
         changed, events = False, []
         for watched in self._watched:
             if watched.run.record in self._campaign.frames:

@@ -1,8 +1,4 @@
-"""A record judged, and a campaign while it is recorded, as a person reads them.
-
-- `render_check`, `render_watch`: as something that rich prints
-- `watch_line`: a state in a line, for what is no terminal
-"""
+"""A record judged, and a campaign while it is recorded, as a person reads them."""
 
 from __future__ import annotations
 

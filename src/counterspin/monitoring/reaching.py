@@ -1,10 +1,4 @@
-"""What the records that are there say together, and whether it is enough.
-
-- `Fitted`, `fitted`: the joint fit of the runs that are there
-- `goals_of`: coefficients and the u that is wanted of each, in words, in numbers or by a plan
-- `reached`, `goal_states`: what a fit says of coefficients and of goals
-- `nothing_reached`: the same while there is nothing to fit
-"""
+"""What the records that are there say together, and whether it is enough."""
 
 from __future__ import annotations
 
@@ -30,18 +24,10 @@ from counterspin.planning.plan_sections import GoalSettings
 
 @frozen(eq=False)
 class Fitted:
-    """The joint fit of the runs that are there.
+    """The joint fit of the runs that are there."""
 
-    Attributes
-    ----------
-    campaign
-        With these runs alone.
-    estimate
-        Of its unknowns.
-    """
-
-    campaign: Campaign
-    estimate: Estimate
+    campaign: Campaign  #: With these runs alone.
+    estimate: Estimate  #: Of its unknowns.
 
     @cached_property
     def assessment(self) -> Assessment:
@@ -64,13 +50,7 @@ class Fitted:
 
 
 def fitted(campaign: Campaign, observed: Sequence[ObservedRun]) -> Fitted:
-    """Fit runs together, as a calibration of them alone does.
-
-    Raises
-    ------
-    NotIdentifiableError, ConvergenceError
-        As of `counterspin.calibration.joint.joint`.
-    """
+    """Fit runs together, as a calibration of them alone does."""
     estimate, _ = estimate_campaign(campaign, observed, model_of(campaign))
     return Fitted(campaign, estimate)
 
@@ -80,19 +60,9 @@ def goals_of(
 ) -> dict[str, float]:
     """Return goals, checked: the whole name of each coefficient and the u that is wanted of it.
 
-    Parameters
-    ----------
-    campaign
-        The description.
-    wanted
-        Such as ``K_II 1e-8 g/g^2`` or ``Qx.K_II 0.01 ug/g^2``; without a unit it is the
-        coefficient's own. Or a mapping of names to these; or a plan, whose ``target`` it is. A
-        term without an accelerometer is a goal of each.
-
-    Raises
-    ------
-    CampaignError
-        If a goal names no estimated term or no uncertainty, or a plan has no target.
+    wanted: Such as ``K_II 1e-8 g/g^2`` or ``Qx.K_II 0.01 ug/g^2``; without a unit it is the
+        coefficient's own. Or a mapping of names to these; or a plan, whose ``target`` it is. A term
+        without an accelerometer is a goal of each.
     """
     if isinstance(wanted, Path):
         goal = read_plan(wanted).goal

@@ -1,10 +1,6 @@
 """What is known of a campaign while it is recorded, and its JSON.
 
 SI units, coefficients in g-units.
-
-- `WatchState`: a campaign whose records grow, at one moment
-- `CheckedRun`: one record by itself, and with the rest of its campaign
-- `RunState`, `ResidualState`, `ReachedCoefficient`, `GoalState`: their parts
 """
 
 from __future__ import annotations
@@ -16,80 +12,47 @@ from counterspin.results import ResultPart
 
 
 class ResidualState(ResultPart):
-    """Residuals of one accelerometer in one run.
+    """Residuals of one accelerometer in one run."""
 
-    Attributes
-    ----------
-    rms
-        Root mean square, a sample, in `unit`.
-    stated
-        White noise that the campaign states; None where it is to be estimated.
-    ratio
-        Whitened residuals over what the noise lets expect: near 1.
-    p
-        Probability of larger ones; None where the noise was estimated from them.
-    """
-
-    rms: float
-    stated: float | None
-    ratio: float
-    p: float | None
+    rms: float  #: Root mean square, a sample, in `unit`.
+    stated: float | None  #: White noise that the campaign states; None where it is to be estimated.
+    ratio: float  #: Whitened residuals over what the noise lets expect: near 1.
+    p: float | None  #: Probability of larger ones; None where the noise was estimated from them.
     unit: str
 
 
 class RunState(ResultPart):
-    """What one run shows so far.
+    """What one run shows so far."""
 
-    Attributes
-    ----------
-    run, record
-        Its name and its file.
-    state
-        ``waiting``: no file, or too little of it; ``read``; ``failed``: it cannot be used as it
-        stands.
-    why
-        What is waited for, or what is wrong.
-    rows, seconds
-        Read so far.
-    stated_seconds
-        How long it is to be; None where the campaign does not say.
-    sampling_rate
-        Hz.
-    repeated, empty, outliers, gaps, longest_gap
-        Rows that repeat a time, empty cells, samples left out, gaps and the longest of them, s.
-    rate, u_rate, nominal_rate
-        rad/s; u_rate is None without a recorded angle.
-    drift
-        Of the rate, 1/s.
-    ripple, harmonic
-        Largest ripple of the rate, rad/s, and which harmonic it is; None if none is seen.
-    angle_rms
-        Of the recorded angle about the model, rad.
-    residuals
-        By accelerometer.
-    """
-
+    #: Its name and its file.
     run: str
     record: str
+    #: ``waiting``: no file, or too little of it; ``read``; ``failed``: it cannot be used as it
+    #: stands.
     state: Literal["waiting", "read", "failed"]
-    why: str | None = None
+    why: str | None = None  #: What is waited for, or what is wrong.
+    #: Read so far.
     rows: int = 0
     seconds: float = 0.0
+    #: How long it is to be; None where the campaign does not say.
     stated_seconds: float | None = None
-    sampling_rate: float | None = None
+    sampling_rate: float | None = None  #: Hz.
+    #: Rows that repeat a time, empty cells, samples left out, gaps and the longest of them, s.
     repeated: int = 0
     empty: int = 0
     outliers: int = 0
     gaps: int = 0
     longest_gap: float = 0.0
+    #: rad/s; u_rate is None without a recorded angle.
     rate: float | None = None
     u_rate: float | None = None
     nominal_rate: float
-    drift: float | None = None
+    drift: float | None = None  #: Of the rate, 1/s.
+    #: Largest ripple of the rate, rad/s, and which harmonic it is; None if none is seen.
     ripple: float | None = None
     harmonic: int | None = None
-    angle_rms: float | None = None
-    residuals: dict[str, ResidualState] = {}
+    angle_rms: float | None = None  #: Of the recorded angle about the model, rad.
+    residuals: dict[str, ResidualState] = {}  #: By accelerometer.
 
 
 class ReachedCoefficient(ResultPart):

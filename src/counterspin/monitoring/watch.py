@@ -1,8 +1,4 @@
-"""`counterspin watch`: the state of a campaign while its records grow.
-
-- `watch`: an iterator of `WatchState`
-- `Pace`: how often files are looked at, and how much of the processor is taken
-"""
+"""`counterspin watch`: the state of a campaign while its records grow."""
 
 from __future__ import annotations
 

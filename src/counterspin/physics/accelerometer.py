@@ -1,8 +1,4 @@
-"""The accelerometer: where its axes point, and what it indicates (Eq. 7-9).
-
-- `Mounting`, `direction`, `QX`, `QY`, `QZ`: where the axes point
-- `indicated`: the error model itself, Eq. 7, with the products of `counterspin.physics.terms`
-"""
+"""The accelerometer: where its axes point, and what it indicates (Eq. 7-9)."""
 
 from __future__ import annotations
 
@@ -27,13 +23,7 @@ DIRECTIONS: Final[Mapping[str, tuple[float, float, float]]] = {
 
 
 def direction(value: str | Sequence[float]) -> Array:
-    """Return the unit vector (east, north, up) of a named direction or of three components.
-
-    Raises
-    ------
-    ValueError
-        If the name is unknown, or the components are not three finite numbers, not all zero.
-    """
+    """Return the unit vector (east, north, up) of a named direction or of three components."""
     if isinstance(value, str):
         if value not in DIRECTIONS:
             raise ValueError(f"no direction is called {value!r}; known: {', '.join(DIRECTIONS)}")

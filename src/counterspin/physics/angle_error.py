@@ -3,10 +3,6 @@
 The true angle is the identified one plus a sum of coefficient x function: a constant, a slope and a
 bend (the first three Legendre polynomials over the record) and cosine
 and sine of harmonics of the revolution. The encoder's noise leaves the coefficients uncertain.
-
-- `AngleError`: the coefficients, their covariance, their functions of time
-- `displaced`: what changes of the angle do to position, velocity and acceleration
-- `slow_part`: what the fit needs to state them
 """
 
 from __future__ import annotations
@@ -35,28 +31,17 @@ class AngleError:
     Coefficients, m of them: mean angle (rad), mean rate (rad/s), drift (1/s), and for each harmonic
     n the amplitudes n w0 a_n and n w0 b_n of the rate's ripple (rad/s), where the angle has
     a_n cos(n w0 t) + b_n sin(n w0 t).
-
-    Attributes
-    ----------
-    rate
-        w0, rad/s.
-    start, span
-        Time of the first angle and the time from there to the last, s.
-    harmonics
-        The numbers n.
-    deviation
-        Best estimate of the coefficients, shape (m,): not zero where the identified spindle leaves
-        out a harmonic that the angle does not clearly show.
-    root
-        Lower triangular, shape (m, m); root @ root.T is the covariance.
     """
 
-    rate: float
+    rate: float  #: w0, rad/s.
+    #: Time of the first angle and the time from there to the last, s.
     start: float
     span: float
-    harmonics: tuple[int, ...]
+    harmonics: tuple[int, ...]  #: The numbers n.
+    #: Best estimate of the coefficients, shape (m,): not zero where the identified spindle leaves
+    #: out a harmonic that the angle does not clearly show.
     deviation: Array
-    root: Array
+    root: Array  #: Lower triangular, shape (m, m); root @ root.T is the covariance.
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -130,19 +115,10 @@ def displaced(
 
     q being the change of the angle, w and w' the rate and its derivative.
 
-    Parameters
-    ----------
-    turned
-        q, q', q'', shapes (n, m).
-    angle, rate, acceleration
-        Of the spindle, shape (n,).
-    order
-        0 for the acceleration, 1 for the velocity, 2 for the position.
-
-    Returns
-    -------
-    Array
-        East and north components over the radius, shape (n, m, 2).
+    turned: q, q', q'', shapes (n, m).
+    angle, rate, acceleration: Of the spindle, shape (n,).
+    order: 0 for the acceleration, 1 for the velocity, 2 for the position.
+    Returns: east and north components over the radius, shape (n, m, 2).
     """
     q, first, second = turned
     cos, sin = np.cos(angle), np.sin(angle)

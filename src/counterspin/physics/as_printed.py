@@ -6,12 +6,6 @@ printed expressions depart from the exact ones (``docs/paper.md`` derives each),
 serves a calibration unless it is asked for as the ``as-printed`` model; ``counterspin
 reproduce`` uses the rest to recover the paper's figures and to show where they come from.
 
-- `specific_force_error`: Eq. 5 and 6, first order in drift and ripple
-- `k_ii_integral`, `k_iii_integral`, `k_ip_integral`: the expansions under Eq. 13
-- `strobe_error`: Eq. 15
-- `strobe_curvature`: Eq. 19, the coefficient b2 of t^2
-- `second_stage_columns`: the coefficient matrix of Eq. 26
-
 The symbols are the paper's: one ripple of the spindle's first harmonic, spindle angle zero at
 time zero, an accelerometer Qx pointing east.
 """
@@ -36,21 +30,11 @@ def specific_force_error(
     The tangential part of the east error has the printed plus sign, and neither error has the
     part that comes of evaluating the sine and cosine at the nominal angle instead of the true.
 
-    Parameters
-    ----------
-    time
-        Seconds since the spindle angle was zero, shape (n,).
-    rate, drift
-        Nominal rate w0 in rad/s and its relative drift C in 1/s.
-    ripple, phase
-        Amplitude w_p in rad/s and phase phi in rad of the rate's periodic fluctuation.
-    radius
-        R0 in m.
-
-    Returns
-    -------
-    Array
-        East and north errors in m/s^2, shape (n, 2).
+    time: Seconds since the spindle angle was zero, shape (n,).
+    rate, drift: Nominal rate w0 in rad/s and its relative drift C in 1/s.
+    ripple, phase: Amplitude w_p in rad/s and phase phi in rad of the rate's periodic fluctuation.
+    radius: R0 in m.
+    Returns: east and north errors in m/s^2, shape (n, 2).
     """
     nominal = rate * time
     centripetal = -2.0 * radius * (drift * rate**2 * time + rate * ripple * np.sin(nominal + phase))
@@ -66,17 +50,9 @@ def specific_force_error(
 def k_ii_integral(time: Array, rate: float, radius: float, gravity: float) -> Array:
     """Return the printed double integral of the K_II term (after Eq. 13).
 
-    Parameters
-    ----------
-    time
-        Seconds, shape (n,).
-    rate, radius, gravity
-        w0 in rad/s, R0 in m, g in m/s^2.
-
-    Returns
-    -------
-    Array
-        Per unit of K_II, shape (n,). Its two parts do not have one dimension: the part in t^2
+    time: Seconds, shape (n,).
+    rate, radius, gravity: w0 in rad/s, R0 in m, g in m/s^2.
+    Returns: per unit of K_II, shape (n,). Its two parts do not have one dimension: the part in t^2
         is metres (and twice the exact one), the harmonic part is metres per second squared.
     """
     scale = radius**2 * rate**4 / gravity
@@ -86,17 +62,9 @@ def k_ii_integral(time: Array, rate: float, radius: float, gravity: float) -> Ar
 def k_iii_integral(time: Array, rate: float, radius: float, gravity: float) -> Array:
     """Return the printed double integral of the K_III term (after Eq. 13).
 
-    Parameters
-    ----------
-    time
-        Seconds, shape (n,).
-    rate, radius, gravity
-        w0 in rad/s, R0 in m, g in m/s^2.
-
-    Returns
-    -------
-    Array
-        Per unit of K_III, shape (n,), metres per second squared as printed: the exact
+    time: Seconds, shape (n,).
+    rate, radius, gravity: w0 in rad/s, R0 in m, g in m/s^2.
+    Returns: per unit of K_III, shape (n,), metres per second squared as printed: the exact
         expression times w0^2.
     """
     scale = radius**3 * rate**6 / gravity**2
@@ -107,17 +75,9 @@ def k_iii_integral(time: Array, rate: float, radius: float, gravity: float) -> A
 def k_ip_integral(time: Array, rate: float, radius: float) -> Array:
     """Return the printed double integral of the K_IP term (after Eq. 13), which is exact.
 
-    Parameters
-    ----------
-    time
-        Seconds, shape (n,).
-    rate, radius
-        w0 in rad/s, R0 in m.
-
-    Returns
-    -------
-    Array
-        Metres per unit of K_IP, shape (n,).
+    time: Seconds, shape (n,).
+    rate, radius: w0 in rad/s, R0 in m.
+    Returns: metres per unit of K_IP, shape (n,).
     """
     return radius * (1.0 - np.cos(rate * time))
 
@@ -138,23 +98,11 @@ def strobe_error(
 ) -> Array:
     """Return the displacement error at the strobes, Eq. 15 as printed, without its noise.
 
-    Parameters
-    ----------
-    time
-        Strobe times in s, where w0 t = pi/2 + 2 k pi, shape (n,).
-    rate, drift, ripple, phase, radius
-        As in `specific_force_error`.
-    gravity
-        g in m/s^2.
-    bias, scale_factor, second_order
-        K_F in g, K_I in g/g, K_II in g/g^2.
-    radius_error
-        The radius's deviation from nominal, in m.
-
-    Returns
-    -------
-    Array
-        Shape (n,), in m. The last constant, 3/8 R0 sin(phi), is printed without w_p/w0.
+    time: Strobe times in s, where w0 t = pi/2 + 2 k pi, shape (n,).
+    gravity: g in m/s^2.
+    bias, scale_factor, second_order: K_F in g, K_I in g/g, K_II in g/g^2.
+    radius_error: The radius's deviation from nominal, in m.
+    Returns: shape (n,), in m. The last constant, 3/8 R0 sin(phi), is printed without w_p/w0.
     """
     curvature = strobe_curvature(
         rate=rate,
@@ -187,17 +135,8 @@ def strobe_curvature(
 ) -> float:
     """Return b2, the coefficient of t^2 at the strobes, Eq. 19 as printed.
 
-    Parameters
-    ----------
-    rate, ripple, phase, radius, gravity
-        As in `strobe_error`.
-    bias, scale_factor, second_order
-        K_F in g, K_I in g/g, K_II in g/g^2.
-
-    Returns
-    -------
-    float
-        In m/s^2.
+    bias, scale_factor, second_order: K_F in g, K_I in g/g, K_II in g/g^2.
+    Returns: in m/s^2.
     """
     columns = second_stage_columns(np.array([rate]), radius, gravity, scale_factor)
     unknowns = np.array([second_order, ripple * math.sin(phase)])
@@ -213,26 +152,12 @@ def second_stage_columns(
 ) -> Array:
     """Return the second stage's coefficient matrix, Eq. 26 as printed.
 
-    Parameters
-    ----------
-    rates
-        Nominal rates of the runs in rad/s, shape (m,).
-    radius, gravity, scale_factor
-        R0 in m, g in m/s^2, K_I in g/g.
-    ripple
-        What the runs have in common. ``amplitude`` is Eq. 26: the second unknown is
-        w_p sin(phi) in rad/s. ``ratio`` is Table 2: it is (w_p/w0) sin(phi), without unit.
-
-    Returns
-    -------
-    Array
-        Columns of K_II (1/2 R0^2 w^4/g, twice the exact one) and of the ripple
-        (-3/4 K_I R0 w, or w^2 for a common ratio), shape (m, 2), in m/s^2 per unit.
-
-    Raises
-    ------
-    ValueError
-        If `ripple` is neither of the two.
+    rates: Nominal rates of the runs in rad/s, shape (m,).
+    radius, gravity, scale_factor: R0 in m, g in m/s^2, K_I in g/g.
+    ripple: What the runs have in common. ``amplitude`` is Eq. 26: the second unknown is w_p
+        sin(phi) in rad/s. ``ratio`` is Table 2: it is (w_p/w0) sin(phi), without unit.
+    Returns: columns of K_II (1/2 R0^2 w^4/g, twice the exact one) and of the ripple (-3/4 K_I R0 w,
+        or w^2 for a common ratio), shape (m, 2), in m/s^2 per unit.
     """
     if ripple not in ("amplitude", "ratio"):
         raise ValueError(f"ripple must be 'amplitude' or 'ratio', not {ripple!r}")

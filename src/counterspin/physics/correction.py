@@ -3,10 +3,6 @@
 The products with a_P and a_O need the specific force along the other two axes. It is known, or
 it is what other accelerometers on the same platform sense; their errors are then corrected too,
 in turn, until the forces converge.
-
-- `CalibratedAccelerometer`, `Known`: accelerometers, and directions in which the force is known
-- `missing_axes`: the axes along which the force is needed and not known
-- `correct`, `Corrected`: several accelerometers together, with standard uncertainties
 """
 
 from __future__ import annotations
@@ -33,24 +29,13 @@ _PROJECTION_ROUNDING: Final = 1e-9
 
 @frozen(eq=False)
 class CalibratedAccelerometer:
-    """A calibrated accelerometer.
+    """A calibrated accelerometer."""
 
-    Attributes
-    ----------
-    name
-        For messages.
-    mounting
-        Its axes on the platform.
-    coefficients
-        Symbol -> value in g-units; terms not named have their nominal value, known exactly.
-    covariance
-        Of these coefficients in their order, shape (t, t).
-    """
-
-    name: str
-    mounting: Mounting
+    name: str  #: For messages.
+    mounting: Mounting  #: Its axes on the platform.
+    #: Symbol -> value in g-units; terms not named have their nominal value, known exactly.
     coefficients: Mapping[str, float]
-    covariance: Array
+    covariance: Array  #: Of these coefficients in their order, shape (t, t).
 
     def using(self, axis: str) -> tuple[str, ...]:
         """Return the symbols that need the specific force along P or O for value or variance."""
@@ -63,50 +48,27 @@ class CalibratedAccelerometer:
 
 @frozen(eq=False)
 class Known:
-    """A direction along which the specific force is known without an accelerometer.
+    """A direction along which the specific force is known without an accelerometer."""
 
-    Attributes
-    ----------
-    direction
-        Unit vector in the frame of the mountings, shape (3,).
-    force
-        Specific force along it in g, shape (n,) or one for all samples.
-    u
-        Its standard uncertainty in g, common to all samples.
-    """
-
-    direction: Array
-    force: Array | float
-    u: float = 0.0
+    direction: Array  #: Unit vector in the frame of the mountings, shape (3,).
+    force: Array | float  #: Specific force along it in g, shape (n,) or one for all samples.
+    u: float = 0.0  #: Its standard uncertainty in g, common to all samples.
 
 
 @frozen(eq=False)
 class Corrected:
-    """What the accelerometers' indications stand for.
+    """What the accelerometers' indications stand for."""
 
-    Attributes
-    ----------
-    force
-        Specific force along each input axis in g, shape (n, m).
-    u
-        Its standard uncertainty from coefficients and known forces, shape (n, m); the noise of
-        the indications is no part of it.
-    """
-
-    force: Array
+    force: Array  #: Specific force along each input axis in g, shape (n, m).
+    #: Its standard uncertainty from coefficients and known forces, shape (n, m); the noise of the
+    #: indications is no part of it.
     u: Array
 
 
 def missing_axes(
     instruments: Sequence[CalibratedAccelerometer], known: Sequence[Known]
 ) -> list[tuple[CalibratedAccelerometer, str, tuple[str, ...]]]:
-    """Return (instrument, ``P`` or ``O``, symbols that need it) where the force is not known.
-
-    Raises
-    ------
-    ValueError
-        As `correct`.
-    """
+    """Return (instrument, ``P`` or ``O``, symbols that need it) where the force is not known."""
     _, determined = _projections(instruments, known)
     return [
         (instrument, axis, instrument.using(axis))
@@ -128,28 +90,8 @@ def correct(
     is u(a_I) = sqrt(J C J^T) / |d a_ind/d a_I|. Coefficients of different accelerometers are taken
     as uncorrelated.
 
-    Parameters
-    ----------
-    instruments
-        The accelerometers, m of them, each with an input axis of its own.
-    indicated
-        Indicated specific force in g, shape (n, m); not finite: nor is the sample's result.
-    known
-        Further directions in which the force is known.
-
-    Returns
-    -------
-    Corrected
-
-    Raises
-    ------
-    NotInvertibleError
-        If a sample lies outside of what the model reaches.
-    ConvergenceError
-        If the accelerometers' mutual corrections do not settle.
-    ValueError
-        If the force along an axis is needed and not known, or the force along a direction is
-        given more than once.
+    instruments: The accelerometers, m of them, each with an input axis of its own.
+    indicated: Indicated specific force in g, shape (n, m); not finite: nor is the sample's result.
     """
     missing = missing_axes(instruments, known)
     if missing:

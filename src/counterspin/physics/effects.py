@@ -1,13 +1,4 @@
-"""What an error term does: the few kinds of effect that rows of the table of terms have.
-
-- `Product`: of an accelerometer, a coefficient times a product of specific forces (Eq. 7)
-- `Slope`: of one of its coefficients, a change with temperature, time or force
-- `Turn`: of the platform's attitude, and so of every accelerometer's axes
-- `PathError`: of the centrifuge or its encoder, a path other than the recorded circle
-- `Displacement`: of the machine, another radius or direction at one reading
-- `Input`: of a quantity that the description states
-- `RunConditions`, `AT_REFERENCE`: what there is to know of a run beside its motion
-"""
+"""What an error term does: the few kinds of effect that rows of the table of terms have."""
 
 from __future__ import annotations
 
@@ -22,18 +13,10 @@ from counterspin.frozen import frozen
 
 @frozen
 class RunConditions:
-    """What is known of a run beside its motion.
+    """What is known of a run beside its motion."""
 
-    Attributes
-    ----------
-    start
-        When it began, s from the beginning of the campaign.
-    warmth
-        Its temperature less the reference temperature, K.
-    """
-
-    start: float = 0.0
-    warmth: float = 0.0
+    start: float = 0.0  #: When it began, s from the beginning of the campaign.
+    warmth: float = 0.0  #: Its temperature less the reference temperature, K.
 
 
 #: At the beginning of a campaign, at the reference temperature.
@@ -42,21 +25,12 @@ AT_REFERENCE: Final = RunConditions()
 
 @frozen
 class Product:
-    """Coefficient times a product of a_I, a_P, a_O: the accelerometer's own error model, Eq. 7.
+    """Coefficient times a product of a_I, a_P, a_O: the accelerometer's own error model, Eq. 7."""
 
-    Attributes
-    ----------
-    factors
-        The product, factor by factor: ``("I", "I")`` is a_I^2, ``("I", "|I|")`` is a_I|a_I|.
-    ieee
-        The coefficient's name in IEEE Std 1293, before that standard's division by K1.
-    sign
-        The sign with which the product enters Eq. 7.
-    """
-
+    #: The product, factor by factor: ``("I", "I")`` is a_I^2, ``("I", "|I|")`` is a_I|a_I|.
     factors: tuple[str, ...]
-    ieee: str
-    sign: float = 1.0
+    ieee: str  #: The coefficient's name in IEEE Std 1293, before that standard's division by K1.
+    sign: float = 1.0  #: The sign with which the product enters Eq. 7.
 
     @property
     def text(self) -> str:
@@ -79,15 +53,8 @@ class Product:
     def evaluate(self, a_ipo: Array) -> Array:
         """Return the signed product for specific force along the axes.
 
-        Parameters
-        ----------
-        a_ipo
-            Specific force along I, P, O in g, shape (3, ...).
-
-        Returns
-        -------
-        Array
-            Shape ``a_ipo.shape[1:]``, in g to the power of the product's degree.
+        a_ipo: Specific force along I, P, O in g, shape (3, ...).
+        Returns: shape ``a_ipo.shape[1:]``, in g to the power of the product's degree.
         """
         value = np.full(a_ipo.shape[1:], self.sign, dtype=np.float64)
         for factor in self.factors:
@@ -97,17 +64,8 @@ class Product:
     def slope(self, a_ipo: Array, axis: str) -> Array:
         """Return the signed product's derivative along one axis.
 
-        Parameters
-        ----------
-        a_ipo
-            Specific force along I, P, O in g, shape (3, ...).
-        axis
-            ``I``, ``P`` or ``O``.
-
-        Returns
-        -------
-        Array
-            Shape ``a_ipo.shape[1:]``, in g to the power of the product's degree less one.
+        a_ipo: Specific force along I, P, O in g, shape (3, ...).
+        Returns: shape ``a_ipo.shape[1:]``, in g to the power of the product's degree less one.
         """
         total = np.zeros(a_ipo.shape[1:])
         for place, factor in enumerate(self.factors):
@@ -129,29 +87,17 @@ def _component(a_ipo: Array, factor: str) -> Array:
 
 @frozen
 class Slope:
-    """What one of an accelerometer's coefficients grows by, per unit of a condition.
+    """What one of an accelerometer's coefficients grows by, per unit of a condition."""
 
-    Attributes
-    ----------
-    coefficient
-        Symbol of the term that changes.
-    condition
-        ``temperature`` (K from the reference temperature), ``time`` (s from the beginning of the
-        campaign) or ``force`` (the square of the centripetal one at the run's rate, g^2).
-    """
-
-    coefficient: str
+    coefficient: str  #: Symbol of the term that changes.
+    #: ``temperature`` (K from the reference temperature), ``time`` (s from the beginning of the
+    #: campaign) or ``force`` (the square of the centripetal one at the run's rate, g^2).
     condition: str
 
     def lever(self, conditions: RunConditions, force: float) -> float:
         """Return what the slope is multiplied with at the start of a run.
 
-        Parameters
-        ----------
-        conditions
-            Of the run.
-        force
-            Centripetal force at the run's rate, g.
+        force: Centripetal force at the run's rate, g.
         """
         levers = {"temperature": conditions.warmth, "time": conditions.start, "force": force**2}
         return levers[self.condition]
@@ -166,19 +112,11 @@ class Turn:
     then senses f - psi x f. Tilts are about the geographic axes of a run; all others belong to
     gyros and frame and are about the platform's own axes x, y, z, which point east, north, up in
     the level attitude.
-
-    Attributes
-    ----------
-    kind
-        ``tilt``, ``drift``, ``g_sensitivity``, ``g2_sensitivity`` or ``compliance``.
-    axis
-        The axis about which the attitude turns: 0 east (x), 1 north (y), 2 up (z).
-    force_axis
-        For g-sensitivity and compliance the axis of the force, else None.
     """
 
-    kind: str
-    axis: int
+    kind: str  #: ``tilt``, ``drift``, ``g_sensitivity``, ``g2_sensitivity`` or ``compliance``.
+    axis: int  #: The axis about which the attitude turns: 0 east (x), 1 north (y), 2 up (z).
+    #: For g-sensitivity and compliance the axis of the force, else None.
     force_axis: int | None = None
 
 
@@ -192,50 +130,28 @@ class PathError:
     b about north carries the platform R (a sin theta - b cos theta) above the level; the platform
     itself stays level, and its own tilt is a `Turn`. The errors are those of the machine, the same
     in every run.
-
-    Attributes
-    ----------
-    kind
-        ``stretch``, ``imbalance``, ``axis_tilt`` or ``encoder``.
-    harmonic, quadrature
-        n, and ``cos`` or ``sin``; 0 and empty for the stretch and the tilts.
-    about
-        For a tilt ``east`` or ``north``.
     """
 
-    kind: str
+    kind: str  #: ``stretch``, ``imbalance``, ``axis_tilt`` or ``encoder``.
+    #: n, and ``cos`` or ``sin``; 0 and empty for the stretch and the tilts.
     harmonic: int = 0
     quadrature: str = ""
-    about: str = ""
+    about: str = ""  #: For a tilt ``east`` or ``north``.
 
 
 @frozen
 class Displacement:
-    """Another place or direction of the instrument at a reading.
+    """Another place or direction of the instrument at a reading."""
 
-    Attributes
-    ----------
-    of
-        ``radius``, ``droop``, ``misalignment`` or ``zero`` (of the dividing head).
-    about
-        For a misalignment the axis of the motion's frame about which it turns.
-    """
-
-    of: str
-    about: str = ""
+    of: str  #: ``radius``, ``droop``, ``misalignment`` or ``zero`` (of the dividing head).
+    about: str = ""  #: For a misalignment the axis of the motion's frame about which it turns.
 
 
 @frozen
 class Input:
-    """A quantity that the description states, and that enters the reference or its units.
+    """A quantity that the description states, and that enters the reference or its units."""
 
-    Attributes
-    ----------
-    of
-        ``radius``, ``gravity``, ``latitude``, ``timing_offset`` or ``clock``.
-    """
-
-    of: str
+    of: str  #: ``radius``, ``gravity``, ``latitude``, ``timing_offset`` or ``clock``.
 
 
 #: What a term can do.

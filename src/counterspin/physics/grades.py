@@ -14,9 +14,6 @@ Documents:
 - ADXL350, ADXL313: Analog Devices, data sheets, Table 1
 - HASI: calibration of the servo accelerometer of Huygens, ``HASI_ACC_CALIBRATION_DATA.TXT`` in
   ESA's Planetary Science Archive
-
-- `GRADES`; `DEFAULT_GRADE`: of an accelerometer that states none
-- `Size`: credible and typical; `SIZES`: by symbol, then grade
 """
 
 from __future__ import annotations
@@ -34,21 +31,11 @@ DEFAULT_GRADE: Final = GRADES[0]
 
 @frozen
 class Size:
-    """How large a term is, in the unit of its row.
+    """How large a term is, in the unit of its row."""
 
-    Attributes
-    ----------
-    limit
-        The largest credible size.
-    typical
-        Standard uncertainty to assume where nothing is known.
-    source
-        What `typical` rests on.
-    """
-
-    limit: float
-    typical: float
-    source: str
+    limit: float  #: The largest credible size.
+    typical: float  #: Standard uncertainty to assume where nothing is known.
+    source: str  #: What `typical` rests on.
 
 
 _NONE: Final = "order of magnitude, no source"

@@ -1,8 +1,4 @@
-"""Normal gravity: what gravity is to be expected at a latitude and a height.
-
-- `normal_gravity`: of the ellipsoid WGS 84
-- `gravity_range`: from the lowest to the highest place at which a laboratory stands
-"""
+"""Normal gravity: what gravity is to be expected at a latitude and a height."""
 
 from __future__ import annotations
 
@@ -27,17 +23,9 @@ def normal_gravity(latitude: float, height: float = 0.0) -> float:
     Eq. 4-1 and 4-3, with the constants of its tables 3.3 and 3.4. Gravity as measured differs by
     anomalies of the ground, mostly less than 1e-3 m/s^2.
 
-    Parameters
-    ----------
-    latitude
-        Geodetic, rad.
-    height
-        Above the ellipsoid, m.
-
-    Returns
-    -------
-    float
-        m/s^2.
+    latitude: Geodetic, rad.
+    height: Above the ellipsoid, m.
+    Returns: m/s^2.
     """
     square = math.sin(latitude) ** 2
     on_ellipsoid = (

@@ -3,9 +3,6 @@
 On either side of a_I = 0 the indicated specific force is a polynomial in a_I. It rises there from
 zero up to its first turning point; within that range there is exactly one specific force along
 the input axis that an indication can stand for, and a bracketed Newton iteration finds it.
-
-- `invert`: one accelerometer, a_P and a_O given
-- `NotInvertibleError`: an indication that the model does not reach
 """
 
 from __future__ import annotations
@@ -30,15 +27,7 @@ _MAX_FORCE: Final = 1e9
 
 
 class NotInvertibleError(ConvergenceError):
-    """With this model no specific force gives a sample's indication.
-
-    Attributes
-    ----------
-    row
-        The sample, counted from 0.
-    reason
-        Why, as a sentence without its subject.
-    """
+    """With this model no specific force gives a sample's indication."""
 
     def __init__(self, row: int, reason: str) -> None:
         self.row, self.reason = row, reason
@@ -53,26 +42,12 @@ def invert(
 ) -> Array:
     """Return the specific force along the input axis, the inverse of Eq. 7.
 
-    Parameters
-    ----------
-    coefficients
-        Coefficients by symbol, in g-units; those not named have their nominal value.
-    indicated
-        Indicated specific force in g, shape (n,). Where it, a_p or a_o is not finite, so is the
-        result.
-    a_p, a_o
-        Specific force along the pendulous and the output axis in g, shape (n,) or one for all.
-
-    Returns
-    -------
-    Array
-        a_I in g, shape (n,), to rounding.
-
-    Raises
-    ------
-    NotInvertibleError
-        If an indication lies beyond the model's turning point, or the model does not rise at
-        a_I = 0.
+    coefficients: Coefficients by symbol, in g-units; those not named have their nominal value.
+    indicated: Indicated specific force in g, shape (n,). Where it, a_p or a_o is not finite, so is
+        the result.
+    a_p, a_o: Specific force along the pendulous and the output axis in g, shape (n,) or one for
+        all.
+    Returns: a_I in g, shape (n,), to rounding.
     """
     y, p, o = np.broadcast_arrays(np.asarray(indicated, dtype=np.float64), a_p, a_o)
     present = np.isfinite(y) & np.isfinite(p) & np.isfinite(o)

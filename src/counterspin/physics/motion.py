@@ -3,10 +3,6 @@
 The second turntable keeps the platform's case from rotating, so every point of it moves on the
 same circle and the lever arm inside the case cancels. Vectors are east-north-up, SI, shape
 (n, 3); the spindle angle is measured from east towards north.
-
-- `Site`: gravity, latitude and the Earth's rotation
-- `Trajectory`: position, velocity, acceleration, specific force, harmful acceleration
-- `Motion`: all of them at the same times
 """
 
 from __future__ import annotations
@@ -143,12 +139,7 @@ class Motion:
 
     The quantities are those of `Trajectory`, shape (n, 3).
 
-    Parameters
-    ----------
-    trajectory
-        What moves.
-    t
-        s, shape (n,).
+    t: s, shape (n,).
     """
 
     def __init__(self, trajectory: Trajectory, t: Array) -> None:

@@ -3,12 +3,6 @@
 Given the trajectory, the error of the recorded output is linear in the coefficients,
 e(t) = start offset + start velocity x t + sum_j (K_j - nominal) x column_j(t). The columns are
 double time integrals for displacement, single for velocity, and none for specific force.
-
-- `columns`: one column for each term of the table, along any trajectory
-- `reference`: what a perfect system would have recorded
-- `gravity_left`: the part of it that the navigation computer leaves of gravity
-- `over_blocks`: columns or reference for block means
-- `parabola`: the t^2 coefficients at constant rate, in closed form
 """
 
 from __future__ import annotations
@@ -76,14 +70,7 @@ def reference(
 def gravity_left(site: Site, input_axis: Array, times: Array, observable: str) -> Array:
     """Return what the navigation computer leaves of gravity in a record, shape (n,).
 
-    Parameters
-    ----------
-    site
-        With the gravity that the computer removes.
-    input_axis
-        In the run's attitude, east-north-up, shape (3,).
-    times, observable
-        As for `columns`.
+    input_axis: In the run's attitude, east-north-up, shape (3,).
     """
     order = ORDERS[observable]
     if order == 0:  # from a force nothing is taken away
@@ -189,17 +176,10 @@ def over_blocks(function: Callable[[Array], Array], times: Array, spread: Array)
     block's mean exactly up to the third power of time, which over 1/64 revolution leaves less
     than 1e-7 of the first harmonic.
 
-    Parameters
-    ----------
-    function
-        Maps times (m,) in s to values (m, ...).
-    times, spread
-        Mean time of each block and standard deviation of its samples' times, s, shape (n,).
-
-    Returns
-    -------
-    Array
-        Shape (n, ...).
+    function: Maps times (m,) in s to values (m, ...).
+    times, spread: Mean time of each block and standard deviation of its samples' times, s, shape
+        (n,).
+    Returns: shape (n, ...).
     """
     if not np.any(spread):
         return function(times)
@@ -378,22 +358,9 @@ def parabola(symbol: str, mounting: Mounting, rate: float, radius: float, gravit
     with the pendulous axis vertical. This is the corrected content of Eq. 19: K_II enters with
     1/4, not 1/2.
 
-    Parameters
-    ----------
-    symbol
-        A term of the table; those without a parabola give 0 (drift grows with t^3).
-    rate, radius, gravity
-        rad/s (signed), m, m/s^2.
-
-    Returns
-    -------
-    float
-        m/s^2 per unit coefficient.
-
-    Raises
-    ------
-    ValueError
-        If the symbol is unknown or the mounting is not of this kind.
+    symbol: A term of the table; those without a parabola give 0 (drift grows with t^3).
+    rate, radius, gravity: rad/s (signed), m, m/s^2.
+    Returns: m/s^2 per unit coefficient.
     """
     matrix = mounting.matrix
     if abs(matrix[0, 2]) > 1e-9 or abs(abs(matrix[1, 2]) - 1.0) > 1e-9:

@@ -4,10 +4,6 @@ A computer that is given the platform's motion removes 2 Omega x v of it. One th
 of its own solution, v + e', removes 2 Omega x e' too much, so that the error obeys
 e'' = a - 2 Omega x e' with what the accelerometers and the platform sense wrongly, a. Integrated
 once, e' = e_p' - 2 Omega x (e - e(0)), where e_p is the error with the platform's motion.
-
-- `AxisError`: what one accelerometer's record is off by
-- `taken`: what such a computer took off records that it has made
-- `of_own_velocity`: errors with the platform's motion -> errors with the computer's own velocity
 """
 
 from __future__ import annotations
@@ -37,43 +33,21 @@ _DEGREE: Final = 7
 
 @frozen
 class AxisError:
-    """What one accelerometer's record is off by.
+    """What one accelerometer's record is off by."""
 
-    Attributes
-    ----------
-    input_axis
-        In the run's attitude, east-north-up, shape (3,).
-    observable
-        ``displacement``, ``velocity`` or ``specific_force``; in the last nothing is removed.
-    time
-        s, increasing, shape (n,).
-    error
-        What is recorded less the motion along the input axis, m, m/s or m/s^2, shape (n,); NaN
-        where it is missing.
-    """
-
-    input_axis: Array
+    input_axis: Array  #: In the run's attitude, east-north-up, shape (3,).
+    #: ``displacement``, ``velocity`` or ``specific_force``; in the last nothing is removed.
     observable: str
-    time: Array
+    time: Array  #: s, increasing, shape (n,).
+    #: What is recorded less the motion along the input axis, m, m/s or m/s^2, shape (n,); NaN where
+    #: it is missing.
     error: Array
 
 
 def taken(site: Site, errors: Sequence[AxisError]) -> list[Array]:
     """Return what a computer with its own velocity took off the records that it has made.
 
-    Parameters
-    ----------
-    site
-        For the Earth's rotation.
-    errors
-        Of the accelerometers of one run, as recorded. Where no input axis points, the accelerometer
-        is taken as perfect: there the error is what the others' Coriolis acceleration makes.
-
-    Returns
-    -------
-    list of Array
-        Of each accelerometer, at its times: 2 integral of Omega x (e - e(0)) dt for displacement,
-        2 Omega x (e - e(0)) for velocity, along its input axis; 0 for specific force.
+    site: For the Earth's rotation.
     """
     return _along(site, errors, unseen(errors) @ coriolis(site))
 
@@ -81,15 +55,7 @@ def taken(site: Site, errors: Sequence[AxisError]) -> list[Array]:
 def of_own_velocity(site: Site, errors: Sequence[AxisError]) -> list[Array]:
     """Return the errors of a computer with its own velocity.
 
-    Parameters
-    ----------
-    site, errors
-        As for `taken`, but errors of a computer that is given the platform's motion.
-
-    Returns
-    -------
-    list of Array
-        Of each accelerometer, at its times.
+    site, errors: As for `taken`, but errors of a computer that is given the platform's motion.
     """
     took = _along(site, errors, coriolis(site))
     return [record.error - part for record, part in zip(errors, took, strict=True)]

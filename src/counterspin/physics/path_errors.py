@@ -3,10 +3,6 @@
 A spindle out of balance and an arm that stretches change the radius; a spindle whose axis is tilted
 lifts and lowers the platform once a revolution; an eccentric encoder records another angle than the
 spindle's. None of these is in the reference, so all show in every record.
-
-- `true_trajectory`: the path of a machine with these errors, without linearisation
-- `encoder_error`: what its encoder adds to the angle
-- `path_change`: what one of them does, to first order
 """
 
 from __future__ import annotations
@@ -24,15 +20,7 @@ from counterspin.physics.terms import MOTION_TERMS
 
 
 def true_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Trajectory:
-    """Return the path with the errors of radius and axis, where there are any.
-
-    Parameters
-    ----------
-    trajectory
-        On the circle.
-    shared
-        Shared terms by symbol, SI; those that do not change the path are left alone.
-    """
+    """Return the path with the errors of radius and axis, where there are any."""
     errors = [(MOTION_TERMS[s].effect, value) for s, value in shared.items() if s in MOTION_TERMS]
     imbalance = tuple(
         (error.harmonic, value, 0.0) if error.quadrature == "cos" else (error.harmonic, 0.0, value)
@@ -52,12 +40,7 @@ def true_trajectory(trajectory: Trajectory, shared: Mapping[str, float]) -> Traj
 def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
     """Return the recorded angle less the true one in rad, shape (n,).
 
-    Parameters
-    ----------
-    shared
-        Shared terms by symbol, SI.
-    angle
-        The true angle, rad, shape (n,).
+    angle: The true angle, rad, shape (n,).
     """
     total = np.zeros_like(angle)
     for symbol, value in shared.items():
@@ -73,19 +56,8 @@ def encoder_error(shared: Mapping[str, float], angle: Array) -> Array:
 def path_change(symbol: str, circle: Motion, order: int) -> Array:
     """Return the true motion less that of the circle at the recorded angle.
 
-    Parameters
-    ----------
-    symbol
-        The error, one of `MOTION_TERMS`.
-    circle
-        The motion on the circle, at the recorded angle, at n times.
-    order
-        2 for the position, 1 for the velocity, 0 for the specific force.
-
-    Returns
-    -------
-    Array
-        Per unit of the term, in east-north-up, shape (n, 3).
+    order: 2 for the position, 1 for the velocity, 0 for the specific force.
+    Returns: per unit of the term, in east-north-up, shape (n, 3).
     """
     if (error := MOTION_TERMS[symbol].effect).kind == "encoder":
         return _turned_back(error, circle, order)

@@ -3,10 +3,6 @@
 Between two panel edges the integrand is the polynomial through its values at Gauss nodes, and the
 polynomial is integrated once or twice. The result is therefore as accurate between the edges as at
 them, and the integrand is evaluated no more often for a million sample times than for three.
-
-- `panel_edges`: where panels begin and end
-- `sign_changes`: kinks that must be edges too
-- `integrate`, `Panels`: the integrals
 """
 
 from __future__ import annotations
@@ -55,16 +51,9 @@ def panel_edges(
 ) -> Array:
     """Return panel edges from 0 to `duration` (s), increasing, shape (m + 1,).
 
-    Parameters
-    ----------
-    spindle
-        Gives the number of revolutions and the highest ripple harmonic, which needs more panels.
-    duration
-        End of the integration, s; positive.
-    breaks
-        Further edges, s, such as the times of kinks.
-    coarse
-        Half as many, for shapes: what lies between the edges is then accurate to 1e-4.
+    duration: End of the integration, s; positive.
+    breaks: Further edges, s, such as the times of kinks.
+    coarse: Half as many, for shapes: what lies between the edges is then accurate to 1e-4.
     """
     revolutions = duration * abs(spindle.rate) * (1 + max(0.0, spindle.drift * duration))
     revolutions /= 2.0 * math.pi
@@ -83,18 +72,10 @@ def panel_edges(
 def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
     """Return the times at which a function changes sign, by false position to rounding.
 
-    Parameters
-    ----------
-    function
-        Maps times (n,) to values (n,).
-    edges
-        Panel edges; each panel is searched in 8 steps, so that two changes closer than an
-        eighth of a panel are missed together.
-
-    References
-    ----------
-    Dowell and Jarratt, A modified regula falsi method for computing the root of an equation, BIT
-    11 (1971) 168: the Illinois rule.
+    edges: Panel edges; each panel is searched in 8 steps, so that two changes closer than an eighth
+        of a panel are missed together.
+    References: Dowell and Jarratt, A modified regula falsi method for computing the root of an
+        equation, BIT 11 (1971) 168: the Illinois rule.
     """
     steps = np.linspace(0.0, 1.0, 8, endpoint=False)
     grid = np.append((edges[:-1, None] + np.diff(edges)[:, None] * steps).ravel(), edges[-1])
@@ -122,26 +103,11 @@ def sign_changes(function: Callable[[Array], Array], edges: Array) -> Array:
 def integrate(integrand: Callable[[Array], Array], edges: Array, times: Array, order: int) -> Array:
     """Integrate several functions once or twice from the first edge.
 
-    Parameters
-    ----------
-    integrand
-        Maps times (n,) in s to values (k, n).
-    edges
-        Panel edges, s, increasing; the integrand is smooth inside each panel.
-    times
-        Where the integrals are wanted, s, shape (n,), between the first and the last edge.
-    order
-        1 for the integral, 2 for the double integral (zero value and slope at the first edge).
-
-    Returns
-    -------
-    Array
-        Shape (n, k), the integrand's unit times s or s^2.
-
-    Raises
-    ------
-    ValueError
-        If a time lies outside the edges.
+    integrand: Maps times (n,) in s to values (k, n).
+    edges: Panel edges, s, increasing; the integrand is smooth inside each panel.
+    times: Where the integrals are wanted, s, shape (n,), between the first and the last edge.
+    order: 1 for the integral, 2 for the double integral (zero value and slope at the first edge).
+    Returns: shape (n, k), the integrand's unit times s or s^2.
     """
     panels = Panels(edges)
     values = integrand(panels.nodes)
@@ -153,15 +119,7 @@ def integrate(integrand: Callable[[Array], Array], edges: Array, times: Array, o
 class Panels:
     """Panels of time with their Gauss nodes, for integrands known at the nodes.
 
-    Parameters
-    ----------
-    edges
-        s, increasing; the integrands are smooth inside each panel.
-
-    Attributes
-    ----------
-    nodes
-        The times in s at which integrands are to be known, shape (m,).
+    edges: s, increasing; the integrands are smooth inside each panel.
     """
 
     def __init__(self, edges: Array) -> None:
@@ -174,23 +132,9 @@ class Panels:
     ) -> Array:
         """Return integrals of some functions and double integrals of others.
 
-        Parameters
-        ----------
-        times
-            As for `integrate`.
-        once, twice
-            Values at the nodes of the functions to be integrated once and twice, shapes (j, m)
-            and (k, m).
-
-        Returns
-        -------
-        Array
-            Shape (j + k, n).
-
-        Raises
-        ------
-        ValueError
-            If a time lies outside the edges.
+        once, twice: Values at the nodes of the functions to be integrated once and twice, shapes
+            (j, m) and (k, m).
+        Returns: shape (j + k, n).
         """
         edges, half = self._edges, self._half
         tolerance = 1e-12 * (edges[-1] - edges[0])

@@ -3,11 +3,6 @@
 A coefficient in g/g^n multiplies a_I^n where forces are counted in the site's own g. Counted in
 m/s^2 it is the same number times g^(1-n): K_II in g/g^2 becomes K_II/g in (m/s^2)/(m/s^2)^2,
 which is s^2/m.
-
-- `SiUnit`: powers of radian, metre, second, ampere and volt; products; the D-SI text
-- `si_unit`: the unit of a result as an `SiUnit` and a power of g; `own_unit`: likewise of an
-  instrument's own, with the factor of its prefix
-- `to_si`, `from_si`: numbers
 """
 
 from __future__ import annotations
@@ -73,15 +68,7 @@ class SiUnit:
 def si_unit(unit: str) -> tuple[SiUnit, int]:
     """Return a unit in SI and the power of g (m/s^2) of the conversion.
 
-    Parameters
-    ----------
-    unit
-        As it stands in a result: ``g/g^2``, ``rad/s/g``, ``m``.
-
-    Raises
-    ------
-    ValueError
-        If it is not a quotient of rad, m, s and g.
+    unit: As it stands in a result: ``g/g^2``, ``rad/s/g``, ``m``.
     """
     powers = [0, 0, 0, 0]
     for place, factor in enumerate(unit.split("/")):
@@ -111,15 +98,7 @@ def own_unit(unit: str) -> tuple[float, SiUnit, int]:
 
     1 mA/g is 1e-3 A/g, which is 1e-3 / g in A/(m/s^2).
 
-    Parameters
-    ----------
-    unit
-        Of its readings, such as ``mA`` or ``count/s``, or that over g.
-
-    Raises
-    ------
-    ValueError
-        If it is no unit, or none with whole powers of these.
+    unit: Of its readings, such as ``mA`` or ``count/s``, or that over g.
     """
     factor, powers = base_unit(unit)
     gravity = powers["[gravity]"]

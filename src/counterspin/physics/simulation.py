@@ -3,12 +3,6 @@
 Estimation uses columns that are linear in the coefficients (`counterspin.physics.observation`).
 This module does not: it turns the specific force by the platform's whole attitude error, puts it
 through the complete error model and integrates, products of small terms included.
-
-- `attitude_error`: the platform's rotation vector
-- `changed`: coefficients as they are under a run's conditions, at its start
-- `recorded`: the indicated displacement, velocity or specific force, without noise
-- `accelerometer_walk`, `bias_wander`: noise of accelerometer and bias, integrated as often as the
-  observable is
 """
 
 from __future__ import annotations
@@ -44,21 +38,10 @@ def attitude_error(
 
     psi = tilt + drift t + D (integral of f)/g + E (integral of |f|^2)/g^2 + C f/g.
 
-    Parameters
-    ----------
-    trajectory
-        The motion; the tilt is that at t = 0.
-    platform
-        Platform terms by symbol, SI.
-    times
-        s, shape (n,).
-    attitude
-        Rows: where the platform's x, y, z axes point, shape (3, 3).
-
-    Returns
-    -------
-    Array
-        Rotation vector in rad, shape (n, 3).
+    trajectory: The motion; the tilt is that at t = 0.
+    times: s, shape (n,).
+    attitude: Rows: where the platform's x, y, z axes point, shape (3, 3).
+    Returns: rotation vector in rad, shape (n, 3).
     """
     psi = np.zeros((times.size, 3))
     motion, g = trajectory.at(times), trajectory.site.gravity
@@ -92,26 +75,12 @@ def recorded(
     The navigation computer knows its position and velocity at t = 0 exactly. What an encoder
     records beside it is `counterspin.physics.path_errors.encoder_error`.
 
-    Parameters
-    ----------
-    trajectory, attitude
-        As for `observation.columns`; the true angle.
-    mounting
-        The accelerometer's axes in the level attitude.
-    coefficients
-        Accelerometer terms by symbol, slopes under conditions included, g-units; those not named
-        are nominal.
-    shared
-        Terms of platform and motion by symbol, SI.
-    times
-        s, not negative, shape (n,).
-    observable
-        ``displacement`` (m), ``velocity`` (m/s) or ``specific_force`` (m/s^2).
-
-    Returns
-    -------
-    Array
-        Shape (n,).
+    mounting: The accelerometer's axes in the level attitude.
+    coefficients: Accelerometer terms by symbol, slopes under conditions included, g-units; those
+        not named are nominal.
+    times: s, not negative, shape (n,).
+    observable: ``displacement`` (m), ``velocity`` (m/s) or ``specific_force`` (m/s^2).
+    Returns: shape (n,).
     """
     order = observation.ORDERS[observable]
     axes = mounting.turned(attitude)
@@ -154,15 +123,7 @@ def recorded(
 def changed(
     coefficients: Mapping[str, float], conditions: RunConditions, force: float
 ) -> dict[str, float]:
-    """Return an accelerometer's coefficients as they are at the start of a run.
-
-    Parameters
-    ----------
-    coefficients
-        Terms of `TERMS` and of `CONDITION_TERMS` by symbol; those not named are nominal.
-    conditions, force
-        As of `counterspin.physics.effects.Slope.lever`.
-    """
+    """Return an accelerometer's coefficients as they are at the start of a run."""
     at_start = {symbol: value for symbol, value in coefficients.items() if symbol in TERMS}
     for symbol, slope in coefficients.items():
         row = CONDITION_TERMS.get(symbol)
@@ -190,22 +151,11 @@ def accelerometer_walk(
 ) -> Array:
     """Draw accelerometer white noise as the observable shows it.
 
-    Parameters
-    ----------
-    generator
-        Source of random numbers.
-    times
-        s, increasing, shape (n,).
-    random_walk
-        Coefficient N, m/s^2/Hz^0.5 (velocity variance N^2 t).
-    order
-        2 for displacement, 1 for velocity, 0 for specific force (the mean over each sample's
+    times: s, increasing, shape (n,).
+    random_walk: Coefficient N, m/s^2/Hz^0.5 (velocity variance N^2 t).
+    order: 2 for displacement, 1 for velocity, 0 for specific force (the mean over each sample's
         interval).
-
-    Returns
-    -------
-    Array
-        Shape (n,), zero at the first time for orders 1 and 2.
+    Returns: shape (n,), zero at the first time for orders 1 and 2.
     """
     step = np.diff(times)
     if order == 0:
@@ -236,23 +186,11 @@ def bias_wander(
     period to half the sampling rate: line by line of eight times the record's length, and slower
     ones in bands of a tenth of a decade.
 
-    Parameters
-    ----------
-    generator
-        Source of random numbers.
-    times
-        s, evenly spaced, shape (n,), at least 2.
-    flicker, bias_walk
-        Bias instability B, m/s^2, and random walk K of the bias, m/s^2/s^0.5.
-    order
-        As for `accelerometer_walk`; 0 is the bias itself.
-    before
-        For how long the bias had walked at the first time, s.
-
-    Returns
-    -------
-    Array
-        Shape (n,), zero at the first time for orders 1 and 2.
+    times: s, evenly spaced, shape (n,), at least 2.
+    flicker, bias_walk: Bias instability B, m/s^2, and random walk K of the bias, m/s^2/s^0.5.
+    order: As for `accelerometer_walk`; 0 is the bias itself.
+    before: For how long the bias had walked at the first time, s.
+    Returns: shape (n,), zero at the first time for orders 1 and 2.
     """
     n, step = times.size, float(times[1] - times[0])
     bias = np.zeros(n)

@@ -2,9 +2,6 @@
 
 The paper's Eq. 1 with any number of ripple harmonics:
 rate(t) = w0 (1 + C t) + sum_n w_n sin(n w0 t + phi_n).
-
-- `Ripple`, `Spindle`: the model, with angle, rate and angular acceleration
-- `fit_spindle`, `SpindleFit`: identification from a recorded angle, with uncertainties
 """
 
 from __future__ import annotations
@@ -143,34 +140,19 @@ class Spindle:
 
 @frozen
 class SpindleFit:
-    """A spindle identified from a recorded angle.
+    """A spindle identified from a recorded angle."""
 
-    Attributes
-    ----------
-    spindle
-        The identified model; t = 0 is the time origin of the samples given.
-    u_rate, u_drift
-        Standard uncertainties, rad/s, 1/s, rad.
-    u_ripples
-        (amplitude rad/s, phase rad) standard uncertainties, one pair for each ripple.
-    rms
-        Root mean square of the residual angle, rad.
-    dof
-        Degrees of freedom of the residuals.
-    residuals
-        Recorded minus modelled angle, rad, shape (n,).
-    error
-        How far the true angle may be from the model, in the harmonics that can reach a coefficient
-        too, supported or not.
-    """
-
-    spindle: Spindle
+    spindle: Spindle  #: The identified model; t = 0 is the time origin of the samples given.
+    #: Standard uncertainties, rad/s, 1/s, rad.
     u_rate: float
     u_drift: float
+    #: (amplitude rad/s, phase rad) standard uncertainties, one pair for each ripple.
     u_ripples: tuple[tuple[float, float], ...]
-    rms: float
-    dof: int
-    residuals: Array
+    rms: float  #: Root mean square of the residual angle, rad.
+    dof: int  #: Degrees of freedom of the residuals.
+    residuals: Array  #: Recorded minus modelled angle, rad, shape (n,).
+    #: How far the true angle may be from the model, in the harmonics that can reach a coefficient
+    #: too, supported or not.
     error: AngleError
 
 

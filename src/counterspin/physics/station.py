@@ -8,11 +8,6 @@ fixture that is turned) moves the station, so that its effect on a reading is a 
 Vectors are in the station's frame: east-north-up at rest and on a double turntable; outward along
 the arm, forward (the way that the arm moves at a positive rate) and up on an arm. Both frames are
 right-handed.
-
-- `Station`: motion, axes and machine
-- `moved`: a station with one of the machine's terms changed
-- `mean_products`: what each coefficient counts with at each of several stations
-- `FRAMES`: the names of directions in each motion's frame
 """
 
 from __future__ import annotations
@@ -54,52 +49,28 @@ _ANGLES: Final = 16
 
 @frozen
 class Station:
-    """Where and how one reading is taken.
+    """Where and how one reading is taken."""
 
-    Attributes
-    ----------
-    motion
-        ``counter-rotating``, ``arm`` or ``static``.
-    mounting
-        The accelerometer's axes in the station's frame.
-    rate
-        rad/s; its sign is the sense, right-handed about up. 0 at rest.
-    radius
-        From the spindle's axis to the proof mass when the arm is unloaded, m.
-    stretch
-        Relative growth of the radius per m/s^2 of centripetal acceleration, s^2/m.
-    droop
-        Turn of the instrument about forward per squared rate, rad s^2: a positive one lowers the
-        outer end of the arm. Of the arm only.
-    axis_tilt
-        Small right-handed turns of the spindle's axis about east and north, rad.
-    turn
-        Small right-handed turn of the instrument about the axes of the frame, rad, shape (3,).
-    """
-
-    motion: MotionKind
-    mounting: Mounting
-    rate: float = 0.0
-    radius: float = 0.0
+    motion: MotionKind  #: ``counter-rotating``, ``arm`` or ``static``.
+    mounting: Mounting  #: The accelerometer's axes in the station's frame.
+    rate: float = 0.0  #: rad/s; its sign is the sense, right-handed about up. 0 at rest.
+    radius: float = 0.0  #: From the spindle's axis to the proof mass when the arm is unloaded, m.
+    #: Relative growth of the radius per m/s^2 of centripetal acceleration, s^2/m.
     stretch: float = 0.0
+    #: Turn of the instrument about forward per squared rate, rad s^2: a positive one lowers the
+    #: outer end of the arm. Of the arm only.
     droop: float = 0.0
+    #: Small right-handed turns of the spindle's axis about east and north, rad.
     axis_tilt: tuple[float, float] = (0.0, 0.0)
+    #: Small right-handed turn of the instrument about the axes of the frame, rad, shape (3,).
     turn: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def force(self, site: Site, angle: Array) -> Array:
         """Return the specific force in the station's frame at constant rate.
 
-        Parameters
-        ----------
-        site
-            Gravity, latitude and the Earth's rotation.
-        angle
-            Of the spindle, from east towards north, rad, shape (n,).
-
-        Returns
-        -------
-        Array
-            m/s^2, shape (n, 3). Neglected: the square of the Earth's rate times the radius
+        site: Gravity, latitude and the Earth's rotation.
+        angle: Of the spindle, from east towards north, rad, shape (n,).
+        Returns: m/s^2, shape (n, 3). Neglected: the square of the Earth's rate times the radius
             (1.3e-8 m/s^2 at 2.5 m) and the turn of the plumb line across the radius.
         """
         force: Array = _forces([self], site, angle)[0]
@@ -176,17 +147,7 @@ def _turned(axes: Array, turns: Array) -> Array:
 def mean_products(stations: Sequence[Station], site: Site) -> Array:
     """Return the signed products of specific forces, each the mean over a revolution.
 
-    Parameters
-    ----------
-    stations
-        n of them.
-    site
-        As for `Station.force`.
-
-    Returns
-    -------
-    Array
-        In g to the power of each product's degree, shape (n, m), in the order of `TERMS`.
+    Returns: in g to the power of each product's degree, shape (n, m), in the order of `TERMS`.
     """
     angles = np.linspace(0.0, 2.0 * np.pi, _ANGLES, endpoint=False, dtype=np.float64)
     forces = _forces(stations, site, angles)
@@ -200,21 +161,8 @@ def mean_products(stations: Sequence[Station], site: Site) -> Array:
 def moved(station: Station, symbol: str, size: float, head: Array) -> Station:
     """Return a station with one of the machine's terms larger by a size.
 
-    Parameters
-    ----------
-    station
-        Where the reading was taken.
-    symbol
-        A term of the machine that moves stations.
-    size
-        By how much, in the term's unit.
-    head
-        The axis about which the dividing head turns, in the station's frame, shape (3,).
-
-    Raises
-    ------
-    ValueError
-        If the term moves no station.
+    size: By how much, in the term's unit.
+    head: The axis about which the dividing head turns, in the station's frame, shape (3,).
     """
     match term(symbol).effect:
         case Displacement("radius"):

@@ -6,14 +6,6 @@ other list of coefficients. A row says whose the term is, how large it may be an
 Accelerometer coefficients are in g-units (g, g/g, g/g^2, ...), g being the site's own gravity.
 Eq. 7 does not divide by the scale factor K_I; IEEE Std 1293 factors it out, so that the paper's
 K_II is K1 x K2 there, and likewise for the other terms. All else is in SI units.
-
-- `Term`: a row; `TABLE`: all rows by symbol; `term`: the row of any name, `is_term`
-- `TERMS`, `CONDITION_TERMS`: of each accelerometer, together `OWN_TERMS`
-- `PLATFORM_TERMS`, `MOTION_TERMS`: shown by records of all, together `SHARED_TERMS`
-- `READING_TERMS`: of the machine or under conditions, shown by readings; `shown_by_readings`,
-  `mounting_of`: of a symbol
-- `INPUTS`: what the description states
-- `symbol_of`: the symbol in an unknown's name
 """
 
 from __future__ import annotations
@@ -43,53 +35,31 @@ Does_co = TypeVar("Does_co", bound=Effect, covariant=True)
 
 @frozen
 class Term(Generic[Does_co]):
-    """One row of the table: something that may differ from what is assumed.
+    """One row of the table: something that may differ from what is assumed."""
 
-    Attributes
-    ----------
-    symbol
-        The paper's symbol for a coefficient, else a name of words with dots; used everywhere. Of
-        a mounting's own it has ``MOUNTING`` for the name.
-    effect
-        What it does to an output.
-    words
-        What it is called.
-    unit
-        g-units for coefficients of an accelerometer, else SI.
-    limit
-        The largest credible size. A standard uncertainty that is not below it says that the data
-        do not determine the term. Of an accelerometer's term that of navigation grade: see `sizes`.
-    typical
-        Standard uncertainty to assume where nothing is known of it; of an accelerometer's likewise.
-    source
-        What `typical` rests on, or that it is an order of magnitude.
-    scope
-        Who has a value of its own: each ``accelerometer``, each ``run``, each ``mounting``; or it
-        is one for all, of the ``platform``, the ``machine`` or the ``input``.
-    nominal
-        The value of a perfect system.
-    motions
-        The motions in which a reading shows it, where it is of the machine or a slope.
-    """
-
+    #: The paper's symbol for a coefficient, else a name of words with dots; used everywhere. Of a
+    #: mounting's own it has ``MOUNTING`` for the name.
     symbol: str
-    effect: Does_co
-    words: str
-    unit: str
+    effect: Does_co  #: What it does to an output.
+    words: str  #: What it is called.
+    unit: str  #: g-units for coefficients of an accelerometer, else SI.
+    #: The largest credible size. A standard uncertainty that is not below it says that the data do
+    #: not determine the term. Of an accelerometer's term that of navigation grade: see `sizes`.
     limit: float
+    #: Standard uncertainty to assume where nothing is known of it; of an accelerometer's likewise.
     typical: float
-    source: str
+    source: str  #: What `typical` rests on, or that it is an order of magnitude.
+    #: Who has a value of its own: each ``accelerometer``, each ``run``, each ``mounting``; or it is
+    #: one for all, of the ``platform``, the ``machine`` or the ``input``.
     scope: str
-    nominal: float = 0.0
+    nominal: float = 0.0  #: The value of a perfect system.
+    #: The motions in which a reading shows it, where it is of the machine or a slope.
     motions: tuple[str, ...] = ()
 
     def sizes(self, grade: str = DEFAULT_GRADE) -> Size:
         """Return how large the term is in an accelerometer of a grade; of others it is no matter.
 
-        Parameters
-        ----------
-        grade
-            One of `counterspin.physics.grades.GRADES`.
+        grade: One of `counterspin.physics.grades.GRADES`.
         """
         if self.symbol in SIZES:
             return SIZES[self.symbol][grade]
@@ -386,13 +356,7 @@ def shown_by_readings(symbol: str) -> bool:
 
 
 def term(symbol: str) -> Term[Any]:
-    """Return the row of the table with this symbol; of a mounting's own, that of all mountings.
-
-    Raises
-    ------
-    ValueError
-        If there is no such term; the message lists those there are.
-    """
+    """Return the row of the table with this symbol; of a mounting's own, that of all mountings."""
     row, _ = _find(symbol)
     if row is None:
         raise ValueError(f"no term is called {symbol!r}; known: {', '.join(TABLE)}")

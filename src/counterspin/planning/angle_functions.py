@@ -3,10 +3,6 @@
 1, th, th^2, th^3 and, for each harmonic m, cos m th, sin m th, th cos m th, th sin m th: the
 products of specific forces have the first harmonics, the platform's drift and g-sensitivity
 multiply them with time, and integration over the angle stays among them.
-
-- `functions`, `integration`
-- `shifted`: combinations of the functions about another zero of the angle
-- `prefix_factors`: what their first rows tell, row by row
 """
 
 from __future__ import annotations
@@ -45,12 +41,8 @@ def integration(harmonics: int, order: int) -> Array:
 def shifted(weights: Array, by: Array) -> Array:
     """Return combinations of the functions of th as combinations of the functions of th - by.
 
-    Parameters
-    ----------
-    weights
-        Shape (n, b, k).
-    by
-        rad, shape (n,).
+    weights: Shape (n, b, k).
+    by: rad, shape (n,).
     """
     n, size, k = weights.shape
     s = by[:, None]
@@ -75,10 +67,7 @@ def shifted(weights: Array, by: Array) -> Array:
 def prefix_factors(rows: Array, ends: npt.NDArray[np.int64], drop: int) -> Array:
     """Return the triangular factor of the first rows, up to each end; the first columns dropped.
 
-    Returns
-    -------
-    Array
-        Shape (ends, b - drop, b - drop).
+    Returns: shape (ends, b - drop, b - drop).
     """
     factors = []
     triangle = np.empty((0, rows.shape[1]))

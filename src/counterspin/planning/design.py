@@ -1,10 +1,4 @@
-"""Designs of a campaign: runs, what they may be, what they cost, and how good they are.
-
-- `RunType`, `Design`: which runs
-- `Limits`: what the machine and the laboratory allow
-- `Criterion`: what is to be small (c-, A- or D-optimality), and its derivative
-- `Predictor`: uncertainties of designs, many at once
-"""
+"""Designs of a campaign: runs, what they may be, what they cost, and how good they are."""
 
 from __future__ import annotations
 
@@ -41,21 +35,11 @@ class RunType(NamedTuple):
 
 @frozen(eq=False)
 class Design:
-    """Runs of a campaign.
+    """Runs of a campaign."""
 
-    Attributes
-    ----------
-    types
-        Of each run.
-    rate
-        Size of each rate, rad/s, shape (n,).
-    revolutions
-        Shape (n,).
-    """
-
-    types: tuple[RunType, ...]
-    rate: Array
-    revolutions: Array
+    types: tuple[RunType, ...]  #: Of each run.
+    rate: Array  #: Size of each rate, rad/s, shape (n,).
+    revolutions: Array  #: Shape (n,).
 
     @property
     def duration(self) -> Array:
@@ -83,45 +67,19 @@ class Design:
 
 @frozen
 class Limits:
-    """What a campaign may be.
+    """What a campaign may be."""
 
-    Attributes
-    ----------
-    types
-        Attitudes and senses available.
-    rate
-        Smallest and largest size of the rate, rad/s.
-    settings
-        The sizes of rate available, rad/s; empty: all between.
-    total_time
-        Of the campaign, s: records, spin-up and settling, changes of attitude.
-    settling
-        Of each run, s.
-    spin_up
-        Time that each run's start and end take for each rad/s, s/(rad/s).
-    attitude_change
-        Time to change the attitude, s.
-    revolutions
-        Fewest of a run.
-    longest_run
-        Longest record, s.
-    runs
-        Largest number.
-    fewest_rates
-        How many different rates the runs must have at least.
-    """
-
-    types: tuple[RunType, ...]
-    rate: tuple[float, float]
-    settings: tuple[float, ...]
-    total_time: float
-    settling: float
-    spin_up: float
-    attitude_change: float
-    revolutions: float
-    longest_run: float
-    runs: int
-    fewest_rates: int = 1
+    types: tuple[RunType, ...]  #: Attitudes and senses available.
+    rate: tuple[float, float]  #: Smallest and largest size of the rate, rad/s.
+    settings: tuple[float, ...]  #: The sizes of rate available, rad/s; empty: all between.
+    total_time: float  #: Of the campaign, s: records, spin-up and settling, changes of attitude.
+    settling: float  #: Of each run, s.
+    spin_up: float  #: Time that each run's start and end take for each rad/s, s/(rad/s).
+    attitude_change: float  #: Time to change the attitude, s.
+    revolutions: float  #: Fewest of a run.
+    longest_run: float  #: Longest record, s.
+    runs: int  #: Largest number.
+    fewest_rates: int = 1  #: How many different rates the runs must have at least.
 
     def overhead(self, rate: Array) -> Array:
         """Return the time that runs take beside their records, s."""
@@ -186,10 +144,7 @@ class Limits:
     def runs_apart(self, rate: Array) -> list[int]:
         """Return runs at different rates, from the fastest down: as many as there must be at most.
 
-        Parameters
-        ----------
-        rate
-            Of the runs, shape (n,).
+        rate: Of the runs, shape (n,).
         """
         chosen: list[int] = []
         for index in np.argsort(-rate, kind="stable"):
@@ -203,21 +158,12 @@ class Limits:
 
 @frozen
 class Criterion:
-    """What is to be small.
+    """What is to be small."""
 
-    Attributes
-    ----------
-    places
-        The unknowns of interest, among the shared ones.
-    scales
-        The size of u that counts as 1, for each.
-    kind
-        ``sum``: the root mean square of u/scale (c-optimality for one unknown, else A);
-        ``determinant``: the volume of the ellipsoid of uncertainty (D).
-    """
-
-    places: tuple[int, ...]
-    scales: tuple[float, ...]
+    places: tuple[int, ...]  #: The unknowns of interest, among the shared ones.
+    scales: tuple[float, ...]  #: The size of u that counts as 1, for each.
+    #: ``sum``: the root mean square of u/scale (c-optimality for one unknown, else A);
+    #: ``determinant``: the volume of the ellipsoid of uncertainty (D).
     kind: Literal["sum", "determinant"] = "sum"
 
     def value(self, covariance: Array) -> Array:
@@ -249,13 +195,7 @@ class Criterion:
 
 
 class Predictor:
-    """Uncertainties that designs would have, by the same solve as a calibration's.
-
-    Parameters
-    ----------
-    information
-        What each run tells.
-    """
+    """Uncertainties that designs would have, by the same solve as a calibration's."""
 
     def __init__(self, information: RunInformation) -> None:
         self.information = information
@@ -285,19 +225,8 @@ class Predictor:
     ) -> Array:
         """Return the covariance of the shared unknowns for each of many designs.
 
-        Parameters
-        ----------
-        types
-            Of the n runs, the same in all the designs.
-        rate, revolutions
-            Shape (..., n).
-        whole_samples
-            As for `RunInformation.blocks`.
-
-        Returns
-        -------
-        Array
-            Shape (..., p, p).
+        rate, revolutions: Shape (..., n).
+        Returns: shape (..., p, p).
         """
         blocks = self.information.blocks(types, rate, revolutions, whole_samples=whole_samples)
         return self._covariance(types, blocks)[0]

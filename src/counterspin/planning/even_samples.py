@@ -9,10 +9,6 @@ In this basis the sums can be factored without loss of digits, which the raw t^2
 
 The number of samples need not be whole: between whole numbers the sums follow the smooth curve
 through them.
-
-- `EvenSamples`: the samples of many runs
-- `root`: their square-root information about combinations of the functions
-- `averaged`: combinations averaged over blocks
 """
 
 from __future__ import annotations
@@ -49,23 +45,12 @@ _BINOMIAL: Final = ((1,), (1, 1), (1, 2, 1), (1, 3, 3, 1), (1, 4, 6, 4, 1))
 
 @frozen(eq=False)
 class EvenSamples:
-    """Samples, or means of adjoining blocks of samples, evenly spaced in angle; one row a run.
+    """Samples, or means of adjoining blocks of samples, evenly spaced in angle; one row a run."""
 
-    Attributes
-    ----------
-    first
-        Angle of the first row, rad, shape (n,).
-    step
-        Angle from row to row, rad, shape (n,).
-    count
-        Number of rows, not necessarily whole, shape (n,).
-    spread
-        Standard deviation of the angles inside a block, rad, shape (n,); 0 for point samples.
-    """
-
-    first: Array
-    step: Array
-    count: Array
+    first: Array  #: Angle of the first row, rad, shape (n,).
+    step: Array  #: Angle from row to row, rad, shape (n,).
+    count: Array  #: Number of rows, not necessarily whole, shape (n,).
+    #: Standard deviation of the angles inside a block, rad, shape (n,); 0 for point samples.
     spread: Array
 
     @property
@@ -82,19 +67,9 @@ class EvenSamples:
 def root(samples: EvenSamples, weights: Array, held: int) -> Array:
     """Return square-root information, each row with unit variance.
 
-    Parameters
-    ----------
-    samples
-        Of n runs.
-    weights
-        Combinations of the functions, shape (n, b, k).
-    held
-        How many of the columns 1 and th are start errors, estimated in each run: 0, 1 or 2.
-
-    Returns
-    -------
-    Array
-        Shape (n, b - held, k).
+    weights: Combinations of the functions, shape (n, b, k).
+    held: How many of the columns 1 and th are start errors, estimated in each run: 0, 1 or 2.
+    Returns: shape (n, b - held, k).
     """
     harmonics = weights.shape[1] // 4 - 1
     even, odd = _centred(averaged(weights, samples.spread), samples)

@@ -1,8 +1,4 @@
-"""What is planned, as the calculation sees it: instruments, attitudes, unknowns, what is expected.
-
-- `PlannedInstrument`: one accelerometer and its noise
-- `Setup`: all of it
-"""
+"""What is planned, as the calculation sees it: instruments, attitudes, unknowns."""
 
 from __future__ import annotations
 
@@ -21,22 +17,14 @@ from counterspin.physics.observation import ORDERS
 
 @frozen
 class PlannedInstrument:
-    """One accelerometer as a plan sees it.
+    """One accelerometer as a plan sees it."""
 
-    Attributes
-    ----------
-    name, mounting, observable
-        As in `Series`.
-    noise
-        Of one sample.
-    jitter
-        Standard deviation of the time stamps, s; it counts by its mean over a revolution.
-    """
-
+    #: As in `Series`.
     name: str
     mounting: Mounting
     observable: str
-    noise: NoiseModel
+    noise: NoiseModel  #: Of one sample.
+    #: Standard deviation of the time stamps, s; it counts by its mean over a revolution.
     jitter: float = 0.0
 
     @property
@@ -47,36 +35,20 @@ class PlannedInstrument:
 
 @frozen
 class Setup:
-    """What is planned: instruments, attitudes, unknowns.
+    """What is planned: instruments, attitudes, unknowns."""
 
-    Attributes
-    ----------
-    instruments
-        The accelerometers.
-    attitudes
-        Name -> rows x, y, z in east-north-up, shape (3, 3). The model has the unknowns that
-        belong to a run, such as its tilt, once for each of these names.
-    radius, site
-        m; where the centrifuge stands.
-    sampling_rate
-        Samples a second, Hz.
-    model
-        What is estimated and considered.
-    estimate
-        Expected values of the unknowns, less nominal, shape (p,); the uncertain inputs act on
-        them.
-    scale_factors
-        K_I of each accelerometer.
-    """
-
-    instruments: tuple[PlannedInstrument, ...]
+    instruments: tuple[PlannedInstrument, ...]  #: The accelerometers.
+    #: Name -> rows x, y, z in east-north-up, shape (3, 3). The model has the unknowns that belong
+    #: to a run, such as its tilt, once for each of these names.
     attitudes: dict[str, Array]
+    #: m; where the centrifuge stands.
     radius: float
     site: Site
-    sampling_rate: float
-    model: Unknowns
+    sampling_rate: float  #: Samples a second, Hz.
+    model: Unknowns  #: What is estimated and considered.
+    #: Expected values of the unknowns, less nominal, shape (p,); the uncertain inputs act on them.
     estimate: Array
-    scale_factors: dict[str, float]
+    scale_factors: dict[str, float]  #: K_I of each accelerometer.
 
     @cached_property
     def shared(self) -> tuple[int, ...]:

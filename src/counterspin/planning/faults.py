@@ -3,9 +3,6 @@
 A fault is a term of the table that is assumed to be perfect, at its typical size. Each
 moves the estimates, and leaves something in the residuals; where that is too little, the plan
 cannot notice it.
-
-- `Fault`, `Part`, `faults_of`, `of_path`: what may be wrong
-- `square`, `mean_square`: K_II itself in the same form, and without its harmonics
 """
 
 from __future__ import annotations
@@ -42,26 +39,17 @@ class Part:
 
 @frozen(eq=False)
 class Fault:
-    """Something that may be wrong, and that the model does not know.
+    """Something that may be wrong, and that the model does not know."""
 
-    Attributes
-    ----------
-    symbol, words
-        As the term table has it, or as it would; what it is called.
-    size, unit
-        What to reckon with where nothing is known, SI and g-units.
-    parts
-        Each has the size.
-    random
-        Whether the parts are independent (each run has its own); else they are cosine and sine
-        of one amplitude, the worst phase of which is taken.
-    """
-
+    #: As the term table has it, or as it would; what it is called.
     symbol: str
     words: str
+    #: What to reckon with where nothing is known, SI and g-units.
     size: float
     unit: str
-    parts: tuple[Part, ...]
+    parts: tuple[Part, ...]  #: Each has the size.
+    #: Whether the parts are independent (each run has its own); else they are cosine and sine of
+    #: one amplitude, the worst phase of which is taken.
     random: bool = False
 
 

@@ -1,8 +1,4 @@
-"""Whether a plan's goal can be had at all, and if not, what stands in the way.
-
-- `require_determined`: refuses a coefficient that no allowed attitude determines
-- `unreachable`: the error for a target that no plan reaches
-"""
+"""Whether a plan's goal can be had at all, and if not, what stands in the way."""
 
 from __future__ import annotations
 
@@ -38,13 +34,7 @@ _UNLIMITED_TIME: Final = 1e4
 
 
 def require_determined(search: Search) -> None:
-    """Refuse a goal that no campaign within the limits determines, however it is spent.
-
-    Raises
-    ------
-    NotIdentifiableError
-        Naming the coefficient, what it cannot be told from, and an attitude that would help.
-    """
+    """Refuse a goal that no campaign within the limits determines, however it is spent."""
     goal = search.plan.goal.sizes
     kinds = search.limits.types
     assessment = _assessed(search, search.predictor, kinds)

@@ -1,7 +1,4 @@
-"""The curves of a plan's figures: u against time, against the highest rate, and where it is from.
-
-- `curves_of`
-"""
+"""The curves of a plan's figures: uncertainty against time and rate, and its sources."""
 
 from __future__ import annotations
 
@@ -34,14 +31,7 @@ def curves_of(
 ) -> Curves:
     """Return the curves for the first coefficient of a plan's goal.
 
-    Parameters
-    ----------
-    plan
-        The description; the plans on the curves have the smallest u, whatever its goal.
-    design
-        The plan found.
-    progress
-        Called before each point with the number of those that are computed, and of all.
+    progress: Called before each point with the number of those that are computed, and of all.
     """
     done = itertools.count()
 

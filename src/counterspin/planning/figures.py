@@ -1,8 +1,4 @@
-"""The figures of a plan: u against total time, against the highest rate, and where it comes from.
-
-- `plan_plots`: as blocks
-- `save_figures`: all three as SVG
-"""
+"""The figures of a plan: uncertainty against total time and highest rate, and its sources."""
 
 from __future__ import annotations
 
@@ -24,13 +20,7 @@ FIGURE: Final = "a figure of a plan"
 
 
 def plan_plots(result: PlanResult) -> tuple[Plot, Plot, Plot]:
-    """Return the least u against the total time and against the highest rate, and its sources.
-
-    Raises
-    ------
-    ValueError
-        If the result was made without curves.
-    """
+    """Return the least u against the total time and against the highest rate, and its sources."""
     curves = result.curves
     if curves is None:
         raise ValueError("the result was made without curves")
@@ -89,19 +79,7 @@ def save_figures(
 ) -> tuple[Path, ...]:
     """Write the figures into a folder, which is made if it is not there.
 
-    Parameters
-    ----------
-    result
-        Of a plan that was searched with its curves.
-    folder
-        Where they go.
-    overwrite
-        Whether earlier figures may be replaced; no other file is.
-
-    Raises
-    ------
-    CounterspinError
-        If a file is in the way, before any is written, or they cannot be written.
+    overwrite: Whether earlier figures may be replaced; no other file is.
     """
     paths = tuple(Path(folder) / name for name in FIGURES)
     reserve_figures(paths, FIGURE, overwrite=overwrite)

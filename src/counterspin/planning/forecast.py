@@ -2,10 +2,6 @@
 
 The same columns, whitening, priors and solve as the calibration's, on the times at which the
 records will be sampled. Only the errors are missing, and the covariance does not need them.
-
-- `forecast`, `Forecast`
-- `setup_of`: the same problem for many designs at once
-- `expected_values`: what is expected of the unknowns
 """
 
 from __future__ import annotations
@@ -193,14 +189,7 @@ def noise_of_records(campaign: Campaign) -> dict[str, NoiseModel]:
 def planned_series(campaign: Campaign, run: Run, name: str, sampling_rate: float) -> Series:
     """Return the series that a run will give, its samples or block means, without errors.
 
-    Parameters
-    ----------
-    campaign, run
-        The run, with its duration.
-    name
-        The accelerometer.
-    sampling_rate
-        Hz.
+    sampling_rate: Hz.
     """
     assert run.duration is not None
     accelerometer = campaign.accelerometers[name]
@@ -273,15 +262,9 @@ def scale_factors(campaign: Campaign) -> dict[str, float]:
 def setup_of(campaign: Campaign, sampling_rate: float, *, considering: bool = True) -> Setup:
     """Return a plan's problem from its stand-in campaign, which has one run in each attitude.
 
-    Parameters
-    ----------
-    campaign
-        The stand-in.
-    sampling_rate
-        Hz.
-    considering
-        Whether considered terms stay considered; False: they are estimated with their priors,
-        which is a bound for any estimator.
+    sampling_rate: Hz.
+    considering: Whether considered terms stay considered; False: they are estimated with their
+        priors, which is a bound for any estimator.
     """
     model = model_of(campaign)
     if not considering:

@@ -4,9 +4,6 @@ From the relaxed optimum (`counterspin.planning.relaxation`) whole numbers of ru
 several ways; each start is improved in all rates and lengths at once (SLSQP, exact derivatives),
 then by exchanging the attitude or sense of a run, leaving one out or adding one. The relaxation
 says how far from any better plan the result can be.
-
-- `optimise`: the smallest uncertainty within the limits
-- `least_time`: the shortest campaign that reaches targets
 """
 
 from __future__ import annotations
@@ -40,24 +37,12 @@ _EQUAL_RUNS: Final = 1e-3
 
 @frozen(eq=False)
 class Optimum:
-    """A plan and how good it is.
+    """A plan and how good it is."""
 
-    Attributes
-    ----------
-    design
-        The runs, longest last within each kind.
-    value
-        Its criterion, a logarithm.
-    bound
-        What no plan within the limits can be below.
-    relaxed
-        The relaxation that says so.
-    """
-
-    design: Design
-    value: float
-    bound: float
-    relaxed: Relaxed
+    design: Design  #: The runs, longest last within each kind.
+    value: float  #: Its criterion, a logarithm.
+    bound: float  #: What no plan within the limits can be below.
+    relaxed: Relaxed  #: The relaxation that says so.
 
     @property
     def efficiency(self) -> float:
@@ -75,27 +60,7 @@ def optimise(
 ) -> Optimum:
     """Find the plan with the smallest criterion.
 
-    Parameters
-    ----------
-    predictor
-        Of the real estimator.
-    limits, criterion
-        Of the plan.
-    relaxing
-        A predictor in which considered terms are estimated; None: there are none.
-    start
-        A plan to start from too, for a problem that is near one already solved; with it only
-        this and the best relaxed start are looked at. What of it is outside the limits is brought
-        within them.
-
-    Returns
-    -------
-    Optimum
-
-    Raises
-    ------
-    NotIdentifiableError
-        If not one run fits into the limits.
+    relaxing: A predictor in which considered terms are estimated; None: there are none.
     """
     if limits.total_time < limits.shortest:
         raise NotIdentifiableError(
@@ -304,20 +269,8 @@ def least_time(
 ) -> Optimum | None:
     """Find the shortest plan in which u of each unknown of interest is at most its scale.
 
-    Parameters
-    ----------
-    predictor, relaxing
-        As for `optimise`.
-    limits
-        The total time is the longest allowed.
-    criterion
-        Its scales are the targets.
-
-    Returns
-    -------
-    Optimum or None
-        None if no plan within the limits reaches the targets. The criterion's value and
-        bound are logarithms of the time in s.
+    Returns: none if no plan within the limits reaches the targets. The criterion's value and bound
+        are logarithms of the time in s.
     """
     targets = replace(criterion, kind="sum")
     singles = [Criterion((i,), (s,)) for i, s in zip(targets.places, targets.scales, strict=True)]

@@ -1,8 +1,4 @@
-"""A plan as a person reads it: what to run, what it will tell, what limits it.
-
-- `plan_blocks`: the result as blocks
-- `render_plan`: the same, as something that rich prints
-"""
+"""A plan as a person reads it: what to run, what it will tell, what limits it."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""`counterspin plan`: how to spend a day at the centrifuge, and what limits it.
-
-- `plan`: from limits and a goal to runs, their order, and what they will tell
-- `check`: what a campaign will tell that exists already
-- `write_campaign`: the campaign, ready for recording
-- `write_example`: a plan to start from
-"""
+"""`counterspin plan`: how to spend a day at the centrifuge, and what limits it."""
 
 from __future__ import annotations
 
@@ -154,13 +148,7 @@ def _planned_readings(where: Mapping[str, Any] | Path | str, curves: bool) -> Pl
 
 
 def _written(search: Search, design: Design) -> tuple[Design, Forecast]:
-    """Return a plan as it is written, and its forecast, which meets the targets.
-
-    Raises
-    ------
-    CounterspinError
-        If no plan within the limits reaches the target.
-    """
+    """Return a plan as it is written, and its forecast, which meets the targets."""
     goal = search.plan.goal
     if goal.kind == "minimise":
         rounded = search.rounded(design)
@@ -245,13 +233,7 @@ def refuse_other_campaign(folder: Path) -> Path:
 
 
 def write_campaign(planned: Planned, folder: Path) -> Path:
-    """Write the campaign's description into a folder.
-
-    Raises
-    ------
-    CounterspinError
-        If there is a description already, or the folder cannot be written.
-    """
+    """Write the campaign's description into a folder."""
     target = refuse_other_campaign(folder)
     make_folder(folder)
     write_text(target, planned.document)

@@ -2,10 +2,6 @@
 
 Most of a plan is a campaign without runs, and is checked as one: a stand-in campaign with one run
 in each attitude.
-
-- `read_plan`: the file; `load_plan`: only its document; `plan_name`: what messages call it
-- `Plan`, `Goal`: what it says; `resolve_goal`: [goal] against a campaign's unknowns
-- `campaign_of`: the campaign that it makes of chosen runs
 """
 
 from __future__ import annotations
@@ -47,52 +43,27 @@ _RECORDS: Final[Mapping[str, Any]] = {
 
 @frozen
 class Goal:
-    """What a plan is for.
+    """What a plan is for."""
 
-    Attributes
-    ----------
-    kind
-        ``minimise``: the smallest uncertainty in the time there is; ``target``: the least time.
-    sizes
-        Unknown (such as ``Qx.K_II``) -> the size of u that counts as 1, or the target.
-    criterion
-        ``sum`` or ``determinant``.
-    """
-
+    #: ``minimise``: the smallest uncertainty in the time there is; ``target``: the least time.
     kind: Literal["minimise", "target"]
+    #: Unknown (such as ``Qx.K_II``) -> the size of u that counts as 1, or the target.
     sizes: Mapping[str, float]
-    criterion: Literal["sum", "determinant"]
+    criterion: Literal["sum", "determinant"]  #: ``sum`` or ``determinant``.
 
 
 @frozen(eq=False)
 class Plan:
-    """A plan's description, checked and resolved.
+    """A plan's description, checked and resolved."""
 
-    Attributes
-    ----------
-    path
-        Of the file, absolute.
-    document
-        The campaign to be, as a document without runs; what is expected stands in ``truth``.
-    stand_in
-        The campaign with one run for each attitude, named as the attitude is.
-    attitudes
-        Name -> attitude as it is written in a campaign.
-    limits
-        What the machine and the laboratory allow.
-    sampling_rate
-        Hz.
-    goal
-        What it is for.
-    """
-
-    path: Path
+    path: Path  #: Of the file, absolute.
+    #: The campaign to be, as a document without runs; what is expected stands in ``truth``.
     document: Mapping[str, Any]
-    stand_in: Campaign
-    attitudes: Mapping[str, Any]
-    limits: Limits
-    sampling_rate: float
-    goal: Goal
+    stand_in: Campaign  #: The campaign with one run for each attitude, named as the attitude is.
+    attitudes: Mapping[str, Any]  #: Name -> attitude as it is written in a campaign.
+    limits: Limits  #: What the machine and the laboratory allow.
+    sampling_rate: float  #: Hz.
+    goal: Goal  #: What it is for.
 
 
 def load_plan(path: Mapping[str, Any] | Path | str) -> dict[str, Any]:
@@ -113,18 +84,7 @@ def plan_name(path: Mapping[str, Any] | Path | str) -> Path:
 
 
 def read_plan(path: Mapping[str, Any] | Path | str) -> Plan:
-    """Read and check a plan.
-
-    Parameters
-    ----------
-    path
-        The file, or what it says as nested mappings.
-
-    Raises
-    ------
-    CampaignError
-        With every mistake found, each with the path of its key; or that the file cannot be read.
-    """
+    """Read and check a plan."""
     file, raw = plan_name(path), load_plan(path)
     problems = Problems(raw)
     if "runs" in raw:
@@ -439,17 +399,7 @@ def _run_names(campaign: Campaign) -> set[str]:
 
 
 def campaign_of(plan: Plan, runs: Sequence[Mapping[str, Any]], title: str) -> dict[str, Any]:
-    """Return the document of the campaign with given runs.
-
-    Parameters
-    ----------
-    plan
-        The plan.
-    runs
-        As [[runs]] has them.
-    title
-        Of the campaign, where the plan gives none.
-    """
+    """Return the document of the campaign with given runs."""
     document = dict(plan.document)
     about = {"title": title, **_table(document, "campaign")}
     rest = {key: value for key, value in document.items() if key not in ("schema", "campaign")}

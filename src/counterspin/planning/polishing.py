@@ -1,10 +1,4 @@
-"""Rates and lengths of given runs, improved all at once by SLSQP with exact derivatives.
-
-- `polish`: the smallest criterion within the limits
-- `shortened`: the least time that keeps targets
-- `fitted_into`: lengths scaled into the time there is, rates as different as they must be;
-  `brought_within`: a design with all that is outside the limits brought within them
-"""
+"""Rates and lengths of given runs, improved all at once by SLSQP with exact derivatives."""
 
 from __future__ import annotations
 
@@ -83,20 +77,7 @@ def _at_different_rates(design: Design, limits: Limits) -> Design | None:
 def polish(
     predictor: Predictor, limits: Limits, criterion: Criterion, design: Design
 ) -> tuple[float, Design]:
-    """Improve rates and lengths, the kinds of run being given.
-
-    Parameters
-    ----------
-    predictor, limits, criterion
-        Of the problem. Where only some settings of the rate are available, rates stay.
-    design
-        A plan within the limits.
-
-    Returns
-    -------
-    float, Design
-        The criterion and the improved plan.
-    """
+    """Improve rates and lengths, the kinds of run being given."""
     variables = _Variables(limits, design)
 
     def objective(x: Array) -> tuple[float, Array]:

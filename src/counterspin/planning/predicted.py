@@ -1,8 +1,4 @@
-"""The parts of a plan's result that are read off a forecast: uncertainties, budgets, runs.
-
-- `accelerometers_of`, `platform_of`: what the campaign will tell
-- `planned_runs`, `planned_readings`: its runs and readings as tables
-"""
+"""The parts of a plan's result that are read off a forecast: uncertainties, budgets, runs."""
 
 from __future__ import annotations
 
@@ -133,14 +129,7 @@ def planned_runs(
 ) -> list[PlannedRun]:
     """Return a campaign's runs in their order.
 
-    Parameters
-    ----------
-    campaign
-        Every run with its duration.
-    attitudes
-        Run -> name of its attitude.
-    starts
-        Run -> when its record starts, s; None: not planned.
+    starts: Run -> when its record starts, s; None: not planned.
     """
     runs = []
     for run in campaign.runs:

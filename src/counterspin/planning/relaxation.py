@@ -13,9 +13,6 @@ What is left of the inequality bounds what any plan at all could do better.
 Considered terms are taken as estimated here, with their priors: the best estimator is no worse
 than one that leaves them out, so the bound holds, and the problem stays convex.
 
-- `Relaxed`, `relax`: runs of any rate and length
-- `allocate`: possibilities that are given
-
 References
 ----------
 Silvey, Titterington and Torsney, Commun. Stat. A 7 (1978) 1379, the multiplicative algorithm;
@@ -58,28 +55,18 @@ _GAP_OF_U: Final = 3e-4
 
 @frozen(eq=False)
 class Relaxed:
-    """The relaxed optimum.
+    """The relaxed optimum."""
 
-    Attributes
-    ----------
-    types, rate, revolutions, weight
-        Its support: kinds of run and how many of each, the weights not whole numbers.
-    value
-        Its criterion (a logarithm, see `Criterion.value`).
-    bound
-        What no plan can be below: `value` less the gap that the equivalence theorem leaves, over
-        all runs of the grid.
-    price_run
-        What the criterion gains for each further run.
-    """
-
+    #: Its support: kinds of run and how many of each, the weights not whole numbers.
     types: tuple[RunType, ...]
     rate: Array
     revolutions: Array
     weight: Array
-    value: float
+    value: float  #: Its criterion (a logarithm, see `Criterion.value`).
+    #: What no plan can be below: `value` less the gap that the equivalence theorem leaves, over all
+    #: runs of the grid.
     bound: float
-    price_run: float
+    price_run: float  #: What the criterion gains for each further run.
 
 
 @frozen(eq=False)
@@ -104,21 +91,7 @@ class _Grid:
 
 
 def relax(predictor: Predictor, limits: Limits, criterion: Criterion, fineness: int = 1) -> Relaxed:
-    """Solve the relaxation on a grid.
-
-    Parameters
-    ----------
-    predictor
-        Without considered terms (see above).
-    limits, criterion
-        Of the plan. Changes of attitude cost nothing here.
-    fineness
-        Factor of the number of rates and lengths on the grid.
-
-    Returns
-    -------
-    Relaxed
-    """
+    """Solve the relaxation on a grid."""
     grid, steps = _first_grid(predictor, limits, fineness)
     problem, resources = (predictor.prior, criterion), (limits.total_time, float(limits.runs))
     solved = _Weights(*problem, grid.root, grid.cost, *resources)
@@ -151,21 +124,8 @@ def allocate(
 ) -> tuple[Array, float, float]:
     """Solve the relaxation for given possibilities: how often each is to be had.
 
-    Parameters
-    ----------
-    prior
-        Square-root information beforehand, shape (p, p).
-    criterion
-        What is to be small.
-    root, cost
-        Square-root information and cost of each of n possibilities, shapes (n, b, p) and (n,).
-    total, count
-        Limits of the sum of costs and of the number.
-
-    Returns
-    -------
-    Array, float, float
-        Numbers that need not be whole, shape (n,); the criterion; what no whole numbers can be
+    prior: Square-root information beforehand, shape (p, p).
+    Returns: numbers that need not be whole, shape (n,); the criterion; what no whole numbers can be
         below.
     """
     solved = _Weights(prior, criterion, root, cost, total, count)

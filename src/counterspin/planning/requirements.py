@@ -1,7 +1,4 @@
-"""What the centrifuge must be for a plan: how large each of its faults may become.
-
-- `requirements_of`
-"""
+"""What the centrifuge must be for a plan: how large each of its faults may become."""
 
 from __future__ import annotations
 
@@ -37,19 +34,7 @@ def requirements_of(
 
     Each fault by itself, at the size given, makes u of the coefficient grow by a twentieth.
 
-    Parameters
-    ----------
-    prediction
-        What the campaign will tell; of records alone.
-    name
-        The unknown, such as ``Qx.K_II``.
-    sampling_rate
-        Hz.
-
-    Returns
-    -------
-    str, list of Requirement
-        At what value of the coefficient, in words; the requirements.
+    sampling_rate: Hz.
     """
     campaign = prediction.campaign
     faults = [of_path(symbol) for symbol in ("encoder.harmonic.1", "centrifuge.imbalance.1")]

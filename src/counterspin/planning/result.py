@@ -1,8 +1,6 @@
 """What planning found: one object, its JSON.
 
 Units are SI, coefficients in g-units of the stated gravity, as in the result of a calibration.
-
-- `PlanResult` and its parts
 """
 
 from __future__ import annotations
@@ -56,36 +54,22 @@ class Predicted(ResultPart):
 
 
 class FaultEffect(ResultPart):
-    """Something assumed to be perfect that would move K_II by more than its u.
+    """Something assumed to be perfect that would move K_II by more than its u."""
 
-    Attributes
-    ----------
-    symbol, words
-        As in the table of terms, or as it would stand there; what it is called.
-    size, unit
-        At which it is taken: a typical one.
-    shift
-        Of K_II, g/g^2, without sign; of parts with unknown phase the largest, of those that each
-        run has anew the root of the sum of squares.
-    ratio
-        The shift over u(K_II).
-    deviation
-        Standard deviations that the best test for it would see: a fit that estimates it.
-    detection
-        Probability that the residuals of the fit without it fail their test.
-    noticed
-        Whether they nearly always do.
-    """
-
+    #: As in the table of terms, or as it would stand there; what it is called.
     symbol: str
     words: str
+    #: At which it is taken: a typical one.
     size: float
     unit: str
+    #: Of K_II, g/g^2, without sign; of parts with unknown phase the largest, of those that each run
+    #: has anew the root of the sum of squares.
     shift: float
-    ratio: float
+    ratio: float  #: The shift over u(K_II).
+    #: Standard deviations that the best test for it would see: a fit that estimates it.
     deviation: float
-    detection: float
-    noticed: bool
+    detection: float  #: Probability that the residuals of the fit without it fail their test.
+    noticed: bool  #: Whether they nearly always do.
 
 
 class PlannedAccelerometer(ResultPart):

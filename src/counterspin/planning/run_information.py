@@ -11,8 +11,6 @@ R a factor of the whitened functions with the run's own start errors projected o
 which are polynomials in the rate and found once, from the same columns as a calibration's. With
 white noise R has a closed form (`counterspin.planning.even_samples`), exact for the very samples
 of the record; with a random walk it is interpolated (`counterspin.planning.walk_table`).
-
-- `RunInformation`: blocks of square-root information, many runs at once
 """
 
 from __future__ import annotations
@@ -56,19 +54,9 @@ _CLOCK_STEP: Final = 1e-6
 class RunInformation:
     """Square-root information of runs in one set-up.
 
-    Parameters
-    ----------
-    setup
-        What is planned.
-    rates
-        Smallest and largest size of the rate, rad/s.
-    revolutions
-        Smallest and largest number of revolutions, at least 1.
-    senses
-        +1, -1 or both.
-    like
-        Of the same instruments and limits for another model: what has been tabulated for it
-        serves again.
+    rates: Smallest and largest size of the rate, rad/s.
+    revolutions: Smallest and largest number of revolutions, at least 1.
+    senses: +1, -1 or both.
     """
 
     def __init__(
@@ -145,20 +133,10 @@ class RunInformation:
     ) -> Array:
         """Return what runs say about the shared unknowns.
 
-        Parameters
-        ----------
-        types
-            Attitude and sense of each of n runs.
-        rate, revolutions
-            Size of the rate (rad/s) and length of each run, shape (..., n).
-        whole_samples
-            Whether the last sample is the last one that a run of this length has; False: as
-            smooth functions of the length, with a part of a sample at the end.
-
-        Returns
-        -------
-        Array
-            Rows of unit variance, shape (..., n, b, p + q), b = `rows`: columns of the shared
+        rate, revolutions: Size of the rate (rad/s) and length of each run, shape (..., n).
+        whole_samples: Whether the last sample is the last one that a run of this length has; False:
+            as smooth functions of the length, with a part of a sample at the end.
+        Returns: rows of unit variance, shape (..., n, b, p + q), b = `rows`: columns of the shared
             unknowns, then of the shared considered terms, then of the run's own considered terms,
             zero where an attitude has fewer of these than others. The run's own unknowns, start
             errors included, are projected out.

@@ -1,7 +1,4 @@
-"""The search for a plan, and what would change it: limits that bind, other plans in the same time.
-
-- `Search`: a plan's problem, ready to be solved and solved again
-"""
+"""The search for a plan, and what would change it: limits that bind, other plans."""
 
 from __future__ import annotations
 
@@ -33,15 +30,7 @@ _DURATION_STEP: Final = 0.1
 
 
 class Search:
-    """A plan's problem.
-
-    Parameters
-    ----------
-    plan
-        The description.
-    reach
-        How far beyond the limits on time and on rate runs shall be predicted, as factors.
-    """
+    """A plan's problem."""
 
     def __init__(self, plan: Plan, reach: tuple[float, float] = (1.11, 1.11)) -> None:
         self.plan = plan
@@ -94,16 +83,7 @@ class Search:
         )
 
     def gain(self, key: str, design: Design) -> float:
-        """Return the relative decrease of u (or of time) if one limit is relaxed by a tenth.
-
-        Parameters
-        ----------
-        key
-            A limit, as in `counterspin.planning.design.Limits`, or ``sampling_rate``, or
-            ``senses`` for both senses in place of one.
-        design
-            The best plan.
-        """
+        """Return the relative decrease of u (or of time) if one limit is relaxed by a tenth."""
         limits = self.relaxed(key)
         predictor = self._faster_sampling() if key == "sampling_rate" else self.predictor
         before = self._value(self.predictor, design)
@@ -231,17 +211,7 @@ class Search:
     def meeting(self, design: Design, targets: Mapping[str, float]) -> Design | None:
         """Return the rounded design, lengthened until no u is above its target.
 
-        Parameters
-        ----------
-        design
-            A plan that meets the targets, or nearly.
-        targets
-            Of unknowns, by name.
-
-        Returns
-        -------
-        Design or None
-            None if the total time does not suffice.
+        Returns: none if the total time does not suffice.
         """
         rounded = self._rounded_down(design)
         places = [self.predictor.names.index(name) for name in targets]

@@ -2,8 +2,6 @@
 
 The whitened functions have no closed form then. Their triangular factor is tabulated over the
 rate and the number of revolutions, with rows about as dense as the records' own.
-
-- `WalkTable`
 """
 
 from __future__ import annotations
@@ -34,25 +32,9 @@ _RATE_RATIO: Final = 1.22
 class WalkTable:
     """Factors of the whitened functions of the angle.
 
-    Parameters
-    ----------
-    order
-        How often the observable integrates the specific force, 1 or 2.
-    random_walk
-        N, (m/s^2)/Hz^0.5.
-    variance
-        White variance of a sample at a rate.
-    sampling_rate
-        Hz.
-    rates, revolutions
-        Smallest and largest.
-    harmonics
-        Highest harmonic among the functions.
-
-    Raises
-    ------
-    CounterspinError
-        If the runs are too long to be tabulated.
+    order: How often the observable integrates the specific force, 1 or 2.
+    random_walk: N, (m/s^2)/Hz^0.5.
+    sampling_rate: Hz.
     """
 
     def __init__(
@@ -120,20 +102,11 @@ class WalkTable:
     def root(self, weights: Array, rate: Array, samples: Array, *, with_ripple: bool) -> Array:
         """Return square-root information of runs, each row with unit variance.
 
-        Parameters
-        ----------
-        weights
-            Combinations of the functions, shape (n, b, k).
-        rate, samples
-            rad/s, and number of samples, shape (n,).
-        with_ripple
-            Whether the information follows the part of a revolution at the end, which takes
-            longer; False: smoothly from whole number to whole number of revolutions.
-
-        Returns
-        -------
-        Array
-            Shape (n, b - order, k).
+        weights: Combinations of the functions, shape (n, b, k).
+        rate, samples: rad/s, and number of samples, shape (n,).
+        with_ripple: Whether the information follows the part of a revolution at the end, which
+            takes longer; False: smoothly from whole number to whole number of revolutions.
+        Returns: shape (n, b - order, k).
         """
         turn = rate / self._sampling_rate
         revolutions = samples * turn / (2.0 * math.pi)
@@ -151,10 +124,7 @@ def _to_whole_numbers(counts: npt.NDArray[np.int64], phases: int) -> Array:
 
     At a given part of a revolution at the end, a factor is a smooth function of the number.
 
-    Returns
-    -------
-    Array
-        For each part a matrix over the numbers, shape (phases, c, c).
+    Returns: for each part a matrix over the numbers, shape (phases, c, c).
     """
     from scipy.interpolate import make_interp_spline
 

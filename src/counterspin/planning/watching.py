@@ -1,7 +1,4 @@
-"""What a campaign's fit would make of faults that its model does not know.
-
-- `watch`, `Watched`: shifts of the estimates, and what is left in the residuals
-"""
+"""What a campaign's fit would make of faults that its model does not know."""
 
 from __future__ import annotations
 
@@ -29,28 +26,17 @@ _PARTS_AT_ONCE: Final = 16
 
 @frozen(eq=False)
 class Watched:
-    """What a fit would make of faults.
+    """What a fit would make of faults."""
 
-    Attributes
-    ----------
-    faults
-        The faults.
-    moved
-        For each fault, what one unit of each of its parts moves the unknowns by, (p, k).
-    left
-        For each fault, the products of what one unit of its parts leaves in the whitened rows and
-        priors once the fit has followed it as far as it can, (k, k).
-    left_in
-        By accelerometer, the same in its own whitened residuals.
-    freedom
-        By accelerometer, the degrees of freedom of these.
-    """
-
-    faults: tuple[Fault, ...]
+    faults: tuple[Fault, ...]  #: The faults.
+    #: For each fault, what one unit of each of its parts moves the unknowns by, (p, k).
     moved: tuple[Array, ...]
+    #: For each fault, the products of what one unit of its parts leaves in the whitened rows and
+    #: priors once the fit has followed it as far as it can, (k, k).
     left: tuple[Array, ...]
+    #: By accelerometer, the same in its own whitened residuals.
     left_in: dict[str, tuple[Array, ...]]
-    freedom: dict[str, float]
+    freedom: dict[str, float]  #: By accelerometer, the degrees of freedom of these.
 
     def shift(self, fault: int, place: int) -> float:
         """Return by how much a fault of its size moves an unknown, without sign."""
@@ -65,17 +51,7 @@ class Watched:
         return math.sqrt(self._square(self.left, fault, place))
 
     def detection(self, fault: int, place: int, accelerometer: str, significance: float) -> float:
-        """Return the probability that the residuals of an accelerometer fail their test.
-
-        Parameters
-        ----------
-        fault, place
-            The fault, at the phase that moves this unknown most.
-        accelerometer
-            Its name.
-        significance
-            Of the test of their sum of squares.
-        """
+        """Return the probability that the residuals of an accelerometer fail their test."""
         from scipy.special import chdtri, chndtr
 
         dof = max(1.0, self.freedom[accelerometer])

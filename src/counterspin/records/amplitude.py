@@ -4,11 +4,6 @@ The amplitude of the signal of an accelerometer that lies across the spindle axi
 radius and the rate alone, so a change of unit in the middle of a record, a dead channel, or a
 wrong unit, sign or axis in the campaign description shows in it at once, long before a fit would
 misreport it. Along the spindle axis the wave is that of the errors: small, and free to grow.
-
-- `Swing`: the wave that the motion makes
-- `waves`: the waves of a signal, revolution by revolution
-- `change_of_unit`, `switch`: where they change, by revolution and by sample
-- `against_reference`: whether they are the motion's
 """
 
 from __future__ import annotations
@@ -54,40 +49,24 @@ _UNIT_RATIOS = (
 
 @frozen
 class Swing:
-    """The wave of one period a revolution that the motion makes.
+    """The wave of one period a revolution that the motion makes."""
 
-    Attributes
-    ----------
-    amplitude
-        Of the cosine of the angle, and of its sine as the imaginary part, in `unit`; not zero.
-    unit
-        For messages.
-    """
-
+    #: Of the cosine of the angle, and of its sine as the imaginary part, in `unit`; not zero.
     amplitude: complex
-    unit: str
+    unit: str  #: For messages.
 
 
 @frozen
 class Waves:
-    """A wave and a slow trend, fitted to each revolution.
+    """A wave and a slow trend, fitted to each revolution."""
 
-    Attributes
-    ----------
-    coefficients
-        (m, 5) of cos, sin, 1, u, u^2, where u is the angle from `centre` over pi.
-    centre, deviation
-        (m,) rad, mean angle; standard deviation of the residuals.
-    u_amplitude
-        (m,), of either part of the amplitude.
-    first, last
-        (m,) int, the first and last sample.
-    """
-
+    #: (m, 5) of cos, sin, 1, u, u^2, where u is the angle from `centre` over pi.
     coefficients: np.ndarray
+    #: (m,) rad, mean angle; standard deviation of the residuals.
     centre: np.ndarray
     deviation: np.ndarray
-    u_amplitude: np.ndarray
+    u_amplitude: np.ndarray  #: (m,), of either part of the amplitude.
+    #: (m,) int, the first and last sample.
     first: np.ndarray
     last: np.ndarray
 
@@ -111,13 +90,7 @@ def _functions(angle: np.ndarray, centre: np.ndarray) -> np.ndarray:
 def waves(angle: np.ndarray, signal: np.ndarray) -> Waves:
     """Fit a wave to each revolution (or to a few, where samples are sparse).
 
-    Parameters
-    ----------
-    angle
-        (n,) rad, unwrapped.
-    signal
-        (n,), NaN where there is no sample.
-
+    angle: (n,) rad, unwrapped.
     """
     turns = np.abs(angle - angle[0]) / (2 * math.pi)
     per_turn = len(angle) / max(float(turns[-1]), 1.0)
@@ -162,13 +135,9 @@ def change_of_unit(fitted: Waves, *, may_grow: bool) -> UnitChange | None:
 
     None where all is well, or where the signal has no wave to judge by.
 
-    Parameters
-    ----------
-    fitted
-        The signal's waves.
-    may_grow
-        Whether the wave may be that of errors, which grows with time: only a sudden change between
-        steady amplitudes is one of the unit then.
+    fitted: The signal's waves.
+    may_grow: Whether the wave may be that of errors, which grows with time: only a sudden change
+        between steady amplitudes is one of the unit then.
     """
     size = np.abs(fitted.amplitude)
     if len(size) < 3:
@@ -218,14 +187,8 @@ def switch(fitted: Waves, change: UnitChange, angle: np.ndarray, signal: np.ndar
 def against_reference(fitted: Waves, swing: Swing, has_angle: bool) -> str | None:
     """Compare a signal's wave with the motion's; say what is wrong, or return None.
 
-    Parameters
-    ----------
-    fitted
-        The signal's waves, in the unit of `swing`.
-    swing
-        What the motion makes.
-    has_angle
-        Whether the waves are over the recorded angle; else their phase means nothing.
+    fitted: The signal's waves, in the unit of `swing`.
+    has_angle: Whether the waves are over the recorded angle; else their phase means nothing.
     """
     if not len(fitted.amplitude):
         return None

@@ -1,9 +1,5 @@
 """Record files of named arrays: HDF5, and MATLAB in either of its formats.
 
-- `Hdf5File`: datasets at the root or in one group; `group/name` names any other
-- `MatlabFile`: variables of a .mat file up to version 7
-- `matlab_or_hdf5`: a .mat file of any version; from 7.3 on they are HDF5
-
 A column is an array with one dimension larger than 1; MATLAB keeps it as a column or a row.
 """
 
@@ -57,14 +53,7 @@ class ArrayFile(ColumnFile):
     ) -> None:
         """Name the columns within a group: the one that is asked for, or the only one there is.
 
-        Parameters
-        ----------
-        paths
-            Of all columns, their parts joined by `within`.
-        group
-            Its path, its parts joined by `mark`; None: none is asked for.
-        mark, within
-            What parts are joined by, in names and in paths.
+        group: Its path, its parts joined by `mark`; None: none is asked for.
         """
         if group is None:
             groups = {path.rpartition(within)[0] for path in paths}

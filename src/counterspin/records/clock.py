@@ -71,14 +71,7 @@ class Accepted:
 class Clock:
     """Checks time and angle, piece after piece.
 
-    Parameters
-    ----------
-    path
-        The file, to name it in messages.
-    locate
-        Tells where a row stands in the file.
-    nominal_rate
-        The run's stated rate, rad/s, signed.
+    nominal_rate: The run's stated rate, rad/s, signed.
     """
 
     def __init__(self, path: object, locate: Callable[[int], str], nominal_rate: float) -> None:
@@ -128,20 +121,7 @@ class Clock:
         self.rate = nominal + median(turned / spans)
 
     def accept(self, first_row: int, piece: Piece) -> Accepted:
-        """Check one piece.
-
-        Parameters
-        ----------
-        first_row
-            The row of the file at which the piece begins.
-        piece
-            Its rows.
-
-        Raises
-        ------
-        RecordError
-            Time runs backwards, a value is infinite, or the clock or the angle jumps.
-        """
+        """Check one piece."""
         accepted = self._accept_whole(piece) or self._accept_rows(first_row, piece)
         good = accepted.piece
         if len(good):

@@ -42,14 +42,9 @@ def rate_words(measured: float, nominal: float) -> str:
 def jump_words(gone: float, step: float, stray: float, rate: float) -> str:
     """Say that time and angle part company between two rows.
 
-    Parameters
-    ----------
-    gone, step
-        The time between the rows, and the usual one, s.
-    stray
-        The angle's excess over what that time leads to, rad.
-    rate
-        rad/s.
+    gone, step: The time between the rows, and the usual one, s.
+    stray: The angle's excess over what that time leads to, rad.
+    rate: rad/s.
     """
     if abs(gone / step - 1) < 0.2:
         return (

@@ -1,8 +1,4 @@
-"""What all record files have in common, whatever their format.
-
-- `ColumnFile`: named columns, in batches, with the place of each row in the file
-- `record_errors`: the boundary around every format's reader: whatever it raises is a `RecordError`
-"""
+"""What all record files have in common, whatever their format."""
 
 from __future__ import annotations
 
@@ -32,12 +28,8 @@ _UNPACKED_BYTES = 64_000_000
 def record_errors(path: Path, where: Callable[[], str] = str) -> Iterator[None]:
     """Turn whatever a reader raises into a `RecordError` that names the file.
 
-    Parameters
-    ----------
-    path
-        The file.
-    where
-        Says how far reading has come, such as ``" after row 12"``; nothing as long as is unknown.
+    where: Says how far reading has come, such as ``" after row 12"``; nothing as long as is
+        unknown.
     """
     try:
         yield
@@ -70,44 +62,19 @@ class ColumnFile(ABC):
     """The named columns of one record file, opened.
 
     A context manager: on leaving, what was read must still be the file's content.
-
-    Parameters
-    ----------
-    path
-        The file; nothing in its name is a pattern.
-    stream
-        The file, opened.
-
-    Attributes
-    ----------
-    path
-        The file.
-    names
-        All its columns.
-    identity
-        Which file this is; None of a table in memory.
-    units
-        Column -> its unit by the file itself, in plain signs; empty text where it states none.
-    units_row
-        Whether they stand in a row of their own, or else in brackets behind the names.
-    stamps
-        Columns that are to be read as time stamps: seconds after the first one. Set it before
-        reading.
-    first_stamp
-        The first time stamp, ns; None as long as it is unknown.
-    found
-        How the file is written, where that is not plain.
-    delimiter, decimal
-        What parts cells and decimals in a file of text.
     """
 
     delimiter = ","
     decimal = "."
+    #: Column -> its unit by the file itself, in plain signs; empty text where it states none.
     units: Mapping[str, str]
+    #: Whether they stand in a row of their own, or else in brackets behind the names.
     units_row: bool
+    #: Columns that are to be read as time stamps: seconds after the first one. Set it before
+    #: reading.
     stamps: frozenset[str]
-    first_stamp: int | None
-    found: str
+    first_stamp: int | None  #: The first time stamp, ns; None as long as it is unknown.
+    found: str  #: How the file is written, where that is not plain.
 
     def __init__(self, path: Path, stream: BinaryIO) -> None:
         self.path = path
@@ -169,13 +136,7 @@ class ColumnFile(ABC):
         return joined(batches)
 
     def table(self) -> pl.DataFrame:
-        """Return the whole file as it stands, cells of text remaining text.
-
-        Raises
-        ------
-        RecordError
-            The file is not a table.
-        """
+        """Return the whole file as it stands, cells of text remaining text."""
         with record_errors(self.path):
             return self._table()
 

@@ -1,7 +1,4 @@
-"""Record files of text: a header line, then lines of numbers.
-
-- `CsvFile`: cells parted by comma, semicolon or tab, in the dialects of `dialect`
-"""
+"""Record files of text: a header line, then lines of numbers."""
 
 from __future__ import annotations
 
@@ -36,15 +33,7 @@ _FORM = "A .csv file holds a line of column names and lines of numbers."
 
 
 class CsvFile(ColumnFile):
-    """A text table: names, perhaps units, then rows; '#' comments.
-
-    Parameters
-    ----------
-    path, stream
-        As of `ColumnFile`.
-    dialect
-        How it is written, as far as that is known.
-    """
+    """A text table: names, perhaps units, then rows; '#' comments."""
 
     def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect = TO_BE_FOUND) -> None:
         super().__init__(path, stream)
@@ -186,14 +175,7 @@ class CsvFile(ColumnFile):
         return not before
 
     def _batches(self, wanted: Sequence[str]) -> Iterator[Columns]:
-        """Yield batches of the columns.
-
-        Raises
-        ------
-        RecordError
-            A cell is no number. Only after `look_closely` it is known where; till then rows before
-            it may be missing, as the parser goes on for a while, and a comment is no number either.
-        """
+        """Yield batches of the columns."""
         import polars as pl
 
         stamps = [name for name in wanted if name in self.stamps]

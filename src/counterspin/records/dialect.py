@@ -1,12 +1,5 @@
 """How a file of text is written: what is said of it, and what its first lines show.
 
-- `Dialect`: what a person says; None where it is to be found
-- `Layout`: where names, units and rows stand, and what parts cells and decimals
-- `is_plain`: whether a file has names in its first line and numbers below
-- `find_layout`, `plain_layout`: the layout of a file from its first lines
-- `find_rows`: the same of a sheet whose cells are parted already
-- `file_unit`: a unit as files write it
-
 LabVIEW and other recorders write lines about the measurement before the names, a row of units
 below them, semicolons or tabs between cells, and a decimal comma where that is the custom. The
 rows show what they are: of all ways to part them, the right one makes the most numbers.
@@ -69,30 +62,16 @@ _WORDS: Final = {
 
 @frozen
 class Dialect:
-    """How a file is written, as far as a person says it; None: to be found.
+    """How a file is written, as far as a person says it; None: to be found."""
 
-    Attributes
-    ----------
-    skip_lines
-        Lines, or rows of a sheet, before the names.
-    delimiter, decimal
-        Between cells, and in numbers.
-    encoding
-        As Python names it.
-    units_row
-        Whether a row of units stands below the names.
-    sheet
-        Of an Excel file.
-    group
-        Of an HDF5 or TDMS file, or the structure of a MATLAB file; columns are named within it.
-    """
-
-    skip_lines: int | None = None
+    skip_lines: int | None = None  #: Lines, or rows of a sheet, before the names.
+    #: Between cells, and in numbers.
     delimiter: str | None = None
     decimal: str | None = None
-    encoding: str | None = None
-    units_row: bool | None = None
-    sheet: str | None = None
+    encoding: str | None = None  #: As Python names it.
+    units_row: bool | None = None  #: Whether a row of units stands below the names.
+    sheet: str | None = None  #: Of an Excel file.
+    #: Of an HDF5 or TDMS file, or the structure of a MATLAB file; columns are named within it.
     group: str | None = None
 
 
@@ -102,29 +81,14 @@ TO_BE_FOUND: Final = Dialect()
 
 @frozen
 class Layout:
-    """Where things stand in a table of text; lines count from 1.
+    """Where things stand in a table of text; lines count from 1."""
 
-    Attributes
-    ----------
-    header
-        Line of the names.
-    before_rows
-        Lines before the first row of numbers.
-    names
-        Of the columns, without blanks around them.
-    units
-        Of the columns, in plain signs; empty text where there is none.
-    units_row
-        Whether they stand in a row of their own.
-    delimiter, decimal
-        Between cells, and in numbers.
-    """
-
-    header: int
-    before_rows: int
-    names: tuple[str, ...]
-    units: tuple[str, ...]
-    units_row: bool
+    header: int  #: Line of the names.
+    before_rows: int  #: Lines before the first row of numbers.
+    names: tuple[str, ...]  #: Of the columns, without blanks around them.
+    units: tuple[str, ...]  #: Of the columns, in plain signs; empty text where there is none.
+    units_row: bool  #: Whether they stand in a row of their own.
+    #: Between cells, and in numbers.
     delimiter: str
     decimal: str
 
@@ -149,15 +113,7 @@ Line = tuple[int, str]
 
 
 def find_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
-    """Return the layout of a file whose rows stand out; None if nothing looks like rows.
-
-    Parameters
-    ----------
-    lines
-        The first lines.
-    dialect
-        What is known.
-    """
+    """Return the layout of a file whose rows stand out; None if nothing looks like rows."""
     best: tuple[int, Layout] | None = None
     for delimiter in [dialect.delimiter] if dialect.delimiter else DELIMITERS:
         parted = [(number, split(line, delimiter)) for number, line in lines]
@@ -194,15 +150,7 @@ def is_plain(lines: Sequence[Line]) -> bool:
 
 
 def plain_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
-    """Return the layout if names stand in the first line that is there; None if there is none.
-
-    Parameters
-    ----------
-    lines
-        The first lines.
-    dialect
-        What is known; of the rest, the usual is taken.
-    """
+    """Return the layout if names stand in the first line that is there; None if there is none."""
     written = [
         (number, line)
         for number, line in lines
@@ -232,17 +180,7 @@ def plain_layout(lines: Sequence[Line], dialect: Dialect) -> Layout | None:
 def find_rows(
     parted: Sequence[tuple[int, list[str]]], dialect: Dialect, decimal: str
 ) -> tuple[int, Layout] | None:
-    """Return how many numbers the longest stretch of rows has, and where it stands.
-
-    Parameters
-    ----------
-    parted
-        Numbers of lines and their cells.
-    dialect
-        What is known.
-    decimal
-        Mark in numbers.
-    """
+    """Return how many numbers the longest stretch of rows has, and where it stands."""
     skipped = dialect.skip_lines
     table = [(number, cells) for number, cells in parted if any(cells)]
     begin, end = _longest(table, decimal, after=skipped or 0)

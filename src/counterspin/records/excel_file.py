@@ -1,8 +1,4 @@
-"""Tables in Excel workbooks (.xlsx), read with the extra ``excel``.
-
-- `excel_table`: one sheet, its first row the names of the columns
-- `ExcelFile`: one sheet as a record, in the dialects of `dialect`
-"""
+"""Tables in Excel workbooks (.xlsx), read with the extra ``excel``."""
 
 from __future__ import annotations
 
@@ -38,21 +34,7 @@ def excel_table(
 ) -> pl.DataFrame:
     """Return one sheet of a workbook, cells of text remaining text.
 
-    Parameters
-    ----------
-    path
-        The workbook.
-    dialect
-        Which sheet, or the only one that has rows; rows before the names, none as long as nothing
-        is said; and whether a row of units is to be passed over.
-    content
-        What is in the file; None: it is read.
-
-    Raises
-    ------
-    RecordError
-        The file cannot be read, has no such sheet, or has several and none is named; or the
-        package that reads it is not installed.
+    content: What is in the file; None: it is read.
     """
     with record_errors(path):
         content = read_file(path) if content is None else content
@@ -100,15 +82,7 @@ def _sheet_of(path: Path, sheet: str | None, content: bytes) -> tuple[Any, str]:
 
 
 class ExcelFile(ColumnFile):
-    """One sheet of a workbook: names, perhaps below other rows, perhaps units, then rows.
-
-    Parameters
-    ----------
-    path, stream
-        As of `ColumnFile`.
-    dialect
-        How it is written, as far as that is known.
-    """
+    """One sheet of a workbook: names, perhaps below other rows, perhaps units, then rows."""
 
     def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect) -> None:
         super().__init__(path, stream)

@@ -1,9 +1,5 @@
 """Record files, whatever their format: CSV, Parquet, HDF5 and MATLAB files look alike from here.
 
-- `open_columns`: a `ColumnFile` for a file, by its ending, or for a table in memory;
-  `opener_of`: what opens a file of that ending
-- `RECORD_FORMATS`: the endings
-
 A `ColumnFile` yields columns in batches of float64 arrays (an empty cell is NaN) and says where a
 row stands in the file, in the words a person needs to find it: the line of a text editor for CSV,
 the row else. Nothing here judges the numbers; `reading` does.
@@ -54,20 +50,7 @@ def opener_of(path: Path) -> Callable[[Path, BinaryIO, Dialect], ColumnFile]:
 
 
 def open_columns(path: Path | MemoryTable, dialect: Dialect = TO_BE_FOUND) -> ColumnFile:
-    """Open a record file, as a context manager.
-
-    Parameters
-    ----------
-    path
-        An ordinary file with one of the endings `RECORD_FORMATS`, or a table in memory.
-    dialect
-        How it is written, as far as that is known.
-
-    Raises
-    ------
-    RecordError
-        The file is missing, unreadable, empty, or of an unknown kind.
-    """
+    """Open a record file, as a context manager."""
     if isinstance(path, MemoryTable):
         return MemoryFile(path)
     opener = opener_of(path)

@@ -1,10 +1,5 @@
 """Reading in a process of its own, where a damaged file can crash the reader.
 
-- `isolated`: calls a function of a file, in the reader's process where its format asks for that
-- `apart`: the same, and large files of text are read there too
-- `is_apart`: whether a file is
-- `prepare`: starts that process before it is needed
-
 The readers of Parquet, HDF5, MATLAB and Excel files are native code, which a flipped bit can
 crash, send round in circles or make ask for all memory. So those files are read in another process,
 which is started once, kept, and given up a minute after its last file or after one that it made
@@ -79,20 +74,7 @@ _PROGRAM: Final = (
 
 
 def isolated(function: Callable[..., R], path: Path | MemoryTable, *args: Any) -> R:
-    """Return ``function(path, *args)``, called where it can do no harm.
-
-    Parameters
-    ----------
-    function
-        Of a module; its arguments and what it returns can be pickled.
-    path
-        The file, by whose ending the place is chosen; a table in memory is read here.
-
-    Raises
-    ------
-    RecordError
-        As the function does, or if the reader's process did not survive the file.
-    """
+    """Return ``function(path, *args)``, called where it can do no harm."""
     if isinstance(path, Path) and path.suffix.lower() in _NATIVE:
         return _elsewhere(function, path, *args)
     return function(path, *args)

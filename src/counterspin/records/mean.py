@@ -2,9 +2,6 @@
 
 The record passes what any record passes: its clock, repeated rows, empty cells, gaps and outliers
 (`counterspin.records.reading`).
-
-- `mean_of_record`, `RecordMean`
-- `stretches`: into how many stretches a record is divided, whose means tell its noise
 """
 
 from __future__ import annotations
@@ -44,28 +41,16 @@ _SIGNAL: Final = "reading"
 
 @frozen
 class RecordMean:
-    """The mean of a record.
+    """The mean of a record."""
 
-    Attributes
-    ----------
-    value, u
-        Mean and its standard uncertainty, in the signal's unit.
-    samples
-        That were used.
-    revolutions
-        Whole ones that were used; 0 at rest.
-    report
-        What reading found; samples left out here are among its outliers.
-    digest
-        What another record has too only if all its samples are the same; None where they do not
-        differ among themselves, as those of a meter of few digits, and so tell nothing.
-    """
-
+    #: Mean and its standard uncertainty, in the signal's unit.
     value: float
     u: float
-    samples: int
-    revolutions: int
-    report: RecordReport
+    samples: int  #: That were used.
+    revolutions: int  #: Whole ones that were used; 0 at rest.
+    report: RecordReport  #: What reading found; samples left out here are among its outliers.
+    #: What another record has too only if all its samples are the same; None where they do not
+    #: differ among themselves, as those of a meter of few digits, and so tell nothing.
     digest: bytes | None = None
 
 
@@ -82,22 +67,8 @@ def mean_of_record(
     divide a revolution evenly do no harm. The uncertainty is what the next record of the same
     length would differ by, as far as this one tells (`counterspin.records.mean_scatter`).
 
-    Parameters
-    ----------
-    path
-        The record, a file or a table in memory.
-    time, signal
-        Their columns; time in s after its factor.
-    rate
-        Of the spindle, rad/s; 0 at rest, where the whole record counts.
-    dialect
-        How the file is written, as far as that is known.
-
-    Raises
-    ------
-    RecordError
-        As `counterspin.records.reading.read_record`, but that one revolution is enough on an arm
-        and none is needed at rest; or there are fewer than 24 samples.
+    time, signal: Their columns; time in s after its factor.
+    rate: Of the spindle, rad/s; 0 at rest, where the whole record counts.
     """
     columns = RecordColumns(time, None, {_SIGNAL: signal}, dialect)
     record = read_record(path, columns, StatedMotion(rate, steady=True), block=None)

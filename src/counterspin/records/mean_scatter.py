@@ -7,8 +7,6 @@ at the record's length), of white noise with flicker (1/f) or with a random walk
 proportions, each weighted with the restricted likelihood that the stretches' means give it
 (Patterson and Thompson, Biometrika 58 (1971) 545). Flicker is that of Kasdin, Proc. IEEE 83
 (1995) 802.
-
-- `u_of_mean`
 """
 
 from __future__ import annotations
@@ -33,10 +31,7 @@ _PROPORTIONS: Final = np.geomspace(0.1, 1e5, 13)
 def u_of_mean(means: Array) -> float:
     """Return the standard uncertainty of the mean of a record.
 
-    Parameters
-    ----------
-    means
-        Of its stretches, equally long, one after the other, shape (n,), n >= 3.
+    means: Of its stretches, equally long, one after the other, shape (n,), n >= 3.
     """
     count = means.size
     freedom = count - 1

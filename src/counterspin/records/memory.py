@@ -1,10 +1,4 @@
-"""Records in memory: columns that a program holds, read like those of a file.
-
-- `memory_table`: a frame of any library, or a mapping of arrays -> `MemoryTable`
-- `columns_of`: the names and values of its columns, whatever they hold
-- `MemoryTable`: its columns, copied, and their checksum
-- `MemoryFile`: the same as the reader of records takes it
-"""
+"""Records in memory: columns that a program holds, read like those of a file."""
 
 from __future__ import annotations
 
@@ -31,21 +25,12 @@ _NUMBERS: Final = "biuf"
 
 @frozen(eq=False)
 class MemoryTable:
-    """Columns of one record.
+    """Columns of one record."""
 
-    Attributes
-    ----------
-    name
-        What messages call it.
-    columns
-        Name -> values, float64, shape (n,), read-only; NaN where there is none.
-    others
-        Names of columns that hold something else than numbers.
-    """
-
-    name: str
+    name: str  #: What messages call it.
+    #: Name -> values, float64, shape (n,), read-only; NaN where there is none.
     columns: Mapping[str, np.ndarray]
-    others: tuple[str, ...] = ()
+    others: tuple[str, ...] = ()  #: Names of columns that hold something else than numbers.
 
     def __str__(self) -> str:
         """Return what messages call it."""
@@ -102,22 +87,7 @@ class MemoryFile(ColumnFile):
 
 
 def memory_table(name: str, frame: Any) -> MemoryTable:
-    """Copy the columns of a frame.
-
-    Parameters
-    ----------
-    name
-        What messages call it.
-    frame
-        A mapping of column names to arrays or lists, a structured array of numpy, a frame of
-        polars or pandas, or of any library that hands its columns over (``__arrow_c_stream__``,
-        ``__dataframe__``).
-
-    Raises
-    ------
-    RecordError
-        If it is none of these, has no rows, or its columns differ in length.
-    """
+    """Copy the columns of a frame."""
     columns: dict[str, np.ndarray] = {}
     others = []
     for key, values in columns_of(name, frame):

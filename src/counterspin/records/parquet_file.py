@@ -1,7 +1,4 @@
-"""Record files of Apache Parquet.
-
-- `ParquetFile`: columns of numbers
-"""
+"""Record files of Apache Parquet."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Pieces of a record: consecutive rows, few enough for the processor's cache.
-
-- `Columns`: what a file yields, named columns of equal length
-- `Piece`: the same rows as time, angle and signals
-- `in_pieces`: from batches of any length to columns of a fixed number of rows
-"""
+"""Pieces of a record: consecutive rows, few enough for the processor's cache."""
 
 from __future__ import annotations
 
@@ -23,21 +18,11 @@ _PIECE_ROWS = 65536
 
 @frozen
 class Piece:
-    """Consecutive rows of a record, arrays (n,), NaN where a cell is empty.
+    """Consecutive rows of a record, arrays (n,), NaN where a cell is empty."""
 
-    Attributes
-    ----------
-    time
-        s since the record's first sample.
-    angle
-        rad; None when the file has no angle column.
-    signals
-        One array for each accelerometer, in the unit of its column.
-    """
-
-    time: np.ndarray
-    angle: np.ndarray | None
-    signals: list[np.ndarray]
+    time: np.ndarray  #: s since the record's first sample.
+    angle: np.ndarray | None  #: rad; None when the file has no angle column.
+    signals: list[np.ndarray]  #: One array for each accelerometer, in the unit of its column.
 
     def __len__(self) -> int:
         """Return the number of rows."""
@@ -64,17 +49,7 @@ def in_pieces(
 ) -> Iterator[Columns]:
     """Yield columns in pieces of a fixed number of rows, however the file was batched.
 
-    Parameters
-    ----------
-    batches
-        Consecutive batches of the file's columns.
-    choose_rows
-        Takes the columns of the first rows and returns the rows to a piece.
-
-    Yields
-    ------
-    Columns
-        To be read, not changed, and only until the next piece is asked for.
+    batches: Consecutive batches of the file's columns.
     """
     head: list[Columns] = []
     for batch in batches:

@@ -1,7 +1,5 @@
 """Reading a record: the samples of one run, checked, cleaned and reduced.
 
-- `read_record`: from a file to a `Record`, or a `RecordError` that names the file and the line
-
 Whatever the format and the length, a record passes once through memory, in pieces: its clock is
 checked against the encoder (`clock`), outliers are found among their neighbours (`spikes`) and
 the rest is averaged (`reduction`). At the end the amplitudes are checked (`amplitude`).
@@ -65,25 +63,10 @@ def read_record(
 ) -> Record:
     """Read, check, clean and reduce one record.
 
-    Parameters
-    ----------
-    path
-        A .csv, .txt, .tsv, .parquet, .h5, .hdf5 or .mat file, or a table in memory.
-    columns
-        Its columns.
-    motion
-        The run's stated motion.
-    block
-        "auto" reduces a record that is denser than 2 samples per 1/64 revolution to block means;
+    path: A .csv, .txt, .tsv, .parquet, .h5, .hdf5 or .mat file, or a table in memory.
+    motion: The run's stated motion.
+    block: "auto" reduces a record that is denser than 2 samples per 1/64 revolution to block means;
         None keeps every sample.
-
-    Raises
-    ------
-    RecordError
-        The file is missing, empty or unreadable, a column is missing, a cell holds text or an
-        infinite value, time runs backwards, the clock or the angle jumps, the angle's rate is not
-        the run's, more than 5 % of a column are empty, a unit changes within the record, or there
-        are fewer than three revolutions (of a steady motion than one, at rest none is needed).
     """
     record = path if isinstance(path, MemoryTable) else Path(path)
     pulses = None
@@ -193,10 +176,7 @@ class _RecordReader:
     def blocks(self, within: tuple[float, float] = (-np.inf, np.inf)) -> Blocks:
         """Read the file to its end, piece after piece.
 
-        Parameters
-        ----------
-        within
-            First and last time, s in the file's own clock, between which rows are taken.
+        within: First and last time, s in the file's own clock, between which rows are taken.
         """
         parts: list[Blocks] = []
         reducer: Reducer | None = None

@@ -1,9 +1,4 @@
-"""What a record is: the columns of its file, the motion it was taken on, and the samples read.
-
-- `ColumnSpec`, `ColumnKind`, `RecordColumns`: columns of a file and their units
-- `StatedMotion`: what the campaign says of the run
-- `Record`: point samples or block means, in SI units
-"""
+"""What a record is: the columns of its file, the motion it was taken on, and the samples read."""
 
 from __future__ import annotations
 
@@ -33,34 +28,22 @@ ColumnKind = Literal["numbers", "stamps", "rows", "pulses"]
 
 @frozen
 class ColumnSpec:
-    """A column of a record file, and how its numbers become SI.
+    """A column of a record file, and how its numbers become SI."""
 
-    Attributes
-    ----------
-    name
-        The column.
-    factor, offset
-        The numbers are multiplied with `factor`, and `offset` (SI) is added.
-    unit, wanted
-        The unit that is stated of it (None: the file's own is taken), and the SI unit wanted;
-        without the latter nothing is compared with what the file says.
-    gravity
-        m/s^2, where g and m/s^2 are to be converted.
-    kind
-        ``numbers``; ``stamps`` in ISO 8601; ``rows``, which are counted where there is no such
-        column, `factor` being the time from one to the next; or ``pulses``: times at which the
-        spindle passed `offset`, `per_revolution` of them a revolution.
-    per_revolution
-        Of pulses; negative where they are counted against the run's sense.
-    """
-
-    name: str
+    name: str  #: The column.
+    #: The numbers are multiplied with `factor`, and `offset` (SI) is added.
     factor: float = 1.0
     offset: float = 0.0
+    #: The unit that is stated of it (None: the file's own is taken), and the SI unit wanted;
+    #: without the latter nothing is compared with what the file says.
     unit: str | None = None
     wanted: str = ""
-    gravity: float | None = None
+    gravity: float | None = None  #: m/s^2, where g and m/s^2 are to be converted.
+    #: ``numbers``; ``stamps`` in ISO 8601; ``rows``, which are counted where there is no such
+    #: column, `factor` being the time from one to the next; or ``pulses``: times at which the
+    #: spindle passed `offset`, `per_revolution` of them a revolution.
     kind: ColumnKind = "numbers"
+    #: Of pulses; negative where they are counted against the run's sense.
     per_revolution: float = 1.0
 
     @property
@@ -69,13 +52,7 @@ class ColumnSpec:
         return self.kind in ("rows", "pulses")
 
     def resolved(self, file: ColumnFile) -> ColumnSpec:
-        """Return the column with the unit that the file states, or compare that with it.
-
-        Raises
-        ------
-        RecordError
-            The file states another unit in its row of units, or none where one is needed.
-        """
+        """Return the column with the unit that the file states, or compare that with it."""
         if not self.wanted or self.kind in ("stamps", "rows"):
             return self
         own = file.units.get(self.name, "")
@@ -98,32 +75,18 @@ class ColumnSpec:
 
 @frozen
 class RecordColumns:
-    """Which columns of a file hold what.
+    """Which columns of a file hold what."""
 
-    Attributes
-    ----------
-    time, angle
-        Time and spindle angle (wrapped or not), or no angle.
-    signals
-        By accelerometer.
-    dialect
-        How the file is written, as far as that is known.
-    part
-        From where to where the record is used, s in its own time; of stamps, and of rows that are
-        counted, from the first row.
-    more
-        Files in which the record goes on.
-    pulses
-        The file that has the times of pulses; None: the record itself.
-    """
-
+    #: Time and spindle angle (wrapped or not), or no angle.
     time: ColumnSpec
     angle: ColumnSpec | None
-    signals: Mapping[str, ColumnSpec]
-    dialect: Dialect = TO_BE_FOUND
+    signals: Mapping[str, ColumnSpec]  #: By accelerometer.
+    dialect: Dialect = TO_BE_FOUND  #: How the file is written, as far as that is known.
+    #: From where to where the record is used, s in its own time; of stamps, and of rows that are
+    #: counted, from the first row.
     part: tuple[float, float] = (-math.inf, math.inf)
-    more: tuple[Path, ...] = ()
-    pulses: Path | None = None
+    more: tuple[Path, ...] = ()  #: Files in which the record goes on.
+    pulses: Path | None = None  #: The file that has the times of pulses; None: the record itself.
 
     def resolved(self, file: ColumnFile) -> RecordColumns:
         """Return the columns with the units that the file states; see `ColumnSpec.resolved`."""
@@ -163,57 +126,29 @@ class RecordColumns:
 
 @frozen
 class StatedMotion:
-    """The stated motion of a run, against which its record is checked.
+    """The stated motion of a run, against which its record is checked."""
 
-    Attributes
-    ----------
-    rate
-        rad/s; negative turns from north to east; 0 at rest.
-    swings
-        Accelerometer -> the wave that the motion puts into its signal; those without are not
-        checked against it.
-    steady
-        Whether the signal is one level, as at rest or on an arm, beside which its waves are small.
-    """
-
-    rate: float
+    rate: float  #: rad/s; negative turns from north to east; 0 at rest.
+    #: Accelerometer -> the wave that the motion puts into its signal; those without are not checked
+    #: against it.
     swings: Mapping[str, Swing] = field(default_factory=dict)
+    #: Whether the signal is one level, as at rest or on an arm, beside which its waves are small.
     steady: bool = False
 
 
 @frozen
 class Record:
-    """One run: point samples or block means, in SI units. Arrays (n,).
+    """One run: point samples or block means, in SI units. Arrays (n,)."""
 
-    Attributes
-    ----------
-    time
-        s since the first sample; of a block, the mean time of its samples.
-    angle
-        rad, unwrapped; None when the file has no angle column.
-    signals
-        Accelerometer -> displacement, velocity or specific force (m, m/s, m/s^2); NaN where that
-        accelerometer has no good sample.
-    count
-        Samples in each block; 1 is a point sample.
-    time_sd
-        s, standard deviation of the times inside each block; 0 for a point.
-    start_time
-        s, the first sample's time in the file's own clock.
-    report
-        What was found.
-    identity
-        Which file it was read from; None of a record in memory.
-    others
-        Likewise of further files: those in which it goes on, and that of its pulses.
-    """
-
-    time: np.ndarray
-    angle: np.ndarray | None
+    time: np.ndarray  #: s since the first sample; of a block, the mean time of its samples.
+    angle: np.ndarray | None  #: rad, unwrapped; None when the file has no angle column.
+    #: Accelerometer -> displacement, velocity or specific force (m, m/s, m/s^2); NaN where that
+    #: accelerometer has no good sample.
     signals: dict[str, np.ndarray]
-    count: np.ndarray
-    time_sd: np.ndarray
-    start_time: float
-    report: RecordReport
-    identity: FileIdentity | None
+    count: np.ndarray  #: Samples in each block; 1 is a point sample.
+    time_sd: np.ndarray  #: s, standard deviation of the times inside each block; 0 for a point.
+    start_time: float  #: s, the first sample's time in the file's own clock.
+    report: RecordReport  #: What was found.
+    identity: FileIdentity | None  #: Which file it was read from; None of a record in memory.
+    #: Likewise of further files: those in which it goes on, and that of its pulses.
     others: Mapping[Path, FileIdentity] = field(default_factory=dict)

@@ -67,12 +67,7 @@ def without_lone_rows(blocks: Blocks, shortest_gap: float) -> tuple[float, float
     A few rows beyond a gap, at the start or at the end, tell little; but a fit follows them, and
     a single wrong one bends it. None where there are no such rows.
 
-    Parameters
-    ----------
-    blocks
-        The record.
-    shortest_gap
-        s, that sets rows apart.
+    shortest_gap: s, that sets rows apart.
     """
     # Half of a block's span is sqrt(3) standard deviations of its even times.
     half = math.sqrt(3) * blocks.time_sd
@@ -91,34 +86,19 @@ def without_lone_rows(blocks: Blocks, shortest_gap: float) -> tuple[float, float
 
 @frozen
 class Reduced:
-    """A piece, reduced.
+    """A piece, reduced."""
 
-    Attributes
-    ----------
-    blocks
-        Its means.
-    outliers
-        For each signal the places of its outlying samples.
-    complete
-        Whether it is certain that every sample is a number.
-    """
-
-    blocks: Blocks
-    outliers: list[np.ndarray]
-    complete: bool
+    blocks: Blocks  #: Its means.
+    outliers: list[np.ndarray]  #: For each signal the places of its outlying samples.
+    complete: bool  #: Whether it is certain that every sample is a number.
 
 
 class Reducer:
     """Reduces pieces of a record to blocks.
 
-    Parameters
-    ----------
-    block
-        Samples in a block; 1 keeps point samples.
-    step
-        The usual spacing of the samples, s.
-    rate
-        Spindle rate, rad/s.
+    block: Samples in a block; 1 keeps point samples.
+    step: The usual spacing of the samples, s.
+    rate: Spindle rate, rad/s.
     """
 
     def __init__(self, block: int, step: float, rate: float) -> None:
@@ -129,15 +109,7 @@ class Reducer:
         self._mean = np.full(block, 1 / block)
 
     def reduce(self, piece: Piece, unevenness: float) -> Reduced:
-        """Reduce one piece.
-
-        Parameters
-        ----------
-        piece
-            Its rows, without those that cannot be used: time rises, the angle is unwrapped.
-        unevenness
-            Largest relative deviation of a time step from the usual one.
-        """
+        """Reduce one piece."""
         time, signals = piece.time, piece.signals
         outliers = [find_spikes(time, x, self._rate, self._step, unevenness) for x in signals]
         by_rows = unevenness < _ROW_UNEVENNESS

@@ -31,55 +31,33 @@ class Outlier:
 
 @frozen
 class RecordReport:
-    """What reading a record found.
+    """What reading a record found."""
 
-    Attributes
-    ----------
-    path
-        The file.
-    rows, used
-        Rows of the file, and rows that entered the record.
-    repeated, differing
-        Rows that repeat the time of the row before (dropped), and those of them whose other
-        columns differ from it.
-    empty, outliers
-        Column name -> count of empty cells, and of outlying ones. A row without time or angle is
-        dropped; a cell of a signal is left out of its block, or NaN in a record of points.
-    lone
-        Rows that were left out because they stand alone, before the first or after the last gap.
-    listed
-        The first outliers, at most 100 for each column.
-    gaps, gap_count
-        The first hundred stretches of missing rows, and how many there are.
-    wrapped
-        Whether the angle was unwrapped.
-    step, rate
-        Usual spacing of the samples, s; rate of the recorded angle, rad/s (None without one).
-    block
-        Samples that a full block holds; 1 for point samples.
-    found
-        How the file is written, where that is not plain.
-    outside
-        Rows outside the part that is used.
-    """
-
-    path: Path
+    path: Path  #: The file.
+    #: Rows of the file, and rows that entered the record.
     rows: int
     used: int
+    #: Rows that repeat the time of the row before (dropped), and those of them whose other columns
+    #: differ from it.
     repeated: int
     differing: int
+    #: Column name -> count of empty cells, and of outlying ones. A row without time or angle is
+    #: dropped; a cell of a signal is left out of its block, or NaN in a record of points.
     empty: dict[str, int]
     outliers: dict[str, int]
+    #: Rows that were left out because they stand alone, before the first or after the last gap.
     lone: int
-    listed: tuple[Outlier, ...]
+    listed: tuple[Outlier, ...]  #: The first outliers, at most 100 for each column.
+    #: The first hundred stretches of missing rows, and how many there are.
     gaps: tuple[Gap, ...]
     gap_count: int
-    wrapped: bool
+    wrapped: bool  #: Whether the angle was unwrapped.
+    #: Usual spacing of the samples, s; rate of the recorded angle, rad/s (None without one).
     step: float
     rate: float | None
-    block: int
-    found: str = ""
-    outside: int = 0
+    block: int  #: Samples that a full block holds; 1 for point samples.
+    found: str = ""  #: How the file is written, where that is not plain.
+    outside: int = 0  #: Rows outside the part that is used.
 
     def notes(self) -> list[str]:
         """Return one plain sentence for each thing found, for warnings and reports."""

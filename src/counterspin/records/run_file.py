@@ -1,10 +1,4 @@
-"""The files of one run as if they were one.
-
-- `RunFile`: files read one after the other, the time of rows that are counted, and the angle of
-  pulses
-- `is_derived`: whether columns have to be made that no file has
-- `pulse_angle`: the angle between pulses
-"""
+"""The files of one run as if they were one."""
 
 from __future__ import annotations
 
@@ -33,16 +27,8 @@ def is_derived(columns: RecordColumns) -> bool:
 class RunFile:
     """What the reader of a record sees of its files.
 
-    Parameters
-    ----------
-    files
-        Opened, in the order of their rows.
-    columns
-        What is read of them, as `RecordColumns.made` returns it.
-    rate
-        Stated rate of the spindle, rad/s.
-    pulses
-        Times of the pulses, s in the record's own time; None where the angle is a column.
+    rate: Stated rate of the spindle, rad/s.
+    pulses: Times of the pulses, s in the record's own time; None where the angle is a column.
     """
 
     def __init__(
@@ -114,21 +100,9 @@ def pulse_angle(pulses: Array, time: Array, rate: float, per_revolution: float) 
 
     Where the rate changes evenly this is exact; what it does within an interval does not show.
 
-    Parameters
-    ----------
-    pulses
-        Their times, s, shape (m,).
-    time
-        s, shape (n,). Beyond the pulses by more than one interval there is no angle: NaN.
-    rate
-        Stated, rad/s, signed.
-    per_revolution
-        Pulses a revolution.
-
-    Raises
-    ------
-    ValueError
-        If there are fewer than three pulses, or one is not where the others lead to.
+    pulses: Their times, s, shape (m,).
+    time: s, shape (n,). Beyond the pulses by more than one interval there is no angle: NaN.
+    rate: Stated, rad/s, signed.
     """
     if len(pulses) < 3:
         raise ValueError(f"{len(pulses)} pulses are too few to follow the rotation")

@@ -53,24 +53,11 @@ def find_spikes(
 ) -> np.ndarray:
     """Find the outlying samples of one signal.
 
-    Parameters
-    ----------
-    time
-        (n,) s, increasing; gaps are allowed.
-    signal
-        (n,) any unit; NaN where empty (what is infinite counts as empty).
-    rate
-        Spindle rate, rad/s; 0 at rest.
-    step
-        The usual spacing of the samples, s.
-    unevenness
-        Largest deviation of a spacing from the usual one, relative to it.
-    weight
-        (n,) optional: the square root of each sample's weight (short block means are noisier).
-
-    Returns
-    -------
-    (m,) int, the places of the outliers, rising; a NaN is never one.
+    time: (n,) s, increasing; gaps are allowed.
+    signal: (n,) any unit; NaN where empty (what is infinite counts as empty).
+    rate: Spindle rate, rad/s; 0 at rest.
+    step: The usual spacing of the samples, s.
+    weight: (n,) optional: the square root of each sample's weight (short block means are noisier).
     """
     if len(signal) < FEWEST_SAMPLES:
         return np.empty(0, dtype=int)
@@ -184,18 +171,7 @@ def _screen_all(
 def _screen(
     signal: np.ndarray, time: np.ndarray | None, width: int, phase_step: float, step: float
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Fit whole windows by plain least squares. `time` is given where it is uneven.
-
-    Returns
-    -------
-    peak
-        (m,) the largest residual of each window, NaN where a sample is no number; all 0 where
-        none stands out.
-    broken
-        (m,) bool, windows too uneven to be judged by this fit.
-    scale
-        Standard deviation of the residuals.
-    """
+    """Fit whole windows by plain least squares. `time` is given where it is uneven."""
     basis, functions, slopes = _even_basis(width, phase_step)
     windows = signal.reshape(-1, width)
     broken = np.zeros(len(windows), dtype=bool)

@@ -1,7 +1,4 @@
-"""Time stamps in ISO 8601 as numbers.
-
-- `nanoseconds`: a polars expression that parses a column of them
-"""
+"""Time stamps in ISO 8601 as numbers."""
 
 from __future__ import annotations
 

@@ -1,11 +1,4 @@
-"""A record file as a table, for those who add columns to it.
-
-- `read_table`: all columns as they stand, and how they are written (`FiledTable`);
-  `read_small_table`: with the rows' places, and the checksum of what was read
-- `read_numbers`: some of them as numbers; `read_scaled`: in SI
-- `is_workbook`: whether a file has sheets
-- `locate`, `places`: where a row, or each of them, stands in the file
-"""
+"""A record file as a table, for those who add columns to it."""
 
 from __future__ import annotations
 
@@ -34,66 +27,26 @@ if TYPE_CHECKING:
 
 @frozen(eq=False)
 class FiledTable:
-    """A file's columns, and how they are written.
+    """A file's columns, and how they are written."""
 
-    Attributes
-    ----------
-    frame
-        Cells of text as they stand.
-    units
-        Column -> its unit by a row of units, in plain signs; empty without such a row.
-    delimiter, decimal
-        What parts cells and decimals in a file of text.
-    found
-        How the file is written, where that is not plain.
-    """
-
-    frame: pl.DataFrame
+    frame: pl.DataFrame  #: Cells of text as they stand.
+    #: Column -> its unit by a row of units, in plain signs; empty without such a row.
     units: Mapping[str, str]
+    #: What parts cells and decimals in a file of text.
     delimiter: str
     decimal: str
-    found: str
+    found: str  #: How the file is written, where that is not plain.
 
 
 def read_table(path: Path, dialect: Dialect = TO_BE_FOUND) -> FiledTable:
-    """Return a whole file as it stands, cells of text remaining text.
-
-    Parameters
-    ----------
-    path
-        A record file, of any format.
-    dialect
-        How it is written, as far as that is known.
-
-    Raises
-    ------
-    RecordError
-        The file cannot be read, or is not a table.
-    """
+    """Return a whole file as it stands, cells of text remaining text."""
     return isolated(_table, path, dialect)
 
 
 def read_small_table(
     path: Path, dialect: Dialect = TO_BE_FOUND
 ) -> tuple[FiledTable, list[str], str]:
-    """Return a table, where each of its rows stands, and the SHA-256 of what was read.
-
-    Parameters
-    ----------
-    path, dialect
-        As `read_table`; but in a workbook the names stand in the first row, unless it is said how
-        many are before them.
-
-    Returns
-    -------
-    FiledTable, list, str
-        The last such as ``sha256:9f86...``.
-
-    Raises
-    ------
-    RecordError
-        As `read_table`.
-    """
+    """Return a table, where each of its rows stands, and the SHA-256 of what was read."""
     return isolated(_small_table, path, dialect)
 
 
@@ -105,26 +58,14 @@ def is_workbook(path: Path) -> bool:
 def read_numbers(
     path: Path | MemoryTable, names: Sequence[str], dialect: Dialect = TO_BE_FOUND
 ) -> Columns:
-    """Return columns of numbers, NaN where a cell is empty, of a file in any dialect.
-
-    Raises
-    ------
-    RecordError
-        The file cannot be read, lacks a column or has no rows, or a cell holds text.
-    """
+    """Return columns of numbers, NaN where a cell is empty, of a file in any dialect."""
     return isolated(_numbers, path, list(names), dialect)
 
 
 def read_scaled(
     path: Path | MemoryTable, columns: Sequence[ColumnSpec], dialect: Dialect = TO_BE_FOUND
 ) -> list[Array]:
-    """Return columns in SI, NaN where a cell is empty; rows may be counted, and stamps timed.
-
-    Raises
-    ------
-    RecordError
-        As `read_numbers`, or the file states other units.
-    """
+    """Return columns in SI, NaN where a cell is empty; rows may be counted, and stamps timed."""
     return isolated(_scaled, path, list(columns), dialect)
 
 

@@ -1,7 +1,5 @@
 """Record files of LabVIEW's TDMS, read with the extra ``tdms``.
 
-- `TdmsFile`: channels of one group; `group/channel` names any other
-
 npTDMS, which reads them, has the GNU Lesser General Public License: it is loaded where such a file
 is read, is no part of this package, and may be replaced by any other version of it.
 """
@@ -47,15 +45,7 @@ class _ChannelArray:
 
 
 class TdmsFile(ArrayFile):
-    """Channels of a TDMS file.
-
-    Parameters
-    ----------
-    path, stream
-        As of `ColumnFile`.
-    dialect
-        Its `group` says in which columns are named.
-    """
+    """Channels of a TDMS file."""
 
     def __init__(self, path: Path, stream: BinaryIO, dialect: Dialect) -> None:
         super().__init__(path, stream)

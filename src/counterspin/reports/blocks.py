@@ -3,10 +3,6 @@
 A face draws those that it can: the terminal and Markdown leave pictures out, whose numbers stand
 in tables beside them. Whatever a text holds, it is visible once it stands in a block
 (`counterspin.reports.characters`).
-
-- `Block`: `Heading`, `Paragraph`, `Table` of `Column` and rows, or a `Picture`
-- `Picture`: `Plot` of `PlotSeries`, `Bars` or `HeatMap`
-- `without_pictures`: what a face that draws none has to say
 """
 
 from __future__ import annotations
@@ -60,24 +56,12 @@ class Paragraph(_Words):
 
 @frozen
 class Column(_Words):
-    """A column: numbers are kept in one piece, words may be wrapped.
+    """A column: numbers are kept in one piece, words may be wrapped."""
 
-    Attributes
-    ----------
-    title
-        Above it.
-    align
-        Of title and cells.
-    wraps
-        Whether words may be wrapped.
-    narrowest
-        Characters a line that wrapped words get at least in the terminal.
-    """
-
-    title: str
-    align: Literal["left", "right"] = "left"
-    wraps: bool = False
-    narrowest: int = 0
+    title: str  #: Above it.
+    align: Literal["left", "right"] = "left"  #: Of title and cells.
+    wraps: bool = False  #: Whether words may be wrapped.
+    narrowest: int = 0  #: Characters a line that wrapped words get at least in the terminal.
 
 
 @frozen
@@ -94,77 +78,44 @@ class Table(_Words):
 
 @frozen
 class PlotSeries(_Words):
-    """One line, row of points, band or histogram of a plot.
+    """One line, row of points, band or histogram of a plot."""
 
-    Attributes
-    ----------
-    label
-        What it is; empty: not in the legend.
-    x, y
-        Of equal length; None in y is a gap.
-    low, high
-        A band about a line, or error bars at points; both or neither.
-    kind
-        How it is drawn; "columns" stand on zero about equally spaced x, and touch.
-    stands_out
-        Drawn in the colour of warnings.
-    colour
-        Place in the row of colours and markers; None: the next one. Series of the same thing, such
-        as points and the curve through them, or a run in several plots, share a colour. "muted":
-        what others are compared with.
-    """
-
-    label: str
+    label: str  #: What it is; empty: not in the legend.
+    #: Of equal length; None in y is a gap.
     x: tuple[float, ...]
     y: tuple[float | None, ...]
+    #: A band about a line, or error bars at points; both or neither.
     low: tuple[float | None, ...] | None = None
     high: tuple[float | None, ...] | None = None
+    #: How it is drawn; "columns" stand on zero about equally spaced x, and touch.
     kind: Literal["line", "points", "band", "columns"] = "line"
-    stands_out: bool = False
+    stands_out: bool = False  #: Drawn in the colour of warnings.
+    #: Place in the row of colours and markers; None: the next one. Series of the same thing, such
+    #: as points and the curve through them, or a run in several plots, share a colour. "muted":
+    #: what others are compared with.
     colour: int | Literal["muted"] | None = None
 
 
 @frozen
 class Plot(_Words):
-    """Curves over a common axis.
+    """Curves over a common axis."""
 
-    Attributes
-    ----------
-    title
-        What is shown; also what is read to those who do not see it.
-    x_label, y_label
-        With units.
-    series
-        What is drawn, the first below the others.
-    levels
-        Heights of horizontal lines for comparison.
-    x_names
-        Names in place of numbers at x = 0, 1, 2...; empty: numbers.
-    log_x, log_y
-        Logarithmic axes.
-    zoom
-        Worth a closer look: many points over a long axis.
-    dates
-        x is a time in days since 1970-01-01, and the axis shows dates.
-    x_range, y_range
-        Ends of the axes, such as those that plots have in common; None: what holds the series.
-    height
-        In heights of a usual plot.
-    """
-
-    title: str
+    title: str  #: What is shown; also what is read to those who do not see it.
+    #: With units.
     x_label: str
     y_label: str
-    series: tuple[PlotSeries, ...]
-    levels: tuple[float, ...] = ()
-    x_names: tuple[str, ...] = ()
+    series: tuple[PlotSeries, ...]  #: What is drawn, the first below the others.
+    levels: tuple[float, ...] = ()  #: Heights of horizontal lines for comparison.
+    x_names: tuple[str, ...] = ()  #: Names in place of numbers at x = 0, 1, 2...; empty: numbers.
+    #: Logarithmic axes.
     log_x: bool = False
     log_y: bool = False
-    zoom: bool = False
-    dates: bool = False
+    zoom: bool = False  #: Worth a closer look: many points over a long axis.
+    dates: bool = False  #: x is a time in days since 1970-01-01, and the axis shows dates.
+    #: Ends of the axes, such as those that plots have in common; None: what holds the series.
     x_range: tuple[float, float] | None = None
     y_range: tuple[float, float] | None = None
-    height: float = 1.0
+    height: float = 1.0  #: In heights of a usual plot.
 
 
 @frozen

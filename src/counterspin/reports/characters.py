@@ -2,9 +2,6 @@ r"""Characters that may be shown: nothing acts on what shows them, begins a line
 
 Names and words come from other people's files and can hold anything. Every text of a block passes
 `visible` when the block is made, and so does every other text that a face shows.
-
-- `visible`: a text on one line, with other characters as what they are called; `Lines`: of several
-- `speakable`: the same text for a stream that cannot write ±
 """
 
 from __future__ import annotations
@@ -46,13 +43,7 @@ class Lines(str):
 
 
 def visible(text: str) -> str:
-    r"""Return a text with characters that act on what shows it in Python's notation, as ``\x1b``.
-
-    Parameters
-    ----------
-    text
-        Of any origin. The ends of its lines are written as ``\n``, unless they are `Lines`.
-    """
+    r"""Return a text with its control characters in Python's notation, as ``\x1b``."""
     if isinstance(text, Lines):
         return text
     return _CONTROL.sub(lambda control: control[0].encode("unicode_escape").decode(), text)

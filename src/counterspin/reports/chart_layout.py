@@ -1,14 +1,6 @@
 """How much room a chart's words take, and how many of its points are seen.
 
 Margins come from the widths of words instead of matplotlib's layout engines, which draw twice.
-
-- `text_width`, `shortened`: of words, in matplotlib's own font, which is wider than most
-- `margins`, `Margins`, `legend_columns`: the room about one drawing
-- `place`: drawings below each other
-- `decades`, `date_ticks`: ticks
-- `thinned`: a series with the lowest and the highest of each column of the drawing
-- `whole_numbers`, `spread`: points at the same few places, beside each other
-- `dots`: a row of points as one line
 """
 
 from __future__ import annotations
@@ -88,19 +80,7 @@ class Margins:
 def margins(
     axes: Any, height: float, *, legend_rows: int = 0, top: float = 4.0, right: float = 6.0
 ) -> Margins:
-    """Return the room that tick labels, names, legend and title leave to axes.
-
-    Parameters
-    ----------
-    axes
-        With ticks, labels, title and limits as they will be drawn.
-    height
-        Of the drawing, points; a title, a legend and upright names come on top.
-    legend_rows
-        Rows of the legend above the axes.
-    top, right
-        Margins without them, points.
-    """
+    """Return the room that tick labels, names, legend and title leave to axes."""
     left = _widest(axes.yaxis) + (22.0 if axes.get_ylabel() else 7.0)
     ticks = axes.xaxis.get_tick_params()
     bottom = 2.0 if not axes.get_xlabel() and not len(axes.get_xticks()) else 18.0
@@ -144,10 +124,7 @@ def place(figure: Any, panels: Sequence[tuple[Any, Margins]]) -> None:
 def date_ticks(low: float, high: float) -> tuple[list[float], list[str]]:
     """Return places and names of up to a dozen dates on an axis: whole years, months or days.
 
-    Parameters
-    ----------
-    low, high
-        Ends of the axis, days since 1970-01-01.
+    low, high: Ends of the axis, days since 1970-01-01.
     """
     for unit, step in (*(("D", n) for n in (1, 2, 5, 10)), *(("M", n) for n in (1, 2, 3, 6))):
         if (ticks := _dates(low, high, unit, step)).size <= _MOST_DATES:
@@ -220,17 +197,8 @@ def thinned(
 ) -> tuple[Array, Array, Array | None, Array | None]:
     """Return what of a series is seen: of each column of the drawing its lowest and highest.
 
-    Parameters
-    ----------
-    series
-        Of any length.
-    log_x, log_y
-        Whether the axes are logarithmic; what is not positive is then left out.
-
-    Returns
-    -------
-    x, y, low, high
-        Equal lengths; gaps are NaN; low and high are None where the series has none.
+    log_x, log_y: Whether the axes are logarithmic; what is not positive is then left out.
+    Returns: equal lengths; gaps are NaN; low and high are None where the series has none.
     """
     x = np.asarray(series.x, dtype=float)
     y, low, high = (
@@ -300,16 +268,8 @@ def spread(series: Sequence[PlotSeries]) -> list[PlotSeries]:
 def dots(axes: Any, x: Array, y: Array, size: float, **style: Any) -> None:
     """Draw many points as one line of round dots: a marker for each would take ten times as long.
 
-    Parameters
-    ----------
-    axes
-        Where to.
-    x, y
-        Shape (n,).
-    size
-        Diameter, points.
-    **style
-        Of matplotlib's lines.
+    x, y: Shape (n,).
+    **style: Of matplotlib's lines.
     """
     gap = np.full(x.size, np.nan)
     # From each point to itself: a line without length, whose round ends make the dot.

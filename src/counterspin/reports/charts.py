@@ -2,10 +2,6 @@
 
 The same picture gives the same text and the same file, byte for byte.
 
-- `svg`: one picture, without prolog, to stand in a page or on paper
-- `save`, `check_format`: pictures below each other in a file: SVG, PNG or PDF
-- `reserve_figures`: places for several such files
-
 `svg` draws no title, for whoever shows the picture sets it in words; it is the SVG's ``<title>``,
 which is read to those who do not see it. For the theme "page" every colour is a CSS custom
 property, which falls back to its colour on paper: ``--ink`` (words and axes; falls back to
@@ -58,13 +54,7 @@ _REMARKS: Final = {".svg": "Description", ".png": "Description", ".pdf": "Subjec
 
 
 def reserve_figures(paths: Iterable[Path], kind: str, *, overwrite: bool = False) -> None:
-    """Refuse figures where a file would be lost, as `counterspin.output.reserve` does, before any.
-
-    Raises
-    ------
-    CounterspinError
-        If a file is in the way of one of them; their folder need not be there yet.
-    """
+    """Refuse figures that would overwrite a file, as `counterspin.output.reserve` does."""
     for path in paths:
         if path.exists():
             reserve(path, partial(marked, kind), overwrite=overwrite)
@@ -85,22 +75,7 @@ def save(
 ) -> None:
     """Write pictures below each other, with their titles, as SVG, PNG or PDF.
 
-    Parameters
-    ----------
-    pictures
-        At least one.
-    path
-        The file; its ending says the format.
-    kind
-        What it says that it is; see `counterspin.output.mark`.
-    overwrite
-        Whether an earlier figure of this kind may be replaced; no other file is.
-
-    Raises
-    ------
-    CounterspinError
-        If the ending is none of these, a file is in the way, or the file cannot be written;
-        nothing is left behind.
+    overwrite: Whether an earlier figure of this kind may be replaced; no other file is.
     """
     suffix = check_format(path)
     reserve(path, partial(marked, kind), overwrite=overwrite)
@@ -117,22 +92,7 @@ def save(
 
 
 def svg(picture: Picture, *, theme: Theme = "light") -> str:
-    """Draw a picture.
-
-    Parameters
-    ----------
-    picture
-        What is drawn.
-    theme
-        "light": for paper. "page": every colour is a CSS custom property, and words take the
-        font of the page in which the SVG stands.
-
-    Returns
-    -------
-    str
-        An ``<svg>`` element that fills the width it is given. Its ids differ from those of every
-        other picture.
-    """
+    """Draw a picture."""
     if theme == "light" and isinstance(picture, Plot):
         # A page of paper holds more of them, and less of it stays empty.
         picture = replace(picture, height=_HEIGHT_ON_PAPER * picture.height)

@@ -1,10 +1,4 @@
-"""Pictures drawn by matplotlib, which is imported only when there is something to draw.
-
-- `drawn`, `settings`: pictures below each other, as matplotlib's figure
-- `draw`: one on axes that somebody else made
-- `COLOURS`, `MARKERS`, `colours_in_row`: by which series are told apart
-- `COLOURS_OF_PAPER`: name of each colour and what it is on paper
-"""
+"""Pictures drawn by matplotlib, which is imported only when there is something to draw."""
 
 from __future__ import annotations
 
@@ -142,20 +136,7 @@ def settings(palette: Palette) -> Iterator[None]:
 def drawn(pictures: Sequence[Picture], palette: Palette, *, titled: bool) -> Figure:
     """Draw pictures below each other, within `settings`.
 
-    Parameters
-    ----------
-    pictures
-        At least one. Where neighbours have the same range and label of x, ticks and label stand
-        below the last of them only.
-    palette
-        Of each name in `COLOURS_OF_PAPER`, the colour.
-    titled
-        Whether each title stands above its picture, because nobody else writes it.
-
-    Returns
-    -------
-    matplotlib.figure.Figure
-        Not bound to any window.
+    titled: Whether each title stands above its picture, because nobody else writes it.
     """
     from matplotlib.figure import Figure
 

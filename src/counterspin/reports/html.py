@@ -3,9 +3,6 @@
 Words, tables and still pictures need no script. Where one runs, plots that are worth a closer
 look become zoomable (uPlot, inlined); their data travel beside them, rounded to what a screen
 shows.
-
-- `html`: blocks as a page; `cell`: as a part of somebody else's, such as a notebook
-- `part`: as a part of a page of ours, which has the style and the script
 """
 
 from __future__ import annotations
@@ -39,20 +36,7 @@ def html(
 ) -> str:
     """Return blocks as one HTML file that needs nothing else; the same blocks give the same text.
 
-    Parameters
-    ----------
-    blocks
-        The report, the answer first.
-    title
-        Of the window; the heading too, where the blocks hold none of level 1.
-    identifier
-        What the report is known by; it stands on every printed page.
-    date
-        When it was made, with its time zone.
-    version
-        Of the program that made it.
-    kind
-        What it says that it is; see `counterspin.output.mark`.
+    title: Of the window; the heading too, where the blocks hold none of level 1.
     """
     title, identifier = visible(title), visible(identifier)
     page = _Page()
@@ -81,13 +65,7 @@ def html(
 
 
 def cell(blocks: Sequence[Block]) -> str:
-    """Return blocks as a part of a page that is not ours, in its colours and its font.
-
-    Parameters
-    ----------
-    blocks
-        Words, tables and pictures, the answer first.
-    """
+    """Return blocks as a part of a page that is not ours, in its colours and its font."""
     content = _Page().items(blocks, "Result")
     style = Markup(_asset("cell.css").strip())
     return _environment().get_template("cell.html.jinja").render(content=content, style=style)
@@ -98,13 +76,6 @@ def part(blocks: Sequence[Block], *, title: str) -> str:
 
     Still pictures take long to draw: in their place stands ``data-place``, the place of the picture
     among the pictures of the blocks, so that the page can ask for them one by one.
-
-    Parameters
-    ----------
-    blocks
-        Words, tables and pictures, the answer first.
-    title
-        What precedes the first chapter is called.
     """
     summary, *chapters = _Page(drawn=False).chapters(blocks, title)
     template = _environment().get_template("part.html.jinja")

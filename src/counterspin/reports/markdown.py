@@ -2,9 +2,6 @@
 
 Pictures are left out; what they show stands in the tables. Words come out as they are: every
 character that Markdown would read is escaped (CommonMark 0.31, section 2.4).
-
-- `markdown`: blocks as text
-- `escaped`: words as Markdown
 """
 
 from __future__ import annotations
@@ -33,13 +30,7 @@ _AT_START: Final = re.compile(r"^(?:[-+=](?=[-+=\s]|$)|\d{1,9}(?=[.)](?:\s|$)))"
 
 
 def markdown(blocks: Sequence[Block]) -> str:
-    """Return blocks as GitHub-flavoured Markdown, pictures left out.
-
-    Parameters
-    ----------
-    blocks
-        The report, the answer first.
-    """
+    """Return blocks as GitHub-flavoured Markdown, pictures left out."""
     parts = []
     for style, group in groupby(without_pictures(blocks), _quoted):
         if style is None:
@@ -50,15 +41,7 @@ def markdown(blocks: Sequence[Block]) -> str:
 
 
 def escaped(text: str, line_break: str = "\\\n") -> str:
-    """Return words as Markdown that shows them as they are.
-
-    Parameters
-    ----------
-    text
-        On one line, or `Lines`.
-    line_break
-        Between its lines.
-    """
+    """Return words as Markdown that shows them as they are."""
     lines = (" ".join(line.split()) for line in visible(text).splitlines())
     return line_break.join(_escaped_line(line) for line in lines if line)
 

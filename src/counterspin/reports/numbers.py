@@ -2,16 +2,6 @@
 
 The one rule is GUM 7.2.6: the uncertainty keeps two significant digits, and the value is rounded
 to the same decimal place. What has no uncertainty keeps as many digits as it is asked for.
-
-- `format_estimate`: ``(2.70445 ± 0.00037) x 1e-5 g/g^2``
-- `format_compact`: ``2.70445(37)e-5``, for tables
-- `format_interval`: ``2.7037 to 2.7052``
-- `format_uncertainty`: ``0.070``, two digits as beside a value
-- `format_count`: degrees of freedom and the like, whole where they are many
-- `format_number`, `format_share`: a number without uncertainty; a part of a whole
-- `format_probability`: a probability, honest at both ends
-- `round_to_uncertainty`, `Rounded`: the rounding itself
-- `field_unit`: from SI to arcsec, deg/h and the like
 """
 
 from __future__ import annotations
@@ -51,38 +41,20 @@ _DOUBLE_DIGITS: Final = 15
 def field_unit(unit: str) -> tuple[str, float]:
     """Return the unit in which the field reads a quantity, and the factor that leads to it.
 
-    Parameters
-    ----------
-    unit
-        As it stands in a result: SI or g-units.
-
-    Returns
-    -------
-    str, float
-        The unit shown and what a number in `unit` is multiplied with; `unit` itself and 1 where
-        it is shown as it is.
+    unit: As it stands in a result: SI or g-units.
     """
     return _FIELD_UNITS.get(unit, (unit, 1.0))
 
 
 @frozen
 class Rounded:
-    """A value and its uncertainty, both to the second digit of the uncertainty.
+    """A value and its uncertainty, both to the second digit of the uncertainty."""
 
-    Attributes
-    ----------
-    value, u
-        The digits, in units of ten to the power of `exponent`.
-    exponent
-        The common power of ten; 0 where none is needed.
-    place
-        Power of ten of the last digit kept.
-    """
-
+    #: The digits, in units of ten to the power of `exponent`.
     value: str
     u: str
-    exponent: int
-    place: int
+    exponent: int  #: The common power of ten; 0 where none is needed.
+    place: int  #: Power of ten of the last digit kept.
 
     def write(self, number: float) -> str:
         """Return another number to the same place and in the same power of ten."""
@@ -92,15 +64,7 @@ class Rounded:
 def round_to_uncertainty(value: float, u: float) -> Rounded | None:
     """Round a value to its uncertainty (GUM 7.2.6; halves to even, ISO 80000-1 B.3 rule A).
 
-    Parameters
-    ----------
-    value, u
-        Finite, u positive.
-
-    Returns
-    -------
-    Rounded or None
-        None if a double does not hold the value to two digits of u.
+    Returns: none if a double does not hold the value to two digits of u.
     """
     exact, spread = _exactly(value), _exactly(u)
     place = spread.adjusted() - 1
@@ -122,26 +86,10 @@ def round_to_uncertainty(value: float, u: float) -> Rounded | None:
 def format_estimate(value: float | None, u: float | None, unit: str = "") -> str:
     """Write a value with its standard uncertainty and unit.
 
-    Parameters
-    ----------
-    value
-        None, or anything that is not finite: it is not determined, and no value is shown.
-    u
-        Standard uncertainty. 0: the value is exact. None: unknown, and none is shown. Infinite:
-        the value is not determined.
-    unit
-        Of both; empty for a plain number.
-
-    Returns
-    -------
-    str
-        Such as ``1.0019743 ± 0.0000050 g/g`` or ``(2.70445 ± 0.00037) x 1e-5 g/g^2``; without a
-        power of ten, a campaign file reads it as it stands.
-
-    Raises
-    ------
-    ValueError
-        If u is negative.
+    value: None, or anything that is not finite: it is not determined, and no value is shown.
+    u: Standard uncertainty. 0: the value is exact. None: unknown, and none is shown. Infinite: the
+        value is not determined.
+    unit: Of both; empty for a plain number.
     """
     if not _is_determined(value, u):
         return NOT_DETERMINED
@@ -189,13 +137,7 @@ def format_interval(value: float, u: float, half_width: float, unit: str = "") -
 
 
 def format_uncertainty(u: float) -> str:
-    """Write an uncertainty by itself, to two significant digits as beside a value (GUM 7.2.6).
-
-    Parameters
-    ----------
-    u
-        Finite, not negative.
-    """
+    """Write an uncertainty by itself, to two significant digits as beside a value (GUM 7.2.6)."""
     mantissa, mark, exponent = f"{u:#.2g}".partition("e")
     return mantissa.rstrip(".") + (f"e{int(exponent)}" if mark else "") if u else "0"
 

@@ -3,9 +3,6 @@
 Nothing but what comes with typst is used, neither fonts of the machine nor a network, so the same
 blocks give the same file, byte for byte. ``assets/report.typ`` is the layout; all words reach it
 as data and are never read as markup.
-
-- `pdf`: blocks as the bytes of a file
-- `Attachment`: a file in the file
 """
 
 from __future__ import annotations
@@ -36,27 +33,14 @@ _NO_SHAPE: Final = ("could not be displayed", "contains the codepoint")
 
 @frozen
 class Attachment:
-    """A file that travels in the PDF.
+    """A file that travels in the PDF."""
 
-    Attributes
-    ----------
-    name
-        Of the file.
-    data
-        What is in it.
-    media_type
-        Such as ``application/xml``.
-    description
-        For people, in the list of attachments.
-    relationship
-        To the document (AFRelationship, ISO 32000-2, 7.11.3): what it was made from, its numbers,
-        the same in another form, or something that adds to it.
-    """
-
-    name: str
-    data: bytes
-    media_type: str
-    description: str
+    name: str  #: Of the file.
+    data: bytes  #: What is in it.
+    media_type: str  #: Such as ``application/xml``.
+    description: str  #: For people, in the list of attachments.
+    #: To the document (AFRelationship, ISO 32000-2, 7.11.3): what it was made from, its numbers,
+    #: the same in another form, or something that adds to it.
     relationship: Literal["source", "data", "alternative", "supplement"]
 
 
@@ -76,30 +60,7 @@ def pdf(
     (they have Latin, Greek, Cyrillic and Hebrew ones) is taken from the machine's fonts, and a
     square stands for what these lack too.
 
-    Parameters
-    ----------
-    blocks
-        The report, the answer first.
-    title
-        On every page; the heading too, where the blocks hold none of level 1.
-    identifier
-        What the report is known by.
-    date
-        When it was made, with its time zone.
-    kind
-        What it says that it is; see `counterspin.output.mark`.
-    attachments
-        Files that travel in it, each of another name.
-
-    Returns
-    -------
-    bytes
-        The file; the same for the same arguments, unless fonts of the machine are needed.
-
-    Raises
-    ------
-    ValueError
-        If two attachments have the same name.
+    title: On every page; the heading too, where the blocks hold none of level 1.
     """
     names = [attachment.name for attachment in attachments]
     if len(set(names)) < len(names):

@@ -1,8 +1,4 @@
-"""A sign of life on the terminal while work goes on; nothing where there is no terminal.
-
-- `progress`: a bar that appears only if the work takes longer than a moment
-- `work_progress`: the same for what many cores do, with its rate and the time left
-"""
+"""A sign of life on the terminal while work goes on; nothing where there is no terminal."""
 
 from __future__ import annotations
 
@@ -34,19 +30,7 @@ def progress(
 ) -> Iterator[Callable[[int, int], None] | None]:
     """Show how much is done, on standard error, and wipe it out at the end.
 
-    Parameters
-    ----------
-    console
-        Where to show it; None: standard error.
-    patience
-        Seconds of work before anything is shown.
-    words
-        What is being done before anything is counted, while it is, and after.
-
-    Yields
-    ------
-    Callable or None
-        To be called with (done, in all), such as runs; None where there is no terminal.
+    console: Where to show it; None: standard error.
     """
     if console is None and not _is_watched():
         yield None
@@ -103,18 +87,7 @@ class _Bar:
 
 @contextmanager
 def work_progress(what: str) -> Iterator[Callable[[int, int], None] | None]:
-    """Show how much is done, how much a second, and the time left, on standard error.
-
-    Parameters
-    ----------
-    what
-        Is counted.
-
-    Yields
-    ------
-    Callable or None
-        To be called with (done, in all); None where there is no terminal.
-    """
+    """Show how much is done, how much a second, and the time left, on standard error."""
     if not _is_watched():
         yield None
         return

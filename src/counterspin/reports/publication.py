@@ -1,8 +1,4 @@
-"""Pages of ours as files: HTML, PDF or Markdown, by the ending of the name.
-
-- `Publication`: blocks with what they are; made, and written
-- `check_format`, `FORMATS`: the endings
-"""
+"""Pages of ours as files: HTML, PDF or Markdown, by the ending of the name."""
 
 from __future__ import annotations
 
@@ -32,25 +28,14 @@ def check_format(path: Path) -> str:
 
 @frozen
 class Publication:
-    """Blocks with what they are.
+    """Blocks with what they are."""
 
-    Attributes
-    ----------
-    kind
-        What every file of them says that it is, such as "a comparison".
-    title, identifier
-        What it is called, and what it is known by.
-    blocks
-        The answer first.
-    version
-        Of the program that computed what they show.
-    """
-
-    kind: str
+    kind: str  #: What every file of them says that it is, such as "a comparison".
+    #: What it is called, and what it is known by.
     title: str
     identifier: str
-    blocks: Sequence[Block]
-    version: str = __version__
+    blocks: Sequence[Block]  #: The answer first.
+    version: str = __version__  #: Of the program that computed what they show.
 
     def text(self, suffix: str, issued: datetime) -> str:
         """Return it as ``.html`` or ``.md``, made at a time with its zone."""
@@ -86,21 +71,7 @@ class Publication:
     def write(self, path: Path, issued: datetime, *, overwrite: bool = False) -> None:
         """Write it, whole or not at all.
 
-        Parameters
-        ----------
-        path
-            The file; its ending says the format.
-        issued
-            When it is said to have been made, with its time zone.
-        overwrite
-            Whether an earlier one of this kind may be replaced; nothing else is.
-
-        Raises
-        ------
-        CampaignError
-            If there is no such format.
-        CounterspinError
-            If a file is in the way, or it cannot be written; nothing is left behind then.
+        overwrite: Whether an earlier one of this kind may be replaced; nothing else is.
         """
         suffix, kind = check_format(path), partial(marked, self.kind)
         reserve(path, kind, overwrite=overwrite)

@@ -1,9 +1,4 @@
-"""Results that show themselves where they are the last line of a notebook's cell, or printed.
-
-- `ShownResult`: a result with a short text, HTML and Markdown
-- `loaded`: what draws a result, by its name
-- `on_axes`: pictures on Matplotlib's axes, the caller's or new ones
-"""
+"""Results that show themselves where they are the last line of a notebook's cell, or printed."""
 
 from __future__ import annotations
 
@@ -84,23 +79,8 @@ def short_text(blocks: Sequence[Block]) -> str:
 def on_axes(pictures: Sequence[Picture], axes: Any = None) -> list[Any]:
     """Draw pictures in the style of the reports on axes of Matplotlib.
 
-    Parameters
-    ----------
-    pictures
-        At least one.
-    axes
-        One matplotlib.axes.Axes, or as many as there are pictures. None: those of a new figure,
+    axes: One matplotlib.axes.Axes, or as many as there are pictures. None: those of a new figure,
         below each other, which a notebook shows.
-
-    Returns
-    -------
-    list of matplotlib.axes.Axes
-        Those drawn on.
-
-    Raises
-    ------
-    ValueError
-        If there are not as many axes as pictures.
     """
     import numpy as np
 

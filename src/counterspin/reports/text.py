@@ -2,9 +2,6 @@
 
 Numbers are never broken: columns of words wrap first, then titles, and where a terminal is still
 too narrow the columns stand in several tables below each other.
-
-- `Report`: blocks as rich prints them
-- `report_console`: a console that is wide enough when its output is no terminal
 """
 
 from __future__ import annotations
@@ -51,15 +48,7 @@ class _Console(Console):
 def report_console(file: TextIO | None = None) -> Console:
     """Return a console for reports.
 
-    Parameters
-    ----------
-    file
-        Where it writes; None: standard output.
-
-    Returns
-    -------
-    Console
-        As wide as the terminal; 100 columns where there is none, unless ``COLUMNS`` says else.
+    file: Where it writes; None: standard output.
     """
     made = _Console(file=file, highlight=False, emoji=False)
     if made.width < _NARROWEST_COLUMNS or (not made.is_terminal and "COLUMNS" not in os.environ):
@@ -131,17 +120,7 @@ def _tables(block: Table, options: ConsoleOptions) -> Iterator[RenderableType]:
 def _parts(
     block: Table, rows: list[list[str]], available: int
 ) -> Iterator[tuple[list[int], Sequence[int | None]]]:
-    """Yield the columns of each table that the terminal has room for, and their widths.
-
-    Parameters
-    ----------
-    block
-        The table.
-    rows
-        Titles and cells as they are shown.
-    available
-        Characters of a line.
-    """
+    """Yield the columns of each table that the terminal has room for, and their widths."""
     wanted, whole, least = [], [], []
     for index, column in enumerate(block.columns):
         lines = [line for row in rows for line in row[index].split("\n")]

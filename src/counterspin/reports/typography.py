@@ -1,9 +1,4 @@
-"""Numbers and units as in print.
-
-- `typeset`: ``-2.7 x 1e-5 ug/g^2`` to ``−2.7 × 10⁻⁵ µg/g²``
-- `typeset_block`: the same in all words of a block
-- `SYMBOL`: what is set as a letter and its index
-"""
+"""Numbers and units as in print."""
 
 from __future__ import annotations
 

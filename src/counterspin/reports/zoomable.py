@@ -1,9 +1,6 @@
 """Plots that can be zoomed: what a page's script draws them from, and their still picture.
 
 The arrays travel as whole numbers, rounded to what a screen shows even after much zooming.
-
-- `can_zoom`: whether a plot is worth it
-- `plot_data`: a plot as JSON for a page
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""All figures of the paper beside ours, section by section.
-
-- `reproduce`
-"""
+"""All figures of the paper beside ours, section by section."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""`counterspin demo`: the paper's plan from simulation to result, by every method.
-
-- `demo`: writes the campaign, makes its records, calibrates them three ways
-- `Demonstration`: what comes out, beside the truth that went in
-"""
+"""`counterspin demo`: the paper's plan from simulation to result, by every method."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""The demonstration as a person sees it: truth beside every method, and the figure.
-
-- `render_demonstration`: the table, as something that rich prints
-- `demonstration_plots`: the figure: displacement error with its parabolas, residuals below
-"""
+"""The demonstration as a person sees it: truth beside every method, and the figure."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Equations 5 to 19: printed coefficients beside those that the simulation of Eq. 7 shows.
-
-- `coefficients`: mean force, integrals, displacement at the strobes, b2; at the fastest rate
-"""
+"""Equations 5 to 19: printed coefficients beside those that the simulation of Eq. 7 shows."""
 
 from __future__ import annotations
 

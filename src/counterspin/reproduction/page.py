@@ -1,7 +1,4 @@
-"""The paper's figures beside ours, as a person reads them.
-
-- `render_reproduction`: one table for each part of the paper, as something that rich prints
-"""
+"""The paper's figures beside ours, as a person reads them."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""The paper's plan: what it states, and its runs simulated from first principles.
-
-- `TABLE_1` and the other constants: the paper's figures, the only ones that are put in
-- `simulate_strobes`: one run without noise, by integrating Eq. 7 along the exact motion
-- `first_stage_of`, `simulate_runs`: the same through the first stage
-"""
+"""The paper's plan: what it states, and its runs simulated from first principles."""
 
 from __future__ import annotations
 
@@ -77,23 +72,12 @@ def simulate_strobes(
     quantities and no linearity in the coefficients is used. As in the paper the Earth stands
     still.
 
-    Parameters
-    ----------
-    rate
-        w0, rad/s.
-    truth
-        Coefficients by symbol, in g-units.
-    drift
-        C, 1/s.
-    ripple_ratio
-        w_p/w0; its phase is Table 2's.
-    nominal_reference
-        Take the strobes and the reference from w0 t instead of the true angle.
-
-    Returns
-    -------
-    time, error
-        s and m, each of shape (100,).
+    rate: w0, rad/s.
+    truth: Coefficients by symbol, in g-units.
+    drift: C, 1/s.
+    ripple_ratio: w_p/w0; its phase is Table 2's.
+    nominal_reference: Take the strobes and the reference from w0 t instead of the true angle.
+    Returns: s and m, each of shape (100,).
     """
     ripple = Ripple(1, ripple_ratio * rate, RIPPLE_PHASE)
     spindle = Spindle(rate, drift=drift, ripples=(ripple,))
@@ -118,13 +102,7 @@ def first_stage_of(time: Array, error: Array) -> Parabola:
 
 
 def simulate_runs(*, drift: float = 0.0, nominal_reference: bool = False) -> list[StrobedRun]:
-    """Simulate the plan's three runs with Tables 1 and 2; the ripple is left out beside drift.
-
-    Parameters
-    ----------
-    drift, nominal_reference
-        As for `simulate_strobes`.
-    """
+    """Simulate the plan's three runs with Tables 1 and 2; the ripple is left out beside drift."""
     ratio = RIPPLE_RATIO if drift == 0.0 else 0.0
     return [
         StrobedRun(

@@ -1,7 +1,4 @@
-"""What `counterspin.reproduction` returns: rows of printed figure, our figure and the reason.
-
-- `Row`, `PaperSection`, `Reproduction`
-"""
+"""What `counterspin.reproduction` returns: rows of printed figure, our figure and the reason."""
 
 from __future__ import annotations
 
@@ -15,33 +12,17 @@ from counterspin.reports.shown import ShownResult
 
 @dataclass(frozen=True, config=ConfigDict(extra="forbid", populate_by_name=True))
 class Row:
-    """One figure of the paper and ours.
+    """One figure of the paper and ours."""
 
-    Attributes
-    ----------
-    key
-        A short name that stays the same.
-    quantity
-        What it is.
-    printed
-        The paper's figure, or what its printed equation gives; None where it has none.
-    ours
-        The figure computed here; ``counterspin`` in the JSON.
-    unit
-        Of both.
-    why
-        Why they differ, or that they agree.
-    form
-        Format of both numbers; not in the JSON.
-    """
-
-    key: str
-    quantity: str
+    key: str  #: A short name that stays the same.
+    quantity: str  #: What it is.
+    #: The paper's figure, or what its printed equation gives; None where it has none.
     printed: float | None
+    #: The figure computed here; ``counterspin`` in the JSON.
     ours: Annotated[float, Field(alias="counterspin")]
-    unit: str
-    why: str
-    form: Annotated[str, Field(exclude=True)] = ".4e"
+    unit: str  #: Of both.
+    why: str  #: Why they differ, or that they agree.
+    form: Annotated[str, Field(exclude=True)] = ".4e"  #: Format of both numbers; not in the JSON.
 
     @property
     def printed_text(self) -> str:

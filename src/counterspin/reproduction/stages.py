@@ -1,9 +1,4 @@
-"""Equations 20 to 34: the two stages' uncertainties, and whose K_II comes back.
-
-- `first_stage_spread`, `second_stage_spread`: sigma(b2) and sigma(K_II)
-- `recovery`: the K_II that either model returns for a known truth
-- `second_unknown`: what the second column of Eq. 26 does, and what it takes up
-"""
+"""Equations 20 to 34: the two stages' uncertainties, and whose K_II comes back."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""What competes in a study: the joint fit of all accelerometers, the two-stage method of one.
-
-- `Analysis`, `JointRequest`
-- `analyses_of`: from a study's description
-"""
+"""What competes in a study: the joint fit of all accelerometers, the two-stage method of one."""
 
 from __future__ import annotations
 
@@ -22,18 +18,10 @@ from counterspin.studies.description import StudyDescription
 
 @frozen
 class JointRequest:
-    """What is asked of the joint fit.
+    """What is asked of the joint fit."""
 
-    Attributes
-    ----------
-    model
-        Unknowns, considered terms, uncertain inputs.
-    noise
-        Accelerometer -> its noise, given or to be estimated.
-    """
-
-    model: Unknowns
-    noise: Mapping[str, NoiseRequest]
+    model: Unknowns  #: Unknowns, considered terms, uncertain inputs.
+    noise: Mapping[str, NoiseRequest]  #: Accelerometer -> its noise, given or to be estimated.
 
     @property
     def reported(self) -> list[int]:
@@ -52,35 +40,17 @@ class JointRequest:
 
 @frozen
 class Analysis:
-    """One competitor.
+    """One competitor."""
 
-    Attributes
-    ----------
-    name
-        As the study calls it.
-    owner
-        The accelerometer of a two-stage analysis; empty for the joint fit of all.
-    request
-        What is asked of the method.
-    joint
-        The joint fit of the same campaign, which finds the noise that nobody states.
-    """
-
-    name: str
-    owner: str
-    request: TwoStageRequest | JointRequest
+    name: str  #: As the study calls it.
+    owner: str  #: The accelerometer of a two-stage analysis; empty for the joint fit of all.
+    request: TwoStageRequest | JointRequest  #: What is asked of the method.
+    #: The joint fit of the same campaign, which finds the noise that nobody states.
     joint: JointRequest
 
 
 def analyses_of(study: StudyDescription) -> tuple[Analysis, ...]:
-    """Return what competes: a two-stage analysis is one for each accelerometer.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If a two-stage analysis has an accelerometer whose input axis is not horizontal, or no
-        angle is recorded.
-    """
+    """Return what competes: a two-stage analysis is one for each accelerometer."""
     analyses = []
     for described in study.analyses:
         name, options, campaign = described.name, described.two_stage, described.campaign

@@ -1,7 +1,4 @@
-"""The Cramer-Rao bound of a study: the least uncertainty that its records allow.
-
-- `cramer_rao`; `fit_of_truth`: the fit that it is the uncertainty of
-"""
+"""The Cramer-Rao bound of a study: the least uncertainty that its records allow."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Which engine each analysis of a study gets.
-
-- `prepare`: the engine of a study
-- `choose_engine`: the fastest engine that is valid for an analysis, or the one asked for
-"""
+"""Which engine each analysis of a study gets."""
 
 from __future__ import annotations
 
@@ -37,16 +33,7 @@ _LARGEST_SHARE_OUTSIDE: Final = 0.5
 
 
 def prepare(study: StudyDescription, seed: int, engine: EngineName = "auto") -> StudyEngine:
-    """Choose and prepare an engine for each analysis of a study.
-
-    Raises
-    ------
-    CampaignError
-        If an accelerometer's record is no displacement.
-    NotIdentifiableError
-        If the engine asked for is not valid for an analysis, or an analysis cannot determine
-        anything.
-    """
+    """Choose and prepare an engine for each analysis of a study."""
     campaign = study.campaign
     truth = StudyTruth.of(campaign, study.varying)
     # Readings alone need no records, and so no world of them.
@@ -77,13 +64,7 @@ def _drivers(truth: StudyTruth) -> tuple[Driver, ...]:
 def choose_engine(
     world: World, truth: StudyTruth, analysis: Analysis, engine: EngineName
 ) -> EnginePart:
-    """Return the fastest engine that is valid for an analysis, or the one asked for.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If the engine asked for is not valid, with the reason.
-    """
+    """Return the fastest engine that is valid for an analysis, or the one asked for."""
     request = analysis.request
     against = (
         against_joint(world, truth, request)

@@ -6,9 +6,6 @@ It stands in ``campaign.toml`` beside [truth], or in a file of its own that name
     campaign = "three-rate"              # the campaign's folder or file, from here
     [study]
     ...
-
-- `read_study`: either of them, all mistakes at once; `study_of`: of what such a file says
-- `StudyDescription`, `AnalysisDescription`: what comes out
 """
 
 from __future__ import annotations
@@ -95,44 +92,24 @@ class DistributionSettings(SettingsSection):
 
 @frozen
 class AnalysisDescription:
-    """One competitor.
+    """One competitor."""
 
-    Attributes
-    ----------
-    name
-        As the study calls it.
-    two_stage
-        How the two-stage method is applied; None: the joint fit.
-    campaign
-        The campaign with the terms that this analysis asks for, assumes and holds.
-    """
-
-    name: str
-    two_stage: TwoStageOptions | None
+    name: str  #: As the study calls it.
+    two_stage: TwoStageOptions | None  #: How the two-stage method is applied; None: the joint fit.
+    #: The campaign with the terms that this analysis asks for, assumes and holds.
     campaign: Campaign
 
 
 @frozen
 class StudyDescription:
-    """A study.
+    """A study."""
 
-    Attributes
-    ----------
-    campaign
-        What is simulated, [truth] included.
-    trials, seed
-        How many, and of the random numbers.
-    varying
-        What varies, in the file's order.
-    analyses
-        What competes.
-    """
-
-    campaign: Campaign
+    campaign: Campaign  #: What is simulated, [truth] included.
+    #: How many, and of the random numbers.
     trials: int
     seed: int
-    varying: tuple[Varying, ...]
-    analyses: tuple[AnalysisDescription, ...]
+    varying: tuple[Varying, ...]  #: What varies, in the file's order.
+    analyses: tuple[AnalysisDescription, ...]  #: What competes.
 
 
 #: What competes where the study names nothing: the two methods, and the paper's equations. Of
@@ -147,15 +124,7 @@ _DEFAULT: Final[Mapping[str, Mapping[str, Any]]] = {
 def read_study(path: Path | str | Campaign) -> StudyDescription:
     """Read and check a study.
 
-    Parameters
-    ----------
-    path
-        A campaign's folder or description, a study's own file, or a campaign already read.
-
-    Raises
-    ------
-    CampaignError
-        With every mistake found, each with the path of its key.
+    path: A campaign's folder or description, a study's own file, or a campaign already read.
     """
     if not isinstance(path, Campaign):
         file = description_file(path)
@@ -166,14 +135,8 @@ def read_study(path: Path | str | Campaign) -> StudyDescription:
 def study_of(raw: dict[str, Any], file: Path, described: Path | None = None) -> StudyDescription:
     """Read and check what a study's file says; raises as `read_study` does.
 
-    Parameters
-    ----------
-    raw
-        What it says.
-    file
-        Where that stands, or would.
-    described
-        Where the campaign is described, of one that was read; None: `raw` may name another one.
+    described: Where the campaign is described, of one that was read; None: `raw` may name another
+        one.
     """
     problems = Problems(raw)
     document, where = (raw, described) if described else _document(raw, file, problems)

@@ -4,10 +4,6 @@ Trials are drawn in batches of a fixed size. Each batch has random streams of it
 (`counterspin.studies.noise.stream`), derived from the study's seed and the batch's number alone,
 so that a trial is the same whoever computes it, in whatever order and however many others there
 are.
-
-- `Varying`: one quantity and its distribution
-- `StudyTruth`: what is true in one study, fixed and varying
-- `Draws`: the truth of a batch of trials
 """
 
 from __future__ import annotations
@@ -46,28 +42,15 @@ _VALID_SDS: Final = 4.5
 
 @frozen
 class Varying:
-    """One quantity that varies from trial to trial.
+    """One quantity that varies from trial to trial."""
 
-    Attributes
-    ----------
-    owner
-        The accelerometer's name for a term of its own; else empty.
-    symbol
-        A term of the tables or a key of `OTHERS`.
-    kind
-        ``normal``, ``uniform`` or ``fixed``.
-    first, second
-        Mean and standard deviation; least and greatest value; value and 0.
-    per_run
-        Whether every run of a trial has a value of its own.
-    """
-
-    owner: str
-    symbol: str
-    kind: Literal["normal", "uniform", "fixed"]
+    owner: str  #: The accelerometer's name for a term of its own; else empty.
+    symbol: str  #: A term of the tables or a key of `OTHERS`.
+    kind: Literal["normal", "uniform", "fixed"]  #: ``normal``, ``uniform`` or ``fixed``.
+    #: Mean and standard deviation; least and greatest value; value and 0.
     first: float
     second: float
-    per_run: bool = False
+    per_run: bool = False  #: Whether every run of a trial has a value of its own.
 
     def draw(self, generator: np.random.Generator, runs: int, trials: int) -> Array:
         """Return values, shape (runs, trials), with 1 in place of what has them in common."""
@@ -98,31 +81,21 @@ class Draws:
 
     Where the runs or the trials have a value in common, their axis has length 1: what does not
     vary costs nothing.
-
-    Attributes
-    ----------
-    trials
-        How many there are.
-    values
-        (owner, symbol) -> values, shape (r or 1, n or 1): accelerometer terms in g-units, platform
-        terms in SI.
-    drift, ripple_cos, ripple_sin
-        Of each run: C in 1/s, and the first harmonic's (w_1/w0) cos phi and (w_1/w0) sin phi,
-        shape (r or 1, n or 1).
-    radius, white
-        m, shape (n,) or (1,).
-    noise
-        Other noise levels that vary, shape (n,) or (1,).
     """
 
-    trials: int
+    trials: int  #: How many there are.
+    #: (owner, symbol) -> values, shape (r or 1, n or 1): accelerometer terms in g-units, platform
+    #: terms in SI.
     values: Mapping[tuple[str, str], Array]
+    #: Of each run: C in 1/s, and the first harmonic's (w_1/w0) cos phi and (w_1/w0) sin phi, shape
+    #: (r or 1, n or 1).
     drift: Array
     ripple_cos: Array
     ripple_sin: Array
+    #: m, shape (n,) or (1,).
     radius: Array
     white: Array
-    noise: Mapping[str, Array]
+    noise: Mapping[str, Array]  #: Other noise levels that vary, shape (n,) or (1,).
 
     def take(self, trial: int) -> Draws:
         """Return one of the trials by itself."""
@@ -168,25 +141,15 @@ class Draws:
 
 @frozen
 class StudyTruth:
-    """What is true in a study.
+    """What is true in a study."""
 
-    Attributes
-    ----------
-    fixed
-        (owner, symbol) -> value of each run, shape (r,) or (1,).
-    spindles
-        Of each run, with what does not vary.
-    radius, white
-        m; where they do not vary.
-    varying
-        What does.
-    """
-
+    #: (owner, symbol) -> value of each run, shape (r,) or (1,).
     fixed: Mapping[tuple[str, str], Array]
-    spindles: tuple[Spindle, ...]
+    spindles: tuple[Spindle, ...]  #: Of each run, with what does not vary.
+    #: m; where they do not vary.
     radius: float
     white: float
-    varying: tuple[Varying, ...]
+    varying: tuple[Varying, ...]  #: What does.
 
     @classmethod
     def of(cls, campaign: Campaign, varying: tuple[Varying, ...]) -> StudyTruth:

@@ -1,9 +1,4 @@
-"""The engine of a study: the trials of one batch, by whatever shortcut each analysis allows.
-
-- `Reported`: one coefficient of one analysis
-- `EnginePart`: an analysis and its engine (chosen by `counterspin.studies.choice`)
-- `StudyEngine`: all of it; `StudyEngine.batch` does the work
-"""
+"""The engine of a study: the trials of one batch, by whatever shortcut each analysis allows."""
 
 from __future__ import annotations
 
@@ -34,19 +29,13 @@ _BATCH: Final = {
 
 @frozen
 class Reported:
-    """One coefficient of one analysis.
+    """One coefficient of one analysis."""
 
-    Attributes
-    ----------
-    analysis, owner, symbol
-        Names; the owner of a platform term is empty.
-    bound
-        The Cramer-Rao bound of its standard uncertainty; None where it cannot be had.
-    """
-
+    #: Names; the owner of a platform term is empty.
     analysis: str
     owner: str
     symbol: str
+    #: The Cramer-Rao bound of its standard uncertainty; None where it cannot be had.
     bound: float | None
 
     @property
@@ -57,72 +46,36 @@ class Reported:
 
 @frozen
 class EnginePart:
-    """An engine and what it reports, in the order of its rows.
+    """An engine and what it reports, in the order of its rows."""
 
-    Attributes
-    ----------
-    engine
-        The engine.
-    kind
-        What a trial costs: ``constant``; ``sampled`` where sigma is from the residuals, and with
-        it the second stage's weights; ``surrogate``; ``exact``; ``readings``; ``full``.
-    noise
-        Which stream of noise it draws from. Analyses that share one see the same readings.
-    words
-        What it is called.
-    rows
-        Its own rows that are reported.
-    reported
-        What they are.
-    lost
-        Coefficients that the records do not determine.
-    """
-
-    engine: TwoStageEngine | JointEngine | FullEngine | ReadingsEngine
+    engine: TwoStageEngine | JointEngine | FullEngine | ReadingsEngine  #: The engine.
+    #: What a trial costs: ``constant``; ``sampled`` where sigma is from the residuals, and with it
+    #: the second stage's weights; ``surrogate``; ``exact``; ``readings``; ``full``.
     kind: str
+    #: Which stream of noise it draws from. Analyses that share one see the same readings.
     noise: int
-    words: str
-    rows: tuple[int, ...]
-    reported: tuple[Reported, ...]
-    lost: tuple[str, ...] = ()
+    words: str  #: What it is called.
+    rows: tuple[int, ...]  #: Its own rows that are reported.
+    reported: tuple[Reported, ...]  #: What they are.
+    lost: tuple[str, ...] = ()  #: Coefficients that the records do not determine.
 
 
 @frozen
 class Batch:
-    """What one batch of trials gives.
+    """What one batch of trials gives."""
 
-    Attributes
-    ----------
-    sums
-        For each reported coefficient, shape (c, width).
-    values
-        Truth, estimate and u of each, shape (c, 3, n), or None.
-    """
-
-    sums: Array
-    values: Array | None
+    sums: Array  #: For each reported coefficient, shape (c, width).
+    values: Array | None  #: Truth, estimate and u of each, shape (c, 3, n), or None.
 
 
 @frozen
 class StudyEngine:
-    """Everything that a worker needs.
+    """Everything that a worker needs."""
 
-    Attributes
-    ----------
-    truth
-        What is true.
-    seed
-        Of the study.
-    parts
-        An engine for each analysis.
-    tally
-        What is counted.
-    """
-
-    truth: StudyTruth
-    seed: int
-    parts: tuple[EnginePart, ...]
-    tally: Tally
+    truth: StudyTruth  #: What is true.
+    seed: int  #: Of the study.
+    parts: tuple[EnginePart, ...]  #: An engine for each analysis.
+    tally: Tally  #: What is counted.
 
     @property
     def batch_size(self) -> int:
@@ -137,14 +90,8 @@ class StudyEngine:
     def batch(self, number: int, trials: int, *, keep: bool = False) -> Batch:
         """Do the trials of one batch.
 
-        Parameters
-        ----------
-        number
-            Of the batch, from 0.
-        trials
-            How many of its trials count; the last batch of a study may be cut short.
-        keep
-            Whether each trial is returned too.
+        number: Of the batch, from 0.
+        keep: Whether each trial is returned too.
         """
         draws = self.truth.draw(stream(self.seed, number, TRUTH_STREAM), self.batch_size)
         driven = [_driven(draws, driver)[:trials] for driver in self.tally.drivers]

@@ -1,8 +1,4 @@
-"""A study's folder: its result, its trials, and on the way what a resumption needs.
-
-- `StudyFolder`: which folder, and what may be done with it
-- `StudyProgress`: the copy on disk of what is done
-"""
+"""A study's folder: its result, its trials, and on the way what a resumption needs."""
 
 from __future__ import annotations
 
@@ -143,17 +139,7 @@ def _parquet(path: Path, names: list[str], ledger: Ledger) -> None:
 
 
 class StudyProgress:
-    """The copy on disk of what is done of a study.
-
-    Parameters
-    ----------
-    folder
-        Where it is kept.
-    ledger
-        What is done.
-    fingerprint
-        Of everything that decides what a batch gives: a copy of another study is refused.
-    """
+    """The copy on disk of what is done of a study."""
 
     def __init__(self, folder: Path, ledger: Ledger, fingerprint: str) -> None:
         self.folder, self.ledger = folder, ledger
@@ -189,13 +175,7 @@ class StudyProgress:
         write_whole(path, partial(np.savez, fingerprint=fingerprint, **arrays), overwrite=True)
 
     def resume(self) -> None:
-        """Take over what an earlier study has done; what is damaged is named, and done again.
-
-        Raises
-        ------
-        CounterspinError
-            If there is nothing to go on from, or it is of another study.
-        """
+        """Take over what an earlier study has done; what is damaged is named, and done again."""
         if not self._file.exists():
             raise CounterspinError(
                 f"{self.folder}: holds no study to resume; leave out `resume`, or name the folder "

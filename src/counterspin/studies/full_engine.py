@@ -2,8 +2,6 @@
 
 The check of the faster engines, and the only one for noise that is not white or not stated, for a
 rotation that the joint fit has to find, and for terms with a kink.
-
-- `FullEngine`: the trials
 """
 
 from __future__ import annotations
@@ -33,27 +31,13 @@ from counterspin.studies.world import World
 
 @frozen
 class FullEngine:
-    """Trials of any analysis, record by record.
+    """Trials of any analysis, record by record."""
 
-    Attributes
-    ----------
-    world
-        What is simulated.
-    request
-        What is asked of the analysis.
-    joint
-        The joint fit that finds the noise that nobody states.
-    owner
-        The accelerometer of a two-stage analysis.
-    rows
-        Places of the joint model's unknowns that are reported.
-    """
-
-    world: World
-    request: TwoStageRequest | JointRequest
-    joint: JointRequest
-    owner: str = ""
-    rows: tuple[int, ...] = ()
+    world: World  #: What is simulated.
+    request: TwoStageRequest | JointRequest  #: What is asked of the analysis.
+    joint: JointRequest  #: The joint fit that finds the noise that nobody states.
+    owner: str = ""  #: The accelerometer of a two-stage analysis.
+    rows: tuple[int, ...] = ()  #: Places of the joint model's unknowns that are reported.
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
         """Return what the analysis says of n trials; see `TwoStageEngine.trials`."""

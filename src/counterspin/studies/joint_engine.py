@@ -5,8 +5,6 @@ is normal about a linear function of what is true. Each series is whitened and r
 columns of what is true carried along as considered terms; a trial then costs as many normals as
 there are unknowns. A radius that varies enters every column as a polynomial of the third degree,
 exactly, because no term has more than three factors.
-
-- `JointEngine`: the trials
 """
 
 from __future__ import annotations
@@ -39,60 +37,27 @@ _RADIUS_POWERS: Final = 4
 
 @frozen
 class JointEngine:
-    """Trials of one joint analysis.
+    """Trials of one joint analysis."""
 
-    Attributes
-    ----------
-    rows
-        Places in the model of the unknowns that are reported.
-    constant
-        Estimate, nominal value added, where all that is true is nominal, shape (c,).
-    response
-        (owner, symbol, run, power of the radius) -> d(estimate)/d(value), shape (c,); run is
-        None where the runs share one value.
-    radius_response
-        d(estimate)/d(radius) through the reference displacement, shape (c,).
-    spread
-        What independent normals are multiplied with, shape (c, c).
-    u
-        Combined standard uncertainty, shape (c,).
-    radius, scale
-        The radius assumed, and what its deviation is divided by before powers are taken.
-    white
-        The white noise assumed, m.
-    """
-
-    rows: tuple[int, ...]
+    rows: tuple[int, ...]  #: Places in the model of the unknowns that are reported.
+    #: Estimate, nominal value added, where all that is true is nominal, shape (c,).
     constant: Array
+    #: (owner, symbol, run, power of the radius) -> d(estimate)/d(value), shape (c,); run is None
+    #: where the runs share one value.
     response: Mapping[tuple[str, str, int | None, int], Array]
-    radius_response: Array
-    spread: Array
-    u: Array
+    radius_response: Array  #: d(estimate)/d(radius) through the reference displacement, shape (c,).
+    spread: Array  #: What independent normals are multiplied with, shape (c, c).
+    u: Array  #: Combined standard uncertainty, shape (c,).
+    #: The radius assumed, and what its deviation is divided by before powers are taken.
     radius: float
     scale: float
-    white: float
+    white: float  #: The white noise assumed, m.
 
     @classmethod
     def prepare(
         cls, series: Sequence[Series], request: JointRequest, truth: StudyTruth
     ) -> tuple[JointEngine, tuple[str, ...]]:
-        """Reduce all series and solve once.
-
-        Parameters
-        ----------
-        series
-            Times, rotation and axes of every record; the errors are not looked at. Their order is
-            by run.
-        request
-            With all noise given.
-        truth
-            What is true; its spindles do not vary.
-
-        Returns
-        -------
-        tuple
-            The engine, and the names of the unknowns that the records do not determine.
-        """
+        """Reduce all series and solve once."""
         noise = {name: known.given for name, known in request.noise.items()}
         radius = series[0].trajectory.radius
         # The range of the study conditions the powers of the radius well.

@@ -1,11 +1,4 @@
-"""How a study draws noise: that of whole records, or of the numbers that sum them up.
-
-- `stream`: the random numbers of one batch of trials
-- `NOISE_LEVELS`: the levels that may vary
-- `RecordNoise`: noise of recorded time, angle and displacement
-- `curvature_noise`, `residual_variances`, `estimate_noise`: what it amounts to in the first stage
-  of the two-stage method and in the joint fit
-"""
+"""How a study draws noise: that of whole records, or of the numbers that sum them up."""
 
 from __future__ import annotations
 
@@ -39,14 +32,7 @@ NOISE_STREAM: Final = 1
 def stream(seed: int, batch: int, which: int) -> np.random.Generator:
     """Return the random numbers of one batch, for its truth or for its noise.
 
-    Parameters
-    ----------
-    seed
-        Of the study.
-    batch
-        Number of the batch, from 0.
-    which
-        `TRUTH_STREAM`, `NOISE_STREAM`, or any further whole number.
+    batch: Number of the batch, from 0.
     """
     sequence = np.random.SeedSequence(seed, spawn_key=(batch, which))
     return np.random.Generator(np.random.SFC64(sequence))
@@ -54,27 +40,15 @@ def stream(seed: int, batch: int, which: int) -> np.random.Generator:
 
 @frozen
 class RecordNoise:
-    """Noise of whole records.
+    """Noise of whole records."""
 
-    Attributes
-    ----------
-    white
-        Standard deviation of a sample's displacement, m.
-    random_walk
-        Coefficient N of the accelerometer's white noise, m/s^2/Hz^0.5.
-    quantisation
-        Step of the recorded displacement, m.
-    angle, timing
-        Standard deviations of a recorded angle and of a time stamp, rad and s.
-    flicker, bias_walk
-        Wander of the accelerometer's bias: m/s^2, m/s^2/s^0.5.
-    """
-
-    white: float = 0.0
-    random_walk: float = 0.0
-    quantisation: float = 0.0
+    white: float = 0.0  #: Standard deviation of a sample's displacement, m.
+    random_walk: float = 0.0  #: Coefficient N of the accelerometer's white noise, m/s^2/Hz^0.5.
+    quantisation: float = 0.0  #: Step of the recorded displacement, m.
+    #: Standard deviations of a recorded angle and of a time stamp, rad and s.
     angle: float = 0.0
     timing: float = 0.0
+    #: Wander of the accelerometer's bias: m/s^2, m/s^2/s^0.5.
     flicker: float = 0.0
     bias_walk: float = 0.0
 
@@ -114,16 +88,8 @@ def curvature_noise(
 ) -> Array:
     """Return what white noise adds to b2, m/s^2, shape (runs, trials).
 
-    Parameters
-    ----------
-    generator
-        Random numbers.
-    white
-        Standard deviation of a strobe in each trial, m, shape (trials,) or (1,).
-    sizes
-        sigma/u(b2) of each run, s^2, shape (runs, trials) or (runs, 1).
-    trials
-        How many.
+    white: Standard deviation of a strobe in each trial, m, shape (trials,) or (1,).
+    sizes: sigma/u(b2) of each run, s^2, shape (runs, trials) or (runs, 1).
     """
     noise = generator.standard_normal((sizes.shape[0], trials))
     noise *= white / sizes
@@ -135,12 +101,7 @@ def residual_variances(
 ) -> Array:
     """Return the variance that the residuals of each run show, m^2, shape (runs, trials).
 
-    Parameters
-    ----------
-    generator, white, trials
-        As for `curvature_noise`.
-    dof
-        Degrees of freedom of each run's residuals, shape (runs,).
+    dof: Degrees of freedom of each run's residuals, shape (runs,).
     """
     variances = np.stack([generator.standard_gamma(0.5 * freedom, trials) for freedom in dof])
     variances *= 2.0 * white**2 / dof[:, None]
@@ -152,14 +113,8 @@ def estimate_noise(
 ) -> Array:
     """Return what noise adds to the estimates of a joint fit, shape (c, trials).
 
-    Parameters
-    ----------
-    generator, trials
-        As for `curvature_noise`.
-    spread
-        A square root of the estimates' covariance, shape (c, c).
-    scale
-        True over assumed noise, shape (trials,) or one number.
+    spread: A square root of the estimates' covariance, shape (c, c).
+    scale: True over assumed noise, shape (trials,) or one number.
     """
     noise: Array = spread @ generator.standard_normal((spread.shape[1], trials))
     noise *= scale

@@ -1,10 +1,4 @@
-"""A study as a person reads it: a table for each analysis, the verdict, and figures.
-
-- `render_study`: as something that rich prints
-- `z_plots`, `coverage_plots`, `bias_plots`: how errors are distributed, whether intervals hold the
-  truth, and bias against what varied
-- `write_figures`: all of these, to a folder
-"""
+"""A study as a person reads it: a table for each analysis, the verdict, and figures."""
 
 from __future__ import annotations
 
@@ -191,19 +185,7 @@ def bias_plots(result: StudyResult, driver: str) -> Iterator[Plot]:
 def write_figures(result: StudyResult, folder: Path | str, *, overwrite: bool = False) -> None:
     """Write all figures of a study to a folder, as SVG.
 
-    Parameters
-    ----------
-    result
-        Of the study.
-    folder
-        Where they go; it must be there.
-    overwrite
-        Whether earlier figures may be replaced; no other file is.
-
-    Raises
-    ------
-    CounterspinError
-        If a file is in the way, before any is written, or they cannot be written.
+    overwrite: Whether earlier figures may be replaced; no other file is.
     """
     drivers = dict.fromkeys(driver for _, c in _coefficients(result) for driver in c.against)
     figures = {

@@ -1,10 +1,6 @@
 """Trials of campaigns with readings: simulated without linearisation, analysed as `calibrate` does.
 
 Records of a double turntable, if there are any, are simulated and analysed beside them.
-
-- `ReadingsEngine`: the trials
-- `readings_engine`: from a campaign and what is asked of it
-- `readings_bounds`: the least uncertainty that readings and records allow
 """
 
 from __future__ import annotations
@@ -39,34 +35,18 @@ _NO_NOISE: Final = "the readings have no noise, so that nothing scatters"
 
 @frozen
 class ReadingsEngine:
-    """Trials of one joint analysis of a campaign with readings.
+    """Trials of one joint analysis of a campaign with readings."""
 
-    Attributes
-    ----------
-    request
-        What is asked of the analysis.
-    rows
-        Places of the model's unknowns that are reported.
-    readings
-        Of the campaign, m of them, in its order.
-    groups
-        The same as the fit takes them, with the places of each.
-    noise
-        True standard deviation of the mean of each reading's repeats, g, shape (m,).
-    scattered
-        Degrees of freedom of an uncertainty that is found anew in each trial, as that of a record
-        is; infinite where it is stated; shape (m,).
-    records
-        Trials of the records beside them; None: there are none.
-    """
-
-    request: JointRequest
-    rows: tuple[int, ...]
-    readings: tuple[Reading, ...]
+    request: JointRequest  #: What is asked of the analysis.
+    rows: tuple[int, ...]  #: Places of the model's unknowns that are reported.
+    readings: tuple[Reading, ...]  #: Of the campaign, m of them, in its order.
+    #: The same as the fit takes them, with the places of each.
     groups: tuple[tuple[Readings, tuple[int, ...]], ...]
-    noise: Array
+    noise: Array  #: True standard deviation of the mean of each reading's repeats, g, shape (m,).
+    #: Degrees of freedom of an uncertainty that is found anew in each trial, as that of a record
+    #: is; infinite where it is stated; shape (m,).
     scattered: Array
-    records: FullEngine | None = None
+    records: FullEngine | None = None  #: Trials of the records beside them; None: there are none.
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
         """Return what the analysis says of n trials; see `TwoStageEngine.trials`."""
@@ -128,19 +108,7 @@ def readings_engine(
 ) -> ReadingsEngine:
     """Return the engine of an analysis.
 
-    Parameters
-    ----------
-    campaign
-        With [truth] and readings.
-    request
-        What is asked of the analysis; all its unknowns are reported until some are chosen.
-    records
-        Trials of the campaign's records; None: it has none.
-
-    Raises
-    ------
-    ValueError
-        If readings have no noise.
+    records: Trials of the campaign's records; None: it has none.
     """
     assert campaign.simulation is not None
     known = campaign.simulation.truth.reading_noise
@@ -189,15 +157,6 @@ def readings_bounds(
 
     The bound is that of the true noise, of the unknowns with what is known of them beforehand,
     everything else being known. An unknown that the data do not determine has none.
-
-    Parameters
-    ----------
-    engine
-        Its readings, noise and model.
-    truth
-        Where derivatives are taken.
-    beside
-        Information of records, of the same model.
     """
     model = engine.request.model
     groups = [

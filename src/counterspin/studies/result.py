@@ -1,10 +1,4 @@
-"""The result of a study: figures for each analysis and coefficient, a verdict, JSON.
-
-- `StudyResult`, `AnalysisResult`, `CoefficientResult`, `BiasAgainst`: the figures
-- `coefficient_result`: those of one coefficient, from what its trials amount to
-- `judge`: whether a coefficient's claims hold, in words
-- `verdict_of`: which analyses to trust
-"""
+"""The result of a study: figures for each analysis and coefficient, a verdict, JSON."""
 
 from __future__ import annotations
 
@@ -40,27 +34,10 @@ class BiasAgainst(ResultPart):
 
 
 class CoefficientResult(ResultPart):
-    """One coefficient of one analysis.
+    """One coefficient of one analysis."""
 
-    Attributes
-    ----------
-    unit
-        Of the coefficient.
-    trials, truth, bias, se_bias, sd, mse, u, covered, intervals, histogram
-        As in `counterspin.studies.tally.Summary`.
-    bound
-        The Cramer-Rao bound of the standard uncertainty, or None.
-    efficiency
-        The bound's variance over the mean square error; None without a bound.
-    trustworthy
-        Whether its intervals hold the truth as often as they say; None with too few trials.
-    finding
-        The same in words.
-    against
-        By what varied: the bias against it.
-    """
-
-    unit: str
+    unit: str  #: Of the coefficient.
+    #: As in `counterspin.studies.tally.Summary`.
     trials: int
     truth: float
     bias: float
@@ -71,32 +48,22 @@ class CoefficientResult(ResultPart):
     covered: tuple[float, ...]
     intervals: tuple[tuple[float, float], ...]
     histogram: list[int]
-    bound: float | None
+    bound: float | None  #: The Cramer-Rao bound of the standard uncertainty, or None.
+    #: The bound's variance over the mean square error; None without a bound.
     efficiency: float | None
+    #: Whether its intervals hold the truth as often as they say; None with too few trials.
     trustworthy: bool | None
-    finding: str
-    against: dict[str, BiasAgainst]
+    finding: str  #: The same in words.
+    against: dict[str, BiasAgainst]  #: By what varied: the bias against it.
 
 
 class AnalysisResult(ResultPart):
-    """One competitor.
+    """One competitor."""
 
-    Attributes
-    ----------
-    engine
-        The engine used, in words.
-    trustworthy
-        Whether all its coefficients are; None with too few trials.
-    coefficients
-        What it reports, by owner and symbol.
-    undetermined
-        What the records do not determine.
-    """
-
-    engine: str
-    trustworthy: bool | None
-    coefficients: dict[str, CoefficientResult]
-    undetermined: list[str]
+    engine: str  #: The engine used, in words.
+    trustworthy: bool | None  #: Whether all its coefficients are; None with too few trials.
+    coefficients: dict[str, CoefficientResult]  #: What it reports, by owner and symbol.
+    undetermined: list[str]  #: What the records do not determine.
 
 
 class StudyResult(ShownResult):
@@ -146,19 +113,7 @@ class StudyResult(ShownResult):
 def coefficient_result(
     reported: Reported, unit: str, summary: Summary, drivers: Sequence[str]
 ) -> CoefficientResult:
-    """Return the figures of one coefficient.
-
-    Parameters
-    ----------
-    reported
-        Which coefficient, and its bound.
-    unit
-        Of the coefficient.
-    summary
-        What its trials amount to.
-    drivers
-        The quantities against which the summary gives the bias.
-    """
+    """Return the figures of one coefficient."""
     trustworthy, finding = judge(reported, summary)
     unbounded = reported.bound is None or summary.mse == 0.0
     return CoefficientResult(
@@ -192,15 +147,7 @@ def _numbers(values: Any) -> list[float | None]:
 
 
 def judge(reported: Reported, summary: Summary) -> tuple[bool | None, str]:
-    """Return whether a coefficient's claims hold, and why or why not; None: too few trials.
-
-    Parameters
-    ----------
-    reported
-        Which coefficient.
-    summary
-        What its trials amount to.
-    """
+    """Return whether a coefficient's claims hold, and why or why not; None: too few trials."""
     share, (low, high) = summary.covered[1], summary.intervals[1]
     biased = (
         abs(summary.bias) > 3.0 * summary.se_bias and abs(summary.bias) > _LARGEST_BIAS * summary.u

@@ -7,10 +7,6 @@ A double integral e(t) = int (t - s) f(s) ds therefore adds
 
 one integral with a kernel that is linear between strobes and zero outside them. Two panels of
 twelve Gauss-Legendre nodes between neighbouring strobes give it to rounding.
-
-- `StrobedMotion`: one run, its strobe angles and axes
-- `effects`: b2 per unit of each term, by quadrature
-- `obstacle`: why this quadrature cannot take a term
 """
 
 from __future__ import annotations
@@ -50,27 +46,14 @@ _X, _W = _between()
 
 @frozen
 class StrobedMotion:
-    """One run as the strobes see it.
+    """One run as the strobes see it."""
 
-    Attributes
-    ----------
-    spindle
-        Rate, start angle and the harmonics beyond the first; drift and first harmonic vary.
-    angles
-        Spindle angles of the strobes, rad, shape (m,).
-    mounting
-        The axes in the run's attitude.
-    attitude
-        The platform's attitude, shape (3, 3).
-    site
-        Where the centrifuge stands.
-    """
-
+    #: Rate, start angle and the harmonics beyond the first; drift and first harmonic vary.
     spindle: Spindle
-    angles: Array
-    mounting: Mounting
-    attitude: Array
-    site: Site
+    angles: Array  #: Spindle angles of the strobes, rad, shape (m,).
+    mounting: Mounting  #: The axes in the run's attitude.
+    attitude: Array  #: The platform's attitude, shape (3, 3).
+    site: Site  #: Where the centrifuge stands.
 
     @classmethod
     def of(
@@ -120,24 +103,10 @@ def effects(
 ) -> tuple[Array, Array]:
     """Return b2 per unit coefficient, and what the noise of a strobe is divided by in b2.
 
-    Parameters
-    ----------
-    motion
-        The run.
-    symbols
-        Terms, q of them, none with an `obstacle`. The platform's are seen with a scale factor of 1.
-    drift, ripple_cos, ripple_sin, radius
-        Of each of n rotations, shape (n,): 1/s, ratios, m.
-
-    Returns
-    -------
-    tuple
-        b2 per unit in m/s^2, shape (q, n), and sigma/u(b2) in s^2, shape (n,).
-
-    Raises
-    ------
-    ConvergenceError
-        If the ripple stops the spindle.
+    symbols: Terms, q of them, none with an `obstacle`. The platform's are seen with a scale factor
+        of 1.
+    drift, ripple_cos, ripple_sin, radius: Of each of n rotations, shape (n,): 1/s, ratios, m.
+    Returns: b2 per unit in m/s^2, shape (q, n), and sigma/u(b2) in s^2, shape (n,).
     """
     n = drift.size
     curvatures = np.empty((len(symbols), n))

@@ -1,7 +1,4 @@
-"""`counterspin study`: whether a campaign, analysed so, gives the uncertainty it claims.
-
-- `study`: many trials of a campaign with known coefficients, and what its analyses make of them
-"""
+"""`counterspin study`: whether a campaign, analysed so, gives the uncertainty it claims."""
 
 from __future__ import annotations
 

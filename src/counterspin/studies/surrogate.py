@@ -5,9 +5,6 @@ the drift, of the first harmonic's cosine and sine parts, and of the radius. A p
 fourth degree through points computed by quadrature stands for it inside a box, whose corners and
 inside are checked when it is made. Quantities that do not vary take no part; where none varies
 the polynomial is a constant.
-
-- `Surrogate`: the polynomials of one run
-- `box_of`: how large the box may be
 """
 
 from __future__ import annotations
@@ -61,12 +58,7 @@ class Box:
 def box_of(motion: StrobedMotion, bounds: Array) -> Box:
     """Return the box that holds what a study draws, or as much of it as a surrogate may hold.
 
-    Parameters
-    ----------
-    motion
-        The run.
-    bounds
-        Least and greatest drift, ripple's cosine and sine parts and radius, shape (4, 2).
+    bounds: Least and greatest drift, ripple's cosine and sine parts and radius, shape (4, 2).
     """
     turned = float(np.max(np.abs(motion.angles - motion.spindle.start_angle)))
     duration = turned / abs(motion.spindle.rate)
@@ -92,38 +84,22 @@ def box_of(motion: StrobedMotion, bounds: Array) -> Box:
 
 @frozen
 class Surrogate:
-    """The effects of a run's terms as polynomials.
+    """The effects of a run's terms as polynomials."""
 
-    Attributes
-    ----------
-    box
-        Where they hold.
-    powers
-        Of the varying quantities, one row for each monomial; those without the radius first.
-    with_radius, without_radius
-        Coefficients: of the effects at the true radius, shape (q, monomials), and at the assumed
-        radius with sigma/u(b2) as last row, shape (q + 1, monomials without the radius).
-    error
-        The largest error found in the check, in parts of each one's largest value.
-    """
-
-    box: Box
+    box: Box  #: Where they hold.
+    #: Of the varying quantities, one row for each monomial; those without the radius first.
     powers: tuple[tuple[int, ...], ...]
+    #: Coefficients: of the effects at the true radius, shape (q, monomials), and at the assumed
+    #: radius with sigma/u(b2) as last row, shape (q + 1, monomials without the radius).
     with_radius: Array
     without_radius: Array
-    error: float
+    error: float  #: The largest error found in the check, in parts of each one's largest value.
 
     @classmethod
     def fit(
         cls, motion: StrobedMotion, symbols: Sequence[str], box: Box, assumed_radius: float
     ) -> Surrogate:
-        """Make the polynomials of a run and check them.
-
-        Raises
-        ------
-        ConvergenceError
-            If the check finds an error beyond 1e-9 of a term's largest value.
-        """
+        """Make the polynomials of a run and check them."""
         places = box.varies
         has_radius = 3 in places
         powers = sorted(_powers(places.size), key=lambda p: (bool(has_radius and p[-1]), sum(p)))

@@ -2,10 +2,6 @@
 
 Trials are summed up batch by batch in arrays of fixed shape, which are put together in the order
 of the batches. So the result does not depend on who computed which batch.
-
-- `Tally`: what is counted
-- `Summary`, `summarise`: what it says
-- `binomial_interval`: how well a share is known from a number of trials
 """
 
 from __future__ import annotations
@@ -41,32 +37,19 @@ _FIRST_DRIVER: Final = _HISTOGRAM.stop
 
 @frozen
 class Driver:
-    """A varying quantity against which the bias is shown.
+    """A varying quantity against which the bias is shown."""
 
-    Attributes
-    ----------
-    symbol
-        Which.
-    low, high
-        Between which values it is divided into bins.
-    """
-
-    symbol: str
+    symbol: str  #: Which.
+    #: Between which values it is divided into bins.
     low: float
     high: float
 
 
 @frozen
 class Tally:
-    """What is counted of each coefficient.
+    """What is counted of each coefficient."""
 
-    Attributes
-    ----------
-    drivers
-        Quantities against which the bias is shown.
-    """
-
-    drivers: tuple[Driver, ...]
+    drivers: tuple[Driver, ...]  #: Quantities against which the bias is shown.
 
     @property
     def width(self) -> int:
@@ -78,17 +61,9 @@ class Tally:
     ) -> Array:
         """Sum up one coefficient in one batch of n trials.
 
-        Parameters
-        ----------
-        estimate, truth, u, dof
-            Shape (n,).
-        driven
-            The drivers' values, each of shape (n,).
-
-        Returns
-        -------
-        Array
-            Shape (width,).
+        estimate, truth, u, dof: Shape (n,).
+        driven: The drivers' values, each of shape (n,).
+        Returns: shape (width,).
         """
         kept = np.zeros(self.width)
         error = estimate - truth
@@ -146,52 +121,30 @@ def coverage_factor(dof: Array, level: float) -> Array:
 
 @frozen
 class Summary:
-    """What the trials of one coefficient amount to.
+    """What the trials of one coefficient amount to."""
 
-    Attributes
-    ----------
-    trials
-        How many.
-    truth
-        Mean of what was true.
-    bias, se_bias
-        Mean of estimate less truth, and its standard error.
-    sd, mse
-        Standard deviation and mean square of estimate less truth.
-    u
-        Mean of the standard uncertainty claimed.
-    covered
-        Share of trials whose interval held the truth, for each of `LEVELS`.
-    intervals
-        The binomial 95 % interval of each share.
-    histogram
-        Trials in each bin of z, those beyond the ends first and last, shape (Z_BINS + 2,).
-    drivers
-        For each driver: centre of bin, trials, bias, its standard error, each (DRIVER_BINS,).
-    """
-
-    trials: int
-    truth: float
+    trials: int  #: How many.
+    truth: float  #: Mean of what was true.
+    #: Mean of estimate less truth, and its standard error.
     bias: float
     se_bias: float
+    #: Standard deviation and mean square of estimate less truth.
     sd: float
     mse: float
-    u: float
+    u: float  #: Mean of the standard uncertainty claimed.
+    #: Share of trials whose interval held the truth, for each of `LEVELS`.
     covered: tuple[float, ...]
-    intervals: tuple[tuple[float, float], ...]
+    intervals: tuple[tuple[float, float], ...]  #: The binomial 95 % interval of each share.
+    #: Trials in each bin of z, those beyond the ends first and last, shape (Z_BINS + 2,).
     histogram: npt.NDArray[np.int64]
+    #: For each driver: centre of bin, trials, bias, its standard error, each (DRIVER_BINS,).
     drivers: tuple[tuple[Array, Array, Array, Array], ...]
 
 
 def summarise(tally: Tally, batches: Array) -> Summary:
     """Put the batches of one coefficient together.
 
-    Parameters
-    ----------
-    tally
-        What was counted.
-    batches
-        Shape (batches, width), in the order of the batches.
+    batches: Shape (batches, width), in the order of the batches.
     """
     counts = batches[:, 0]
     n = float(counts.sum())
@@ -225,13 +178,7 @@ def summarise(tally: Tally, batches: Array) -> Summary:
 
 
 def binomial_interval(hits: float, trials: float) -> tuple[float, float]:
-    """Return the 95 % Clopper-Pearson interval of a share (Biometrika 26, 404, 1934).
-
-    Parameters
-    ----------
-    hits, trials
-        How many of how many.
-    """
+    """Return the 95 % Clopper-Pearson interval of a share (Biometrika 26, 404, 1934)."""
     from scipy.special import betaincinv
 
     tail = 0.025

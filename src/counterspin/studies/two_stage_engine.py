@@ -4,9 +4,6 @@ With white Gaussian noise the first stage of a run is summed up by b2, which is 
 the errors add to it, and by the sum of squared residuals, a chi-square. Neither needs the strobes
 themselves. The second stage then is a small least-squares problem, solved for all trials of a
 batch at once. One reading is taken at each strobe, as the paper's plan has it.
-
-- `Trials`: what an analysis says in many trials
-- `TwoStageEngine`: the trials of one analysis
 """
 
 from __future__ import annotations
@@ -30,61 +27,29 @@ from counterspin.studies.surrogate import Surrogate
 
 @frozen
 class Trials:
-    """What an analysis says in n trials.
+    """What an analysis says in n trials."""
 
-    Attributes
-    ----------
-    estimate, u
-        Of each coefficient, shape (c, n); u is the combined standard uncertainty.
-    dof
-        Its effective degrees of freedom, shape (c, n); infinite where noise is given.
-    """
-
+    #: Of each coefficient, shape (c, n); u is the combined standard uncertainty.
     estimate: Array
     u: Array
-    dof: Array
+    dof: Array  #: Its effective degrees of freedom, shape (c, n); infinite where noise is given.
 
 
 @frozen
 class TwoStageEngine:
-    """Trials of one accelerometer's two-stage analysis.
+    """Trials of one accelerometer's two-stage analysis."""
 
-    Attributes
-    ----------
-    request
-        What the analysis estimates and takes as known.
-    owner
-        The accelerometer.
-    motions
-        The runs.
-    symbols
-        The terms whose effects are computed: what is true, and what the analysis knows of.
-    true
-        Those that are true: (owner, symbol).
-    surrogates
-        Of each run; None: quadrature for every trial.
-    radius
-        As the analysis assumes it, m.
-    """
-
-    request: TwoStageRequest
-    owner: str
-    motions: tuple[StrobedMotion, ...]
+    request: TwoStageRequest  #: What the analysis estimates and takes as known.
+    owner: str  #: The accelerometer.
+    motions: tuple[StrobedMotion, ...]  #: The runs.
+    #: The terms whose effects are computed: what is true, and what the analysis knows of.
     symbols: tuple[str, ...]
-    true: tuple[tuple[str, str], ...]
-    surrogates: tuple[Surrogate, ...] | None
-    radius: float
+    true: tuple[tuple[str, str], ...]  #: Those that are true: (owner, symbol).
+    surrogates: tuple[Surrogate, ...] | None  #: Of each run; None: quadrature for every trial.
+    radius: float  #: As the analysis assumes it, m.
 
     def trials(self, draws: Draws, generator: np.random.Generator) -> Trials:
-        """Return what the analysis says.
-
-        Parameters
-        ----------
-        draws
-            The truth of n trials.
-        generator
-            Of the noise.
-        """
+        """Return what the analysis says."""
         n, runs = draws.trials, len(self.motions)
         seen = [self._effects(draws, run) for run in range(runs)]
         assumed = _stacked([part for _, part, _ in seen], 1)  # (q, runs, n or 1)

@@ -1,8 +1,4 @@
-"""Where the shortcuts of a study hold; each reason against one is a sentence for the user.
-
-- `against_strobes`: sufficient statistics of the two-stage method
-- `against_joint`: sufficient statistics of the joint fit
-"""
+"""Where the shortcuts of a study hold; each reason against one is a sentence for the user."""
 
 from __future__ import annotations
 

@@ -3,10 +3,6 @@
 Work is handed out in tasks of whole batches. What a batch gives depends on its number alone, so
 that results are the same however the work is shared out. A task that is lost with its worker is
 handed out again, and counts once.
-
-- `Ledger`: which batches are done, and what they gave
-- `expected_duration`: how long the work will take
-- `run_batches`: do what is not done yet
 """
 
 from __future__ import annotations
@@ -55,14 +51,7 @@ _TRIAL_DURATIONS: Final = {
 class Ledger:
     """Which batches of a study are done, and what they gave.
 
-    Parameters
-    ----------
-    engine
-        The study.
-    trials
-        How many in all.
-    keep
-        Whether each trial is kept.
+    keep: Whether each trial is kept.
     """
 
     def __init__(self, engine: StudyEngine, trials: int, *, keep: bool = False) -> None:
@@ -137,33 +126,13 @@ def run_batches(
 ) -> bool:
     """Do every batch that is not done yet.
 
-    Parameters
-    ----------
-    engine
-        The study.
-    ledger
-        Where results are entered.
-    workers
-        How many processes, or which cluster's.
-    pool
-        Workers that are there already; None: they are started. Should they die, others are
+    workers: How many processes, or which cluster's.
+    pool: Workers that are there already; None: they are started. Should they die, others are
         started in their place.
-    progress
-        Called with (trials done, trials in all).
-    save
-        Called now and then and at the end, to keep a copy of the ledger.
-    batches_per_task
-        How many batches are handed out at once; by default about a third of a second's work.
-
-    Returns
-    -------
-    bool
-        Whether all is done; False if it was interrupted from the keyboard.
-
-    Raises
-    ------
-    CounterspinError
-        If workers die again and again, or the cluster cannot be reached or is lost.
+    progress: Called with (trials done, trials in all).
+    save: Called now and then and at the end, to keep a copy of the ledger.
+    batches_per_task: How many batches are handed out at once; by default about a third of a
+        second's work.
     """
     cost = sum(_TRIAL_DURATIONS[part.kind] for part in engine.parts) * engine.batch_size
     size = batches_per_task or max(1, min(64, round(_TASK_DURATION / cost)))

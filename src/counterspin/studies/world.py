@@ -1,8 +1,4 @@
-"""What a study simulates: runs, accelerometers, site, noise.
-
-- `World`: a campaign as it is simulated
-- `world_of`: from a study's description
-"""
+"""What a study simulates: runs, accelerometers, site, noise."""
 
 from __future__ import annotations
 
@@ -31,39 +27,21 @@ _FEWEST_SAMPLES: Final = 3
 
 @frozen
 class World:
-    """A campaign as it is simulated.
+    """A campaign as it is simulated."""
 
-    Attributes
-    ----------
-    runs
-        Names.
-    spindles, attitudes, durations
-        Of each run; the spindles with what does not vary.
-    mountings
-        Accelerometer -> its axes; all record displacement.
-    site, radius
-        As the analyses assume them.
-    sampling_rate
-        Hz.
-    angle_recorded
-        Whether the records have an angle.
-    noise
-        Of the records, where it does not vary.
-    conditions
-        Of each run.
-    """
-
-    runs: tuple[str, ...]
+    runs: tuple[str, ...]  #: Names.
+    #: Of each run; the spindles with what does not vary.
     spindles: tuple[Spindle, ...]
     attitudes: tuple[Array, ...]
     durations: tuple[float, ...]
-    mountings: Mapping[str, Mounting]
+    mountings: Mapping[str, Mounting]  #: Accelerometer -> its axes; all record displacement.
+    #: As the analyses assume them.
     site: Site
     radius: float
-    sampling_rate: float
-    angle_recorded: bool
-    noise: RecordNoise
-    conditions: tuple[RunConditions, ...]
+    sampling_rate: float  #: Hz.
+    angle_recorded: bool  #: Whether the records have an angle.
+    noise: RecordNoise  #: Of the records, where it does not vary.
+    conditions: tuple[RunConditions, ...]  #: Of each run.
 
     def times(self, run: int) -> Array:
         """Return the times of a run's samples, s."""
@@ -105,13 +83,7 @@ class World:
 
 
 def world_of(campaign: Campaign) -> World:
-    """Return what is simulated.
-
-    Raises
-    ------
-    CampaignError
-        If an accelerometer's record is no displacement, or a run has too few samples.
-    """
+    """Return what is simulated."""
     others = [a.name for a in campaign.accelerometers.values() if a.observable != "displacement"]
     if others:
         raise CampaignError(

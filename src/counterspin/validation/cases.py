@@ -1,9 +1,6 @@
 """The reference cases: what is asked, what is expected, where that comes from, how close.
 
 They are data, in ``data/cases.json``, and the project's own tests take them from here.
-
-- `Case`: one of them; `cases`: all; `case`: one by its name
-- `DATA`: the folder; `document`: a file of it
 """
 
 from __future__ import annotations
@@ -26,33 +23,17 @@ DATA: Final = Path(__file__).parent / "data"
 
 @frozen
 class Case:
-    """One reference case.
+    """One reference case."""
 
-    Attributes
-    ----------
-    name
-        By which it is known.
-    requirement
-        What it belongs to: physics, spindle, least squares ...
-    kernel
-        The function that is asked, as ``module:name``.
-    source
-        Where the expected values come from: document and place, closed form, or script.
-    given
-        What the function is given.
-    stated
-        What is expected, name -> values; None: `given` names the file where that stands.
-    relative, absolute
-        Largest difference, as a part of the expected value and in its unit; both together where
-        both are stated. `absolute` may be one number, or by name.
-    """
-
-    name: str
-    requirement: str
-    kernel: str
-    source: str
-    given: Mapping[str, Any]
+    name: str  #: By which it is known.
+    requirement: str  #: What it belongs to: physics, spindle, least squares ...
+    kernel: str  #: The function that is asked, as ``module:name``.
+    source: str  #: Where the expected values come from: document and place, closed form, or script.
+    given: Mapping[str, Any]  #: What the function is given.
+    #: What is expected, name -> values; None: `given` names the file where that stands.
     stated: Mapping[str, Any] | None
+    #: Largest difference, as a part of the expected value and in its unit; both together where both
+    #: are stated. `absolute` may be one number, or by name.
     relative: float
     absolute: float | Mapping[str, Any]
 

@@ -1,10 +1,4 @@
-"""What is read from files: records of every format, a campaign, and a certificate's numbers.
-
-- `read_record`: rows of a record; `joint_fit`: the coefficients of a campaign
-- `read_back`: a result through its certificate; `check_schema`: the certificate and the schema
-- `verify`: a signature
-- `NotAvailableError`: a package or the schema is not there
-"""
+"""What is read from files: records of every format, a campaign, and a certificate's numbers."""
 
 from __future__ import annotations
 

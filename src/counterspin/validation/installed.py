@@ -1,8 +1,4 @@
-"""What is installed: versions, environment, and whether the package's files are as delivered.
-
-- `installation`: all of it, an `Installation`
-- `checked_files`: files against the hashes of a wheel's RECORD
-"""
+"""What is installed: versions, environment, and whether the package's files are as delivered."""
 
 from __future__ import annotations
 
@@ -58,20 +54,7 @@ def installation() -> Installation:
 def checked_files(record: str, folder: Path) -> tuple[dict[str, str], list[str], list[str]]:
     """Compare the package's files with the hashes of a wheel's RECORD.
 
-    Parameters
-    ----------
-    record
-        Text of RECORD: CSV of path, ``sha256=`` and the hash in base64 for URLs, size.
-    folder
-        Of the package.
-
-    Returns
-    -------
-    files : dict
-        Recorded files of the package, relative to its folder -> hash; none where it was installed
-        in place (editable).
-    altered, missing : list of str
-        Those whose content is another, and those that are not there.
+    record: Text of RECORD: CSV of path, ``sha256=`` and the hash in base64 for URLs, size.
     """
     files, altered, missing = dict[str, str](), list[str](), list[str]()
     for path, stated, *_ in csv.reader(record.splitlines()):

@@ -1,9 +1,6 @@
 """How each function that a case names is asked, and what of its answer is compared.
 
 Functions are looked up in their modules each time, so that what is asked is what others use.
-
-- `ask`: a case's function, name -> values
-- `NotAvailableError`: the function needs a package that is not installed
 """
 
 from __future__ import annotations
@@ -34,13 +31,7 @@ Found = Mapping[str, Any]
 
 
 def ask(case: Case) -> dict[str, Any]:
-    """Return what the function of a case says: name -> values, in the shapes of `expected`.
-
-    Raises
-    ------
-    NotAvailableError
-        If it needs a package that is not installed.
-    """
+    """Return what the function of a case says: name -> values, in the shapes of `expected`."""
     module, _, name = case.kernel.partition(":")
     return dict(_ASKED[name](import_module(module), case.given))
 

@@ -1,8 +1,4 @@
-"""The dossier as a person reads it.
-
-- `render_dossier`: the answer, as something that rich prints; `dossier_blocks`: all of it
-- `publication`: all of it as a report; `KIND`: what each file of it says that it is
-"""
+"""The dossier as a person reads it."""
 
 from __future__ import annotations
 

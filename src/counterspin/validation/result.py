@@ -1,8 +1,4 @@
-"""The dossier and its JSON.
-
-- `Dossier`: all of it; `Installation`: what is installed
-- `CheckedCase`: a case with its worst number
-"""
+"""The dossier and its JSON."""
 
 from __future__ import annotations
 
@@ -13,70 +9,43 @@ from counterspin.results import ResultPart
 
 
 class Installation(ResultPart):
-    """What is installed.
+    """What is installed."""
 
-    Attributes
-    ----------
-    version
-        Of counterspin.
-    environment
-        Python, NumPy, SciPy, the machine.
-    packages
-        What counterspin needs -> its version.
-    files, checksum
-        Number of the package's own files, and one SHA-256 over their names and contents.
-    recorded
-        Files whose hash the installation's RECORD states; 0 where there is none, as of a package
-        that was installed in place.
-    altered, missing, unknown
-        Files that differ from their hash, that are gone, and that RECORD does not know.
-    """
-
-    version: str
-    environment: dict[str, str]
-    packages: dict[str, str]
+    version: str  #: Of counterspin.
+    environment: dict[str, str]  #: Python, NumPy, SciPy, the machine.
+    packages: dict[str, str]  #: What counterspin needs -> its version.
+    #: Number of the package's own files, and one SHA-256 over their names and contents.
     files: int
     checksum: str
+    #: Files whose hash the installation's RECORD states; 0 where there is none, as of a package
+    #: that was installed in place.
     recorded: int
+    #: Files that differ from their hash, that are gone, and that RECORD does not know.
     altered: list[str]
     missing: list[str]
     unknown: list[str]
 
 
 class CheckedCase(ResultPart):
-    """A case and how close what was found came.
+    """A case and how close what was found came."""
 
-    Attributes
-    ----------
-    name, requirement, kernel, source
-        As the case states them.
-    state
-        ``passed``, ``failed``, or ``not run`` because a package is not installed.
-    numbers
-        How many were compared.
-    quantity, expected, found
-        The number that came nearest to its limit, or beyond it by most.
-    digits
-        Right digits of that number: -log10 of the relative difference, at most 16; None where
-        nothing was expected but 0, or where nothing was found.
-    limit
-        Largest difference allowed of that number.
-    note
-        What went wrong where nothing could be compared.
-    """
-
+    #: As the case states them.
     name: str
     requirement: str
     kernel: str
     source: str
+    #: ``passed``, ``failed``, or ``not run`` because a package is not installed.
     state: Literal["passed", "failed", "not run"]
-    numbers: int
+    numbers: int  #: How many were compared.
+    #: The number that came nearest to its limit, or beyond it by most.
     quantity: str
     expected: float | None
     found: float | None
+    #: Right digits of that number: -log10 of the relative difference, at most 16; None where
+    #: nothing was expected but 0, or where nothing was found.
     digits: float | None
-    limit: float | None
-    note: str = ""
+    limit: float | None  #: Largest difference allowed of that number.
+    note: str = ""  #: What went wrong where nothing could be compared.
 
 
 class Dossier(ShownResult):

@@ -1,8 +1,4 @@
-"""`counterspin validate`: run the reference cases on what is installed.
-
-- `validate`: a `Dossier`; `write_dossier`: its three files in a folder
-- `DOSSIER_FILES`: their names
-"""
+"""`counterspin validate`: run the reference cases on what is installed."""
 
 from __future__ import annotations
 

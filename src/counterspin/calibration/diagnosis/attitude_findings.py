@@ -1,8 +1,4 @@
-"""Whether the platform's attitude is small enough for a theory of first order.
-
-- `shared_findings`: what speaks against the unknowns that all share, a large drift among it
-- `large_tilts`: tilts whose second order would move a coefficient by more than its u
-"""
+"""Whether the platform's attitude is small enough for a theory of first order."""
 
 from __future__ import annotations
 
@@ -62,15 +58,6 @@ def large_tilts(
     is not in the columns, nor is what the second moves of a_I^2. Along the input axis they look
     like a scale factor, (psi_I^2 - psi^2)/2 and 2 K_II (psi x g)_I/g, and like a bias,
     psi_I psi_up/2.
-
-    Parameters
-    ----------
-    campaign
-        The description.
-    runs
-        Run -> symbol -> tilts that were estimated; those that are considered are of `campaign`.
-    accelerometers
-        By name, with their coefficients.
     """
     worst: dict[str, Finding] = {}
     for run in campaign.runs:

@@ -1,10 +1,4 @@
-"""Causes beside what they account for: one finding for each cause, the others below it.
-
-- `Cause`: a cause that was found
-- `below_causes`: findings with what a cause accounts for moved below it; `merged`: over several
-  accelerometers
-- `ACCOUNTABLE`: what a cause can account for
-"""
+"""Causes beside what they account for: one finding for each cause, the others below it."""
 
 from __future__ import annotations
 
@@ -32,21 +26,12 @@ _PART_LEFT: Final = 0.2
 
 @frozen
 class Cause:
-    """A cause that was found.
+    """A cause that was found."""
 
-    Attributes
-    ----------
-    finding
-        What is said of it.
-    accelerometers
-        Whose results it concerns.
-    remaining
-        Code and subject of what the checks would still find if it were put right, and its size.
-        The two-stage method is not tried again: its disagreement remains where a lack of fit does.
-    """
-
-    finding: Finding
-    accelerometers: tuple[str, ...]
+    finding: Finding  #: What is said of it.
+    accelerometers: tuple[str, ...]  #: Whose results it concerns.
+    #: Code and subject of what the checks would still find if it were put right, and its size. The
+    #: two-stage method is not tried again: its disagreement remains where a lack of fit does.
     remaining: Mapping[tuple[str, str], float]
 
     def accounts_for(self, name: str, found: Finding) -> bool:
@@ -63,17 +48,7 @@ class Cause:
 
 
 def below_causes(name: str, found: Iterable[Finding], causes: Sequence[Cause]) -> list[Finding]:
-    """Return the causes of an accelerometer's findings, then what they do not account for.
-
-    Parameters
-    ----------
-    name
-        The accelerometer.
-    found
-        Its findings.
-    causes
-        Of all accelerometers, in the order in which they were found.
-    """
+    """Return the causes of an accelerometer's findings, then what they do not account for."""
     left, heads = list(found), []
     for cause in causes:
         if name not in cause.accelerometers:

@@ -3,10 +3,6 @@
 With the sign of all readings reversed a fit is as good as before; only its K_I says that something
 is wrong, near -1. So each estimate is compared with its largest credible size about what it ideally
 is, three of its standard uncertainties allowed.
-
-- `incredible`: the finding on the coefficients of one accelerometer
-- `incredible_shared`: those on what platform and machine have
-- `beyond_typical`: those on what nothing states
 """
 
 from __future__ import annotations
@@ -60,12 +56,7 @@ def incredible(
 
     A wrong scale factor makes the others wrong by as much: they stand below it.
 
-    Parameters
-    ----------
-    campaign, name
-        The description and one of its accelerometers.
-    coefficients
-        Symbol -> estimate, in g-units.
+    coefficients: Symbol -> estimate, in g-units.
     """
     found = {
         symbol: finding
@@ -85,12 +76,7 @@ def incredible_shared(
 ) -> Iterator[Finding]:
     """Yield the findings on what platform, machine and runs have; deviations from nominal, SI.
 
-    Parameters
-    ----------
-    campaign
-        The description.
-    coefficients
-        Unknown -> estimate; radii of mountings as deviations from the centrifuge's.
+    coefficients: Unknown -> estimate; radii of mountings as deviations from the centrifuge's.
     """
     for unknown, c in coefficients.items():
         if is_term(unknown.symbol):
@@ -100,13 +86,7 @@ def incredible_shared(
 
 
 def beyond_typical(rests_on: Sequence[Knowledge]) -> Iterator[Finding]:
-    """Yield a finding for each thing unstated that comes out far from nothing.
-
-    Parameters
-    ----------
-    rests_on
-        What is known beside the data, with what the fit makes of it.
-    """
+    """Yield a finding for each thing unstated that comes out far from nothing."""
     for row in rests_on:
         if row.kind != "unstated" or row.found is None or row.u_found is None:
             continue

@@ -1,8 +1,4 @@
-"""What speaks against readings: residuals that are no noise, positions off, records of outliers.
-
-- `readings_fit`: residuals that are not noise, what they follow, and whether they can be judged
-- `outlying_readings`: positions that stand out; `outliers_of_means`: records that lost many rows
-"""
+"""What speaks against readings: residuals that are no noise, positions off, records of outliers."""
 
 from __future__ import annotations
 

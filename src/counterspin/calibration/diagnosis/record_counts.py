@@ -1,8 +1,4 @@
-"""What reading a record found, as a result states it: of a run, and of a reading that is a mean.
-
-- `counts_of`, `rejected_of`: how many rows of each kind; how many samples were not used
-- `many_outliers`: the finding that too many of them were outliers
-"""
+"""What reading a record found, as a result states it: of a run, and of a reading that is a mean."""
 
 from __future__ import annotations
 

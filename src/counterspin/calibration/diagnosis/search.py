@@ -4,8 +4,6 @@ Priors are always held to the records, for that is algebra on the solved equatio
 mistakes that are likely are tried only where something is suspicious: residuals, runs or priors.
 The best explanation is taken into the fit, with noise estimated again where it was estimated, and
 the search goes on beside it until nothing explains anything better.
-
-- `causes_of`: the causes found in a joint fit
 """
 
 from __future__ import annotations
@@ -111,15 +109,7 @@ _KINDS_WITH_A_TIME: Final = (mistakes.JUMP, mistakes.SLOPE)  # in a record
 def causes_of(
     views: Sequence[AccelerometerView], results: Mapping[str, AccelerometerResult]
 ) -> tuple[Cause, ...]:
-    """Return the causes of what is found against a joint fit, the main one first.
-
-    Parameters
-    ----------
-    views
-        Of all accelerometers of the fit.
-    results
-        What its checks found, by accelerometer.
-    """
+    """Return the causes of what is found against a joint fit, the main one first."""
     estimated = views[0].estimate
     read = [part for view in views for part in view.readings]
     given = not estimated.components and all(math.isinf(part.dof) for part in read)

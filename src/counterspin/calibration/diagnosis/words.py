@@ -1,8 +1,4 @@
-"""What is said of the cause of a misfit.
-
-- `Explanation`: an alternative that explains the records; `Described`: in words
-- `conflict`: that a prior and the records do not agree
-"""
+"""What is said of the cause of a misfit."""
 
 from __future__ import annotations
 
@@ -38,41 +34,23 @@ _RATIO_TOLERANCE: Final = 0.02
 
 @frozen
 class Described:
-    """An alternative in words.
+    """An alternative in words."""
 
-    Attributes
-    ----------
-    code, subject, text
-        As of a finding.
-    name
-        What it is called in the list of those that explain the records as well.
-    """
-
+    #: As of a finding.
     code: str
     subject: str
     text: str
-    name: str
+    name: str  #: What it is called in the list of those that explain the records as well.
 
 
 @frozen
 class Explanation:
-    """An alternative that explains the records.
+    """An alternative that explains the records."""
 
-    Attributes
-    ----------
-    campaign
-        The description.
-    fit
-        The relaxed fit that it was held against.
-    other
-        The alternative.
-    value, u
-        The estimate of its parameter and its standard uncertainty, in SI or g-units.
-    """
-
-    campaign: Campaign
-    fit: JointFit
-    other: Alternative
+    campaign: Campaign  #: The description.
+    fit: JointFit  #: The relaxed fit that it was held against.
+    other: Alternative  #: The alternative.
+    #: The estimate of its parameter and its standard uncertainty, in SI or g-units.
     value: float
     u: float
 
@@ -223,19 +201,7 @@ class Explanation:
 def conflict(
     name: str, stated: tuple[float, float], found: tuple[float, float], size: float, unit: str
 ) -> str:
-    """Return what is said of a prior that the records contradict.
-
-    Parameters
-    ----------
-    name
-        Of the term.
-    stated, found
-        Value and standard uncertainty beforehand, and without it.
-    size
-        Their distance over its own standard uncertainty.
-    unit
-        Of the values.
-    """
+    """Return what is said of a prior that the records contradict."""
     text = (
         f"{name} is stated as {_shown(*stated, unit)}; the records and all else that is known say "
         f"{_shown(*found, unit)}, {size:.1f} standard uncertainties of the difference away"

@@ -1,8 +1,4 @@
-"""Square matrices whose rows and columns have names.
-
-- `Labelled`: what they have in common: a look-up by name, arrays, frames, a short display
-- `Covariance`: of the coefficients of a result
-"""
+"""Square matrices whose rows and columns have names."""
 
 from __future__ import annotations
 
@@ -41,13 +37,7 @@ class Labelled:
         raise NotImplementedError
 
     def __getitem__(self, key: Any) -> Any:
-        """Return the element of two names, or the array of a list of names.
-
-        Raises
-        ------
-        KeyError
-            If there is no such name; the message lists those that there are.
-        """
+        """Return the element of two names, or the array of a list of names."""
         if isinstance(key, tuple):
             row, column = (self._place(name) for name in key)
             return float(self.values[row, column])
@@ -120,21 +110,11 @@ class Labelled:
 
 @frozen(eq=False)
 class Covariance(Labelled):
-    """Covariance matrix of the coefficients of a result.
+    """Covariance matrix of the coefficients of a result."""
 
-    Attributes
-    ----------
-    terms
-        Names such as ``Qx.K_II``, p of them.
-    matrix
-        Covariances in the units of the coefficients, shape (p, p).
-    units
-        Those units, p of them.
-    """
-
-    terms: tuple[str, ...]
-    matrix: Array
-    units: tuple[str, ...]
+    terms: tuple[str, ...]  #: Names such as ``Qx.K_II``, p of them.
+    matrix: Array  #: Covariances in the units of the coefficients, shape (p, p).
+    units: tuple[str, ...]  #: Those units, p of them.
 
     @property
     def labels(self) -> tuple[str, ...]:

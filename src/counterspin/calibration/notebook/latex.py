@@ -1,10 +1,4 @@
-r"""Symbols, numbers and units as LaTeX, for a formula of one's own paper.
-
-- `latex_symbol`: ``K_{\mathrm{II}}``
-- `latex_number`: ``2.70445(37) \times 10^{-5}``
-- `latex_unit`: ``\mathrm{\mu g/g^{2}}``
-- `latex_text`: words outside formulas
-"""
+r"""Symbols, numbers and units as LaTeX, for a formula of one's own paper."""
 
 from __future__ import annotations
 

@@ -1,7 +1,5 @@
 """Values for other packages of metrology, with their correlations.
 
-- `to_uncertainties`: of E. O. Lebigot's uncertainties; `to_gtc`: of GTC (MSL New Zealand)
-
 Neither is a requirement; each says so where it is missing.
 """
 
@@ -30,13 +28,7 @@ def _package(name: str, distribution: str) -> Any:
 
 
 def to_uncertainties(result: Result) -> dict[str, Any]:
-    """Return the determined coefficients as ``uncertainties`` variables, by name (``Qx.K_II``).
-
-    Raises
-    ------
-    CounterspinError
-        If the package is not installed, or the result states no correlations.
-    """
+    """Return the determined coefficients as ``uncertainties`` variables, by name (``Qx.K_II``)."""
     package = _package("uncertainties", "uncertainties")
     covariance = result.stated_covariance()
     values = [result.coefficient(name).value for name in covariance.terms]
@@ -54,11 +46,6 @@ def to_gtc(result: Result) -> dict[str, Any]:
     coefficient's own degrees of freedom. Where correlations leave no such sizes, GTC returns fewer
     than the coefficient has, never more; it knows no fewer than 1. Degrees of freedom of what is
     computed from several coefficients follow from the same parts, and are an approximation.
-
-    Raises
-    ------
-    CounterspinError
-        If the package is not installed, or the result states no correlations.
     """
     package = _package("GTC", "GTC")
     covariance = result.stated_covariance()

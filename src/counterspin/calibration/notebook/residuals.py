@@ -1,10 +1,4 @@
-"""Whole residuals of a joint fit as arrays, for an analysis of one's own.
-
-- `RunResiduals`: of one accelerometer in one run; `residuals_of`: of all of a fit
-- `ReadingResiduals`: of one accelerometer's readings in one motion; `of_readings`: of a result
-- `choose`: of one accelerometer, of one run
-- `displacement_pictures`: what was recorded and what was fitted, as pictures
-"""
+"""Whole residuals of a joint fit as arrays, for an analysis of one's own."""
 
 from __future__ import annotations
 
@@ -26,34 +20,21 @@ if TYPE_CHECKING:
 
 @frozen(eq=False)
 class RunResiduals:
-    """What a fit leaves of one accelerometer's record in one run, outliers left out.
+    """What a fit leaves of one accelerometer's record in one run, outliers left out."""
 
-    Attributes
-    ----------
-    accelerometer, run, unit
-        Whose, and the unit of the record: m, m/s or m/s^2.
-    time
-        s from the start of the run, shape (n,); the mean time where samples were averaged.
-    count
-        Samples in each mean, shape (n,).
-    error
-        The recorded output less what a perfect accelerometer would have recorded, shape (n,).
-    fitted
-        What the fit makes of it: the terms, start offset and start velocity, shape (n,).
-    residual
-        error - fitted, shape (n,).
-    whitened
-        In rows of unit variance, shape (m,), m <= n: differences belong to the later rows.
-    """
-
+    #: Whose, and the unit of the record: m, m/s or m/s^2.
     accelerometer: str
     run: str
     unit: str
+    #: s from the start of the run, shape (n,); the mean time where samples were averaged.
     time: Array
-    count: Array
+    count: Array  #: Samples in each mean, shape (n,).
+    #: The recorded output less what a perfect accelerometer would have recorded, shape (n,).
     error: Array
+    #: What the fit makes of it: the terms, start offset and start velocity, shape (n,).
     fitted: Array
-    residual: Array
+    residual: Array  #: error - fitted, shape (n,).
+    #: In rows of unit variance, shape (m,), m <= n: differences belong to the later rows.
     whitened: Array
 
     def frame(self) -> pl.DataFrame:
@@ -70,31 +51,16 @@ class RunResiduals:
 
 @frozen(eq=False)
 class ReadingResiduals:
-    """What a fit leaves of one accelerometer's readings in one motion, in g.
+    """What a fit leaves of one accelerometer's readings in one motion, in g."""
 
-    Attributes
-    ----------
-    accelerometer, run
-        Whose; the motion stands for the run: static, arm or counter-rotating.
-    names
-        Of the readings, n of them.
-    value
-        What was read, shape (n,).
-    fitted
-        What the fit makes of it, shape (n,).
-    residual
-        value - fitted, shape (n,).
-    u
-        Standard uncertainty of each reading, shape (n,).
-    """
-
+    #: Whose; the motion stands for the run: static, arm or counter-rotating.
     accelerometer: str
     run: str
-    names: tuple[str, ...]
-    value: Array
-    fitted: Array
-    residual: Array
-    u: Array
+    names: tuple[str, ...]  #: Of the readings, n of them.
+    value: Array  #: What was read, shape (n,).
+    fitted: Array  #: What the fit makes of it, shape (n,).
+    residual: Array  #: value - fitted, shape (n,).
+    u: Array  #: Standard uncertainty of each reading, shape (n,).
 
     def frame(self) -> pl.DataFrame:
         """Return a polars frame of `names`, `value`, `fitted`, `residual` and `u`."""
@@ -128,15 +94,7 @@ def of_readings(
 
 
 def residuals_of(fit: JointFit, units: dict[str, str]) -> tuple[RunResiduals, ...]:
-    """Return the residuals of every accelerometer in every run.
-
-    Parameters
-    ----------
-    fit
-        The solved problem.
-    units
-        Accelerometer -> unit of its records.
-    """
+    """Return the residuals of every accelerometer in every run."""
     return tuple(
         RunResiduals(
             accelerometer=prepared.accelerometer,
@@ -156,13 +114,7 @@ def residuals_of(fit: JointFit, units: dict[str, str]) -> tuple[RunResiduals, ..
 def choose(
     residuals: Sequence[RunResiduals | ReadingResiduals], accelerometer: str | None, run: str | None
 ) -> list[RunResiduals | ReadingResiduals]:
-    """Return the residuals of one accelerometer, of one run, or of all.
-
-    Raises
-    ------
-    KeyError
-        If there are none; the message lists those that there are.
-    """
+    """Return the residuals of one accelerometer, of one run, or of all."""
     chosen = [
         left
         for left in residuals

@@ -2,10 +2,6 @@
 
 In g-units a coefficient is known less well where g is: K_F of a displacement record is its
 acceleration over g. In SI units the same g multiplies it again, and most of that part cancels.
-
-- `SiEstimate`: value and uncertainty in SI; `si_estimate`: of a coefficient; `own_estimate`: of a
-  bias or scale factor in an instrument's own unit
-- `StatedGravity`: the g of a coefficient's unit, and what it does to the estimate
 """
 
 from __future__ import annotations
@@ -19,46 +15,28 @@ from counterspin.reports.numbers import format_compact
 
 @frozen
 class StatedGravity:
-    """The gravity in whose units a coefficient is.
+    """The gravity in whose units a coefficient is."""
 
-    Attributes
-    ----------
-    value, u
-        m/s^2, and its standard uncertainty.
-    sensitivity
-        What the coefficient moves by per m/s^2 of the g assumed, in its own unit.
-    """
-
+    #: m/s^2, and its standard uncertainty.
     value: float
     u: float = 0.0
+    #: What the coefficient moves by per m/s^2 of the g assumed, in its own unit.
     sensitivity: float = 0.0
 
 
 @frozen
 class SiEstimate:
-    """One coefficient in SI units.
+    """One coefficient in SI units."""
 
-    Attributes
-    ----------
-    value, u, unit
-        Estimate, standard uncertainty and their unit.
-    dof
-        Effective degrees of freedom of u; None is infinite.
-    u_without_g
-        u if g were exact.
-    shift
-        What one standard uncertainty of g moves the estimate by, signed: nothing where it cancels.
-    shift_kept
-        The same for the number in g-units, converted with an exact g.
-    """
-
+    #: Estimate, standard uncertainty and their unit.
     value: float
     u: float
     unit: SiUnit
-    dof: float | None
-    u_without_g: float
+    dof: float | None  #: Effective degrees of freedom of u; None is infinite.
+    u_without_g: float  #: u if g were exact.
+    #: What one standard uncertainty of g moves the estimate by, signed: nothing where it cancels.
     shift: float
-    shift_kept: float
+    shift_kept: float  #: The same for the number in g-units, converted with an exact g.
 
     def __str__(self) -> str:
         """Return such as ``2.75772(37)e-6 m^-1 s^2``."""
@@ -73,17 +51,8 @@ def si_estimate(
     The SI value is K g^n. If an error of the g assumed moves K by s per m/s^2, it moves the SI
     value by g^n (s + n K/g), which takes the place of g^n s in the uncertainty.
 
-    Parameters
-    ----------
-    value, u, unit, dof
-        Of the coefficient, in g-units.
-    gravity
-        The g of the unit.
-
-    Raises
-    ------
-    ValueError
-        If the unit is not a quotient of rad, m, s and g.
+    value, u, unit, dof: Of the coefficient, in g-units.
+    gravity: The g of the unit.
     """
     return _estimate(value, u, (1.0, *si_unit(unit)), dof, gravity)
 

@@ -1,9 +1,4 @@
-"""The coefficients of a result as a table: a frame, or LaTeX for a paper.
-
-- `frame`: a polars frame, or one of pandas; `frame_of`: of any columns
-- `latex_table`: a ``tabular``
-- `brief`: a few lines of text
-"""
+"""The coefficients of a result as a table: a frame, or LaTeX for a paper."""
 
 from __future__ import annotations
 
@@ -42,29 +37,7 @@ def rows(result: Result) -> Iterator[tuple[str, str, Coefficient]]:
 
 
 def frame(result: Result, library: str = "polars") -> Any:
-    """Return the coefficients as a frame, in the units of the field.
-
-    Parameters
-    ----------
-    result
-        The result.
-    library
-        ``polars``, or ``pandas`` where it is installed.
-
-    Returns
-    -------
-    polars.DataFrame or pandas.DataFrame
-        A row for each coefficient: ``owner`` (accelerometer, run or empty: the campaign),
-        ``term``, ``value``, ``u``, ``unit``, ``low`` and ``high`` (of the 95 % interval),
-        ``u_unstated``, ``dof``, ``estimated``. What is not determined is null.
-
-    Raises
-    ------
-    ValueError
-        If there is no such library.
-    ModuleNotFoundError
-        If pandas is asked for and not installed.
-    """
+    """Return the coefficients as a frame, in the units of the field."""
     columns: dict[str, list[Any]] = {
         name: []
         for name in (
@@ -87,15 +60,7 @@ def frame(result: Result, library: str = "polars") -> Any:
 
 
 def frame_of(columns: Mapping[str, list[Any]], numeric: Sequence[str], library: str) -> Any:
-    """Return columns as a frame of a library; `numeric` hold numbers, even if all are None.
-
-    Raises
-    ------
-    ValueError
-        If there is no such library.
-    ModuleNotFoundError
-        If pandas is asked for and not installed.
-    """
+    """Return columns as a frame of a library; `numeric` hold numbers, even if all are None."""
     if library == "pandas":
         return import_module("pandas").DataFrame(columns)
     if library != "polars":

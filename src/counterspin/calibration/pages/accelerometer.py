@@ -1,10 +1,4 @@
-"""What was found out about one accelerometer, as blocks of a report.
-
-- `accelerometer_blocks`: coefficients, what cannot be told apart, fit, noise, checks
-- `budget_blocks`: where the uncertainty of its coefficients comes from
-- `coefficient_table`, `in_field_units`: coefficients of any kind
-- `rests_on`: what cannot be told apart, and what decides u; `not_apart`: the former
-"""
+"""What was found out about one accelerometer, as blocks of a report."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""The method of a result, as a report states it: equations as used, and how to do it again.
-
-- `model_blocks`: what the output was taken to be, term by term from the table
-- `origin_blocks`: inputs with checksums, version, the command
-"""
+"""The method of a result, as a report states it: equations as used, and how to do it again."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""Many campaigns in one table: K_II of every accelerometer, or why there is none.
-
-- `render_batch`: as something that rich prints
-"""
+"""Many campaigns in one table: K_II of every accelerometer, or why there is none."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Whether coefficients meet their specifications, as blocks of a report.
-
-- `conformity_blocks`: of all accelerometers of a result
-- `rule_in_words`: the decision rule
-"""
+"""Whether coefficients meet their specifications, as blocks of a report."""
 
 from __future__ import annotations
 
@@ -33,13 +29,7 @@ _COLUMNS = (
 
 
 def conformity_blocks(result: Result) -> Iterator[Block]:
-    """Yield the verdicts and the rules by which they were reached; nothing without a specification.
-
-    Parameters
-    ----------
-    result
-        With `conformity` of its accelerometers.
-    """
+    """Yield the verdicts and their decision rules; nothing without a specification."""
     stated = [
         (name, symbol, verdict, accelerometer.coefficients.get(symbol))
         for name, accelerometer in result.accelerometers.items()

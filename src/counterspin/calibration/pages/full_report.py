@@ -1,8 +1,4 @@
-"""The full report of a result, for paper and screen: the answer first, then what it rests on.
-
-- `document`: a result as blocks, pictures among them
-- `identifier_of`: what the report is known by, where nobody has named it
-"""
+"""The full report of a result, for paper and screen: the answer first, then what it rests on."""
 
 from __future__ import annotations
 
@@ -30,13 +26,7 @@ from counterspin.reports.typography import typeset_block
 
 
 def document(result: Result) -> list[Block]:
-    """Return the full report of a result.
-
-    Parameters
-    ----------
-    result
-        What `calibrate` returned, or what was read from its JSON.
-    """
+    """Return the full report of a result."""
     result = judge_result(result)
     blocks = (
         *answer_blocks(result, in_g=True),

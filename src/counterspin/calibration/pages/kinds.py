@@ -1,7 +1,4 @@
-"""Kinds of test beside each other, as blocks of a report.
-
-- `kind_blocks`
-"""
+"""Kinds of test beside each other, as blocks of a report."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""What was done with an accelerometer, kind of test by kind of test: in words, in a table.
-
-- `lines_of_tests`: one sentence a kind of test; `table_of_tests`: positions, rates, mountings
-- `reading_blocks`: what a reading is and which forces act, as equations
-"""
+"""What was done with an accelerometer, kind of test by kind of test: in words, in a table."""
 
 from __future__ import annotations
 

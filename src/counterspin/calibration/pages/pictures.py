@@ -1,9 +1,4 @@
-"""What a report draws: parts of a result as plots, bars and heat maps, still without a pen.
-
-- `correlation_map`, `budget_bars`, `jackknife_plot`: of one accelerometer's coefficients
-- `residual_plots`: over time by run, over the revolution, their spectrum and their quantiles
-- `ripple_plot`: of the runs' rotation
-"""
+"""What a report draws: parts of a result as plots, bars and heat maps, still without a pen."""
 
 from __future__ import annotations
 
@@ -114,15 +109,7 @@ def jackknife_plot(name: str, accelerometer: AccelerometerResult) -> Plot | None
 def residual_plots(
     name: str, accelerometer: AccelerometerResult, runs: Mapping[str, RunResult]
 ) -> Iterator[Plot]:
-    """Yield the pictures of an accelerometer's residuals; none where none were kept.
-
-    Parameters
-    ----------
-    name, accelerometer
-        Whose.
-    runs
-        Of the whole result; each has a colour, which is its own in all pictures.
-    """
+    """Yield the pictures of an accelerometer's residuals; none where none were kept."""
     yield from residuals_over_time(name, accelerometer, runs)
     unit, factor = _unit(accelerometer)
     traces = _traces(accelerometer, runs)

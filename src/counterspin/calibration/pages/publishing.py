@@ -1,9 +1,4 @@
-"""A report as a file: HTML, PDF or Markdown, by the ending of its name.
-
-- `report`: a result's report as text or bytes; `write_report`: to a file
-- `KIND`: what each of them says that it is
-- `issue_date`: when it is said to have been made
-"""
+"""A report as a file: HTML, PDF or Markdown, by the ending of its name."""
 
 from __future__ import annotations
 
@@ -115,16 +110,8 @@ def _publication(result: Result, identifier: str | None) -> Publication:
 def issue_date(text: str | None = None) -> datetime:
     """Return when a document is said to have been made.
 
-    Parameters
-    ----------
-    text
-        A date or a date and time by ISO 8601, without a time zone in UTC. None: the seconds in
+    text: A date or a date and time by ISO 8601, without a time zone in UTC. None: the seconds in
         ``SOURCE_DATE_EPOCH`` of the environment (reproducible-builds.org), or else now.
-
-    Raises
-    ------
-    CampaignError
-        If it is no such date.
     """
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     try:

@@ -1,7 +1,4 @@
-"""What reading a record found, in sentences: of a run, and of a reading that is a mean.
-
-- `note_blocks`: what was repaired or left out; `count_blocks`: how many rows of each kind
-"""
+"""What reading a record found, in sentences: of a run, and of a reading that is a mean."""
 
 from __future__ import annotations
 

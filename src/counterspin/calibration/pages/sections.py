@@ -1,8 +1,4 @@
-"""What a report of a result says, in order: the answer first, then what it rests on.
-
-- `sections`: a result as blocks; `first_screen`: the beginning of it
-- `answer_blocks`, `platform_blocks`, `run_blocks`: parts of it
-"""
+"""What a report of a result says, in order: the answer first, then what it rests on."""
 
 from __future__ import annotations
 
@@ -52,14 +48,8 @@ _TESTS: Final = {
 def sections(result: Result, *, budget: bool = False, details: bool = False) -> list[Block]:
     """Return a result as blocks, the answer first.
 
-    Parameters
-    ----------
-    result
-        What `calibrate` returned, or what was read from its JSON.
-    budget
-        Whether the uncertainty budgets are written.
-    details
-        Whether strong correlations, run counts, input files and their checksums are written.
+    budget: Whether the uncertainty budgets are written.
+    details: Whether strong correlations, run counts, input files and their checksums are written.
     """
     result = judge_result(result)
     blocks: list[Block] = [
@@ -97,12 +87,7 @@ def answer_blocks(result: Result, *, in_g: bool = False) -> Iterator[Block]:
 
     Where the records contradict the result, that is said before any number.
 
-    Parameters
-    ----------
-    result
-        The result, judged.
-    in_g
-        Whether K_II is given in g/g^2 beside ug/g^2.
+    in_g: Whether K_II is given in g/g^2 beside ug/g^2.
     """
     yield Heading(result.title or "Calibration", 1)
     yield from misfit_blocks(result)

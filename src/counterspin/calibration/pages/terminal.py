@@ -1,8 +1,4 @@
-"""A calibration's result in the terminal, or as plain text where it is piped.
-
-- `print_result`: to a console
-- `render`: as something that rich prints
-"""
+"""A calibration's result in the terminal, or as plain text where it is piped."""
 
 from __future__ import annotations
 
@@ -24,13 +20,7 @@ def print_result(
 def render(result: Result, *, budget: bool = False, details: bool = False) -> Report:
     """Return a result as a rich renderable.
 
-    Parameters
-    ----------
-    result
-        What `calibrate` returned, or what was read from its JSON.
-    budget
-        Whether to show the uncertainty budgets.
-    details
-        Whether to show correlations, counts, input files and their checksums.
+    budget: Whether to show the uncertainty budgets.
+    details: Whether to show correlations, counts, input files and their checksums.
     """
     return Report(sections(result, budget=budget, details=details))

@@ -1,10 +1,4 @@
-"""The one uncertainty in words: what dominates it, what would reduce it, what it rests on.
-
-- `dominance`: one sentence on what decides the u of a coefficient
-- `assumption`: one sentence on what is taken as perfect
-- `telling`: the lines of a budget that matter
-- `knowledge_blocks`: the table of what a result rests on beside its data
-"""
+"""The one uncertainty in words: what dominates it, what would reduce it, what it rests on."""
 
 from __future__ import annotations
 
@@ -80,15 +74,7 @@ def telling(lines: Sequence[BudgetLine]) -> tuple[Sequence[BudgetLine], Sequence
 
 
 def dominance(accelerometer: Answered, symbol: str = "K_II") -> str:
-    """Return what decides the u of a coefficient, where unstated sources do; else empty.
-
-    Parameters
-    ----------
-    accelerometer
-        The result, or what is planned.
-    symbol
-        The coefficient.
-    """
+    """Return what decides the u of a coefficient, where unstated sources do; else empty."""
     coefficient = accelerometer.coefficients.get(symbol)
     lines = accelerometer.budget.get(symbol, [])
     unstated = [line for line in lines if line.kind == "unstated"]

@@ -1,9 +1,4 @@
-"""Whether a result is good, in words.
-
-- `verdict_blocks`: of every accelerometer; `verdict_sentence`: of one
-- `finding_text`: one finding
-- `misfit_blocks`: the first lines of a result that its records contradict
-"""
+"""Whether a result is good, in words."""
 
 from __future__ import annotations
 
@@ -23,15 +18,7 @@ _OPENINGS: Final = {
 
 
 def verdict_sentence(name: str, accelerometer: AccelerometerResult) -> str:
-    """Return in words whether an accelerometer's result is good, and why.
-
-    Parameters
-    ----------
-    name
-        The accelerometer.
-    accelerometer
-        Its result, judged.
-    """
+    """Return in words whether an accelerometer's result is good, and why."""
     assert accelerometer.state is not None
     opening = f"{name} {_OPENINGS[accelerometer.state]}"
     speaks_for = "; ".join(supports(accelerometer))

@@ -1,7 +1,4 @@
-"""A campaign with named changes.
-
-- `change_campaign`
-"""
+"""A campaign with named changes."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Descriptions as mappings, with the keys of ``campaign.toml``.
-
-- `plain`: what a Python user wrote, as TOML would be read
-- `patched`: a document with some of its keys changed
-- `differences`: the keys in which two documents differ
-"""
+"""Descriptions as mappings, with the keys of ``campaign.toml``."""
 
 from __future__ import annotations
 
@@ -22,15 +17,8 @@ from counterspin.campaign.quantity import Quantity
 def plain(value: Any, path: KeyPath, problems: Problems) -> Any:
     """Return a copy of what stands at a key as TOML would be read; what it cannot be is noted.
 
-    Parameters
-    ----------
-    value
-        Text, a number, a date, a `Quantity`, or a mapping or sequence of these. Keys whose value
+    value: Text, a number, a date, a `Quantity`, or a mapping or sequence of these. Keys whose value
         is None are left out.
-    path
-        Where it stands.
-    problems
-        Where mistakes are noted.
     """
     if isinstance(value, Mapping):
         for key in value:

@@ -1,7 +1,4 @@
-"""Campaigns of the same instruments joined into one fit.
-
-- `join_campaigns`
-"""
+"""Campaigns of the same instruments joined into one fit."""
 
 from __future__ import annotations
 

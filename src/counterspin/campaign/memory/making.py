@@ -1,10 +1,4 @@
-"""Campaigns made in Python.
-
-- `make_campaign`: from a description and records
-- `resolved_in_memory`: the campaign of a document that is in memory
-- `give_records`: records put into the place of files
-- `record_name`: the file that a record in memory would be written to
-"""
+"""Campaigns made in Python."""
 
 from __future__ import annotations
 
@@ -109,19 +103,7 @@ def _source(
 def resolved_in_memory(
     source: Source, tables: Mapping[Path, MemoryTable], folder: Path, problems: Problems
 ) -> Campaign:
-    """Return the campaign of a document; CampaignError with all its mistakes.
-
-    Parameters
-    ----------
-    source
-        The document, and where it came from.
-    tables
-        Records in memory, by the files in whose place they are.
-    folder
-        Of its files.
-    problems
-        Mistakes that were found before.
-    """
+    """Return the campaign of a document; CampaignError with all its mistakes."""
     campaign = resolve_campaign(source.document, folder / DESCRIPTION_NAME, problems)
     if campaign is None or problems.lines:
         raise CampaignError(source.label, problems.lines)
@@ -198,16 +180,8 @@ def give_records(
 ) -> dict[Path, MemoryTable]:
     """Put records into a document's runs; return those in memory by the file each stands for.
 
-    Parameters
-    ----------
-    document
-        Its runs are replaced by ones that name a record.
-    records
-        Run's name -> frame or file.
-    folder
-        Of the document's files.
-    problems
-        Where mistakes are noted.
+    records: Run's name -> frame or file.
+    folder: Of the document's files.
     """
     runs = document.get("runs")
     given = list(runs) if isinstance(runs, list) else []

@@ -1,8 +1,4 @@
-"""Where a campaign came from, so that a result can say it.
-
-- `Source`: the description that a campaign was resolved from
-- `keep`: gives a campaign its source; `source_of`: returns it
-"""
+"""Where a campaign came from, so that a result can say it."""
 
 from __future__ import annotations
 
@@ -27,23 +23,13 @@ IN_MEMORY: Final = "campaign in memory"
 
 @frozen(eq=False)
 class Source:
-    """The description that a campaign was resolved from.
+    """The description that a campaign was resolved from."""
 
-    Attributes
-    ----------
-    document
-        As TOML is read.
-    file
-        The description's file; None: it was made in Python.
-    checksum
-        SHA-256 of that file as it was read, such as ``sha256:9f86...``; None without a file.
-    of_file
-        What the file says, which `document` may have changed since.
-    """
-
-    document: Mapping[str, Any]
-    file: Path | None = None
+    document: Mapping[str, Any]  #: As TOML is read.
+    file: Path | None = None  #: The description's file; None: it was made in Python.
+    #: SHA-256 of that file as it was read, such as ``sha256:9f86...``; None without a file.
     checksum: str | None = None
+    #: What the file says, which `document` may have changed since.
     of_file: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property

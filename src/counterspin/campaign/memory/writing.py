@@ -1,7 +1,4 @@
-"""A campaign in memory as a folder.
-
-- `write_campaign`: the description and all its records
-"""
+"""A campaign in memory as a folder."""
 
 from __future__ import annotations
 

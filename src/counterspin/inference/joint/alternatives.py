@@ -9,10 +9,6 @@ a fit with the parameter would give.
 
 For a prior the column is its own row, so that its parameter is the distance of the prior from what
 everything else says, and the test is that of the prior's misfit (Baarda's w-test).
-
-- `Alternative`: one of them; `of_priors`, `of_unstated`: those of a fit's own priors
-- `Scores`, `scores`: all of them held against a fit; `Beside`, `beside_fit`: their columns and
-  its residuals, for other tests
 """
 
 from __future__ import annotations
@@ -38,37 +34,20 @@ from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
 
 @frozen
 class Alternative:
-    """One parameter that a fit holds at nothing.
+    """One parameter that a fit holds at nothing."""
 
-    Attributes
-    ----------
-    kind
-        What kind of thing it is, for words.
-    owner
-        An accelerometer, a run, or empty: the campaign.
-    symbol
-        What is otherwise: a term, an input, or a word of its own.
-    columns
-        Place of a series -> what it shows of one unit, shape (n,).
-    priors
-        Place of an unknown -> by how much one unit moves its prior.
-    beside
-        Name of a block beside the records -> what it shows of one unit, in rows of unit variance,
-        shape (n,).
-    at
-        Where in a run, s; None where it has no place.
-    limit
-        Largest credible size of the parameter.
-    """
-
-    kind: str
-    owner: str
-    symbol: str
+    kind: str  #: What kind of thing it is, for words.
+    owner: str  #: An accelerometer, a run, or empty: the campaign.
+    symbol: str  #: What is otherwise: a term, an input, or a word of its own.
+    #: Place of a series -> what it shows of one unit, shape (n,).
     columns: Mapping[int, Array] = field(default_factory=dict, repr=False, compare=False)
+    #: Place of an unknown -> by how much one unit moves its prior.
     priors: Mapping[int, float] = field(default_factory=dict, compare=False)
+    #: Name of a block beside the records -> what it shows of one unit, in rows of unit variance,
+    #: shape (n,).
     beside: Mapping[str, Array] = field(default_factory=dict, repr=False, compare=False)
-    at: float | None = None
-    limit: float = math.inf
+    at: float | None = None  #: Where in a run, s; None where it has no place.
+    limit: float = math.inf  #: Largest credible size of the parameter.
 
     @property
     def name(self) -> str:
@@ -78,27 +57,17 @@ class Alternative:
 
 @frozen
 class Scores:
-    """Alternatives held against a fit, m of them.
+    """Alternatives held against a fit, m of them."""
 
-    Attributes
-    ----------
-    alternatives
-        The alternatives.
-    value, u
-        Estimate of each parameter and its standard uncertainty, shape (m,); u is infinite where
-        the unknowns can follow all of it.
-    size
-        Distance from nothing in standard deviations, the residuals' own scale being allowed for
-        (shape (m,)); 0 where it cannot be told.
-    dof
-        Degrees of freedom of that scale.
-    """
-
-    alternatives: tuple[Alternative, ...]
+    alternatives: tuple[Alternative, ...]  #: The alternatives.
+    #: Estimate of each parameter and its standard uncertainty, shape (m,); u is infinite where the
+    #: unknowns can follow all of it.
     value: Array
     u: Array
+    #: Distance from nothing in standard deviations, the residuals' own scale being allowed for
+    #: (shape (m,)); 0 where it cannot be told.
     size: Array
-    dof: float
+    dof: float  #: Degrees of freedom of that scale.
 
     def p(self, place: int) -> float:
         """Probability of as large a size or a larger one by chance, for one test alone."""
@@ -115,11 +84,6 @@ def of_priors(fit: JointFit) -> tuple[Alternative, ...]:
 
     One for each unknown of which something is stated; one for each term that several runs have
     anew, and one for all its components: they are off alike if one mistake made them so.
-
-    Parameters
-    ----------
-    fit
-        Of `counterspin.inference.joint.relaxed.relax`.
     """
     known = [(place, unknown) for place, unknown in _known(fit) if not unknown.unstated]
     single = [Alternative("prior", *_named(u), priors={k: 1.0}, limit=_reach(u)) for k, u in known]
@@ -181,14 +145,7 @@ def scores(fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: b
     The residuals' own scale is that which they would have with the alternative (an F test). It
     counts where it is larger than the noise, and where the noise was estimated from them.
 
-    Parameters
-    ----------
-    fit
-        Of `counterspin.inference.joint.relaxed.relax`.
-    alternatives
-        At least one.
-    noise_given
-        Whether the noise was given.
+    noise_given: Whether the noise was given.
     """
     held = beside_fit(fit, alternatives)
     columns, residual = held.columns, held.residual
@@ -209,29 +166,14 @@ def scores(fit: JointFit, alternatives: Sequence[Alternative], *, noise_given: b
 
 @frozen
 class Beside:
-    """Columns of alternatives beside a fit, what its unknowns can follow being taken away.
+    """Columns of alternatives beside a fit, what its unknowns can follow being taken away."""
 
-    Attributes
-    ----------
-    columns
-        Of m alternatives in the rows of blocks and priors, shape (rows, m).
-    residual
-        The fit's, in these rows, shape (rows,).
-    rss
-        Sum of squares of what these rows do not hold of the residuals.
-    before
-        Sums of squares of the columns before anything was taken away, shape (m,).
-    dof
-        Degrees of freedom of the fit.
-    places
-        By its name, which rows are those of a block beside the records.
-    """
-
-    columns: Array
-    residual: Array
-    rss: float
-    before: Array
-    dof: float
+    columns: Array  #: Of m alternatives in the rows of blocks and priors, shape (rows, m).
+    residual: Array  #: The fit's, in these rows, shape (rows,).
+    rss: float  #: Sum of squares of what these rows do not hold of the residuals.
+    before: Array  #: Sums of squares of the columns before anything was taken away, shape (m,).
+    dof: float  #: Degrees of freedom of the fit.
+    #: By its name, which rows are those of a block beside the records.
     places: Mapping[str, slice] = field(default_factory=dict)
 
 

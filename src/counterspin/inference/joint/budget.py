@@ -1,10 +1,4 @@
-"""The uncertainty budget: where the uncertainty of a coefficient comes from, line by line.
-
-- `budget`: one line for the noise of each accelerometer, one for noise that its records do not
-  show, one for each prior, each held term and each part of a run's recorded rotation; the squares
-  of the contributions add up to u^2
-- `Line`: one of them; `by_kind`: the same sums by kind alone
-"""
+"""The uncertainty budget: where the uncertainty of a coefficient comes from, line by line."""
 
 from __future__ import annotations
 
@@ -35,50 +29,26 @@ HELD: Final = "held"
 
 @frozen
 class Line:
-    """One source of uncertainty (GUM table 1).
+    """One source of uncertainty (GUM table 1)."""
 
-    Attributes
-    ----------
-    source
-        Name of the unknown or held term; for noise the accelerometer's; for the encoder the run's
-        and ``angle``, ``rate``, ``drift`` or ``ripple1`` ...
-    kind
-        `NOISE` (an encoder's too), `STATED`, `UNSTATED` or `HELD`.
-    u
-        Standard uncertainty of the source, in its own unit; None for noise.
-    sensitivity
-        d(coefficient)/d(source); None for noise, which has one for every sample. Of a ripple, whose
-        sine and cosine are one line, its size.
-    contribution
-        |sensitivity| x u, in the coefficient's unit.
-    share
-        Part of u^2.
-    hidden
-        Of noise: whether it does not show in the records. `u` is its level, (m/s^2)/Hz^0.5.
-    unstated
-        Whether u is a typical size that the description does not state; of a held term, too.
-    """
-
+    #: Name of the unknown or held term; for noise the accelerometer's; for the encoder the run's
+    #: and ``angle``, ``rate``, ``drift`` or ``ripple1`` ...
     source: str
-    kind: Kind
-    u: float | None
+    kind: Kind  #: `NOISE` (an encoder's too), `STATED`, `UNSTATED` or `HELD`.
+    u: float | None  #: Standard uncertainty of the source, in its own unit; None for noise.
+    #: d(coefficient)/d(source); None for noise, which has one for every sample. Of a ripple, whose
+    #: sine and cosine are one line, its size.
     sensitivity: float | None
-    contribution: float
-    share: float
+    contribution: float  #: |sensitivity| x u, in the coefficient's unit.
+    share: float  #: Part of u^2.
+    #: Of noise: whether it does not show in the records. `u` is its level, (m/s^2)/Hz^0.5.
     hidden: bool = False
+    #: Whether u is a typical size that the description does not state; of a held term, too.
     unstated: bool = False
 
 
 def budget(fit: JointFit, index: int) -> tuple[Line, ...]:
-    """Return the budget of one unknown, largest contribution first.
-
-    Parameters
-    ----------
-    fit
-        The solved problem.
-    index
-        Which unknown.
-    """
+    """Return the budget of one unknown, largest contribution first."""
     solution, model = fit.solution, fit.model
     weights = np.zeros(len(model.unknowns))
     weights[index] = 1.0
@@ -151,13 +121,7 @@ def _noise_by_accelerometer(fit: JointFit, rows: Array) -> dict[str, float]:
 
 
 def by_kind(fit: JointFit, index: int) -> tuple[float, float, float]:
-    """Return u of an unknown from noise, from what is stated and from what is not.
-
-    Parameters
-    ----------
-    fit, index
-        As for `budget`.
-    """
+    """Return u of an unknown from noise, from what is stated and from what is not."""
     solution, model = fit.solution, fit.model
     squares: dict[str, float] = {
         NOISE: float(solution.covariance_noise[index, index]),

@@ -6,9 +6,6 @@ normal deviate, and so is every orthogonal combination of them. In the direction
 singular vectors most of them do nothing that the noise would not hide a thousand times: what is
 left is a dozen columns, which serve wherever a fit is repeated for other rows or another noise.
 What is asked for has the same estimate and covariance, but for that.
-
-- `condense`: a prepared problem with these columns in place of the others
-- `white_level`: about what the white noise of a record is
 """
 
 from __future__ import annotations
@@ -36,12 +33,8 @@ def condense(
 ) -> tuple[tuple[Prepared, ...], Unknowns]:
     """Return columns and model with what nobody asks for condensed, after what is asked for.
 
-    Parameters
-    ----------
-    prepared, model
-        The problem.
-    noise
-        Accelerometer -> white noise of a sample, in its record's unit; None where it is not known.
+    noise: Accelerometer -> white noise of a sample, in its record's unit; None where it is not
+        known.
     """
     others = [unknown for unknown in model.unknowns if not unknown.asked]
     spread = np.array([other.prior[1] for other in others])

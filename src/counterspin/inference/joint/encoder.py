@@ -6,10 +6,6 @@ matters: the platform's true place is off by R times the angle's error. In veloc
 force a ripple stands where K_II does. Hence each run has an `AngleError`, and its coefficients,
 turned so that they are uncorrelated and of unit variance, are terms of the fit: considered ones
 where the records are of no help, else unknowns whose prior is what the encoder says.
-
-- `SYMBOLS`, `part_of`: the terms, and the parts of the rotation that they stand for
-- `columns`: one for each term of a series
-- `with_encoder`: a model with these terms, where they are not negligible
 """
 
 from __future__ import annotations
@@ -139,15 +135,6 @@ def with_encoder(
     for one standard deviation, a term is left out, considered or estimated. Those left out would
     make no u grow by more than 1e-4 of it, those considered are each below a hundredth of any
     variance, and of the others the records know something, so that weighing both is more certain.
-
-    Parameters
-    ----------
-    model
-        Any model.
-    series
-        The data.
-    noise
-        By accelerometer.
     """
     unknowns: list[Unknown] = []
     considered: list[Considered] = []

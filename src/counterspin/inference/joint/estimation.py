@@ -1,9 +1,4 @@
-"""The joint estimate, step by step: outliers, noise, rotation, coefficients, degrees of freedom.
-
-- `estimate`: the whole story; `estimate_again`: with other unknowns, outliers being known
-- `unseen_covariance`: what noise that does not show may add to a fit's uncertainty
-- `NoiseRequest`, `Estimate`: what goes in and what comes out
-"""
+"""The joint estimate, step by step: outliers, noise, rotation, coefficients, degrees of freedom."""
 
 from __future__ import annotations
 
@@ -52,14 +47,9 @@ _SCALE_TOLERANCE: Final = 1e-4
 
 @frozen
 class NoiseRequest:
-    """Noise of one accelerometer's records: numbers that are given, None to be estimated.
+    """Noise of one accelerometer's records: numbers that are given, None to be estimated."""
 
-    Attributes
-    ----------
-    white, random_walk, quantisation, flicker, bias_walk
-        As in `NoiseModel`.
-    """
-
+    #: As in `NoiseModel`.
     white: float | None
     random_walk: float | None
     quantisation: float = 0.0
@@ -82,29 +72,17 @@ class NoiseRequest:
 
 @frozen
 class Estimate:
-    """The joint estimate.
+    """The joint estimate."""
 
-    Attributes
-    ----------
-    fit
-        The solved problem.
-    components
-        Accelerometer -> its estimated noise; without those whose noise was given.
-    dof
-        Effective degrees of freedom of each unknown, shape (p,); infinite where noise is given.
-    outliers
-        For each series, which of its rows were left out, bool.
-    series
-        The data with these rows, about the rotation that was found where none was recorded.
-    core
-        The same fit with what nobody asks for condensed; None where there was nothing to condense.
-    """
-
-    fit: JointFit
+    fit: JointFit  #: The solved problem.
+    #: Accelerometer -> its estimated noise; without those whose noise was given.
     components: Mapping[str, VarianceComponents]
+    #: Effective degrees of freedom of each unknown, shape (p,); infinite where noise is given.
     dof: Array
-    outliers: tuple[Rows, ...] = ()
+    outliers: tuple[Rows, ...] = ()  #: For each series, which of its rows were left out, bool.
+    #: The data with these rows, about the rotation that was found where none was recorded.
     series: tuple[Series, ...] = ()
+    #: The same fit with what nobody asks for condensed; None where there was nothing to condense.
     core: JointFit | None = None
 
 
@@ -117,27 +95,7 @@ def estimate(
 ) -> Estimate:
     """Estimate a model from all series.
 
-    Parameters
-    ----------
-    series
-        The data.
-    model
-        What is estimated and considered.
-    requests
-        Accelerometer -> its noise, given or to be estimated.
-    reject
-        Whether outliers are looked for.
-
-    Returns
-    -------
-    Estimate
-
-    Raises
-    ------
-    NotIdentifiableError
-        If a record is too short for its own unknowns.
-    ConvergenceError
-        If the outliers or the rotation do not settle.
+    reject: Whether outliers are looked for.
     """
     plain = model.without_inputs()
     rough = {name: NoiseModel(1.0, 0.0) for name in requests}
@@ -191,17 +149,7 @@ def estimate(
 def estimate_again(
     before: Estimate, fit: JointFit, requests: Mapping[str, NoiseRequest]
 ) -> Estimate:
-    """Return the estimate of another fit to the same rows, its noise found anew.
-
-    Parameters
-    ----------
-    before
-        Whose outliers and rotations these are.
-    fit
-        The other fit, with any noise.
-    requests
-        As for `estimate`.
-    """
+    """Return the estimate of another fit to the same rows, its noise found anew."""
     core = solve_joint(*condense(fit.prepared, fit.model, _white(fit.noise)), fit.noise)
     noise, components = _noise(core.prepared, core.model, requests)
     again = _finished(fit.prepared, fit.model, core.with_noise(noise), components)
@@ -268,15 +216,7 @@ def _kept(prepared: Sequence[Prepared], outliers: Sequence[Rows]) -> tuple[Prepa
 
 
 def unseen_covariance(fit: JointFit, components: Mapping[str, VarianceComponents]) -> Array:
-    """Return what walks that the records do not show may add to a fit's covariance, (p, p).
-
-    Parameters
-    ----------
-    fit
-        Any joint fit.
-    components
-        The estimated noise, by accelerometer.
-    """
+    """Return what walks that the records do not show may add to a fit's covariance, (p, p)."""
     p = len(fit.model.unknowns)
     wider, _ = _with_unseen(fit, components, np.full(p, math.inf))
     added = wider.solution.covariance_unseen

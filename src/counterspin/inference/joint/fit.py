@@ -8,10 +8,6 @@ blocks, not from the records.
 
 The problem is an `Unknowns` (`counterspin.inference.joint.unknowns`) beside the prepared series
 (`counterspin.inference.joint.prepared`).
-
-- `solve_joint`, `blocks_of`, `solve_blocks`: the answer, from columns or from blocks
-- `solve_relaxed`, `relaxed_block`: the same with considered terms estimated too
-- `JointFit`: the answer for other noise or without a run, its residuals, its degrees of freedom
 """
 
 from __future__ import annotations
@@ -36,60 +32,33 @@ from counterspin.inference.noise.model import NoiseModel
 
 @frozen
 class Residuals:
-    """What a fit leaves of one series.
+    """What a fit leaves of one series."""
 
-    Attributes
-    ----------
-    plain
-        In the series' own unit, shape (n,).
-    whitened
-        In rows of unit variance, shape (m,), m <= n: differences belong to the later rows.
-    """
-
-    plain: Array
+    plain: Array  #: In the series' own unit, shape (n,).
+    #: In rows of unit variance, shape (m,), m <= n: differences belong to the later rows.
     whitened: Array
 
 
 @frozen
 class JointFit:
-    """A solved joint problem.
+    """A solved joint problem."""
 
-    Attributes
-    ----------
-    model
-        What was solved.
-    solution
-        Estimates less nominal, covariances by source, sensitivities.
-    prepared, blocks
-        The columns and each series' square-root information, in the order of the series.
-    noise
-        By accelerometer.
-    unseen
-        By accelerometer, where there is any: a random walk that the records do not show, N in
-        (m/s^2)/Hz^0.5, and what it adds to the covariance, shape (p, p).
-    beside
-        Blocks of data that are no records, by what they are called in a budget.
-    beside_rows
-        Rows of unit variance that they were reduced from, [unknowns | considered | target].
-    """
-
-    model: Unknowns
-    solution: Solution
+    model: Unknowns  #: What was solved.
+    solution: Solution  #: Estimates less nominal, covariances by source, sensitivities.
+    #: The columns and each series' square-root information, in the order of the series.
     prepared: tuple[Prepared, ...]
     blocks: tuple[Block, ...]
-    noise: Mapping[str, NoiseModel]
+    noise: Mapping[str, NoiseModel]  #: By accelerometer.
+    #: By accelerometer, where there is any: a random walk that the records do not show, N in
+    #: (m/s^2)/Hz^0.5, and what it adds to the covariance, shape (p, p).
     unseen: Mapping[str, tuple[float, Array]] = field(default_factory=dict)
+    #: Blocks of data that are no records, by what they are called in a budget.
     beside: Mapping[str, Block] = field(default_factory=dict)
+    #: Rows of unit variance that they were reduced from, [unknowns | considered | target].
     beside_rows: Mapping[str, Array] = field(default_factory=dict)
 
     def with_noise(self, noise: Mapping[str, NoiseModel]) -> JointFit:
-        """Return the fit with other noise; records whose noise stays remain as they are reduced.
-
-        Parameters
-        ----------
-        noise
-            By accelerometer, of those whose noise is another.
-        """
+        """Return the fit with other noise; records whose noise stays remain as they are reduced."""
         blocks = tuple(
             _block_again(block, prepared, self.model, self.noise[name], noise[name])
             if (name := prepared.accelerometer) in noise
@@ -161,26 +130,7 @@ class JointFit:
 def solve_joint(
     prepared: Sequence[Prepared], model: Unknowns, noise: Mapping[str, NoiseModel]
 ) -> JointFit:
-    """Solve a prepared problem for given noise.
-
-    Parameters
-    ----------
-    prepared
-        From `counterspin.inference.joint.prepared.prepare_columns`, for the same model.
-    model
-        What is estimated and considered.
-    noise
-        By accelerometer.
-
-    Returns
-    -------
-    JointFit
-
-    Raises
-    ------
-    NotIdentifiableError
-        If a record is too short for its own start offset and velocity.
-    """
+    """Solve a prepared problem for given noise."""
     blocks = blocks_of(prepared, model, noise)
     return JointFit(model, solve_blocks(blocks, model), tuple(prepared), tuple(blocks), noise)
 

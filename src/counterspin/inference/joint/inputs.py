@@ -1,9 +1,4 @@
-"""What a record shows of uncertain inputs: radius, gravity, latitude, timing, unrecorded rotation.
-
-- `INPUTS`, `TIMING`, `CLOCK`: the inputs
-- `input_column`: the recorded output per unit of one of them
-- `rotation_column`: per unit of a parameter of the rotation, where no angle is recorded
-"""
+"""What a record shows of uncertain inputs: radius, gravity, latitude, timing, rotation."""
 
 from __future__ import annotations
 
@@ -34,15 +29,7 @@ CLOCK: Final = "records.clock"  #: the part of itself by which the recorder's cl
 
 
 def rotation_column(series: Series, symbol: str) -> Array:
-    """Return d(reference)/d(a parameter of the rotation), by central differences, shape (n,).
-
-    Parameters
-    ----------
-    series
-        A run without a recorded angle.
-    symbol
-        One of `counterspin.inference.joint.unknowns.ROTATION`.
-    """
+    """Return d(reference)/d(a parameter of the rotation), by central differences, shape (n,)."""
     spindle = series.trajectory.spindle
     duration = float(series.time[-1])
     name, step = {
@@ -72,20 +59,7 @@ def input_column(
 ) -> Array:
     """Return d(recorded output)/d(input) at the estimate, by a forward difference, shape (n,).
 
-    Parameters
-    ----------
-    series
-        The data.
-    name
-        A key of `INPUTS`, `TIMING` or `CLOCK`.
-    scale_factor
-        K_I, with which the accelerometer sees the platform's errors.
-    known
-        Values of the unknowns that the series sees, less nominal.
-    table
-        Their columns.
-    base
-        The series' reference, where it is at hand.
+    scale_factor: K_I, with which the accelerometer sees the platform's errors.
     """
     base = series.reference() if base is None else base
     symbols = list(known)

@@ -3,8 +3,6 @@
 What a kind of data says is compared with what the others and everything known beforehand predict
 of it. That is a test of all unknowns at once, which needs none of them determined by one kind
 alone; beside it stands how far each unknown moves when the kind is left out.
-
-- `agreements`, `OfOneKind`
 """
 
 from __future__ import annotations
@@ -32,26 +30,17 @@ _ROUNDING: Final = 1e-9
 
 @frozen
 class OfOneKind:
-    """One kind of data against the others.
+    """One kind of data against the others."""
 
-    Attributes
-    ----------
-    alone, without
-        What it says by itself, and what the others say, each with all that is known beforehand.
-    shift
-        Estimates without it less those of everything, shape (p,).
-    u_shift
-        Standard uncertainty of these, what both share counted once, shape (p,); NaN where leaving
-        the kind out changes nothing.
-    chi2, dof
-        Squares of what the kind says less what the others predict, over their variances, in as many
-        directions as both know something of.
-    """
-
+    #: What it says by itself, and what the others say, each with all that is known beforehand.
     alone: Solution
     without: Solution
-    shift: Array
+    shift: Array  #: Estimates without it less those of everything, shape (p,).
+    #: Standard uncertainty of these, what both share counted once, shape (p,); NaN where leaving
+    #: the kind out changes nothing.
     u_shift: Array
+    #: Squares of what the kind says less what the others predict, over their variances, in as many
+    #: directions as both know something of.
     chi2: float
     dof: int
 
@@ -59,17 +48,7 @@ class OfOneKind:
 def agreements(
     kinds: Mapping[str, Sequence[Block]], model: Unknowns, whole: Solution
 ) -> dict[str, OfOneKind]:
-    """Compare each kind of data with all the others.
-
-    Parameters
-    ----------
-    kinds
-        At least two, with their blocks.
-    model
-        That of the blocks.
-    whole
-        The solution of all blocks.
-    """
+    """Compare each kind of data with all the others."""
     return {
         kind: _agreement(
             own, [block for k, b in kinds.items() if k != kind for block in b], model, whole

@@ -2,13 +2,6 @@
 
 What a mistake does to a record is its column to first order; a mistake that is large is refused
 when the record is read.
-
-- `of_records`: another scale, angle, delay or bias of a record or a run
-- `jumps`: where a record has a step, or changes its slope
-- `at_size`: what one of them does where it is no longer small
-- `of_coriolis`: another velocity in the navigation computer's Coriolis acceleration
-- `of_inputs`, `of_terms`: inputs that are stated as exact, terms that the model leaves out
-- `window_excess`: whether neighbouring residuals are off together, which a jump does
 """
 
 from __future__ import annotations
@@ -51,12 +44,8 @@ _WINDOWS: Final = (4, 16, 64, 256)
 def of_records(fit: JointFit, *, angle_recorded: bool) -> Iterator[Alternative]:
     """Yield what may be otherwise in the records of an accelerometer, of a run, or of all.
 
-    Parameters
-    ----------
-    fit
-        Any joint fit.
-    angle_recorded
-        Whether the spindle's angle was; else its zero is found and nothing can be wrong with it.
+    angle_recorded: Whether the spindle's angle was; else its zero is found and nothing can be wrong
+        with it.
     """
     parts = fit.prepared
     outputs = {i: _output(fit, i) for i in range(len(parts))}
@@ -92,12 +81,7 @@ def _output(fit: JointFit, i: int) -> Array:
 def of_coriolis(fit: JointFit, *, own_velocity: bool) -> Iterator[Alternative]:
     """Yield that the navigation computers took the other velocity for the Coriolis acceleration.
 
-    Parameters
-    ----------
-    fit
-        Any joint fit.
-    own_velocity
-        Whether they are said to take their own; else the platform's.
+    own_velocity: Whether they are said to take their own; else the platform's.
     """
     columns: dict[int, Array] = {}
     for run in dict.fromkeys(part.run for part in fit.prepared):
@@ -121,14 +105,7 @@ def at_size(fit: JointFit, other: Alternative, value: float) -> Alternative:
     A turned angle is no longer a first-order matter from a degree on, and what a record is a
     multiple of is known only once its scale is.
 
-    Parameters
-    ----------
-    fit
-        With the alternative as its last unknown.
-    other
-        One of this module's.
-    value
-        Of its parameter, not zero.
+    other: One of this module's.
     """
     if other.kind in (SCALE, RUN_SCALE):
         return replace(other, columns={i: _output(fit, i) for i in other.columns})
@@ -152,16 +129,8 @@ def jumps(
 ) -> Iterator[Alternative]:
     """Yield steps and bends of each record at evenly spaced times, or of one about a time.
 
-    Parameters
-    ----------
-    fit
-        Any joint fit.
-    count
-        How many for each record.
-    about
-        One that has been found; None: all records, over their whole length.
-    within
-        s, how far from it.
+    about: One that has been found; None: all records, over their whole length.
+    within: s, how far from it.
     """
     for i, part in enumerate(fit.prepared):
         owner, time = f"{part.run}.{part.accelerometer}", part.series.time
@@ -181,15 +150,7 @@ def jumps(
 
 
 def of_inputs(fit: JointFit, names: Sequence[str]) -> Iterator[Alternative]:
-    """Yield inputs that are stated as exact.
-
-    Parameters
-    ----------
-    fit
-        Of `counterspin.inference.joint.relaxed.relax`.
-    names
-        Keys of `counterspin.inference.joint.inputs.INPUTS`, or `TIMING`.
-    """
+    """Yield inputs that are stated as exact."""
     for name in names:
         shown = {}
         for i, part in enumerate(fit.prepared):
@@ -209,15 +170,7 @@ def of_inputs(fit: JointFit, names: Sequence[str]) -> Iterator[Alternative]:
 
 
 def of_terms(fit: JointFit, terms: Sequence[Considered]) -> Iterator[Alternative]:
-    """Yield terms that the model leaves out.
-
-    Parameters
-    ----------
-    fit
-        Any joint fit.
-    terms
-        Of which accelerometer or run, none twice.
-    """
+    """Yield terms that the model leaves out."""
     for other in terms:
         shown = {
             i: part.series.columns([other.symbol], part.scale_factor)[:, 0]
@@ -234,10 +187,7 @@ def window_excess(whitened: Array) -> float:
     distribution for independent residuals; all windows count as tests (Bonferroni), which is more
     than they are.
 
-    Parameters
-    ----------
-    whitened
-        In the order of time, shape (n,).
+    whitened: In the order of time, shape (n,).
     """
     total = np.append(0.0, np.cumsum(whitened))
     scale = math.sqrt(float(whitened @ whitened) / max(whitened.size, 1)) or 1.0

@@ -1,7 +1,4 @@
-"""Outliers among residuals: samples that the noise of their neighbours does not explain.
-
-- `outlying`: one pass over the residuals of one series
-"""
+"""Outliers among residuals: samples that the noise of their neighbours does not explain."""
 
 from __future__ import annotations
 
@@ -46,21 +43,11 @@ def outlying(
     samples at the ends, whose neighbours are all on one side, are then judged by what the same
     prediction misses elsewhere in the series, and those beside a gap are not judged.
 
-    Parameters
-    ----------
-    residuals
-        In time order, shape (n,); NaN where a sample has been left out already.
-    weight
-        Inverse relative standard deviation of each residual, shape (n,).
-    floor
-        Least credible standard deviation at weight 1, such as that of a quantisation step.
-    time
-        Shape (n,), which shows the gaps; None: there are none.
-
-    Returns
-    -------
-    array of bool
-        Shape (n,); false where a sample has been left out already.
+    residuals: In time order, shape (n,); NaN where a sample has been left out already.
+    weight: Inverse relative standard deviation of each residual, shape (n,).
+    floor: Least credible standard deviation at weight 1, such as that of a quantisation step.
+    time: Shape (n,), which shows the gaps; None: there are none.
+    Returns: shape (n,); false where a sample has been left out already.
     """
     n, there = residuals.size, np.isfinite(residuals)
     if np.count_nonzero(there) < 2 * _MEDIAN_REACH:

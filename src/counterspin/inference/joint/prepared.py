@@ -1,8 +1,4 @@
-"""The columns of each record, computed once and then weighted with any noise.
-
-- `Prepared`: a record and its columns
-- `prepare_columns`: the columns of every record of a problem; `prepared_for`: those of another one
-"""
+"""The columns of each record, computed once and then weighted with any noise."""
 
 from __future__ import annotations
 
@@ -23,23 +19,13 @@ from counterspin.physics.terms import INPUTS, SHARED_TERMS, TERMS
 
 @frozen
 class Prepared:
-    """A series and its columns, ready to be weighted with any noise.
+    """A series and its columns, ready to be weighted with any noise."""
 
-    Attributes
-    ----------
-    series
-        The series.
-    scale_factor
-        K_I with which it sees the platform's errors.
-    unknowns, considered
-        Which of the model's unknowns and considered columns the columns below belong to.
-    design, fixed
-        Their columns, shapes (n, m) and (n, c).
-    """
-
-    series: Series
-    scale_factor: float
+    series: Series  #: The series.
+    scale_factor: float  #: K_I with which it sees the platform's errors.
+    #: Which of the model's unknowns and considered columns the columns below belong to.
     unknowns: tuple[int, ...]
+    #: Their columns, shapes (n, m) and (n, c).
     design: Array
     considered: tuple[int, ...]
     fixed: Array
@@ -71,15 +57,6 @@ class Prepared:
 
         A record shows of a term what it did, but for the scale factor with which it shows the
         platform's.
-
-        Parameters
-        ----------
-        before, after
-            The model of these columns, and the one that is wanted.
-        scale_factor
-            The one that is wanted.
-        estimate
-            As for `prepare_columns`, of the unknowns of `after`.
         """
         columns = [*self.design.T, *self.fixed.T]
         terms = [before.unknowns[i].symbol for i in self.unknowns]
@@ -102,16 +79,8 @@ def prepare_columns(
 ) -> tuple[Prepared, ...]:
     """Compute every column of a problem.
 
-    Parameters
-    ----------
-    series
-        The data.
-    model
-        What is estimated and considered.
-    scale_factors
-        K_I of each accelerometer, with which it sees the platform's errors.
-    estimate
-        Values of the unknowns, less nominal, shape (p,), at which the uncertain inputs'
+    scale_factors: K_I of each accelerometer, with which it sees the platform's errors.
+    estimate: Values of the unknowns, less nominal, shape (p,), at which the uncertain inputs'
         derivatives are taken; None: those of a perfect system.
     """
     values = np.zeros(len(model.unknowns)) if estimate is None else estimate
@@ -128,18 +97,7 @@ def prepared_for(
     scale_factors: Mapping[str, float],
     known: Mapping[Unknown, float],
 ) -> tuple[Prepared, ...]:
-    """Return the columns for another model or for other scale factors; only new are computed.
-
-    Parameters
-    ----------
-    prepared, before
-        Columns, and the model that they belong to.
-    after, scale_factors
-        As for `prepare_columns`.
-    known
-        What is known of the unknowns, less nominal, at which derivatives are taken; what is not
-        there counts as nominal.
-    """
+    """Return the columns for another model or for other scale factors; only new are computed."""
     values = np.array([known.get(unknown, 0.0) for unknown in after.unknowns])
     return tuple(
         part.again(before, after, scale_factors[part.accelerometer], values) for part in prepared

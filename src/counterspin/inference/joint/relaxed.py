@@ -3,9 +3,6 @@
 What a model assumes can only be held to the records where it may give way. Hence a fit in which
 what is considered is estimated, its prior being one more observation; and one that has further
 columns, such as those of a mistake that somebody may have made.
-
-- `relax`: considered terms as unknowns with priors
-- `extended`: further columns as unknowns without priors; `widened`: only put beside the others
 """
 
 from __future__ import annotations
@@ -99,15 +96,9 @@ def extended(
 ) -> JointFit:
     """Return a relaxed fit with further unknowns, which readings beside the records do not see.
 
-    Parameters
-    ----------
-    fit
-        Of `relax`.
-    unknowns
-        What is added, m of them.
-    columns
-        Of each: the place of a series -> what it shows per unit of it, shape (n,); a series that
-        is not named shows nothing.
+    unknowns: What is added, m of them.
+    columns: Of each: the place of a series -> what it shows per unit of it, shape (n,); a series
+        that is not named shows nothing.
     """
     prepared, blocks, beside = widened(fit, columns, fit.noise)
     model = replace(fit.model, unknowns=(*fit.model.unknowns, *unknowns))

@@ -1,7 +1,4 @@
-"""The rotation of runs whose spindle angle nobody recorded, found from the output itself.
-
-- `find_rotation`: series about the nominal rate -> series about the rotation that was found
-"""
+"""The rotation of runs whose spindle angle nobody recorded, found from the output itself."""
 
 from __future__ import annotations
 
@@ -42,22 +39,6 @@ def find_rotation(
     The phase of each revolution against the nominal rate gives a first guess, whatever the start
     angle, for rates that are off by up to a tenth; the joint fit of all series is then iterated
     about it (Gauss and Newton).
-
-    Parameters
-    ----------
-    series
-        About the nominal rate.
-    model
-        With the unknowns `ROTATION` of each run.
-    scale_factors
-        K_I of each accelerometer, as for `prepare_columns`.
-    rough
-        Weights: noise of each accelerometer.
-
-    Raises
-    ------
-    ConvergenceError
-        If the iteration does not settle.
     """
     turned = _guessed(series)
     # What turns the output by a right angle, such as a misalignment of which nothing is known, is

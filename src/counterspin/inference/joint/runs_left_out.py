@@ -3,9 +3,6 @@
 With all runs the estimate is the better one, so that the variance of the shift is what the
 variance grows by (Hausman, Econometrica 46 (1978) 1251). Where the noise was estimated, the shift
 has Student's distribution, and noise that the records do not show is part of it, as of u itself.
-
-- `leave_out`: the shifts; `RunLeftOut`: one of them
-- `growth`: what more noise adds to their variance
 """
 
 from __future__ import annotations
@@ -28,43 +25,18 @@ from counterspin.inference.noise.variance_components import effective_dof_of
 
 @frozen
 class RunLeftOut:
-    """What becomes of one unknown without a run.
+    """What becomes of one unknown without a run."""
 
-    Attributes
-    ----------
-    run
-        The run left out.
-    value
-        The estimate without it.
-    shift
-        By how much that is more than the estimate of all runs.
-    variance
-        Of the shift; zero where the run says nothing of the unknown.
-    dof
-        Effective degrees of freedom of that variance; infinite where the noise was given.
-    """
-
-    run: str
-    value: float
-    shift: float
-    variance: float
+    run: str  #: The run left out.
+    value: float  #: The estimate without it.
+    shift: float  #: By how much that is more than the estimate of all runs.
+    variance: float  #: Of the shift; zero where the run says nothing of the unknown.
+    #: Effective degrees of freedom of that variance; infinite where the noise was given.
     dof: float
 
 
 def leave_out(estimated: Estimate, runs: Sequence[str], index: int, owner: str) -> list[RunLeftOut]:
-    """Leave each of some runs out in turn.
-
-    Parameters
-    ----------
-    estimated
-        Of all runs.
-    runs
-        Names of runs without which the unknown is determined.
-    index
-        Place of the unknown.
-    owner
-        The accelerometer whose noise moves it.
-    """
+    """Leave each of some runs out in turn."""
     if not runs:
         return []
     # What nobody asks for need not be apart for this.
@@ -128,15 +100,6 @@ def growth(fit: JointFit, noisier: JointFit, runs: Sequence[str], index: int) ->
     independent of it, with W = C I, the whole's covariance times the information without the run.
     So the shift's covariance is V + V' - W V' - V' W', V and V' being those of whole and rest.
     More noise adds to V and V' what it adds to the least covariance, to first order.
-
-    Parameters
-    ----------
-    fit
-        With the noise that is known.
-    noisier
-        The same fit with a little more noise.
-    runs, index
-        As for `leave_out`.
     """
     known = fit.solution.least_covariance
     whole = noisier.solution.least_covariance - known

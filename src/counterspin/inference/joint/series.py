@@ -1,8 +1,4 @@
-"""One accelerometer's output in one run, as the joint fit takes it.
-
-- `Series`: samples or block means, with the columns and the whitening that belong to them
-- `jitter_of`: white noise of a sample that comes from noise of its time stamp
-"""
+"""One accelerometer's output in one run, as the joint fit takes it."""
 
 from __future__ import annotations
 
@@ -34,51 +30,36 @@ _LEAST_SHARE: Final = 0.02
 
 @frozen
 class Series:
-    """One accelerometer's output in one run, less what a perfect system records.
+    """One accelerometer's output in one run, less what a perfect system records."""
 
-    Attributes
-    ----------
-    accelerometer, run
-        Names.
-    trajectory, mounting, observable, attitude
-        As for `observation.columns`.
-    time, spread, count
-        Mean time of each block, standard deviation of its samples' times (s) and their number,
-        shape (n,); for point samples 0 and 1.
-    spacing
-        Time between samples, s.
-    error
-        S - S_ref, m, m/s or m/s^2, shape (n,), without gaps (missing rows are left out).
-    in_g
-        Whether the record is in g, so that its size depends on the gravity assumed.
-    jitter
-        White noise of each sample, in the error's unit, that comes from noise of the time stamps,
-        its rms; it is added to the accelerometer's own.
-    moved
-        How much a standard deviation of a time stamp moves each row, in the error's unit, shape
-        (n,); None: as the wave of an ideal output does, with `jitter` its rms over a revolution.
-    angle_error
-        How far the run may have turned otherwise than `trajectory` says; None where nobody knows.
-    by_latitude
-        Change of the error with the latitude for which it was worked out, in its unit and 1/rad,
-        shape (n,); None where it does not depend on it.
-    """
-
+    #: Names.
     accelerometer: str
     run: str
+    #: As for `observation.columns`.
     trajectory: Trajectory
     mounting: Mounting
     observable: str
     attitude: Array
+    #: Mean time of each block, standard deviation of its samples' times (s) and their number, shape
+    #: (n,); for point samples 0 and 1.
     time: Array
     spread: Array
     count: Array
-    spacing: float
+    spacing: float  #: Time between samples, s.
+    #: S - S_ref, m, m/s or m/s^2, shape (n,), without gaps (missing rows are left out).
     error: Array
+    #: Whether the record is in g, so that its size depends on the gravity assumed.
     in_g: bool = False
+    #: White noise of each sample, in the error's unit, that comes from noise of the time stamps,
+    #: its rms; it is added to the accelerometer's own.
     jitter: float = 0.0
+    #: How far the run may have turned otherwise than `trajectory` says; None where nobody knows.
     angle_error: AngleError | None = None
+    #: Change of the error with the latitude for which it was worked out, in its unit and 1/rad,
+    #: shape (n,); None where it does not depend on it.
     by_latitude: Array | None = None
+    #: How much a standard deviation of a time stamp moves each row, in the error's unit, shape
+    #: (n,); None: as the wave of an ideal output does, with `jitter` its rms over a revolution.
     moved: Array | None = None
 
     @property
@@ -218,19 +199,9 @@ def jitter_of(
 ) -> Rate:
     """Return what noise of the time stamps adds to each sample: its slope's rms times the noise.
 
-    Parameters
-    ----------
-    timing
-        Standard deviation of a time stamp, s.
-    radius
-        Of the centrifuge, m.
-    rate
-        Of the spindle, rad/s: a number or an array.
-    order
-        How often the observable integrates the specific force.
-    axis
-        Input axis, east-north-up: what turns is level, so that its level part alone counts.
-        Absent: it is level.
+    timing: Standard deviation of a time stamp, s.
+    radius: Of the centrifuge, m.
+    rate: Of the spindle, rad/s: a number or an array.
     """
     level = 1.0 if axis is None else float(np.linalg.norm(np.asarray(axis)[:2]))
     return timing * level * radius * abs(rate) ** (3 - order) / math.sqrt(2.0)

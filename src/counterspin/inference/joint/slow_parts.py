@@ -6,8 +6,6 @@ what rests on that run by more than this noise allows. Noise acts in every run. 
 residuals that cosines of a run can follow, up to where the record's own noise is the larger one,
 are compared with those of the other runs: a quotient of chi-squares (Fisher's F), in which the
 size of the noise cancels.
-
-- `SlowPart`, `slow_parts`: each run against the others
 """
 
 from __future__ import annotations
@@ -33,33 +31,15 @@ _RANK_TOLERANCE: Final = 1e-4
 
 @frozen
 class SlowPart:
-    """The slow part of one run's residuals, against those of the other runs.
+    """The slow part of one run's residuals, against those of the other runs."""
 
-    Attributes
-    ----------
-    run
-        The run.
-    ratio
-        Its mean square over that of the others.
-    p
-        Probability of as large a ratio or a larger one by chance, for this run alone.
-    """
-
-    run: str
-    ratio: float
-    p: float
+    run: str  #: The run.
+    ratio: float  #: Its mean square over that of the others.
+    p: float  #: Probability of as large a ratio or a larger one by chance, for this run alone.
 
 
 def slow_parts(fit: JointFit, accelerometer: str) -> list[SlowPart]:
-    """Compare the slow residuals of each run of an accelerometer with those of its others.
-
-    Parameters
-    ----------
-    fit
-        Of `counterspin.inference.joint.relaxed.relax`, with the noise that was found.
-    accelerometer
-        Whose records.
-    """
+    """Compare the slow residuals of each run of an accelerometer with those of its others."""
     places = [i for i, part in enumerate(fit.prepared) if part.accelerometer == accelerometer]
     cosines = [
         Alternative("cosine", str(i), "cosine", {i: column})

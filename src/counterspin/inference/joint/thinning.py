@@ -1,10 +1,4 @@
-"""Residuals thinned for pictures: few points that show what many would.
-
-- `stretches`: over time, the smallest and the largest of each stretch
-- `over_revolution`: over the spindle's angle
-- `smoothed_spectrum`: of whitened residuals
-- `normal_quantiles`: whitened residuals in order, beside a normal distribution
-"""
+"""Residuals thinned for pictures: few points that show what many would."""
 
 from __future__ import annotations
 
@@ -22,12 +16,8 @@ def stretches(time: Array, values: Array, count: int) -> tuple[Array, Array, Arr
     The stretches hold equally many samples, so that a gap in the record stays one, and no sample
     however far out is lost.
 
-    Parameters
-    ----------
-    time, values
-        Shape (n,), n >= 1, in the order of time.
-    count
-        At least 1.
+    time, values: Shape (n,), n >= 1, in the order of time.
+    count: At least 1.
     """
     first = np.unique(np.arange(count) * time.size // count)
     last = np.append(first[1:], time.size) - 1
@@ -41,14 +31,8 @@ def stretches(time: Array, values: Array, count: int) -> tuple[Array, Array, Arr
 def over_revolution(angle: Array, values: Array, parts: int) -> tuple[Array, Array, Array]:
     """Return smallest, mean and largest values in equal parts of a revolution, shape (parts,).
 
-    Parameters
-    ----------
-    angle
-        Of the spindle, rad, any revolution, shape (n,).
-    values
-        Shape (n,).
-    parts
-        How many; one without a sample has NaN.
+    angle: Of the spindle, rad, any revolution, shape (n,).
+    values: Shape (n,).
     """
     place = np.minimum((np.mod(angle, TURN) * (parts / TURN)).astype(np.intp), parts - 1)
     count = np.bincount(place, minlength=parts)
@@ -69,14 +53,10 @@ def smoothed_spectrum(
 
     The bands are equally wide on a logarithmic scale.
 
-    Parameters
-    ----------
-    power
-        The periodogram of whitened residuals, from `counterspin.inference.diagnostics`, shape (m,).
-    length
-        Of the record, s: the inverse of the first line's frequency.
-    count
-        At least 1.
+    power: The periodogram of whitened residuals, from `counterspin.inference.diagnostics`, shape
+        (m,).
+    length: Of the record, s: the inverse of the first line's frequency.
+    count: At least 1.
     """
     edges = np.unique(np.geomspace(1.0, power.size + 1.0, count + 1).astype(np.intp))
     first, width = edges[:-1], np.diff(edges)
@@ -90,17 +70,9 @@ def normal_quantiles(whitened: Array, count: int) -> tuple[Array, Array]:
     Blom's scores, those of ranks (i - 3/8) / (n + 1/4); the ranks are chosen evenly along them,
     so that the tails are whole where the middle is thinned.
 
-    Parameters
-    ----------
-    whitened
-        Shape (n,), n >= 1.
-    count
-        At least 2.
-
-    Returns
-    -------
-    normal, found
-        Shape (m,), m <= count.
+    whitened: Shape (n,), n >= 1.
+    count: At least 2.
+    Returns: shape (m,), m <= count.
     """
     n = whitened.size
     end = normal_quantile(0.625 / (n + 0.25))

@@ -1,8 +1,4 @@
-"""What a joint fit estimates, asked for or not, and what it holds.
-
-- `Unknown`, `Considered`: terms of the accelerometers, of the platform, of a run's rotation, inputs
-- `Unknowns`: all of them
-"""
+"""What a joint fit estimates, asked for or not, and what it holds."""
 
 from __future__ import annotations
 
@@ -21,31 +17,19 @@ ROTATION: Final = ("spindle.start_angle", "spindle.rate", "spindle.drift")
 
 @frozen
 class Unknown:
-    """One unknown of the joint fit.
+    """One unknown of the joint fit."""
 
-    Attributes
-    ----------
-    owner
-        The accelerometer's name, the run's name, or empty for what all share.
-    symbol
-        A term of the table, one of `ROTATION` or of `counterspin.inference.joint.encoder.SYMBOLS`.
-    prior
-        (value, standard uncertainty) of the coefficient; infinite: nothing known. Of an input,
-        its deviation from what the description states.
-    limit
-        Largest credible size.
-    asked
-        Whether anybody wants to know it; else it is there because others depend on it.
-    unstated
-        Whether the description does not state the prior's uncertainty, which then is the typical
-        one of the table of terms.
-    """
-
-    owner: str
+    owner: str  #: The accelerometer's name, the run's name, or empty for what all share.
+    #: A term of the table, one of `ROTATION` or of `counterspin.inference.joint.encoder.SYMBOLS`.
     symbol: str
+    #: (value, standard uncertainty) of the coefficient; infinite: nothing known. Of an input, its
+    #: deviation from what the description states.
     prior: tuple[float, float]
-    limit: float
+    limit: float  #: Largest credible size.
+    #: Whether anybody wants to know it; else it is there because others depend on it.
     asked: bool = True
+    #: Whether the description does not state the prior's uncertainty, which then is the typical one
+    #: of the table of terms.
     unstated: bool = False
 
     @property
@@ -86,15 +70,10 @@ class Considered(Unknown):
 
 @frozen
 class Unknowns:
-    """What is estimated and what is held.
+    """What is estimated and what is held."""
 
-    Attributes
-    ----------
-    unknowns, considered
-        In the order of the solution's rows and considered columns; unknowns that are asked for
-        come first.
-    """
-
+    #: In the order of the solution's rows and considered columns; unknowns that are asked for come
+    #: first.
     unknowns: tuple[Unknown, ...]
     considered: tuple[Considered, ...] = ()
 

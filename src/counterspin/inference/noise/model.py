@@ -45,29 +45,13 @@ DISPLACEMENT, VELOCITY, SPECIFIC_FORCE = 2, 1, 0
 
 @frozen
 class NoiseModel:
-    """Noise of one accelerometer's records.
+    """Noise of one accelerometer's records."""
 
-    Attributes
-    ----------
-    white
-        Standard deviation per sample, in the observable's unit (m, m/s or m/s^2).
-    random_walk
-        N, (m/s^2)/Hz^0.5: velocity variance N^2 t.
-    quantisation
-        Step of the recorded observable, same unit as `white`.
-    flicker, bias_walk
-        Bias instability B, m/s^2, and random walk K of the bias, m/s^2/s^0.5; see
-        `counterspin.inference.noise.wander`.
-
-    Raises
-    ------
-    ValueError
-        A component is negative or not finite.
-    """
-
-    white: float
-    random_walk: float = 0.0
-    quantisation: float = 0.0
+    white: float  #: Standard deviation per sample, in the observable's unit (m, m/s or m/s^2).
+    random_walk: float = 0.0  #: N, (m/s^2)/Hz^0.5: velocity variance N^2 t.
+    quantisation: float = 0.0  #: Step of the recorded observable, same unit as `white`.
+    #: Bias instability B, m/s^2, and random walk K of the bias, m/s^2/s^0.5; see
+    #: `counterspin.inference.noise.wander`.
     flicker: float = 0.0
     bias_walk: float = 0.0
 
@@ -95,21 +79,11 @@ class NoiseModel:
 
 @frozen
 class Differences:
-    """Differences of a record's rows, and the factor of their covariance.
+    """Differences of a record's rows, and the factor of their covariance."""
 
-    Attributes
-    ----------
-    order
-        2, 1 or 0: how many rows fewer, and how many off-diagonals.
-    blocks
-        The samples of each row.
-    spacing
-        (n,) time between the samples of a block, s.
-    """
-
-    order: int
-    blocks: BlockSpans
-    spacing: Array
+    order: int  #: 2, 1 or 0: how many rows fewer, and how many off-diagonals.
+    blocks: BlockSpans  #: The samples of each row.
+    spacing: Array  #: (n,) time between the samples of a block, s.
 
     @classmethod
     def of(
@@ -171,18 +145,7 @@ class Differences:
     def wander(self, order: int, levels: Levels, before: float) -> Array:
         """Return differences of what the rows show of a wandering bias, one column a direction.
 
-        Parameters
-        ----------
-        order
-            How often the observable integrates acceleration.
-        levels
-            Of all noise.
-        before
-            For how long the bias had walked when the record began, s.
-
-        Returns
-        -------
-        (n - order, r); the wander's covariance is this times its transpose.
+        before: For how long the bias had walked when the record began, s.
         """
         length = spanned(float(self.blocks.time[-1]))
         count = functions_needed(levels, float(np.median(self.spacing)), length, order)
@@ -202,17 +165,7 @@ class Differences:
     def factor(self, white: float | Array, walk: float) -> tuple[Array, float]:
         """Banded Cholesky factor of the differences' covariance, and its log-determinant.
 
-        Parameters
-        ----------
-        white
-            White variance per sample (quantisation included), of all rows or of each, (n,).
-        walk
-            N^2; not both zero.
-
-        Returns
-        -------
-        (order + 1, n - order) lower bands as LAPACK stores them, bands[k, j] = L[j + k, j];
-        log det of L L'.
+        walk: N^2; not both zero.
         """
         if self.order == SPECIFIC_FORCE:
             # A sample is taken as the mean over its own spacing: variance N^2/h.
@@ -252,27 +205,16 @@ class Differences:
 
 @frozen
 class Whitener:
-    """Turns rows of a record into rows whose noise has unit covariance.
+    """Turns rows of a record into rows whose noise has unit covariance."""
 
-    Attributes
-    ----------
-    differences
-        The record's differences; of order 0 where nothing has to be differenced.
-    bands
-        Banded lower Cholesky factor of their covariance.
-    log_det
-        Log-determinant of that covariance.
-    polynomials
-        How many columns 1, t of start errors must still be estimated: `order` without a random
-        walk, 0 with one (the differences have removed them).
-    wander
-        Whitens what is then left of a wandering bias; None without one.
-    """
-
+    #: The record's differences; of order 0 where nothing has to be differenced.
     differences: Differences
-    bands: Array
-    log_det: float
+    bands: Array  #: Banded lower Cholesky factor of their covariance.
+    log_det: float  #: Log-determinant of that covariance.
+    #: How many columns 1, t of start errors must still be estimated: `order` without a random walk,
+    #: 0 with one (the differences have removed them).
     polynomials: int
+    #: Whitens what is then left of a wandering bias; None without one.
     wander: LowRank | None = None
 
     @property
@@ -309,28 +251,13 @@ def make_whitener(
 ) -> Whitener:
     """Whitener of one record of one observable.
 
-    Parameters
-    ----------
-    times
-        (n,) s, increasing: of each sample, or the mean time of each block. Leave missing rows out.
-    order
-        2 displacement, 1 velocity, 0 specific force.
-    noise
-        Per-sample noise.
-    count
-        (n,) or a number: how many evenly spaced samples a row is the mean of; absent: 1.
-    sample_spacing
-        s, (n,) or a number: time between the samples of a block; absent: what makes most blocks
-        adjoin.
-    before
-        For how long the bias had walked when the record began, s.
-    added
-        White variance of a sample beside that of `noise`, of all rows or of each, (n,).
-
-    Raises
-    ------
-    ValueError
-        Times do not increase, blocks overlap, too few rows, or the noise is zero.
+    times: (n,) s, increasing: of each sample, or the mean time of each block. Leave missing rows
+        out.
+    order: 2 displacement, 1 velocity, 0 specific force.
+    count: (n,) or a number: how many evenly spaced samples a row is the mean of; absent: 1.
+    sample_spacing: s, (n,) or a number: time between the samples of a block; absent: what makes
+        most blocks adjoin.
+    before: For how long the bias had walked when the record began, s.
     """
     white, walk = noise.sample_variance + added, noise.random_walk**2
     if np.any(white + walk == 0):

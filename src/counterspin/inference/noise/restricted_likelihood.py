@@ -27,37 +27,21 @@ _LEAST_FREEDOM: Final = 1e-9
 
 @frozen
 class RecordData:
-    """One record of one observable, as noise estimation needs it.
+    """One record of one observable, as noise estimation needs it."""
 
-    Attributes
-    ----------
-    times
-        (n,) s, increasing.
-    order
-        2 displacement, 1 velocity, 0 specific force.
-    design
-        (n, k) columns of the unknowns that the record sees. Start offset and velocity may be left
-        out: differencing removes them.
-    observations
-        (n,).
-    count, spacing
-        Samples per row and the time between them, as in `make_whitener`.
-    places
-        (k,) which of the p unknowns of all records the columns belong to; absent: all of them.
-    before
-        For how long a bias had walked when the record began, s.
-    shares
-        (n,) or a number: white variance of each row's samples over that which is estimated.
-    """
-
-    times: ArrayLike
-    order: int
+    times: ArrayLike  #: (n,) s, increasing.
+    order: int  #: 2 displacement, 1 velocity, 0 specific force.
+    #: (n, k) columns of the unknowns that the record sees. Start offset and velocity may be left
+    #: out: differencing removes them.
     design: ArrayLike
-    observations: ArrayLike
+    observations: ArrayLike  #: (n,).
+    #: Samples per row and the time between them, as in `make_whitener`.
     count: ArrayLike | None = None
     spacing: ArrayLike | None = None
+    #: (k,) which of the p unknowns of all records the columns belong to; absent: all of them.
     places: ArrayLike | None = None
-    before: float = 0.0
+    before: float = 0.0  #: For how long a bias had walked when the record began, s.
+    #: (n,) or a number: white variance of each row's samples over that which is estimated.
     shares: float | Array = 1.0
 
 

@@ -29,30 +29,14 @@ FEW_ROWS: Final = 1000
 
 @frozen
 class BlockSpans:
-    """Where the samples of each row lie; a row is the mean of the samples of its block.
+    """Where the samples of each row lie; a row is the mean of the samples of its block."""
 
-    Attributes
-    ----------
-    time
-        (n,) mean time of the samples, s, increasing.
-    count
-        (n,) how many samples.
-    half
-        (n,) from the mean time to the last sample, s.
-    variance
-        (n,) mean of u^2, u being a sample's time from the block's mean time, s^2.
-    mean_distance
-        (n,) mean of abs(u - u') over all pairs of samples of the block, s.
-    mean_cube
-        (n,) mean of abs(u - u')^3, s^3.
-    """
-
-    time: Array
-    count: Array
-    half: Array
-    variance: Array
-    mean_distance: Array
-    mean_cube: Array
+    time: Array  #: (n,) mean time of the samples, s, increasing.
+    count: Array  #: (n,) how many samples.
+    half: Array  #: (n,) from the mean time to the last sample, s.
+    variance: Array  #: (n,) mean of u^2, u being a sample's time from the block's mean time, s^2.
+    mean_distance: Array  #: (n,) mean of abs(u - u') over all pairs of samples of the block, s.
+    mean_cube: Array  #: (n,) mean of abs(u - u')^3, s^3.
 
     @classmethod
     def of(cls, time: Array, count: Array, spacing: Array) -> BlockSpans:
@@ -70,24 +54,12 @@ class BlockSpans:
 
 @frozen
 class Innovations:
-    """The filter of rows 2 .. n-1 (the first two rows only find the state).
+    """The filter of rows 2 .. n-1 (the first two rows only find the state)."""
 
-    Attributes
-    ----------
-    variance
-        (n-2,) variance of a row about its prediction from the rows before it.
-    gain
-        (2, n-2) what one unit of that difference adds to position and velocity.
-    ahead
-        (n,) time from the last sample of the row before to this row's mean time, s.
-    step
-        (n,) time from the last sample of the row before to this row's last sample, s.
-    """
-
-    variance: Array
-    gain: Array
-    ahead: Array
-    step: Array
+    variance: Array  #: (n-2,) variance of a row about its prediction from the rows before it.
+    gain: Array  #: (2, n-2) what one unit of that difference adds to position and velocity.
+    ahead: Array  #: (n,) time from the last sample of the row before to this row's mean time, s.
+    step: Array  #: (n,) time from the last sample of the row before to this row's last sample, s.
 
 
 def filter_walk(
@@ -95,16 +67,9 @@ def filter_walk(
 ) -> Innovations:
     """Innovation variances and gains for a doubly integrated walk seen through white noise.
 
-    Parameters
-    ----------
-    blocks
-        n >= 3 rows.
-    white
-        White variance per sample, m^2, of all rows or of each, (n,).
-    walk
-        Square of the random-walk coefficient, N^2, (m/s^2)^2/Hz; not both zero.
-    few_rows
-        Up to how many rows it runs row after row.
+    blocks: n >= 3 rows.
+    white: White variance per sample, m^2, of all rows or of each, (n,).
+    walk: Square of the random-walk coefficient, N^2, (m/s^2)^2/Hz; not both zero.
     """
     last = blocks.time + blocks.half
     before = np.concatenate(([blocks.time[0] - blocks.half[0]], last[:-1]))

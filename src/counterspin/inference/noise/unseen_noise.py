@@ -9,9 +9,6 @@ and the uncertainty is that of these weights averaged over the walks that the re
 The density of N^2, given the records, is the restricted likelihood times (N^2)^(-2/3), which is
 N^(-1/3) for N. With this power intervals cover 95 % or more at any size of the walk: just that at
 the detection limit, and more near zero, where nothing is wrong and the records cannot know it.
-
-- `Unseen`, `unseen_walk`: the levels that the records allow
-- `lengthened`: covariance and degrees of freedom of a fit with it
 """
 
 from __future__ import annotations
@@ -45,18 +42,10 @@ _HALF_INTERVAL: Final = 0.975
 
 @frozen
 class Unseen:
-    """A dropped walk.
+    """A dropped walk."""
 
-    Attributes
-    ----------
-    levels
-        N^2, (m/s^2)^2/Hz, increasing, shape (g,).
-    weights
-        Probability of each, shape (g,).
-    """
-
-    levels: Array
-    weights: Array
+    levels: Array  #: N^2, (m/s^2)^2/Hz, increasing, shape (g,).
+    weights: Array  #: Probability of each, shape (g,).
 
     @property
     def step(self) -> float:
@@ -67,15 +56,8 @@ class Unseen:
 def unseen_walk(at: Callable[[float], tuple[float, float]], first: float, without: float) -> Unseen:
     """Return which walks records allow that do not show one.
 
-    Parameters
-    ----------
-    at
-        Log of a ratio of walk to white noise -> (log-likelihood at the best level of the white
+    at: Log of a ratio of walk to white noise -> (log-likelihood at the best level of the white
         noise, log N^2).
-    first
-        Log of a ratio at which a walk only just begins to show.
-    without
-        Log-likelihood without a walk.
     """
     for _ in range(_MOST_STEPS):
         if abs(at(first)[0] - without) < _VISIBLE_CHANGE:
@@ -105,19 +87,9 @@ def lengthened(unseen: Unseen, variance: Array, slope: Array) -> tuple[float, Ar
     normal one for each level, of variance + slope x level, weighted. For the others, which get
     the same level, the degrees of freedom are those at which the 95 % interval is right.
 
-    Parameters
-    ----------
-    unseen
-        The levels.
-    variance
-        u^2 of each coefficient without the walk, shape (p,).
-    slope
-        What N^2 adds to it, per unit, shape (p,).
-
-    Returns
-    -------
-    float, Array
-        N^2; degrees of freedom, shape (p,), infinite where the walk adds nothing.
+    variance: u^2 of each coefficient without the walk, shape (p,).
+    slope: What N^2 adds to it, per unit, shape (p,).
+    Returns: N^2; degrees of freedom, shape (p,), infinite where the walk adds nothing.
     """
     spread = np.sqrt(variance[:, None] + slope[:, None] * unseen.levels)
     most = int(np.argmax(slope / variance))

@@ -8,9 +8,6 @@ A component is kept only if the records ask for it: twice the gain in restricted
 reach `KEEPING_GAIN`. At its boundary, zero, that statistic is 0 half of the time and chi-square
 with one degree of freedom otherwise (Self and Liang, JASA 82 (1987) 605), so that 2.706 keeps a
 component which is not there at most 5 times in 100.
-
-- `estimate`: records -> `VarianceComponents`
-- `effective_dof`, `effective_dof_of`: how many degrees of freedom an uncertainty rests on
 """
 
 from __future__ import annotations
@@ -59,44 +56,27 @@ COMPONENTS: Final = (_WHITE, _WALK, "flicker", "bias_walk")
 
 @frozen
 class VarianceComponents:
-    """Estimated noise, and how well it is known.
+    """Estimated noise, and how well it is known."""
 
-    Attributes
-    ----------
-    white, random_walk, quantisation
-        As in `NoiseModel`; quantisation is always as given.
-    covariance
-        (2, 2) of (white^2, random_walk^2), or (4, 4) of the squares of `COMPONENTS` where the bias
-        wanders: inverse observed information; zero for a component that was given or dropped.
-    estimated
-        Which of `COMPONENTS` were estimated and kept.
-    dropped
-        Which were to be estimated and are not supported by the records.
-    log_likelihoods
-        Restricted log-likelihood of each set of components tried.
-    degrees_of_freedom
-        Rows less unknowns: n - p, start errors counted among the unknowns.
-    evaluations
-        How often all rows were whitened.
-    converged
-        False where the search ended at the limit of what the records' sampling can show.
-    unseen
-        Of a dropped random walk, the sizes that the records allow; else None.
-    flicker, bias_walk
-        As in `NoiseModel`.
-    """
-
+    #: As in `NoiseModel`; quantisation is always as given.
     white: float
     random_walk: float
     quantisation: float
+    #: (2, 2) of (white^2, random_walk^2), or (4, 4) of the squares of `COMPONENTS` where the bias
+    #: wanders: inverse observed information; zero for a component that was given or dropped.
     covariance: Array
-    estimated: tuple[str, ...]
-    dropped: tuple[str, ...]
+    estimated: tuple[str, ...]  #: Which of `COMPONENTS` were estimated and kept.
+    dropped: tuple[str, ...]  #: Which were to be estimated and are not supported by the records.
+    #: Restricted log-likelihood of each set of components tried.
     log_likelihoods: dict[tuple[str, ...], float]
+    #: Rows less unknowns: n - p, start errors counted among the unknowns.
     degrees_of_freedom: float
-    evaluations: int
+    evaluations: int  #: How often all rows were whitened.
+    #: False where the search ended at the limit of what the records' sampling can show.
     converged: bool
+    #: Of a dropped random walk, the sizes that the records allow; else None.
     unseen: Unseen | None = None
+    #: As in `NoiseModel`.
     flicker: float = 0.0
     bias_walk: float = 0.0
 
@@ -119,23 +99,9 @@ def estimate(
 ) -> VarianceComponents:
     """Estimate the noise that records share.
 
-    Parameters
-    ----------
-    records
-        Records of one observable of one accelerometer.
-    white, random_walk
-        Known components; None asks for an estimate.
-    quantisation
-        Step of the observable; part of the white noise that no estimate may fall below.
-    prior_rows, prior_values
-        (m, p) and (m,): what is known of the unknowns, in rows of unit variance.
-
-    Raises
-    ------
-    ValueError
-        The records do not fit together.
-    NotIdentifiableError
-        No rows are left to estimate from, or the residuals are zero.
+    white, random_walk: Known components; None asks for an estimate.
+    prior_rows, prior_values: (m, p) and (m,): what is known of the unknowns, in rows of unit
+        variance.
     """
     likelihood = RestrictedLikelihood.of(records, prior_rows, prior_values)
     floor = quantisation**2 / 12
@@ -186,18 +152,9 @@ def _unseen(likelihood: RestrictedLikelihood, best: _Maximum, rules: _Rules) -> 
 def effective_dof(variance: ArrayLike, gradient: ArrayLike, covariance: ArrayLike) -> Array:
     """Satterthwaite's degrees of freedom, 2 (u^2)^2/Var(u^2), of each coefficient.
 
-    Parameters
-    ----------
-    variance
-        (p,) u^2 of each coefficient.
-    gradient
-        (p, m) derivative of u^2 with respect to each estimated noise variance.
-    covariance
-        (m, m) covariance of those variances.
-
-    Returns
-    -------
-    (p,) infinite where u^2 does not depend on an estimated variance.
+    variance: (p,) u^2 of each coefficient.
+    gradient: (p, m) derivative of u^2 with respect to each estimated noise variance.
+    covariance: (m, m) covariance of those variances.
     """
     slope = np.asarray(gradient, float)
     spread = np.einsum("pi,ij,pj->p", slope, np.asarray(covariance, float), slope)
@@ -212,17 +169,8 @@ def effective_dof_of(
 ) -> Array:
     """Satterthwaite's degrees of freedom, from the coefficients' variances at other noise levels.
 
-    Parameters
-    ----------
-    coefficient_variances
-        Noise -> (p,) u^2 of each coefficient when the records have that noise; called once at the
-        estimate and twice for each estimated component.
-    components
-        The estimated noise.
-
-    Returns
-    -------
-    (p,), exactly n - p where the noise is white and nothing else is known.
+    coefficient_variances: Noise -> (p,) u^2 of each coefficient when the records have that noise;
+        called once at the estimate and twice for each estimated component.
     """
     noise = components.noise
     variance = np.asarray(coefficient_variances(noise), float)

@@ -11,10 +11,6 @@ covariance is that of the process on a grid four times as fine, with the exact a
 of a spectrum 1/f between two frequencies, a difference of cosine integrals. Integrated as often as
 the record is, the cosines add a covariance U U' of low rank to whitened rows, and
 (1 + U U')^(-1/2) whitens them again.
-
-- `flicker_autocovariance`: of a spectrum 1/f with two ends
-- `spanned`, `functions_needed`, `integrated_cosines`, `coefficient_root`: the bias over a record
-- `LowRank`: the second whitening
 """
 
 from __future__ import annotations
@@ -53,17 +49,9 @@ def flicker_autocovariance(lag: Array, low: float, high: float) -> Array:
 
     2 int B^2/(2 pi f) cos(2 pi f tau) df = (Ci(2 pi high tau) - Ci(2 pi low tau)) B^2/pi.
 
-    Parameters
-    ----------
-    lag
-        tau, s, not negative.
-    low, high
-        Hz.
-
-    Returns
-    -------
-    Array
-        Of the shape of `lag`.
+    lag: tau, s, not negative.
+    low, high: Hz.
+    Returns: of the shape of `lag`.
     """
     from scipy.special import sici
 
@@ -75,20 +63,11 @@ def flicker_autocovariance(lag: Array, low: float, high: float) -> Array:
 
 @frozen
 class Levels:
-    """Variances of all noise of a record.
+    """Variances of all noise of a record."""
 
-    Attributes
-    ----------
-    white
-        Of a sample, in the observable's unit squared, quantisation included.
-    walk
-        N^2, of the accelerometer's white noise.
-    flicker, bias_walk
-        B^2 and K^2.
-    """
-
-    white: float
-    walk: float
+    white: float  #: Of a sample, in the observable's unit squared, quantisation included.
+    walk: float  #: N^2, of the accelerometer's white noise.
+    #: B^2 and K^2.
     flicker: float
     bias_walk: float
 
@@ -101,16 +80,8 @@ def spanned(last: float) -> float:
 def functions_needed(levels: Levels, spacing: float, length: float, order: int) -> int:
     """Return how many cosines show the wander wherever the other noise does not cover it.
 
-    Parameters
-    ----------
-    levels
-        Of the noise.
-    spacing
-        Time between samples, s.
-    length
-        Of the record, s.
-    order
-        How often the observable integrates acceleration.
+    spacing: Time between samples, s.
+    length: Of the record, s.
     """
     fewest, most = _FUNCTION_RANGE
     # No more than the samples can show.
@@ -131,15 +102,8 @@ def integrated_cosines(
 ) -> Array:
     """Return what a record shows of each cosine of the bias, shape (n, count).
 
-    Parameters
-    ----------
-    times, samples, spacing
-        Mean time of each row (s), how many samples it is the mean of, and the time between these
-        (s), shape (n,).
-    order
-        How often the observable integrates acceleration.
-    count, length
-        How many, and of which length of record.
+    times, samples, spacing: Mean time of each row (s), how many samples it is the mean of, and the
+        time between these (s), shape (n,).
     """
     w = math.pi * np.arange(1, count) / length
     phase = times[:, None] * w
@@ -176,14 +140,7 @@ def _coefficient_covariances(count: int, length: float) -> tuple[Array, Array]:
 def coefficient_root(levels: Levels, count: int, length: float, before: float) -> Array:
     """Return a square root of the cosines' covariance, shape (count, count).
 
-    Parameters
-    ----------
-    levels
-        Of the noise.
-    count, length
-        As for `integrated_cosines`.
-    before
-        For how long the bias had walked when the record began, s.
+    before: For how long the bias had walked when the record began, s.
     """
     flicker, walk = _coefficient_covariances(count, length)
     covariance = levels.flicker * flicker + levels.bias_walk * walk
@@ -195,21 +152,11 @@ def coefficient_root(levels: Levels, count: int, length: float, before: float) -
 
 @frozen(eq=False)
 class LowRank:
-    """The inverse square root of 1 + U U', as rows are multiplied with it.
+    """The inverse square root of 1 + U U', as rows are multiplied with it."""
 
-    Attributes
-    ----------
-    directions
-        U V, where U' U = V diag(size) V', shape (m, q).
-    shrink
-        ((1 + size)^(-1/2) - 1)/size, shape (q,).
-    log_det
-        Log-determinant of 1 + U U'.
-    """
-
-    directions: Array
-    shrink: Array
-    log_det: float
+    directions: Array  #: U V, where U' U = V diag(size) V', shape (m, q).
+    shrink: Array  #: ((1 + size)^(-1/2) - 1)/size, shape (q,).
+    log_det: float  #: Log-determinant of 1 + U U'.
 
     @classmethod
     def of(cls, added: Array) -> LowRank:

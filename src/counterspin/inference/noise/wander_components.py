@@ -5,9 +5,6 @@ that is asked for is then part of the noise: what the records cannot tell from a
 velocity may still be one, and moves a run's bias too. Its size is the mean over what the records
 allow. The walk, and a second kind of wander, are kept if they gain as much as a component must
 (`counterspin.inference.noise.variance_components.KEEPING_GAIN`).
-
-- `Request`: which variances are known
-- `estimate_wandering`: records -> `VarianceComponents`
 """
 
 from __future__ import annotations
@@ -83,20 +80,7 @@ def estimate_wandering(
     prior_rows: ArrayLike | None = None,
     prior_values: ArrayLike | None = None,
 ) -> VarianceComponents:
-    """Estimate the noise that records share, a wandering bias included.
-
-    Parameters
-    ----------
-    records, prior_rows, prior_values
-        As for `counterspin.inference.noise.variance_components.estimate`.
-    request
-        What is known. Where the bias wanders there is white noise too.
-
-    Raises
-    ------
-    ValueError, NotIdentifiableError
-        As `estimate`; the first too if there is no white noise.
-    """
+    """Estimate the noise that records share, a wandering bias included."""
     likelihood = RestrictedLikelihood.of(records, prior_rows, prior_values)
     search = _Search(likelihood, request)
     free = [name for name in COMPONENTS if getattr(request, name) is None]

@@ -4,11 +4,6 @@ The joint fit reduces a record to square-root information by whitening it. The f
 it to one number, the curvature b2 of a parabola through its strobes, which is linear in the
 coefficients as every sample is: what a coefficient does to b2 is the same functional of the
 coefficient's column.
-
-- `strobed`: a record at its strobes
-- `two_stage_model`, `held`: what is estimated, and what is held
-- `exact_columns`, `printed_columns`: the columns at the strobes, as they are and as Eq. 26 has them
-- `curvature_row`: the row
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""The first stage: a parabola through the strobes of one run (Eq. 16-18, 31).
-
-- `first_stage`, `Parabola`
-- `walk_covariance`: what white noise of the accelerometer makes of the strobes
-"""
+"""The first stage: a parabola through the strobes of one run (Eq. 16-18, 31)."""
 
 from __future__ import annotations
 

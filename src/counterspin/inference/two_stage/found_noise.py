@@ -1,7 +1,4 @@
-"""Noise that was found in the records: what its own uncertainty does to the second stage.
-
-- `with_found_noise`
-"""
+"""Noise that was found in the records: what its own uncertainty does to the second stage."""
 
 from __future__ import annotations
 

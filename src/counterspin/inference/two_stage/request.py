@@ -1,8 +1,4 @@
-"""What is asked of the two-stage method for one accelerometer: model, priors, noise.
-
-- `TwoStageRequest`
-- `DRIFT`, `RIPPLE`: second unknowns
-"""
+"""What is asked of the two-stage method for one accelerometer: model, priors, noise."""
 
 from __future__ import annotations
 

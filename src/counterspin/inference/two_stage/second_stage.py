@@ -7,15 +7,6 @@ run (`curvatures` beside this module). So budgets, sensitivities and tests of pr
 any fit.
 
 Two observation models:
-
-- ``exact``: the columns are the joint fit's, along the identified rotation, so that drift and
-  ripple are accounted for; at constant rate K_II enters with R^2 w^4/(4 g). K_F is estimated beside
-  it, with its prior. Only where the nominal angle is the reference does the drift C show, as
-  -(1/2) K_I R w C.
-- ``as-printed``: Eq. 26, with 1/2 for K_II and a ripple column that exact physics does not have.
-
-- `resolve`, `SecondStage`: the fit
-- `second_stage`, `StrobedRun`: the same from runs whose first stage is at hand
 """
 
 from __future__ import annotations

@@ -2,9 +2,6 @@
 
 At these angles every harmonic of the revolution has the same phase, so that only what
 accumulates shows: a parabola in time, and around it noise.
-
-- `strobe_angle`: the angle that serves a horizontal input axis
-- `by_angle`, `by_nominal_rate`: the samples there, interpolated from a record
 """
 
 from __future__ import annotations
@@ -28,25 +25,14 @@ _ROUNDING: Final = 1e-9
 
 @frozen
 class Strobes:
-    """The strobed displacement error of one run.
+    """The strobed displacement error of one run."""
 
-    Attributes
-    ----------
-    time
-        s, shape (m,).
-    error
-        Displacement error S - S_ref at the strobes, m, shape (m,).
-    noise_factor
-        Standard deviation of each strobe's error per standard deviation of one sample, shape
-        (m,): 1 on a sample, 0.71 midway between two.
-    lost
-        Strobes that the record passes but cannot give, because samples are missing there.
-    """
-
-    time: Array
-    error: Array
+    time: Array  #: s, shape (m,).
+    error: Array  #: Displacement error S - S_ref at the strobes, m, shape (m,).
+    #: Standard deviation of each strobe's error per standard deviation of one sample, shape (m,): 1
+    #: on a sample, 0.71 midway between two.
     noise_factor: Array
-    lost: int
+    lost: int  #: Strobes that the record passes but cannot give, because samples are missing there.
 
 
 def strobe_angle(input_axis: Array) -> float:

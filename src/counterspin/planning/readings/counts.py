@@ -2,9 +2,6 @@
 
 The relaxation in which the numbers need not be whole is convex (`planning.relaxation`). It is
 rounded, and one reading after another is exchanged for a better one for as long as it gains.
-
-- `Possibilities`: what each possible reading tells, and what it takes
-- `best_counts`, `least_counts`: the smallest uncertainty, and the fewest that reach targets
 """
 
 from __future__ import annotations
@@ -37,25 +34,15 @@ _BISECTIONS: Final = 12
 
 @frozen(eq=False)
 class Possibilities:
-    """What each of n possible readings tells, and what it takes.
+    """What each of n possible readings tells, and what it takes."""
 
-    Attributes
-    ----------
-    design, fixed
-        Rows of unit variance: columns of the unknowns and of what is considered, each of the
-        latter times its standard uncertainty, shapes (n, b, p) and (n, b, q).
-    prior
-        Square-root information beforehand, shape (p,).
-    time
-        Of each reading, s, shape (n,); zero where time does not count.
-    taken, taken_fixed
-        Rows as of `design` and `fixed`, of what is there already, shapes (r, p) and (r, q).
-    """
-
+    #: Rows of unit variance: columns of the unknowns and of what is considered, each of the latter
+    #: times its standard uncertainty, shapes (n, b, p) and (n, b, q).
     design: Array
     fixed: Array
-    prior: Array
-    time: Array
+    prior: Array  #: Square-root information beforehand, shape (p,).
+    time: Array  #: Of each reading, s, shape (n,); zero where time does not count.
+    #: Rows as of `design` and `fixed`, of what is there already, shapes (r, p) and (r, q).
     taken: Array
     taken_fixed: Array
 
@@ -98,21 +85,11 @@ class Possibilities:
 
 @frozen(eq=False)
 class Chosen:
-    """How often each possible reading is taken.
+    """How often each possible reading is taken."""
 
-    Attributes
-    ----------
-    counts
-        Shape (n,).
-    value
-        The criterion.
-    bound
-        What no other choice within the limits can be below.
-    """
-
-    counts: Counts
-    value: float
-    bound: float
+    counts: Counts  #: Shape (n,).
+    value: float  #: The criterion.
+    bound: float  #: What no other choice within the limits can be below.
 
 
 def best_counts(
@@ -120,14 +97,7 @@ def best_counts(
 ) -> Chosen:
     """Return the numbers with the smallest criterion.
 
-    Parameters
-    ----------
-    possible
-        The possible readings.
-    criterion
-        What is to be small.
-    number, time
-        Largest sum of the numbers and of their times, s; one of them finite.
+    number, time: Largest sum of the numbers and of their times, s; one of them finite.
     """
     weight, bound = possible.relaxed(criterion, number, time)
     counts = np.floor(weight + 1e-6).astype(np.int64)
@@ -182,17 +152,8 @@ def least_counts(
 ) -> tuple[Chosen, float] | None:
     """Return the fewest readings, or the least time, with which every u is at most its scale.
 
-    Parameters
-    ----------
-    possible, criterion, number, time
-        As for `best_counts`. Where there is a limit of time, the time is made small, else the
-        number.
-
-    Returns
-    -------
-    tuple or None
-        The choice; the part of the limit below which none can be. None if all of the limit does
-        not suffice.
+    Returns: the choice; the part of the limit below which none can be. None if all of the limit
+        does not suffice.
     """
 
     def worst(chosen: Chosen) -> float:

@@ -1,8 +1,4 @@
-"""A plan of readings: which positions and rates, how often, and in which order.
-
-- `plan_readings`: from possible readings and a goal to a campaign
-- `in_order`: an order in which slow changes do not look like the coefficients
-"""
+"""A plan of readings: which positions and rates, how often, and in which order."""
 
 from __future__ import annotations
 
@@ -46,25 +42,7 @@ _GAIN: Final = 5e-4
 
 
 def plan_readings(described: ReadingPlan) -> tuple[PlanResult, list[PossibleReading]]:
-    """Find the readings for a plan's goal.
-
-    Parameters
-    ----------
-    described
-        The plan.
-
-    Returns
-    -------
-    PlanResult, list of PossibleReading
-        What there is to say, and the readings in their order.
-
-    Raises
-    ------
-    NotIdentifiableError
-        If all possible readings together do not determine a coefficient of the goal.
-    CounterspinError
-        If the limits do not reach a target.
-    """
+    """Find the readings for a plan's goal."""
     _require_determined(described)
     possible, criterion = _problem(described)
     limits = (described.readings, described.total_time)
@@ -215,14 +193,7 @@ def _unreachable(described: ReadingPlan, best: Chosen) -> CounterspinError:
 def in_order(counts: Counts, order: str) -> list[int]:
     """Return the possible readings in the order in which to take them.
 
-    Parameters
-    ----------
-    counts
-        How often each is taken, shape (n,).
-    order
-        ``mirrored``: once through all of them, then back, and so on, so that what changes
-        evenly with time cancels; ``random``: with a fixed seed; ``listed``: all of one after all
-        of another.
+    counts: How often each is taken, shape (n,).
     """
     if order == "listed":
         return [int(index) for index in np.repeat(np.arange(counts.size), counts)]

@@ -1,9 +1,6 @@
 """From ``PLAN.toml`` with [[stations]] to a `ReadingPlan`: where readings may be taken, and why.
 
 Every station becomes a run with a reading of a stand-in campaign, so that both are checked alike.
-
-- `read_reading_plan`: the file
-- `ReadingPlan`, `PossibleReading`: what it says
 """
 
 from __future__ import annotations
@@ -36,18 +33,10 @@ _MOST_POSSIBLE: Final = 3600
 
 @frozen
 class PossibleReading:
-    """A reading that may be taken, any number of times.
+    """A reading that may be taken, any number of times."""
 
-    Attributes
-    ----------
-    run
-        As [[runs]] has it, its values blank.
-    time
-        That it takes, s.
-    """
-
-    run: Mapping[str, Any]
-    time: float
+    run: Mapping[str, Any]  #: As [[runs]] has it, its values blank.
+    time: float  #: That it takes, s.
 
     @property
     def name(self) -> str:
@@ -57,53 +46,24 @@ class PossibleReading:
 
 @frozen(eq=False)
 class ReadingPlan:
-    """A plan of readings, checked and resolved.
+    """A plan of readings, checked and resolved."""
 
-    Attributes
-    ----------
-    path
-        Of the file, absolute.
-    document
-        The campaign to be, without runs.
-    taken
-        Runs that it has already, records and readings, as [[runs]] has them.
-    sampling_rate
-        Of the records among them, Hz; None where there is none.
-    stand_in
-        The campaign with what it has, and each possible reading once.
-    possible
-        The possible readings.
-    readings, total_time
-        Most of them, and s; infinite where there is no such limit.
-    order
-        ``mirrored``, ``random`` or ``listed``.
-    goal
-        What it is for.
-    """
-
-    path: Path
-    document: Mapping[str, Any]
-    taken: tuple[Any, ...]
-    sampling_rate: float | None
-    stand_in: Campaign
-    possible: tuple[PossibleReading, ...]
+    path: Path  #: Of the file, absolute.
+    document: Mapping[str, Any]  #: The campaign to be, without runs.
+    taken: tuple[Any, ...]  #: Runs that it has already, records and readings, as [[runs]] has them.
+    sampling_rate: float | None  #: Of the records among them, Hz; None where there is none.
+    stand_in: Campaign  #: The campaign with what it has, and each possible reading once.
+    possible: tuple[PossibleReading, ...]  #: The possible readings.
+    #: Most of them, and s; infinite where there is no such limit.
     readings: float
     total_time: float
-    order: str
-    goal: Goal
+    order: str  #: ``mirrored``, ``random`` or ``listed``.
+    goal: Goal  #: What it is for.
 
     def campaign_document(
         self, chosen: Sequence[PossibleReading], *, value: str = BLANK
     ) -> dict[str, Any]:
-        """Return the document of the campaign with readings in this order.
-
-        Parameters
-        ----------
-        chosen
-            The readings.
-        value
-            What stands for their values.
-        """
+        """Return the document of the campaign with readings in this order."""
         timed = any(reading.time > 0.0 for reading in chosen)
         digits, now, runs = len(str(len(chosen))), 0.0, []
         for index, reading in enumerate(chosen):
@@ -141,13 +101,7 @@ def _with_value(run: Mapping[str, Any], value: str) -> dict[str, Any]:
 
 
 def read_reading_plan(path: Mapping[str, Any] | Path | str) -> ReadingPlan:
-    """Read and check a plan of readings.
-
-    Raises
-    ------
-    CampaignError
-        With every mistake found, each with the path of its key; or that the file cannot be read.
-    """
+    """Read and check a plan of readings."""
     file, raw = plan_name(path), load_plan(path)
     problems = Problems(raw)
     problems.check(ReadingPlanDocument, raw, ())
